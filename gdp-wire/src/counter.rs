@@ -1,0 +1,79 @@
+//! Every frame a data plane sees ends in exactly one of these counters. One enum, one per-CPU array, one metric
+//! family, the same for all planes.
+
+macro_rules! counters {
+    ($($(#[$doc:meta])* $variant:ident = $text:literal,)*) => {
+        /// What became of a frame.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        #[repr(u32)]
+        pub enum Counter { $($(#[$doc])* $variant,)* }
+
+        impl Counter {
+            /// All counters, in the order of their indices.
+            pub const ALL: &'static [Counter] = &[$(Counter::$variant,)*];
+
+            /// The name of the counter in command output, metrics and fixtures.
+            pub const fn as_str(self) -> &'static str {
+                match self { $(Counter::$variant => $text,)* }
+            }
+        }
+    };
+}
+
+counters! {
+    /// Sent on toward another switch.
+    Forwarded = "forwarded",
+    /// Sent to the link of a local endpoint.
+    Delivered = "delivered",
+    /// Left to the userspace plane, because the next link is not one the kernel can redirect to.
+    Slow = "slow",
+    /// A control frame, for the daemon.
+    Control = "control",
+    /// Not for us: not GDP. Passed on to the host untouched.
+    Foreign = "foreign",
+    /// Dropped: shorter than its header, or than the header says it is.
+    Truncated = "drop_truncated",
+    /// Dropped: a version other than 1, a type this switch does not know, or a header of another length.
+    Unknown = "drop_unknown",
+    /// Dropped: no link has the id in the header.
+    NoLink = "drop_no_link",
+    /// Dropped: the hop tag was not made with the link's key.
+    BadTag = "drop_bad_tag",
+    /// Dropped: the hop limit is used up.
+    HopLimit = "drop_hop_limit",
+    /// Dropped: the name is not in the FIB, or the FIB has no link for it here.
+    NoRoute = "drop_no_route",
+    /// Dropped: no live neighbour leads to the egress switch, or the frame names none.
+    NoEgress = "drop_no_egress",
+    /// Dropped: needs more than one copy, which this data plane does not make.
+    Replication = "drop_replication",
+    /// Dropped: would leave by the link it came in on.
+    Hairpin = "drop_hairpin",
+    /// Dropped: larger than the next link's MTU.
+    TooBig = "drop_too_big",
+    /// Dropped: the decision was to redirect, and the kernel refused.
+    RedirectFailed = "drop_redirect_failed",
+}
+
+impl Counter {
+    /// How many counters there are.
+    pub const COUNT: usize = Counter::ALL.len();
+
+    /// Whether frames counted here are lost.
+    pub const fn is_drop(self) -> bool {
+        self as u32 >= Counter::Truncated as u32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Counter;
+
+    #[test]
+    fn indices_and_names_are_consistent() {
+        for (index, counter) in Counter::ALL.iter().enumerate() {
+            assert_eq!(*counter as usize, index);
+            assert_eq!(counter.is_drop(), counter.as_str().starts_with("drop_"), "{counter:?}");
+        }
+    }
+}

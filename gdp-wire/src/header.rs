@@ -1,0 +1,239 @@
+//! The headers of frames. Every frame begins with the same eight bytes; see `docs/wire-format.md`.
+
+use core::mem::{offset_of, size_of};
+
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+use crate::Name;
+
+/// The protocol version in the high four bits of the first byte.
+pub const VERSION: u8 = 1;
+
+/// First byte of anything that is not QUIC on a shared UDP port: GDP frames are below it.
+pub const FIRST_QUIC_BYTE: u8 = 0x40;
+
+/// The hop limit of a frame that leaves its writer.
+pub const INITIAL_HOP_LIMIT: u8 = 64;
+
+/// What a frame is for: the low four bits of the first byte.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum FrameType {
+    /// Sealed segments, forwarded by name.
+    Data = 0,
+    /// QUIC (and the discovery that precedes it) on Ethernet; never forwarded.
+    Control = 1,
+    /// Reserved for errors to the ingress link.
+    Error = 2,
+    /// Reserved for `trace`.
+    Probe = 3,
+    /// Reserved for data-plane liveness.
+    Echo = 4,
+}
+
+impl FrameType {
+    /// The first byte of a frame of this type.
+    #[inline(always)]
+    pub const fn first_byte(self) -> u8 {
+        VERSION << 4 | self as u8
+    }
+}
+
+/// The fixed header of a frame that is forwarded: 96 bytes, all integers big-endian on the wire.
+///
+/// The fields are words of the alignment that the frame has behind an Ethernet header in the kernel, so that the eBPF
+/// program may use the header in place. On the host, copy it out with [`FromBytes::read_from_bytes`].
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[repr(C)]
+pub struct Header {
+    /// Version (high 4 bits) and [`FrameType`] (low 4 bits).
+    pub version_type: u8,
+    /// Flags (3 bits), traffic class (3 bits), ECN (2 bits). Carried, not interpreted yet.
+    pub flags: u8,
+    /// Switches the frame may still cross; a switch drops a frame that arrives with 0 or 1.
+    pub hop_limit: u8,
+    /// Which set of 64 egress switches `egress_bits` speaks of.
+    pub egress_set: u8,
+    payload_len: u16,
+    /// Header length in units of 8 bytes: 12.
+    pub header_words: u8,
+    /// Zero.
+    pub reserved: u8,
+    link_id: u32,
+    link_counter: u32,
+    tag: u64,
+    egress_bits: u64,
+    /// Where the frame goes: a topic's name.
+    pub destination: Name,
+    /// Who wrote it: an entity's name.
+    pub source: Name,
+}
+
+impl Header {
+    /// Bytes of the header on the wire.
+    pub const LEN: usize = 96;
+
+    /// A data frame from `source` to `destination` as its writer makes it, before a link's fields are filled in.
+    pub fn data(destination: Name, source: Name, payload_len: u16) -> Self {
+        Self {
+            version_type: FrameType::Data.first_byte(),
+            hop_limit: INITIAL_HOP_LIMIT,
+            payload_len: payload_len.to_be(),
+            header_words: (Self::LEN / 8) as u8,
+            destination,
+            source,
+            ..Self::default()
+        }
+    }
+
+    /// Payload bytes behind the header.
+    #[inline(always)]
+    pub fn payload_len(&self) -> u16 {
+        u16::from_be(self.payload_len)
+    }
+
+    /// The receiver's id of the link the frame is on.
+    #[inline(always)]
+    pub fn link_id(&self) -> u32 {
+        u32::from_be(self.link_id)
+    }
+
+    #[inline(always)]
+    pub fn set_link_id(&mut self, id: u32) {
+        self.link_id = id.to_be();
+    }
+
+    /// The sender's count of frames on this link.
+    #[inline(always)]
+    pub fn link_counter(&self) -> u32 {
+        u32::from_be(self.link_counter)
+    }
+
+    #[inline(always)]
+    pub fn set_link_counter(&mut self, counter: u32) {
+        self.link_counter = counter.to_be();
+    }
+
+    /// Egress switches of the domain that still need a copy; bit `i` is switch `i` of the egress set.
+    #[inline(always)]
+    pub fn egress_bits(&self) -> u64 {
+        u64::from_be(self.egress_bits)
+    }
+
+    #[inline(always)]
+    pub fn set_egress_bits(&mut self, bits: u64) {
+        self.egress_bits = bits.to_be();
+    }
+
+    /// The hop tag as it is on the wire.
+    #[inline(always)]
+    pub fn tag(&self) -> u64 {
+        u64::from_be(self.tag)
+    }
+
+    #[inline(always)]
+    pub fn set_tag(&mut self, tag: u64) {
+        self.tag = tag.to_be();
+    }
+
+    /// The eleven little-endian words the hop tag covers: the whole header but the tag itself.
+    #[inline(always)]
+    pub(crate) fn tagged_words(&self) -> [u64; 11] {
+        let this = (&raw const *self).cast::<u64>();
+        // SAFETY: `Header` is 96 bytes of plain data with the alignment of u64, so it holds twelve words.
+        let word = |i: usize| u64::from_le(unsafe { this.add(i).read() });
+        [
+            word(0), word(1), word(3), word(4), word(5), word(6), word(7), word(8), word(9), word(10), word(11),
+        ]
+    }
+}
+
+/// The header of a control frame: QUIC directly on Ethernet, which pads short frames and so hides their length.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[repr(C)]
+pub struct ControlHeader {
+    pub version_type: u8,
+    /// One of [`ControlHeader::QUIC`], [`ControlHeader::SOLICIT`], [`ControlHeader::ANSWER`].
+    pub kind: u8,
+    pub zero: [u8; 2],
+    payload_len: [u8; 2],
+    /// Header length in units of 8 bytes: 1.
+    pub header_words: u8,
+    pub reserved: u8,
+}
+
+impl ControlHeader {
+    /// Bytes of the header on the wire.
+    pub const LEN: usize = 8;
+    /// The payload is one QUIC packet (or several coalesced).
+    pub const QUIC: u8 = 0;
+    /// "Which switch is on this segment?"; no payload; sent to the broadcast address.
+    pub const SOLICIT: u8 = 0x80;
+    /// The answer to a solicitation; the payload is the 32-byte name of the switch, which TLS then proves.
+    pub const ANSWER: u8 = 0x40;
+
+    pub fn new(kind: u8, payload_len: u16) -> Self {
+        Self {
+            version_type: FrameType::Control.first_byte(),
+            kind,
+            zero: [0; 2],
+            payload_len: payload_len.to_be_bytes(),
+            header_words: (Self::LEN / 8) as u8,
+            reserved: 0,
+        }
+    }
+
+    /// The kind and payload of a control frame, without the padding behind it; `None` if it is not one.
+    pub fn parse(frame: &[u8]) -> Option<(u8, &[u8])> {
+        let (header, rest) = Self::read_from_prefix(frame).ok()?;
+        if header.version_type != FrameType::Control.first_byte() || usize::from(header.header_words) * 8 != Self::LEN {
+            return None;
+        }
+        Some((header.kind, rest.get(..u16::from_be_bytes(header.payload_len).into())?))
+    }
+}
+
+const _: () = {
+    assert!(size_of::<Header>() == Header::LEN && align_of::<Header>() == 8);
+    assert!(offset_of!(Header, payload_len) == 4);
+    assert!(offset_of!(Header, link_id) == 8);
+    assert!(offset_of!(Header, link_counter) == 12);
+    assert!(offset_of!(Header, tag) == 16);
+    assert!(offset_of!(Header, egress_bits) == 24);
+    assert!(offset_of!(Header, destination) == 32);
+    assert!(offset_of!(Header, source) == 64);
+    assert!(size_of::<ControlHeader>() == ControlHeader::LEN && align_of::<ControlHeader>() == 1);
+};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fields_are_where_the_wire_format_says() {
+        let mut header = Header::data(Name::from_bytes([0xd0; 32]), Name::from_bytes([0x50; 32]), 0x0102);
+        header.set_link_id(0x1122_3344);
+        header.set_link_counter(0x5566_7788);
+        header.set_tag(0x0a0b_0c0d_0e0f_1011);
+        header.set_egress_bits(1 << 63 | 2);
+        header.egress_set = 7;
+        let bytes = header.as_bytes();
+        assert_eq!(bytes[..8], [0x10, 0, 64, 7, 1, 2, 12, 0]);
+        assert_eq!(bytes[8..16], [0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 0x77, 0x88]);
+        assert_eq!(bytes[16..24], [0x0a, 0x0b, 0x0c, 0x0d, 0x0e, 0x0f, 0x10, 0x11]);
+        assert_eq!(bytes[24..32], [0x80, 0, 0, 0, 0, 0, 0, 2]);
+        assert!(bytes[32..64].iter().all(|b| *b == 0xd0) && bytes[64..].iter().all(|b| *b == 0x50));
+        assert_eq!(Header::read_from_bytes(bytes).as_ref(), Ok(&header));
+    }
+
+    #[test]
+    fn a_control_frame_is_read_without_its_padding() {
+        let mut frame = ControlHeader::new(ControlHeader::QUIC, 3).as_bytes().to_vec();
+        frame.extend([1, 2, 3, 0, 0, 0, 0]);
+        assert_eq!(ControlHeader::parse(&frame), Some((ControlHeader::QUIC, &[1, 2, 3][..])));
+        assert_eq!(ControlHeader::parse(&frame[..10]), None, "truncated");
+        assert_eq!(ControlHeader::parse(&frame[..7]), None, "no header");
+        frame[0] = FrameType::Data.first_byte();
+        assert_eq!(ControlHeader::parse(&frame), None, "another type");
+    }
+}

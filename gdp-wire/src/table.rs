@@ -1,0 +1,116 @@
+//! What a data plane holds: the entries of its tables, laid out for BPF maps. Derived state; the control plane owns
+//! the truth and rewrites these at will. No implicit padding, no enums over bytes that anybody else writes.
+
+use crate::Name;
+
+/// Links a switch can have at once; the low bits of a link id are the index of its entry.
+pub const MAX_LINKS: u32 = 1024;
+
+/// Egress switches a set of egress bits can name.
+pub const EGRESS_SET_SIZE: u32 = 64;
+
+/// `LinkEntry::port` of a link that the kernel cannot redirect to: the userspace plane sends on it.
+pub const PORT_USERSPACE: u32 = u32::MAX;
+
+/// Who is at the other end of a link. Stored as its number in [`LinkEntry::role`]; 0 is a free entry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum LinkRole {
+    /// A proxy or another writer and reader: names are looked up on what it sends.
+    Endpoint = 1,
+    /// A switch of the same domain: it stamped the egress bits.
+    Switch = 2,
+}
+
+/// One link: an authenticated adjacency with a neighbour.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(C)]
+pub struct LinkEntry {
+    /// The id this switch gave the link; frames arrive with it. Never 0 for a live link.
+    pub id: u32,
+    /// The id the neighbour gave it; frames leave with it.
+    pub peer_id: u32,
+    /// [`LinkRole`] of the neighbour; 0 for a free entry.
+    pub role: u32,
+    /// Key of the neighbour's interface in the device map, or [`PORT_USERSPACE`].
+    pub port: u32,
+    /// SipHash key of frames that arrive.
+    pub rx_key: [u64; 2],
+    /// SipHash key of frames that leave.
+    pub tx_key: [u64; 2],
+    /// Egress switches this neighbour leads to; 0 for an endpoint.
+    pub reach: u64,
+    /// Largest GDP frame (header and payload, without what carries it) the link takes, in bytes.
+    pub mtu: u32,
+    /// The neighbour's MAC address, on Ethernet links.
+    pub peer_mac: [u16; 3],
+    /// Ours.
+    pub local_mac: [u16; 3],
+}
+
+/// Where a name leads from this switch.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(C)]
+pub struct FibEntry {
+    /// Egress switches that want a copy, stamped at the ingress switch.
+    pub egress_bits: u64,
+    /// Link id of the local endpoint that takes the name, or 0.
+    pub local_link: u32,
+    /// The egress set that `egress_bits` speaks of.
+    pub egress_set: u32,
+}
+
+/// What a switch knows of itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(C)]
+pub struct SwitchConfig {
+    /// This switch's own egress bit.
+    pub own_bit: u64,
+    /// Ethertype of GDP frames, in host order.
+    pub ethertype: u32,
+    /// Zero.
+    pub reserved: u32,
+}
+
+/// What [`crate::forward::decide`] asks of a data plane. Lookups must be bounded and must not block.
+pub trait Tables {
+    /// The link with this id, if it is live.
+    fn link(&self, id: u32) -> Option<&LinkEntry>;
+
+    /// Where this name leads.
+    fn route(&self, name: &Name) -> Option<&FibEntry>;
+
+    /// Link id of the neighbour on the path to egress switch `bit` (0 … 63); 0 if there is none.
+    fn next_hop(&self, bit: u32) -> u32;
+
+    /// This switch's own egress bit.
+    fn own_bit(&self) -> u64;
+
+    /// The next count for a frame that leaves by this link.
+    fn next_counter(&self, link: &LinkEntry) -> u32;
+}
+
+/// Index of the entry of link `id`.
+#[inline(always)]
+pub const fn link_index(id: u32) -> u32 {
+    id & (MAX_LINKS - 1)
+}
+
+const _: () = {
+    assert!(size_of::<LinkEntry>() == 72 && align_of::<LinkEntry>() == 8);
+    assert!(size_of::<FibEntry>() == 16 && align_of::<FibEntry>() == 8);
+    assert!(size_of::<SwitchConfig>() == 16 && align_of::<SwitchConfig>() == 8);
+    assert!(MAX_LINKS.is_power_of_two());
+};
+
+#[cfg(feature = "aya")]
+mod pod {
+    // SAFETY: plain integers in `repr(C)` without padding (the sizes above are the sums of the fields').
+    unsafe impl aya::Pod for super::LinkEntry {}
+    // SAFETY: as above.
+    unsafe impl aya::Pod for super::FibEntry {}
+    // SAFETY: as above.
+    unsafe impl aya::Pod for super::SwitchConfig {}
+    // SAFETY: four u64.
+    unsafe impl aya::Pod for crate::Name {}
+}

@@ -1,0 +1,91 @@
+//! `cargo xtask build`: the eBPF object, then the executables, the object beside them.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use crate::setup::{self, EbpfCompiler, Part};
+use crate::workspace::{self, Profile};
+use crate::shell;
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// Build only the eBPF object
+    #[arg(long)]
+    ebpf_only: bool,
+    /// Build with overflow checks and debug assertions, as the tests do
+    #[arg(long)]
+    checked: bool,
+}
+
+pub fn run(options: Options) -> Result<()> {
+    setup::ensure(&[Part::Workspace, Part::Ebpf])?;
+    if options.ebpf_only {
+        return ebpf();
+    }
+    all(if options.checked { Profile::Checked } else { Profile::Release })
+}
+
+/// Everything `gdp-ctl` and `gdp-proxy` need to run with the kernel data plane.
+pub fn all(profile: Profile) -> Result<()> {
+    ebpf()?;
+    executables(profile)?;
+    beside_executables(profile)
+}
+
+/// The executables alone: enough for the userspace data plane.
+pub fn executables(profile: Profile) -> Result<()> {
+    shell::run(shell::cargo().args(["build", "--profile", profile.name(), "-p", "gdp-ctl", "-p", "gdp-proxy"]))
+}
+
+/// Compiles `gdp-ebpf` with the compiler that [`EbpfCompiler`] finds, to [`workspace::ebpf_object`].
+pub fn ebpf() -> Result<()> {
+    shell::run(&mut ebpf_cargo("build")?)?;
+    let built = workspace::target().join("bpf/bpfel-unknown-none/release/gdp-ebpf");
+    copy_if_changed(&built, &workspace::ebpf_object())
+}
+
+/// `cargo VERB --release` for the eBPF target, in the eBPF workspace.
+pub fn ebpf_cargo(verb: &str) -> Result<Command> {
+    let Some(compiler) = EbpfCompiler::find() else { bail!("no compiler for eBPF: run `cargo xtask setup`") };
+    let Some(linker) = setup::bpf_linker() else { bail!("no bpf-linker: run `cargo xtask setup`") };
+    let mut command = Command::new("cargo");
+    if compiler == EbpfCompiler::Nightly {
+        command.arg("+nightly");
+    }
+    command
+        .args([verb, "--release", "--target", "bpfel-unknown-none", "--target-dir"])
+        .arg(workspace::target().join("bpf"))
+        .current_dir(workspace::root().join("gdp-ebpf"))
+        .env("RUSTFLAGS", format!("-C debuginfo=2 -C link-arg=--btf -C linker={}", linker.display()))
+        .env_remove("RUSTUP_TOOLCHAIN")
+        .env_remove("CARGO_ENCODED_RUSTFLAGS");
+    match compiler {
+        EbpfCompiler::Debian => {
+            // Debian's stable compiler; the crates use a few features that only nightly has otherwise.
+            command.env("RUSTC", "/usr/bin/rustc").env("RUSTC_BOOTSTRAP", "1");
+        }
+        EbpfCompiler::Nightly => {
+            command.args(["-Z", "build-std=core"]).env_remove("RUSTC");
+        }
+    }
+    Ok(command)
+}
+
+fn beside_executables(profile: Profile) -> Result<()> {
+    copy_if_changed(&workspace::ebpf_object(), &profile.executables().join("gdp-ebpf"))
+}
+
+/// Replaces `to` at once, so that a daemon that starts meanwhile never reads half a file.
+fn copy_if_changed(from: &Path, to: &Path) -> Result<()> {
+    let new = std::fs::read(from).with_context(|| format!("cannot read {}", from.display()))?;
+    if std::fs::read(to).is_ok_and(|old| old == new) {
+        return Ok(());
+    }
+    let folder = to.parent().context("the target has a folder")?;
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    let temporary = to.with_extension("new");
+    std::fs::write(&temporary, new).with_context(|| format!("cannot write {}", temporary.display()))?;
+    std::fs::rename(&temporary, to).with_context(|| format!("cannot replace {}", to.display()))
+}

@@ -1,0 +1,42 @@
+//! `cargo xtask VERB`: everything a developer does with this project, one file a verb.
+//!
+//! Each verb is a module with `Options` and `run`. What several verbs share is in [`shell`] (running commands) and
+//! [`workspace`] (where things are). Nothing here is part of the product.
+
+mod build;
+mod peers;
+mod run;
+mod setup;
+mod shell;
+mod test;
+mod workspace;
+
+use clap::{Parser, Subcommand};
+
+#[derive(Parser)]
+#[command(name = "cargo xtask", about = "Build, set up, run, test, show and measure")]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Subcommand)]
+enum Verb {
+    /// Install what is missing on this machine, saying what and why before
+    Setup(setup::Options),
+    /// Build the eBPF programs and the executables
+    Build(build::Options),
+    /// Build, then start `gdp-ctl serve`
+    Run(run::Options),
+    /// Unit tests, kernel tests and network-namespace tests (needs root)
+    Test(test::Options),
+}
+
+fn main() -> anyhow::Result<()> {
+    match Cli::parse().verb {
+        Verb::Setup(options) => setup::run(options),
+        Verb::Build(options) => build::run(options),
+        Verb::Run(options) => run::run(options),
+        Verb::Test(options) => test::run(options),
+    }
+}

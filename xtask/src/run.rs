@@ -1,0 +1,34 @@
+//! `cargo xtask run`: builds, then becomes `gdp-ctl serve`. Root gets the kernel data plane, others the userspace one.
+
+use std::os::unix::process::CommandExt;
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::setup::{self, Part};
+use crate::workspace::{self, Profile};
+use crate::build;
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// Passed on to `gdp-ctl serve`
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    arguments: Vec<String>,
+}
+
+pub fn run(options: Options) -> Result<()> {
+    setup::ensure(&[Part::Workspace])?;
+    if workspace::is_root() {
+        setup::ensure(&[Part::Ebpf])?;
+        build::all(Profile::Release)?;
+    } else if setup::has(Part::Ebpf) {
+        build::all(Profile::Release)?;
+    } else {
+        eprintln!("Not root: the userspace data plane will be used, so the XDP programs are not built.");
+        build::executables(Profile::Release)?;
+    }
+    let program = Profile::Release.executables().join("gdp-ctl");
+    // Replaces this process, so that signals and the exit code are the daemon's own.
+    let error = Command::new(&program).arg("serve").args(options.arguments).exec();
+    Err(error).with_context(|| format!("cannot start {}", program.display()))
+}

@@ -1,0 +1,249 @@
+//! `cargo xtask setup`: installs what this machine lacks, saying what and why before it acts.
+//!
+//! The table [`STEPS`] is all there is: to need something new, add a step. Other verbs call [`ensure`] with the parts
+//! they need; when nothing is missing that costs a few file look-ups and prints nothing.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Result, bail};
+
+use crate::{shell, workspace};
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// Only say what is missing, and how it would be installed
+    #[arg(long)]
+    dry_run: bool,
+}
+
+/// What a verb is about to do, and so what it needs.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Part {
+    /// Compile the workspace.
+    Workspace,
+    /// Compile the XDP programs.
+    Ebpf,
+    /// Check formatting and lints.
+    Lints,
+    /// Build networks of namespaces.
+    Namespaces,
+    /// Run foreign DDS programs against ours.
+    Dds,
+}
+
+pub fn run(options: Options) -> Result<()> {
+    let all = [Part::Workspace, Part::Ebpf, Part::Lints, Part::Namespaces, Part::Dds];
+    let missing = missing(&all);
+    if missing.is_empty() {
+        println!("Nothing to do: everything is installed.");
+        return Ok(());
+    }
+    if options.dry_run {
+        return announce(&missing);
+    }
+    install(&missing)
+}
+
+/// Installs what is missing of `parts`.
+pub fn ensure(parts: &[Part]) -> Result<()> {
+    let missing = missing(parts);
+    if missing.is_empty() { Ok(()) } else { install(&missing) }
+}
+
+/// Whether all of `part` is there.
+pub fn has(part: Part) -> bool {
+    missing(&[part]).is_empty()
+}
+
+/// The compiler for the eBPF target. Compiler and `bpf-linker` must share an LLVM major, so each comes as a pair.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum EbpfCompiler {
+    /// Debian's `rustc-web` with the prebuilt `core` of `libstd-rust-web-dev-bpf` (LLVM 22).
+    Debian,
+    /// A rustup nightly with `rust-src`; `core` is built on the way.
+    Nightly,
+}
+
+impl EbpfCompiler {
+    pub fn find() -> Option<Self> {
+        let debian = Path::new("/usr/lib/rustlib/bpfel-unknown-none/lib");
+        if Path::new("/usr/bin/rustc").is_file() && debian.is_dir() {
+            return Some(Self::Debian);
+        }
+        let toolchains = std::fs::read_dir(home("RUSTUP_HOME", ".rustup").join("toolchains")).ok()?;
+        toolchains
+            .flatten()
+            .filter(|entry| entry.file_name().to_string_lossy().starts_with("nightly-"))
+            .any(|entry| entry.path().join("lib/rustlib/src/rust/library/core").is_dir())
+            .then_some(Self::Nightly)
+    }
+}
+
+struct Step {
+    part: Part,
+    what: &'static str,
+    why: &'static str,
+    present: fn() -> bool,
+    /// Shell commands for Debian 12, run as printed.
+    debian: &'static [&'static str],
+    /// What to do on a system this program does not know; only printed.
+    elsewhere: &'static str,
+}
+
+const STEPS: &[Step] = &[
+    Step {
+        part: Part::Workspace,
+        what: "a C and C++ compiler",
+        why: "the cryptography (aws-lc) is C and assembly; the Fast DDS test peer is C++",
+        present: || shell::which("cc").is_some() && shell::which("c++").is_some(),
+        debian: &["apt-get install -y --no-install-recommends gcc g++ libc6-dev"],
+        elsewhere: "install gcc and g++",
+    },
+    Step {
+        part: Part::Lints,
+        what: "rustfmt and clippy",
+        why: "CI checks formatting and lints",
+        present: || rust_component("cargo-fmt") && rust_component("cargo-clippy"),
+        debian: &["rustup component add rustfmt clippy"],
+        elsewhere: "rustup component add rustfmt clippy",
+    },
+    Step {
+        part: Part::Ebpf,
+        what: "a Rust compiler with `core` for bpfel-unknown-none",
+        why: "rustup's stable toolchain cannot compile the XDP programs; Debian ships the prebuilt library",
+        present: || EbpfCompiler::find().is_some(),
+        debian: &["apt-get install -y --no-install-recommends rustc-web libstd-rust-web-dev-bpf"],
+        elsewhere: "rustup toolchain install nightly --profile minimal --component rust-src",
+    },
+    Step {
+        part: Part::Ebpf,
+        what: "bpf-linker 0.13.0",
+        why: "links the XDP programs; built against LLVM 22, the LLVM of the compiler above",
+        present: bpf_linker_present,
+        debian: &[
+            "apt-get install -y --no-install-recommends llvm-22-dev",
+            "LLVM_PREFIX=/usr/lib/llvm-22 cargo install bpf-linker --version 0.13.0 --no-default-features --features llvm-22 --locked",
+        ],
+        elsewhere: "cargo install bpf-linker --version 0.13.0 --locked   # its LLVM must be that of the eBPF compiler",
+    },
+    Step {
+        part: Part::Namespaces,
+        what: "iproute2 and ethtool",
+        why: "tests, demo and benchmarks build networks of namespaces and veth pairs",
+        present: || shell::which("ip").is_some() && shell::which("ethtool").is_some(),
+        debian: &["apt-get install -y --no-install-recommends iproute2 ethtool"],
+        elsewhere: "install iproute2 and ethtool",
+    },
+    Step {
+        part: Part::Dds,
+        what: "Fast DDS with its IDL compiler",
+        why: "one of the two DDS vendors that tests and demo run as unmodified applications",
+        present: || Path::new("/usr/include/fastdds/dds").is_dir() && shell::which("fastddsgen").is_some(),
+        debian: &["apt-get install -y --no-install-recommends libfastrtps-dev fastddsgen"],
+        elsewhere: "install Fast DDS 2.9 or later (headers and library) and fastddsgen",
+    },
+    Step {
+        part: Part::Dds,
+        what: "Cyclone DDS 11.0.1 in a Python environment under the target folder",
+        why: "the other of the two DDS vendors",
+        present: || venv().join("lib").is_dir() && venv().join("gdp-cyclonedds-11.0.1").is_file(),
+        debian: &[
+            "dpkg -s python3-venv >/dev/null 2>&1 || apt-get install -y --no-install-recommends python3-venv",
+            "/usr/bin/python3 -m venv --clear \"$GDP_VENV\"",
+            "\"$GDP_VENV/bin/pip\" install --quiet --disable-pip-version-check cyclonedds==11.0.1",
+            "touch \"$GDP_VENV/gdp-cyclonedds-11.0.1\"",
+        ],
+        elsewhere: "python3 -m venv $GDP_VENV && $GDP_VENV/bin/pip install cyclonedds==11.0.1 && touch $GDP_VENV/gdp-cyclonedds-11.0.1",
+    },
+];
+
+fn missing(parts: &[Part]) -> Vec<&'static Step> {
+    STEPS.iter().filter(|step| parts.contains(&step.part) && !(step.present)()).collect()
+}
+
+fn announce(missing: &[&Step]) -> Result<()> {
+    eprintln!("Missing on this machine:");
+    for step in missing {
+        eprintln!("  {}: {}", step.what, step.why);
+    }
+    eprintln!("\nCommands (GDP_VENV={}):", venv().display());
+    let known = is_debian_12();
+    for step in missing {
+        if known {
+            commands(step).iter().for_each(|line| eprintln!("  {line}"));
+        } else {
+            eprintln!("  {}", step.elsewhere);
+        }
+    }
+    Ok(())
+}
+
+fn install(missing: &[&Step]) -> Result<()> {
+    announce(missing)?;
+    if !is_debian_12() {
+        bail!("this system is not Debian 12, so nothing was installed: run the commands above, then try again");
+    }
+    if missing.iter().any(|step| step.debian.iter().any(|line| line.contains("apt-get"))) {
+        execute(&privileged("apt-get update -q"))?;
+    }
+    for step in missing {
+        eprintln!("\n{} ({})", step.what, step.why);
+        for line in commands(step) {
+            execute(&line)?;
+        }
+        if !(step.present)() {
+            bail!("{} is still missing after its commands succeeded", step.what);
+        }
+    }
+    Ok(())
+}
+
+fn commands(step: &Step) -> Vec<String> {
+    step.debian.iter().map(|line| privileged(line)).collect()
+}
+
+/// `apt-get` needs root; the rest must not have it.
+fn privileged(line: &str) -> String {
+    let prefix = if workspace::is_root() { "" } else { "sudo " };
+    line.replace("apt-get ", &format!("{prefix}DEBIAN_FRONTEND=noninteractive apt-get "))
+}
+
+fn execute(line: &str) -> Result<()> {
+    eprintln!("+ {line}");
+    shell::run(Command::new("sh").args(["-ec", line]).env("GDP_VENV", venv()).current_dir(workspace::root()))
+}
+
+fn is_debian_12() -> bool {
+    let release = std::fs::read_to_string("/etc/os-release").unwrap_or_default();
+    let has = |line: &str| release.lines().any(|l| l.replace('"', "") == line);
+    has("ID=debian") && has("VERSION_ID=12")
+}
+
+fn bpf_linker_present() -> bool {
+    bpf_linker().is_some_and(|file| {
+        shell::output_of(file, &["--version"]).is_some_and(|version| version.starts_with("bpf-linker 0.13."))
+    })
+}
+
+/// `bpf-linker` on `PATH`, or where `cargo install` puts it.
+pub fn bpf_linker() -> Option<PathBuf> {
+    shell::which("bpf-linker")
+        .or_else(|| Some(home("CARGO_HOME", ".cargo").join("bin/bpf-linker")).filter(|file| file.is_file()))
+}
+
+/// Components lie beside the cargo that runs us: asking rustup would take half a second.
+fn rust_component(program: &str) -> bool {
+    let beside = std::env::var_os("CARGO").and_then(|cargo| Some(Path::new(&cargo).parent()?.join(program).is_file()));
+    beside.unwrap_or_else(|| shell::which(program).is_some())
+}
+
+fn home(variable: &str, default: &str) -> PathBuf {
+    std::env::var_os(variable)
+        .map(PathBuf::from)
+        .unwrap_or_else(|| PathBuf::from(std::env::var_os("HOME").unwrap_or_default()).join(default))
+}
+
+fn venv() -> PathBuf {
+    workspace::target().join("venv")
+}

@@ -1,0 +1,47 @@
+//! `cargo xtask test`: unit tests, then the tests that need root: real XDP, namespaces, DDS.
+
+use anyhow::{Result, bail};
+
+use crate::setup::{self, Part};
+use crate::workspace::{self, Profile};
+use crate::{build, peers, shell};
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// Only tests whose name contains this
+    filter: Option<String>,
+    /// Only what needs neither root nor an eBPF toolchain
+    #[arg(long)]
+    unit: bool,
+    /// Only what needs root
+    #[arg(long, conflicts_with = "unit")]
+    root: bool,
+}
+
+pub fn run(options: Options) -> Result<()> {
+    setup::ensure(&[Part::Workspace])?;
+    if !options.root {
+        shell::say_and_run(tests(&options).args(["--no-fail-fast"]))?;
+    }
+    if options.unit {
+        return Ok(());
+    }
+    if !workspace::is_root() {
+        // Skipping would look like success, above all in CI.
+        bail!("the kernel and namespace tests need root: run as root, or `cargo xtask test --unit` for the rest");
+    }
+    setup::ensure(&[Part::Ebpf, Part::Namespaces, Part::Dds])?;
+    build::all(Profile::Checked)?;
+    peers::build()?;
+    // Namespaces on two cores: one test at a time, so that timing says something.
+    shell::say_and_run(
+        tests(&options).args(["--no-fail-fast", "-p", "gdp-tests", "--", "--test-threads", "1"]),
+    )
+}
+
+fn tests(options: &Options) -> std::process::Command {
+    let mut command = shell::cargo();
+    command.args(["test", "--profile", Profile::Checked.name()]);
+    command.args(options.filter.as_deref());
+    command
+}

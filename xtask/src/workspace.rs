@@ -1,0 +1,55 @@
+//! Where things are in the working copy. No I/O beyond reading the environment.
+
+use std::path::{Path, PathBuf};
+
+/// The folder of the root `Cargo.toml`.
+pub fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the workspace")
+}
+
+/// Cargo's target folder, `CARGO_TARGET_DIR` respected.
+pub fn target() -> PathBuf {
+    match std::env::var_os("CARGO_TARGET_DIR") {
+        Some(dir) => root().join(dir),
+        None => root().join("target"),
+    }
+}
+
+/// The eBPF object as the compiler left it; `build` copies it beside the executables.
+pub fn ebpf_object() -> PathBuf {
+    target().join("bpf/gdp-ebpf")
+}
+
+/// Which of Cargo's profiles an executable is built with.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Profile {
+    /// What is shipped, shown and measured.
+    Release,
+    /// Optimised, with overflow checks and debug assertions in this project's crates: what is tested. One profile
+    /// for unit and integration tests, so that dependencies are compiled once.
+    Checked,
+}
+
+impl Profile {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Release => "release",
+            Self::Checked => "checked",
+        }
+    }
+
+    /// Where Cargo puts the executables of this profile.
+    pub fn executables(self) -> PathBuf {
+        target().join(self.name())
+    }
+}
+
+/// The programs the network-namespace harness starts.
+pub fn tools(profile: Profile) -> gdp_tests::Tools {
+    gdp_tests::Tools::new(profile.executables(), target())
+}
+
+pub fn is_root() -> bool {
+    // SAFETY: geteuid has no preconditions.
+    unsafe { libc::geteuid() == 0 }
+}
