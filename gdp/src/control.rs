@@ -1,0 +1,333 @@
+//! What travels on a link's control streams: requests, responses and the records in them, and their bounded encoding.
+//!
+//! Types and checks only, no I/O: [`crate::link`] moves them, [`crate::node`] asks, the daemon's RIB answers. One request
+//! and its response to a QUIC stream, each a big-endian u32 length and that many bytes of CBOR, at most [`MAX_MESSAGE`].
+//! Streams are not ordered among each other: who needs an order waits for the response before asking again.
+//!
+//! Nothing here is trusted because of who sent it: certificates and statements are verified by the RIB before it stores
+//! them and again, with [`Record::verify`], by whoever receives an answer.
+
+use gdp_wire::Name;
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+use crate::cert::{AdCert, Advert, AdvertOp, CertError, ReadGrant, RtCert, Signed};
+use crate::name::{NamePrefix, NameProof};
+
+/// Largest encoded request or response, in bytes, without its length prefix.
+pub const MAX_MESSAGE: usize = 64 * 1024;
+
+/// Deepest nesting of a message; the deepest real one has seven levels.
+const MAX_DEPTH: usize = 16;
+
+/// Whatever one side of a link asks of the other.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Request {
+    /// Endpoint → its switch: on behalf of the entity at the other end of the link.
+    Entity(EntityRequest),
+    /// Switch → its uplink, hop by hop to the RIB: what an entity attached to `switch` (or a tool on its host) asks.
+    /// `entity` shows the RIB the key that the entity's statements must verify under; `None` for anonymous queries.
+    Relay { switch: Name, entity: Option<NameProof>, request: EntityRequest },
+    /// Switch → RIB: the switches this one has live links with, and what each costs. Replaces its last report.
+    Report { switch: NameProof, neighbours: Vec<(Name, u32)> },
+    /// Switch → RIB: the entity's link is gone, and with it everything it advertised through this switch.
+    Detach { switch: Name, entity: Name },
+    /// RIB → switch, relayed down: what the switch's FIB holds.
+    Fib(FibPush),
+    /// RIB → subscriber, relayed down: the writers of a name it subscribed to are now these.
+    Writers(WritersPush),
+}
+
+/// What an entity may ask of the RIB, through the switch it is attached to.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum EntityRequest {
+    /// First on every link of an endpoint: this switch may carry my traffic. Answered by [`Response::Attached`].
+    Attach { rt_cert: Signed<RtCert> },
+    /// I publish (or serve) a name. Lives as long as the attachment, or the statement's lifetime if that ends first.
+    Advertise { proof: NameProof, ad_cert: Signed<AdCert>, advert: Signed<Advert> },
+    /// I read (or call) a name. Answered by [`Response::Records`] with its writers; changes come as [`WritersPush`].
+    Subscribe { proof: NameProof, grant: Signed<ReadGrant>, advert: Signed<Advert> },
+    /// I no longer publish and no longer subscribe to the name in the statement.
+    Withdraw { advert: Signed<Advert> },
+    /// Who publishes and reads the names that begin so? Answered by [`Response::Records`].
+    Query { prefix: NamePrefix },
+}
+
+/// The answer to a request.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Response {
+    Done,
+    /// Attached. `serial` is the highest serial the RIB has seen from this entity: its next statement needs a higher one.
+    Attached {
+        serial: u64,
+    },
+    /// `truncated`: there are more than fit an answer; ask with a longer prefix.
+    Records {
+        records: Vec<Record>,
+        truncated: bool,
+    },
+    Refused(Refusal),
+}
+
+/// Why a request was refused: a code for programs and a sentence that names the thing and the remedy for people.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[error("{reason}")]
+pub struct Refusal {
+    pub code: RefusalCode,
+    pub reason: String,
+}
+
+impl Refusal {
+    /// A refusal with this code and sentence; an overlong sentence is cut, so that it always fits a response.
+    pub fn new(code: RefusalCode, reason: impl Into<String>) -> Self {
+        const LONGEST: usize = 1024;
+        let mut reason = reason.into();
+        if reason.len() > LONGEST {
+            reason.truncate(reason.floor_char_boundary(LONGEST));
+        }
+        Self { code, reason }
+    }
+}
+
+impl From<Refusal> for Response {
+    fn from(refusal: Refusal) -> Self {
+        Self::Refused(refusal)
+    }
+}
+
+/// What kind of refusal it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum RefusalCode {
+    /// Not a message this side understands, or not one that this peer may send.
+    Malformed,
+    /// The entity has to attach first.
+    NotAttached,
+    /// A signature does not verify under the key it must verify under.
+    BadSignature,
+    /// The name is not derived from the key and digest shown, or a certificate is for another name.
+    WrongName,
+    /// A certificate or statement is for, or by, another entity.
+    WrongEntity,
+    /// A certificate or statement is for another switch.
+    WrongSwitch,
+    NotYetValid,
+    Expired,
+    /// The serial of the statement is not above the floor of its entity.
+    ReplayedSerial,
+    /// The name has a subscriber already (data is unicast so far).
+    SecondSubscriber,
+    /// Nothing is known of the name.
+    NotFound,
+    /// A bound of the RIB or the switch is reached.
+    Limit,
+    /// The switch has no way to the RIB, or to the peer, right now; worth another attempt later.
+    Unreachable,
+    /// Something that this release does not do.
+    Unsupported,
+}
+
+/// One verified advertisement or subscription, with all that is needed to verify it again.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Record {
+    pub name: Name,
+    /// How `name` is derived, and the owner's key.
+    pub proof: NameProof,
+    /// How the name of the entity is derived, and its key.
+    pub entity: NameProof,
+    /// The switch the entity is attached to.
+    pub switch: Name,
+    pub credential: Credential,
+    /// What the entity itself stated.
+    pub advert: Signed<Advert>,
+    /// Seconds until the record ends by itself, on the clock of who answers.
+    pub expires_in: u64,
+}
+
+/// What the owner of a name gave an entity: it also tells what the entity is to the name.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Credential {
+    Writer(Signed<AdCert>),
+    Reader(Signed<ReadGrant>),
+}
+
+impl Record {
+    /// Verifies the record as if nobody had before: derivation of both names, the owner's certificate at `now` (Unix
+    /// seconds), and the entity's own statement. Returns the name of the entity.
+    pub fn verify(&self, now: u64) -> Result<Name, CertError> {
+        let name = self.proof.name()?;
+        if name != self.name {
+            return Err(CertError::WrongName { expected: self.name, got: name });
+        }
+        let entity = self.entity.name()?;
+        let (op, certified_name, certified_entity) = match &self.credential {
+            Credential::Writer(cert) => {
+                let cert = cert.verify(&self.proof.verify_key()?, now)?;
+                (AdvertOp::Publish, cert.name, cert.entity)
+            }
+            Credential::Reader(grant) => {
+                let grant = grant.verify(&self.proof.verify_key()?, now)?;
+                (AdvertOp::Subscribe, grant.name, grant.entity)
+            }
+        };
+        let advert = self.advert.verify(&self.entity.verify_key()?, now)?;
+        for got in [certified_name, advert.name] {
+            if got != name {
+                return Err(CertError::WrongName { expected: name, got });
+            }
+        }
+        for got in [certified_entity, advert.entity] {
+            if got != entity {
+                return Err(CertError::WrongEntity { expected: entity, got });
+            }
+        }
+        if advert.switch != self.switch {
+            return Err(CertError::WrongSwitch { expected: self.switch, got: advert.switch });
+        }
+        if advert.op != op {
+            return Err(CertError::Malformed("the statement is not about what the certificate allows".into()));
+        }
+        Ok(entity)
+    }
+
+    /// Whether this is an advertisement (and not a subscription).
+    pub fn is_writer(&self) -> bool {
+        matches!(self.credential, Credential::Writer(_))
+    }
+}
+
+/// A change of a switch's FIB, or a part of its whole. The RIB sends the next one once this is answered.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FibPush {
+    /// Whose FIB; switches on the way pass the push on.
+    pub switch: Name,
+    /// Counts up by one with each push to this switch.
+    pub generation: u64,
+    pub extent: Extent,
+    /// Index (0 … 63) of the switch's own egress bit.
+    pub own_bit: u8,
+    /// Which egress switches lie behind which neighbour. Always complete.
+    pub reach: Vec<(Name, u64)>,
+    pub set: Vec<Route>,
+    pub remove: Vec<Name>,
+}
+
+/// How a push relates to what the switch holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Extent {
+    /// Changes generation − 1. A switch that holds another one refuses, and is sent the whole.
+    Delta,
+    /// Part of the whole: with part 0 the switch marks all it holds, with the last it sweeps what was not set since.
+    Full { part: u32, last: bool },
+}
+
+/// Where a name leads, in names: the switch translates entities and neighbours to its links.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Route {
+    pub name: Name,
+    /// Egress switches that want the name; for switches with a writer of it. 0 elsewhere.
+    pub egress_bits: u64,
+    /// The local endpoint that takes the name, at its egress switch.
+    pub local: Option<Name>,
+}
+
+/// The writers of a name, all of them, to be verified by the subscriber that is told.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct WritersPush {
+    /// Switches on the way pass the push on to this one, and this one to `entity`.
+    pub switch: Name,
+    pub entity: Name,
+    pub name: Name,
+    pub records: Vec<Record>,
+}
+
+/// Why a message could not be encoded or decoded.
+#[derive(Debug, thiserror::Error)]
+pub enum CodecError {
+    #[error("a control message of {0} bytes exceeds the limit of {MAX_MESSAGE}")]
+    TooLong(usize),
+    #[error("not a control message this version understands: {0}")]
+    Malformed(String),
+}
+
+/// Encodes a message with its length in front, as it goes on a stream.
+pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, CodecError> {
+    let mut bytes = vec![0; 4];
+    ciborium::into_writer(message, &mut bytes).map_err(|error| CodecError::Malformed(error.to_string()))?;
+    let length = bytes.len() - 4;
+    if length > MAX_MESSAGE {
+        return Err(CodecError::TooLong(length));
+    }
+    bytes[..4].copy_from_slice(&(length as u32).to_be_bytes());
+    Ok(bytes)
+}
+
+/// The length in a message's prefix, if such a message is allowed.
+pub fn decode_length(prefix: [u8; 4]) -> Result<usize, CodecError> {
+    let length = u32::from_be_bytes(prefix) as usize;
+    if length > MAX_MESSAGE { Err(CodecError::TooLong(length)) } else { Ok(length) }
+}
+
+/// Decodes a message without its length prefix; bytes behind it are refused.
+pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
+    if bytes.len() > MAX_MESSAGE {
+        return Err(CodecError::TooLong(bytes.len()));
+    }
+    let mut rest = bytes;
+    let message = ciborium::de::from_reader_with_recursion_limit(&mut rest, MAX_DEPTH)
+        .map_err(|error| CodecError::Malformed(error.to_string()))?;
+    if !rest.is_empty() {
+        return Err(CodecError::Malformed(format!("{} bytes behind the message", rest.len())));
+    }
+    Ok(message)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_push_survives_the_wire() {
+        let push = FibPush {
+            switch: Name::from_bytes([1; 32]),
+            generation: 7,
+            extent: Extent::Full { part: 0, last: true },
+            own_bit: 63,
+            reach: vec![(Name::from_bytes([2; 32]), u64::MAX)],
+            set: vec![Route { name: Name::from_bytes([3; 32]), egress_bits: 1 << 63, local: None }],
+            remove: vec![Name::from_bytes([4; 32])],
+        };
+        let bytes = encode(&Request::Fib(push.clone())).unwrap();
+        assert_eq!(decode_length(bytes[..4].try_into().unwrap()).unwrap(), bytes.len() - 4);
+        let Request::Fib(decoded) = decode(&bytes[4..]).unwrap() else { panic!("another request") };
+        assert_eq!(decoded, push);
+    }
+
+    #[test]
+    fn the_length_is_bounded_both_ways() {
+        let names = vec![Name::default(); MAX_MESSAGE / 32];
+        assert!(matches!(encode(&names), Err(CodecError::TooLong(_))));
+        assert!(matches!(decode_length([0, 1, 0, 1]), Err(CodecError::TooLong(65537))));
+        assert!(matches!(decode_length([0xff; 4]), Err(CodecError::TooLong(_))));
+        assert!(decode_length([0, 1, 0, 0]).is_ok());
+    }
+
+    #[test]
+    fn hostile_bytes_are_refused_without_panic_or_recursion() {
+        let bytes = encode(&Response::Done).unwrap();
+        let mut longer = bytes[4..].to_vec();
+        longer.push(0);
+        assert!(decode::<Response>(&longer).is_err(), "trailing bytes");
+        for length in 0..bytes.len() - 4 {
+            assert!(decode::<Response>(&bytes[4..4 + length]).is_err(), "truncated to {length}");
+        }
+        assert!(decode::<Request>(&[0x81; MAX_MESSAGE]).is_err(), "nested arrays");
+        assert!(decode::<Request>(&[0x9b, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff]).is_err(), "huge array");
+        assert!(decode::<Vec<Name>>(&[0x9b, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff]).is_err(), "huge array");
+        assert!(decode::<String>(&[0x7b, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff]).is_err(), "huge text");
+    }
+
+    #[test]
+    fn a_refusal_always_fits() {
+        let refusal = Refusal::new(RefusalCode::Limit, "é".repeat(100_000));
+        assert!(encode(&Response::from(refusal)).unwrap().len() < 2048);
+    }
+}
