@@ -1,1 +1,15 @@
+//! What the tests that need root are built from, and what `xtask demo` and `xtask bench` build from as well.
+//!
+//! - [`netns`]: network namespaces, veth pairs, entering one and leaving it again
+//! - [`process`]: programs that end when their guard is dropped, with their output kept
+//! - [`wait`]: waiting for a condition with a deadline, never for a time
+//! - [`tools`]: where the programs under test are
+//!
+//! Everything made here is removed when its guard is dropped, also by a panic or Ctrl-C.
 
+pub mod netns;
+pub mod process;
+pub mod tools;
+pub mod wait;
+
+pub use tools::Tools;

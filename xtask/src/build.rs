@@ -6,8 +6,8 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 use crate::setup::{self, EbpfCompiler, Part};
-use crate::workspace::{self, Profile};
 use crate::shell;
+use crate::workspace::{self, Profile};
 
 #[derive(clap::Args)]
 pub struct Options {

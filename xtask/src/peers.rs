@@ -18,7 +18,9 @@ pub fn build() -> Result<()> {
         return Ok(());
     }
     std::fs::create_dir_all(&out).with_context(|| format!("cannot create {}", out.display()))?;
-    shell::say_and_run(Command::new("fastddsgen").arg("-replace").arg("-d").arg(&out).arg(&inputs[0]).current_dir(&out))?;
+    shell::say_and_run(
+        Command::new("fastddsgen").arg("-replace").arg("-d").arg(&out).arg(&inputs[0]).current_dir(&out),
+    )?;
     // Linked under another name and renamed, so that a failed build leaves nothing that looks current.
     let partial = out.join("fastdds-peer.new");
     shell::say_and_run(

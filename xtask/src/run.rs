@@ -5,9 +5,9 @@ use std::process::Command;
 
 use anyhow::{Context, Result};
 
+use crate::build;
 use crate::setup::{self, Part};
 use crate::workspace::{self, Profile};
-use crate::build;
 
 #[derive(clap::Args)]
 pub struct Options {

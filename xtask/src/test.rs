@@ -34,9 +34,7 @@ pub fn run(options: Options) -> Result<()> {
     build::all(Profile::Checked)?;
     peers::build()?;
     // Namespaces on two cores: one test at a time, so that timing says something.
-    shell::say_and_run(
-        tests(&options).args(["--no-fail-fast", "-p", "gdp-tests", "--", "--test-threads", "1"]),
-    )
+    shell::say_and_run(tests(&options).args(["--no-fail-fast", "-p", "gdp-tests", "--", "--test-threads", "1"]))
 }
 
 fn tests(options: &Options) -> std::process::Command {

@@ -1,0 +1,122 @@
+"""A ROS 2 talker or listener as rmw_cyclonedds would make it (std_msgs/msg/String). See README.md."""
+
+import argparse
+import json
+import os
+import sys
+import time
+import zlib
+from dataclasses import dataclass
+
+
+def arguments():
+    p = argparse.ArgumentParser()
+    p.add_argument("verb", choices=["talk", "listen"])
+    p.add_argument("--topic", default="rt/chatter")
+    p.add_argument("--domain", type=int, default=0)
+    p.add_argument("--best-effort", action="store_true")
+    p.add_argument("--transient-local", action="store_true")
+    p.add_argument("--depth", type=int, default=10)
+    p.add_argument("--peer", help="discover this address by unicast, nothing by multicast")
+    p.add_argument("--count", type=int, default=0, help="0: until killed")
+    p.add_argument("--rate", type=float, default=10)
+    p.add_argument("--size", type=int, default=64)
+    p.add_argument("--text", default="hello from the robot")
+    p.add_argument("--no-wait", action="store_true", help="talk without a listener")
+    return p.parse_args()
+
+
+args = arguments()
+if args.peer:
+    # Cyclone reads its configuration from the environment, when its library is loaded.
+    os.environ["CYCLONEDDS_URI"] = (
+        "<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast></General><Discovery>"
+        f'<ParticipantIndex>auto</ParticipantIndex><Peers><Peer address="{args.peer}"/></Peers>'
+        "</Discovery></Domain></CycloneDDS>"
+    )
+
+from cyclonedds.core import Policy, Qos, ReadCondition, ViewState, InstanceState, SampleState, WaitSet
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.annotations import final
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+
+@dataclass
+@final
+class String_(IdlStruct, typename="std_msgs::msg::dds_::String_"):
+    data: str
+
+
+def say(**fields):
+    sys.stdout.write(json.dumps(fields) + "\n")
+    sys.stdout.flush()
+
+
+def qos():
+    reliable = Policy.Reliability.Reliable(duration(seconds=10))
+    return Qos(
+        Policy.Reliability.BestEffort if args.best_effort else reliable,
+        Policy.Durability.TransientLocal if args.transient_local else Policy.Durability.Volatile,
+        Policy.History.KeepLast(args.depth),
+        # ROS 2 speaks XCDR1 only.
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    )
+
+
+def talk(participant):
+    writer = DataWriter(participant, Topic(participant, args.topic, String_, qos=qos()), qos=qos())
+    say(event="ready")
+    while not args.no_wait and not writer.get_matched_subscriptions():
+        time.sleep(0.01)
+    say(event="matched")
+    # Sequence, clock and CRC take 42 bytes: 10 + 20 + 10 digits, filled with zeros, and spaces between.
+    room = max(0, args.size - 43)
+    filler = (args.text + " ") * (room // (len(args.text) + 1) + 1)
+    filler = filler[:room]
+    crc = zlib.crc32(filler.encode())
+    start = time.monotonic()
+    sequence = 0
+    while args.count == 0 or sequence < args.count:
+        wait = start + sequence / args.rate - time.monotonic()
+        if wait > 0:
+            time.sleep(wait)
+        writer.write(String_(f"{sequence:010d} {time.monotonic_ns():020d} {crc:010d} {filler}"))
+        sequence += 1
+    say(event="done", sent=sequence)
+    while True:
+        time.sleep(3600)
+
+
+def listen(participant):
+    reader = DataReader(participant, Topic(participant, args.topic, String_, qos=qos()), qos=qos())
+    condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.NotRead)
+    waitset = WaitSet(participant)
+    waitset.attach(condition)
+    say(event="ready")
+    matched = False
+    while True:
+        waitset.wait(duration(milliseconds=100))
+        if not matched and reader.get_matched_publications():
+            matched = True
+            say(event="matched")
+        for sample in reader.take(N=64):
+            now = time.monotonic_ns()
+            if isinstance(sample, String_):
+                report(sample.data, now)
+
+
+def report(data, now):
+    try:
+        sequence, clock, crc, filler = data.split(" ", 3)
+        intact = zlib.crc32(filler.encode()) == int(crc)
+        say(event="message", seq=int(sequence), latency_ns=now - int(clock), bytes=len(data), intact=intact, text=filler[:40])
+    except ValueError:
+        say(event="message", seq=-1, latency_ns=0, bytes=len(data), intact=False, text=data[:40])
+
+
+participant = DomainParticipant(args.domain)
+talk(participant) if args.verb == "talk" else listen(participant)

@@ -1,0 +1,205 @@
+// A ROS 2 talker or listener as rmw_fastrtps would make it (std_msgs/msg/String). See README.md.
+#include "StringPubSubTypes.h"
+
+#include <fastdds/dds/domain/DomainParticipant.hpp>
+#include <fastdds/dds/domain/DomainParticipantFactory.hpp>
+#include <fastdds/dds/publisher/DataWriter.hpp>
+#include <fastdds/dds/publisher/Publisher.hpp>
+#include <fastdds/dds/subscriber/DataReader.hpp>
+#include <fastdds/dds/subscriber/DataReaderListener.hpp>
+#include <fastdds/dds/subscriber/SampleInfo.hpp>
+#include <fastdds/dds/subscriber/Subscriber.hpp>
+#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
+#include <fastrtps/utils/IPLocator.h>
+
+#include <array>
+#include <chrono>
+#include <cinttypes>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+
+using namespace eprosima::fastdds::dds;
+using namespace eprosima::fastrtps::rtps;
+using eprosima::fastdds::rtps::UDPv4TransportDescriptor;
+using String = std_msgs::msg::dds_::String_;
+using StringType = std_msgs::msg::dds_::String_PubSubType;
+
+namespace {
+
+struct Arguments {
+    std::string verb, topic = "rt/chatter", peer, text = "hello from the robot";
+    int domain = 0, depth = 10;
+    bool best_effort = false, transient_local = false, no_wait = false;
+    uint64_t count = 0, size = 64;
+    double rate = 10;
+};
+
+[[noreturn]] void usage(const std::string& what) {
+    std::fprintf(stderr, "fastdds-peer: %s; see tests/peers/README.md\n", what.c_str());
+    std::exit(2);
+}
+
+Arguments parse(int argc, char** argv) {
+    Arguments a;
+    if (argc < 2) usage("talk or listen?");
+    a.verb = argv[1];
+    if (a.verb != "talk" && a.verb != "listen") usage("unknown verb " + a.verb);
+    for (int i = 2; i < argc; ++i) {
+        std::string flag = argv[i];
+        if (flag == "--best-effort") { a.best_effort = true; continue; }
+        if (flag == "--transient-local") { a.transient_local = true; continue; }
+        if (flag == "--no-wait") { a.no_wait = true; continue; }
+        if (++i == argc) usage("no value for " + flag);
+        std::string value = argv[i];
+        if (flag == "--topic") a.topic = value;
+        else if (flag == "--peer") a.peer = value;
+        else if (flag == "--text") a.text = value;
+        else if (flag == "--domain") a.domain = std::atoi(value.c_str());
+        else if (flag == "--depth") a.depth = std::atoi(value.c_str());
+        else if (flag == "--count") a.count = std::strtoull(value.c_str(), nullptr, 10);
+        else if (flag == "--size") a.size = std::strtoull(value.c_str(), nullptr, 10);
+        else if (flag == "--rate") a.rate = std::atof(value.c_str());
+        else usage("unknown argument " + flag);
+    }
+    return a;
+}
+
+int64_t monotonic_ns() {
+    return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+uint32_t crc32(const char* data, size_t length) {
+    static const auto table = [] {
+        std::array<uint32_t, 256> t{};
+        for (uint32_t i = 0; i < 256; ++i) {
+            uint32_t c = i;
+            for (int k = 0; k < 8; ++k) c = c & 1 ? 0xEDB88320u ^ (c >> 1) : c >> 1;
+            t[i] = c;
+        }
+        return t;
+    }();
+    uint32_t crc = ~0u;
+    for (size_t i = 0; i < length; ++i) crc = table[(crc ^ static_cast<uint8_t>(data[i])) & 0xFF] ^ (crc >> 8);
+    return ~crc;
+}
+
+DomainParticipant* participant(const Arguments& a) {
+    DomainParticipantQos qos = PARTICIPANT_QOS_DEFAULT;
+    // UDP alone: two Fast DDS programs of one machine would otherwise meet in shared memory, past the network.
+    auto transport = std::make_shared<UDPv4TransportDescriptor>();
+    transport->sendBufferSize = transport->receiveBufferSize = 4 << 20;
+    qos.transport().use_builtin_transports = false;
+    qos.transport().user_transports.push_back(transport);
+    if (!a.peer.empty()) {
+        auto& builtin = qos.wire_protocol().builtin;
+        Locator_t peer;
+        IPLocator::setIPv4(peer, a.peer);
+        builtin.initialPeersList.push_back(peer);
+        // A unicast metatraffic locator of our own switches multicast off.
+        Locator_t any;
+        builtin.metatrafficUnicastLocatorList.push_back(any);
+    }
+    auto* p = DomainParticipantFactory::get_instance()->create_participant(a.domain, qos);
+    if (p == nullptr) { std::fprintf(stderr, "fastdds-peer: no participant in domain %d\n", a.domain); std::exit(1); }
+    return p;
+}
+
+template <class Q> void common_qos(Q& q, const Arguments& a) {
+    q.reliability().kind = a.best_effort ? BEST_EFFORT_RELIABILITY_QOS : RELIABLE_RELIABILITY_QOS;
+    q.durability().kind = a.transient_local ? TRANSIENT_LOCAL_DURABILITY_QOS : VOLATILE_DURABILITY_QOS;
+    q.history().kind = KEEP_LAST_HISTORY_QOS;
+    q.history().depth = a.depth;
+    q.endpoint().history_memory_policy = PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
+    q.data_sharing().off();
+}
+
+void sleep_forever() {
+    for (;;) std::this_thread::sleep_for(std::chrono::hours(1));
+}
+
+void talk(const Arguments& a, DomainParticipant* p, Topic* topic) {
+    DataWriterQos qos = DATAWRITER_QOS_DEFAULT;
+    common_qos(qos, a);
+    qos.publish_mode().kind = a.size > 60000 ? ASYNCHRONOUS_PUBLISH_MODE : SYNCHRONOUS_PUBLISH_MODE;
+    auto* writer = p->create_publisher(PUBLISHER_QOS_DEFAULT)->create_datawriter(topic, qos);
+    std::printf("{\"event\":\"ready\"}\n");
+    for (PublicationMatchedStatus status; !a.no_wait;) {
+        writer->get_publication_matched_status(status);
+        if (status.current_count > 0) break;
+        std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    }
+    std::printf("{\"event\":\"matched\"}\n");
+    std::string filler;
+    const size_t room = a.size > 43 ? a.size - 43 : 0;
+    while (filler.size() < room) filler += a.text + " ";
+    filler.resize(room);
+    const uint32_t crc = crc32(filler.data(), filler.size());
+    const auto start = std::chrono::steady_clock::now();
+    String message;
+    for (uint64_t sequence = 0; a.count == 0 || sequence < a.count; ++sequence) {
+        std::this_thread::sleep_until(start + std::chrono::duration<double>(sequence / a.rate));
+        char head[64];
+        std::snprintf(head, sizeof head, "%010" PRIu64 " %020" PRId64 " %010" PRIu32 " ", sequence, monotonic_ns(), crc);
+        message.data(head + filler);
+        writer->write(&message);
+    }
+    std::printf("{\"event\":\"done\",\"sent\":%" PRIu64 "}\n", a.count);
+    sleep_forever();
+}
+
+class Listener : public DataReaderListener {
+    String message;
+
+    void on_subscription_matched(DataReader*, const SubscriptionMatchedStatus& status) override {
+        if (status.current_count_change > 0) std::printf("{\"event\":\"matched\"}\n");
+    }
+
+    void on_data_available(DataReader* reader) override {
+        SampleInfo info;
+        while (reader->take_next_sample(&message, &info) == ReturnCode_t::RETCODE_OK) {
+            const int64_t now = monotonic_ns();
+            if (info.valid_data) report(message.data(), now);
+        }
+    }
+
+    static void report(const std::string& data, int64_t now) {
+        long long sequence = -1, clock = now;
+        unsigned long crc = 0;
+        int used = 0;
+        const bool parsed = std::sscanf(data.c_str(), "%lld %lld %lu%n", &sequence, &clock, &crc, &used) == 3;
+        const size_t filler = std::min<size_t>(data.size(), parsed ? used + 1 : 0);
+        const bool intact = parsed && crc32(data.data() + filler, data.size() - filler) == crc;
+        std::string text = data.substr(filler, 40);
+        for (char& c : text)
+            if (c < 0x20 || c == '"' || c == '\\' || c > 0x7e) c = '?';
+        std::printf("{\"event\":\"message\",\"seq\":%lld,\"latency_ns\":%lld,\"bytes\":%zu,\"intact\":%s,\"text\":\"%s\"}\n", sequence,
+                    static_cast<long long>(now - clock), data.size(), intact ? "true" : "false", text.c_str());
+    }
+};
+
+void listen(const Arguments& a, DomainParticipant* p, Topic* topic) {
+    DataReaderQos qos = DATAREADER_QOS_DEFAULT;
+    common_qos(qos, a);
+    static Listener listener;
+    p->create_subscriber(SUBSCRIBER_QOS_DEFAULT)->create_datareader(topic, qos, &listener);
+    std::printf("{\"event\":\"ready\"}\n");
+    sleep_forever();
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    const Arguments a = parse(argc, argv);
+    std::setvbuf(stdout, nullptr, _IOLBF, 0);
+    auto* p = participant(a);
+    TypeSupport type(new StringType());
+    type.register_type(p);
+    auto* topic = p->create_topic(a.topic, type.get_type_name(), TOPIC_QOS_DEFAULT);
+    a.verb == "talk" ? talk(a, p, topic) : listen(a, p, topic);
+}

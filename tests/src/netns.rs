@@ -1,0 +1,180 @@
+//! Network namespaces and veth pairs that go when their guard goes.
+//!
+//! Names are `gdp-PID-LABEL`, so that tests run side by side and [`sweep`] can tell what a killed run left behind.
+
+use std::fs::File;
+use std::marker::PhantomData;
+use std::os::fd::AsRawFd;
+use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
+use std::process::Command;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use anyhow::{Context, Result, bail};
+
+const PREFIX: &str = "gdp-";
+
+/// A network namespace with `lo` up and IPv6 off. Dropping it deletes it, and with it the veths inside.
+#[derive(Debug)]
+pub struct Namespace {
+    name: String,
+}
+
+impl Namespace {
+    /// `label` is for people; the name is made unique.
+    pub fn create(label: &str) -> Result<Self> {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let number = COUNT.fetch_add(1, Ordering::Relaxed);
+        let name = format!("{PREFIX}{}-{number}-{label}", std::process::id());
+        ip(&["netns", "add", &name])?;
+        let namespace = Self { name };
+        {
+            let _inside = namespace.enter()?;
+            // Otherwise the kernel's own neighbour and router discovery mixes with the frames that are counted.
+            for scope in ["all", "default"] {
+                std::fs::write(format!("/proc/sys/net/ipv6/conf/{scope}/disable_ipv6"), "1")
+                    .with_context(|| format!("cannot turn IPv6 off in {}", namespace.name))?;
+            }
+        }
+        namespace.ip(&["link", "set", "lo", "up"])?;
+        Ok(namespace)
+    }
+
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// `ip -n THIS …`
+    pub fn ip(&self, arguments: &[&str]) -> Result<String> {
+        ip(&[&["-n", self.name.as_str()], arguments].concat())
+    }
+
+    /// Lets DDS programs in this namespace find each other over `lo`.
+    pub fn enable_loopback_multicast(&self) -> Result<()> {
+        self.ip(&["link", "set", "lo", "multicast", "on"])?;
+        self.ip(&["route", "add", "224.0.0.0/4", "dev", "lo"])?;
+        Ok(())
+    }
+
+    /// A command whose program will run in this namespace.
+    pub fn command(&self, program: impl AsRef<std::ffi::OsStr>) -> Result<Command> {
+        let namespace = self.open()?;
+        let mut command = Command::new(program);
+        // SAFETY: setns on an open descriptor is async-signal-safe and allocates nothing.
+        unsafe { command.pre_exec(move || set(&namespace)) };
+        Ok(command)
+    }
+
+    /// Moves the calling thread into this namespace until the guard is dropped.
+    pub fn enter(&self) -> Result<Entered> {
+        let before = File::open("/proc/thread-self/ns/net").context("cannot open the present namespace")?;
+        set(&self.open()?).with_context(|| format!("cannot enter {} (root?)", self.name))?;
+        Ok(Entered { before, _stays_on_its_thread: PhantomData })
+    }
+
+    fn open(&self) -> Result<File> {
+        let path = PathBuf::from("/run/netns").join(&self.name);
+        File::open(&path).with_context(|| format!("cannot open {}", path.display()))
+    }
+}
+
+impl Drop for Namespace {
+    fn drop(&mut self) {
+        if let Err(error) = ip(&["netns", "del", &self.name]) {
+            eprintln!("{error:#}");
+        }
+    }
+}
+
+/// The calling thread is inside a namespace. `!Send`: namespaces belong to threads.
+#[must_use = "dropping it leaves the namespace"]
+pub struct Entered {
+    before: File,
+    _stays_on_its_thread: PhantomData<*const ()>,
+}
+
+impl Drop for Entered {
+    fn drop(&mut self) {
+        // A thread that cannot get back would test in the wrong network: better to stop.
+        set(&self.before).expect("return to the namespace this thread came from");
+    }
+}
+
+/// One end of a veth pair to be.
+pub struct End<'a> {
+    pub namespace: &'a Namespace,
+    pub interface: &'a str,
+    pub mac: [u8; 6],
+}
+
+/// Connects two namespaces. Transmit offloads are off, so that XDP sees finished frames; GRO is on, because a veth drops
+/// redirected frames unless its peer has GRO or an XDP program.
+pub fn veth(a: &End, b: &End, mtu: u32) -> Result<()> {
+    let (mtu, mac_a, mac_b) = (mtu.to_string(), mac(a.mac), mac(b.mac));
+    ip(&[
+        "link",
+        "add",
+        a.interface,
+        "netns",
+        a.namespace.name(),
+        "mtu",
+        &mtu,
+        "address",
+        &mac_a,
+        "type",
+        "veth",
+        "peer",
+        "name",
+        b.interface,
+        "netns",
+        b.namespace.name(),
+        "mtu",
+        &mtu,
+        "address",
+        &mac_b,
+    ])?;
+    for end in [a, b] {
+        let mut ethtool = end.namespace.command("ethtool")?;
+        execute(ethtool.args(["-K", end.interface, "tx", "off", "gro", "on"]))?;
+        end.namespace.ip(&["link", "set", end.interface, "up"])?;
+    }
+    Ok(())
+}
+
+/// Deletes namespaces of runs whose process is gone.
+pub fn sweep() -> Result<()> {
+    for entry in std::fs::read_dir("/run/netns").into_iter().flatten().flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let pid =
+            name.strip_prefix(PREFIX).and_then(|rest| rest.split('-').next()).and_then(|pid| pid.parse::<u32>().ok());
+        if pid.is_some_and(|pid| !PathBuf::from(format!("/proc/{pid}")).exists()) {
+            ip(&["netns", "del", &name])?;
+        }
+    }
+    Ok(())
+}
+
+/// Runs a command to its end; the error holds what it wrote to stderr.
+pub fn execute(command: &mut Command) -> Result<String> {
+    let output = command.output().with_context(|| format!("cannot start {:?}", command.get_program()))?;
+    if !output.status.success() {
+        bail!("{command:?}: {}\n{}", output.status, String::from_utf8_lossy(&output.stderr).trim());
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+fn ip(arguments: &[&str]) -> Result<String> {
+    execute(Command::new("ip").args(arguments))
+}
+
+fn set(namespace: &File) -> std::io::Result<()> {
+    // SAFETY: the descriptor is open for the length of the call.
+    match unsafe { libc::setns(namespace.as_raw_fd(), libc::CLONE_NEWNET) } {
+        0 => Ok(()),
+        _ => Err(std::io::Error::last_os_error()),
+    }
+}
+
+fn mac(bytes: [u8; 6]) -> String {
+    bytes.map(|b| format!("{b:02x}")).join(":")
+}

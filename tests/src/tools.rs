@@ -1,0 +1,59 @@
+//! Where the programs under test are, so that a missing one is named before anything starts.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail};
+
+/// The executables of this project, and the foreign DDS programs.
+#[derive(Clone, Debug)]
+pub struct Tools {
+    executables: PathBuf,
+    target: PathBuf,
+}
+
+impl Tools {
+    /// `executables`: the folder of `gdp-ctl`, `gdp-proxy` and the eBPF object; `target`: Cargo's target folder.
+    pub fn new(executables: PathBuf, target: PathBuf) -> Self {
+        Self { executables, target }
+    }
+
+    /// For a test: the executables of the profile it was itself built with (`target/PROFILE/deps/TEST`).
+    pub fn beside_this_test() -> Result<Self> {
+        let test = std::env::current_exe()?;
+        match (test.ancestors().nth(2), test.ancestors().nth(3)) {
+            (Some(executables), Some(target)) => Ok(Self::new(executables.into(), target.into())),
+            _ => bail!("{} is not in a target folder", test.display()),
+        }
+    }
+
+    pub fn gdp_ctl(&self) -> Result<PathBuf> {
+        existing(self.executables.join("gdp-ctl"), "cargo xtask build")
+    }
+
+    pub fn gdp_proxy(&self) -> Result<PathBuf> {
+        existing(self.executables.join("gdp-proxy"), "cargo xtask build")
+    }
+
+    pub fn ebpf_object(&self) -> Result<PathBuf> {
+        existing(self.executables.join("gdp-ebpf"), "cargo xtask build")
+    }
+
+    /// The compiled Fast DDS peer.
+    pub fn fastdds(&self) -> Result<PathBuf> {
+        existing(self.target.join("peers/fastdds-peer"), "cargo xtask test")
+    }
+
+    /// The Python that has Cyclone DDS.
+    pub fn python(&self) -> Result<PathBuf> {
+        existing(self.target.join("venv/bin/python"), "cargo xtask setup")
+    }
+
+    /// The Cyclone DDS peer, run by [`Tools::python`].
+    pub fn cyclone(&self) -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("peers/cyclone.py")
+    }
+}
+
+fn existing(file: PathBuf, remedy: &str) -> Result<PathBuf> {
+    if file.is_file() { Ok(file) } else { bail!("{} does not exist: run `{remedy}`", file.display()) }
+}
