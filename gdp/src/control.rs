@@ -26,10 +26,14 @@ pub enum Request {
     Entity(EntityRequest),
     /// Switch → its uplink, hop by hop to the RIB: what an entity attached to `switch` (or a tool on its host) asks.
     /// `entity` shows the RIB the key that the entity's statements must verify under; `None` for anonymous queries.
-    Relay { switch: Name, entity: Option<NameProof>, request: EntityRequest },
+    /// `by_tool`: not over a link of the entity, so nothing is bound to an attachment, only to the statement's lifetime.
+    Relay { switch: Name, entity: Option<NameProof>, by_tool: bool, request: EntityRequest },
     /// Switch → RIB: the switches this one has live links with, and what each costs. Replaces its last report.
-    Report { switch: NameProof, neighbours: Vec<(Name, u32)> },
-    /// Switch → RIB: the entity's link is gone, and with it everything it advertised through this switch.
+    /// `attached`, sent first after every (re)connect, is all entities attached to it: the RIB drops those it holds
+    /// beyond these, and answers those it does not hold with [`Request::Detach`], so that they attach again.
+    Report { switch: NameProof, neighbours: Vec<(Name, u32)>, attached: Option<Vec<Name>> },
+    /// Switch → RIB: the entity's link is gone, and with it everything it advertised through this switch. RIB → switch:
+    /// I hold no attachment of the entity; close its link, so that it attaches again.
     Detach { switch: Name, entity: Name },
     /// RIB → switch, relayed down: what the switch's FIB holds.
     Fib(FibPush),
