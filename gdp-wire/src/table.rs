@@ -9,6 +9,9 @@ pub const MAX_LINKS: u32 = 1024;
 /// Egress switches a set of egress bits can name.
 pub const EGRESS_SET_SIZE: u32 = 64;
 
+/// Interfaces a switch can redirect to; a port is below it.
+pub const MAX_PORTS: u32 = 64;
+
 /// `LinkEntry::port` of a link that the kernel cannot redirect to: the userspace plane sends on it.
 pub const PORT_USERSPACE: u32 = u32::MAX;
 

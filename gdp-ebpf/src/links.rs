@@ -1,0 +1,63 @@
+//! The switch's links. `LINKS` is written by user space only, whole entries: a link is written before any route leads
+//! to it and removed after, and keys do not change while its id stays. A frame that races with the first write of an
+//! entry fails its tag or finds no link.
+//!
+//! `TX_COUNTERS` is shared with the userspace plane, which maps it: a link has one sequence of counters, whichever
+//! plane sends. Hence atomic additions, and nothing else, on both sides.
+
+use aya_ebpf::bindings::BPF_F_MMAPABLE;
+use aya_ebpf::macros::map;
+use aya_ebpf::maps::Array;
+use gdp_wire::LinkEntry;
+use gdp_wire::table::{MAX_LINKS, link_index};
+
+#[map]
+static LINKS: Array<LinkEntry> = Array::with_max_entries(MAX_LINKS, 0);
+
+/// The count of frames sent by the link with the same index, of which frames carry the low 32 bits.
+#[map]
+static TX_COUNTERS: Array<u64> = Array::with_max_entries(MAX_LINKS, BPF_F_MMAPABLE);
+
+#[inline(always)]
+pub fn get(id: u32) -> Option<&'static LinkEntry> {
+    // SAFETY: array elements live as long as the map.
+    let link = unsafe { &*LINKS.get_ptr(link_index(id))? };
+    (link.id == id && id != 0).then_some(link)
+}
+
+#[inline(always)]
+pub fn next_counter(link: &LinkEntry) -> u32 {
+    match TX_COUNTERS.get_ptr_mut(link_index(link.id)) {
+        // SAFETY: a live, aligned element of the map, only ever accessed atomically.
+        Some(slot) => unsafe { fetch_add(slot, 1) as u32 },
+        None => 0,
+    }
+}
+
+/// Adds to `*slot` atomically and returns what it was. The compiler's description of the target says it has no such
+/// instruction; the kernel has it since 5.12.
+///
+/// # Safety
+///
+/// `slot` must be valid, aligned, and accessed atomically by everybody.
+#[cfg(target_arch = "bpf")]
+#[inline(always)]
+unsafe fn fetch_add(slot: *mut u64, mut value: u64) -> u64 {
+    // SAFETY: the caller's promise; the instruction touches only `*slot` and the register.
+    unsafe {
+        core::arch::asm!("{value} = atomic_fetch_add((u64 *)({slot} + 0), {value})", slot = in(reg) slot, value = inout(reg) value);
+    }
+    value
+}
+
+/// On the host.
+///
+/// # Safety
+///
+/// As above.
+#[cfg(not(target_arch = "bpf"))]
+unsafe fn fetch_add(slot: *mut u64, value: u64) -> u64 {
+    use core::sync::atomic::{AtomicU64, Ordering};
+    // SAFETY: the caller's promise.
+    unsafe { AtomicU64::from_ptr(slot) }.fetch_add(value, Ordering::Relaxed)
+}

@@ -1,0 +1,16 @@
+//! The interfaces frames can leave by: `LinkEntry::port` is a key of `PORTS`. Written by user space before a link with
+//! that port exists. A port whose interface is gone is empty, and a redirect to it fails and is counted.
+
+use aya_ebpf::bindings::xdp_action::XDP_DROP;
+use aya_ebpf::macros::map;
+use aya_ebpf::maps::DevMap;
+use gdp_wire::table::MAX_PORTS;
+
+#[map]
+static PORTS: DevMap = DevMap::with_max_entries(MAX_PORTS, 0);
+
+/// Sends the packet to `port` when the program returns; `false` if there is no such interface.
+#[inline(always)]
+pub fn redirect(port: u32) -> bool {
+    PORTS.redirect(port, XDP_DROP.into()).is_ok()
+}
