@@ -1,1 +1,17 @@
+//! What an endpoint of the Global Data Plane needs: names and name cards, identities, certificates, sealed messages,
+//! links and sessions. This is the public SDK. State machines here take (now, input) and return outputs; only `link`
+//! and what builds on it touch sockets. ROS is unknown here.
 
+pub mod card;
+pub mod cbor;
+pub mod cert;
+pub mod control;
+pub mod crypto;
+pub mod identity;
+pub mod name;
+pub mod seal;
+pub mod secret_file;
+
+pub use card::NameCard;
+pub use identity::{Identity, SigningKey, VerifyKey};
+pub use name::{Name, NamePrefix, NameProof};

@@ -1,0 +1,163 @@
+//! The exact bytes of a certificate, and what it takes to believe them.
+
+use super::{CertError, Claims};
+use crate::cbor;
+use crate::crypto::{CryptoError, SIGNATURE_LEN};
+use crate::identity::{SigningKey, VerifyKey};
+use coset::{CoseSign1, CoseSign1Builder, HeaderBuilder, TaggedCborSerializable, iana};
+use p256::pkcs8::{LineEnding, der::pem};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+use std::fmt;
+use std::marker::PhantomData;
+
+/// The largest certificate, in bytes: an AdCert with a full scope has about 2.5 kB.
+pub const MAX_SIGNED: usize = 4096;
+
+/// A certificate or statement as it was signed: the bytes travel and are stored unchanged, so that everybody checks the
+/// same thing. Nothing in it is believed before [`Signed::verify`].
+pub struct Signed<T> {
+    bytes: Vec<u8>,
+    claims: PhantomData<fn() -> T>,
+}
+
+/// Signs `claims`. The key of the signer rides along as key id.
+pub fn issue<T: Claims>(key: &SigningKey, claims: &T) -> Result<Signed<T>, CertError> {
+    claims.check_bounds()?;
+    let unsigned = envelope::<T>(&key.verify_key(), cbor::encode(claims)?);
+    let sign = |message: &[u8]| -> Result<Vec<u8>, CryptoError> { Ok(key.sign(message)?.to_vec()) };
+    let cose = unsigned.try_create_signature(T::CONTEXT.as_bytes(), sign)?.build();
+    let bytes = cose.to_tagged_vec().map_err(malformed)?;
+    Signed::from_bytes(bytes)
+}
+
+impl<T> Signed<T> {
+    /// Takes bytes as they came; only their number is checked here.
+    pub fn from_bytes(bytes: Vec<u8>) -> Result<Self, CertError> {
+        if bytes.len() > MAX_SIGNED {
+            return Err(CertError::Malformed(format!("{} bytes where at most {MAX_SIGNED} are allowed", bytes.len())));
+        }
+        Ok(Self { bytes, claims: PhantomData })
+    }
+
+    pub fn as_bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+impl<T: Claims> Signed<T> {
+    /// What it states, if `key` signed it and it holds at `now` (Unix seconds).
+    pub fn verify(&self, key: &VerifyKey, now: u64) -> Result<T, CertError> {
+        let claims = self.verify_signature(key)?;
+        claims.validity().check(now)?;
+        Ok(claims)
+    }
+
+    /// As [`Self::verify`], at any time. For showing what an expired certificate says.
+    pub fn verify_signature(&self, key: &VerifyKey) -> Result<T, CertError> {
+        let (cose, claims) = self.parse()?;
+        let signer = &cose.protected.header.key_id;
+        if signer != key.as_bytes() {
+            return Err(CertError::WrongKey { what: T::KIND, expected: key.to_string(), got: hex::encode(signer) });
+        }
+        let bad = CertError::BadSignature { what: T::KIND };
+        cose.verify_signature(T::CONTEXT.as_bytes(), |signature, message| {
+            let signature: &[u8; SIGNATURE_LEN] = signature.try_into().map_err(|_| bad.clone())?;
+            key.verify(message, signature).map_err(|_| bad.clone())
+        })?;
+        Ok(claims)
+    }
+
+    /// What it states, believed by nobody: to show it, or to find out which key it should verify under.
+    pub fn claims_unverified(&self) -> Result<T, CertError> {
+        Ok(self.parse()?.1)
+    }
+
+    /// Accepts one encoding only, the one that [`issue`] produces.
+    fn parse(&self) -> Result<(CoseSign1, T), CertError> {
+        let cose = CoseSign1::from_tagged_slice(&self.bytes).map_err(malformed)?;
+        let header = &cose.protected.header;
+        let expected = Some(coset::ContentType::Text(T::CONTEXT.into()));
+        if header.content_type != expected {
+            let found = match &header.content_type {
+                Some(coset::ContentType::Text(text)) => text.as_str(),
+                _ => "something else",
+            };
+            return Err(CertError::Malformed(format!("expected {} ({}), found {found}", T::KIND, T::CONTEXT)));
+        }
+        let signer = VerifyKey::from_bytes(&header.key_id)
+            .map_err(|_| CertError::Malformed("the key id is not a P-256 public key".into()))?;
+        let payload = cose.payload.clone().ok_or_else(|| CertError::Malformed("no payload".into()))?;
+        let claims: T = cbor::decode(&payload, MAX_SIGNED)?;
+        claims.check_bounds()?;
+        let canonical = envelope::<T>(&signer, payload).signature(cose.signature.clone()).build();
+        if canonical.to_tagged_vec().map_err(malformed)? != self.bytes {
+            return Err(CertError::Malformed("its COSE headers or encoding are not those of this version".into()));
+        }
+        Ok((cose, claims))
+    }
+
+    /// The text form for files: base64 between `-----BEGIN GDP AD CERT-----` lines (RFC 7468).
+    pub fn to_pem(&self) -> String {
+        pem::encode_string(T::LABEL, LineEnding::LF, &self.bytes)
+            .expect("the label is fixed and the size is bounded, so there is a text form")
+    }
+
+    pub fn from_pem(text: &str) -> Result<Self, CertError> {
+        if text.len() > 2 * MAX_SIGNED {
+            return Err(CertError::Malformed(format!("{} characters of text are too many", text.len())));
+        }
+        let (found, bytes) = pem::decode_vec(text.trim_ascii_start().as_bytes()).map_err(malformed)?;
+        let expected = T::LABEL;
+        if found != expected {
+            return Err(CertError::Malformed(format!("expected \"BEGIN {expected}\", found \"BEGIN {found}\"")));
+        }
+        let signed = Self::from_bytes(bytes)?;
+        signed.parse()?;
+        Ok(signed)
+    }
+}
+
+fn envelope<T: Claims>(signer: &VerifyKey, payload: Vec<u8>) -> CoseSign1Builder {
+    let protected = HeaderBuilder::new()
+        .algorithm(iana::Algorithm::ES256)
+        .content_type(T::CONTEXT.into())
+        .key_id(signer.as_bytes().to_vec())
+        .build();
+    CoseSign1Builder::new().protected(protected).payload(payload)
+}
+
+fn malformed(error: impl fmt::Display) -> CertError {
+    CertError::Malformed(error.to_string())
+}
+
+impl<T> Clone for Signed<T> {
+    fn clone(&self) -> Self {
+        Self { bytes: self.bytes.clone(), claims: PhantomData }
+    }
+}
+
+impl<T> PartialEq for Signed<T> {
+    fn eq(&self, other: &Self) -> bool {
+        self.bytes == other.bytes
+    }
+}
+
+impl<T> Eq for Signed<T> {}
+
+impl<T: Claims> fmt::Debug for Signed<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Signed<{}>({} bytes)", T::KIND, self.bytes.len())
+    }
+}
+
+impl<T> Serialize for Signed<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        cbor::bytes::serialize(&self.bytes, serializer)
+    }
+}
+
+impl<'de, T> Deserialize<'de> for Signed<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Self::from_bytes(cbor::bytes::deserialize(deserializer)?).map_err(de::Error::custom)
+    }
+}

@@ -1,0 +1,80 @@
+//! The portable back end: RustCrypto's `sha2`, `hkdf`, `aes-gcm` and `p256`. Only `crypto` calls it. Its signatures are
+//! deterministic (RFC 6979), which the test vectors rely on.
+
+use super::{CryptoError, NONCE_LEN, PUBLIC_KEY_LEN, SIGNATURE_LEN, TAG_LEN};
+use aes_gcm::{
+    Aes256Gcm, KeyInit,
+    aead::{AeadInOut, inout::InOutBuf},
+};
+use p256::ecdsa::{
+    Signature, SigningKey, VerifyingKey,
+    signature::{Signer as _, Verifier as _},
+};
+use p256::pkcs8::DecodePrivateKey;
+use sha2::{Digest, Sha256};
+use zeroize::Zeroizing;
+
+pub fn sha256(parts: &[&[u8]]) -> [u8; 32] {
+    let mut hasher = Sha256::new();
+    parts.iter().for_each(|part| hasher.update(part));
+    hasher.finalize().into()
+}
+
+pub fn hkdf_sha256(salt: &[u8], ikm: &[u8], info: &[&[u8]]) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
+    let mut out = Zeroizing::new([0u8; 32]);
+    hkdf::Hkdf::<Sha256>::new(Some(salt), ikm)
+        .expand_multi_info(info, out.as_mut_slice())
+        .map_err(|_| CryptoError::Internal)?;
+    Ok(out)
+}
+
+pub struct Aead(Aes256Gcm);
+
+impl Aead {
+    pub fn new(key: &[u8; 32]) -> Self {
+        Self(Aes256Gcm::new(key.into()))
+    }
+
+    pub fn seal(&self, nonce: &[u8; NONCE_LEN], aad: &[u8], data: &mut [u8]) -> Result<[u8; TAG_LEN], CryptoError> {
+        let tag = self.0.encrypt_inout_detached(nonce.into(), aad, data.into()).map_err(|_| CryptoError::Internal)?;
+        Ok(tag.into())
+    }
+
+    pub fn open(
+        &self,
+        nonce: &[u8; NONCE_LEN],
+        aad: &[u8],
+        ciphertext: &[u8],
+        tag: &[u8; TAG_LEN],
+        out: &mut [u8],
+    ) -> Result<(), CryptoError> {
+        let buffer = InOutBuf::new(ciphertext, out).map_err(|_| CryptoError::Internal)?;
+        self.0.decrypt_inout_detached(nonce.into(), aad, buffer, tag.into()).map_err(|_| CryptoError::Forged)
+    }
+}
+
+pub struct Verifier(VerifyingKey);
+
+impl Verifier {
+    pub fn new(public: &[u8; PUBLIC_KEY_LEN]) -> Result<Self, CryptoError> {
+        VerifyingKey::from_sec1_bytes(public).map(Self).map_err(|_| CryptoError::BadPublicKey)
+    }
+
+    pub fn verify(&self, message: &[u8], signature: &[u8; SIGNATURE_LEN]) -> Result<(), CryptoError> {
+        let signature = Signature::from_slice(signature).map_err(|_| CryptoError::BadSignature)?;
+        self.0.verify(message, &signature).map_err(|_| CryptoError::BadSignature)
+    }
+}
+
+pub struct Signer(SigningKey);
+
+impl Signer {
+    pub fn new(pkcs8_der: &[u8]) -> Result<Self, CryptoError> {
+        SigningKey::from_pkcs8_der(pkcs8_der).map(Self).map_err(|_| CryptoError::BadPrivateKey)
+    }
+
+    pub fn sign(&self, message: &[u8]) -> [u8; SIGNATURE_LEN] {
+        let signature: Signature = self.0.sign(message);
+        signature.to_bytes().into()
+    }
+}

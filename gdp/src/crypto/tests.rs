@@ -1,0 +1,117 @@
+//! Published vectors, and each back end checked against the other in both directions.
+
+use super::*;
+use crate::identity::SigningKey;
+
+#[test]
+fn sha256_of_abc() {
+    let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+    for backend in Backend::ALL {
+        assert_eq!(hex::encode(backend.sha256(&[b"a", b"", b"bc"])), expected, "{backend:?}");
+    }
+}
+
+/// RFC 5869 A.1, first 32 bytes of the output.
+#[test]
+fn hkdf_of_rfc_5869() {
+    let salt = hex::decode("000102030405060708090a0b0c").unwrap();
+    let info = hex::decode("f0f1f2f3f4f5f6f7f8f9").unwrap();
+    let expected = "3cb25f25faacd57a90434f64d0362f2a2d2d0a90cf1a5a4c5db02d56ecc4c5bf";
+    for backend in Backend::ALL {
+        let key = backend.hkdf_sha256(&salt, &[0x0b; 22], &[&info[..4], &info[4..]]).unwrap();
+        assert_eq!(hex::encode(*key), expected, "{backend:?}");
+    }
+}
+
+/// Test case 16 of "The Galois/Counter Mode of Operation" (McGrew, Viega).
+#[test]
+fn aes_256_gcm_of_the_specification() {
+    let key = hex::decode("feffe9928665731c6d6a8f9467308308feffe9928665731c6d6a8f9467308308").unwrap();
+    let nonce = hex::decode("cafebabefacedbaddecaf888").unwrap();
+    let aad = hex::decode("feedfacedeadbeeffeedfacedeadbeefabaddad2").unwrap();
+    let plaintext = hex::decode(
+        "d9313225f88406e5a55909c5aff5269a86a7a9531534f7da2e4c303d8a318a721c3c0c95956809532fcf0e2449a6b525b16aedf5aa0de657ba637b39",
+    )
+    .unwrap();
+    for backend in Backend::ALL {
+        let aead = backend.aead(key.as_slice().try_into().unwrap()).unwrap();
+        let mut data = plaintext.clone();
+        let tag = aead.seal(nonce.as_slice().try_into().unwrap(), &aad, &mut data).unwrap();
+        assert_eq!(hex::encode(&data[..16]), "522dc1f099567d07f47f37a32a84427d", "{backend:?}");
+        assert_eq!(hex::encode(tag), "76fc6ece0f4e1768cddf8853bb2d551b", "{backend:?}");
+    }
+}
+
+#[test]
+fn each_back_end_opens_what_the_other_sealed() {
+    let (key, nonce) = ([7u8; 32], [9u8; NONCE_LEN]);
+    for (sealer, opener) in pairs() {
+        for len in [0usize, 1, 15, 16, 17, 1400] {
+            let plaintext: Vec<u8> = (0..len).map(|i| i as u8).collect();
+            let mut data = plaintext.clone();
+            let tag = sealer.aead(&key).unwrap().seal(&nonce, b"aad", &mut data).unwrap();
+            let aead = opener.aead(&key).unwrap();
+            let mut out = vec![0u8; len];
+            aead.open(&nonce, b"aad", &data, &tag, &mut out).unwrap();
+            assert_eq!(out, plaintext);
+            let mut wrong_tag = tag;
+            wrong_tag[len % TAG_LEN] ^= 1;
+            assert_eq!(aead.open(&nonce, b"aad", &data, &wrong_tag, &mut out), Err(CryptoError::Forged));
+            assert_eq!(aead.open(&nonce, b"axd", &data, &tag, &mut out), Err(CryptoError::Forged));
+            assert!(aead.open(&nonce, b"aad", &data, &tag, &mut vec![0; len + 1]).is_err());
+        }
+    }
+}
+
+#[test]
+fn each_back_end_verifies_what_the_other_signed() {
+    let key = SigningKey::generate().unwrap();
+    let pkcs8 = key.pkcs8_der();
+    for (signing, verifying) in pairs() {
+        let signature = signing.signer(&pkcs8).unwrap().sign(b"message").unwrap();
+        let verifier = verifying.verifier(&key.public()).unwrap();
+        verifier.verify(b"message", &signature).unwrap();
+        assert_eq!(verifier.verify(b"massage", &signature), Err(CryptoError::BadSignature));
+        for at in 0..SIGNATURE_LEN {
+            let mut wrong = signature;
+            wrong[at] ^= 0x10;
+            assert_eq!(verifier.verify(b"message", &wrong), Err(CryptoError::BadSignature), "byte {at}");
+        }
+        let other = verifying.verifier(&SigningKey::generate().unwrap().public()).unwrap();
+        assert_eq!(other.verify(b"message", &signature), Err(CryptoError::BadSignature));
+    }
+}
+
+/// Both back ends agree on what a signature is: if one accepted a high `s` and the other did not, two nodes could
+/// disagree about one message.
+#[test]
+fn a_high_s_is_accepted_by_both_or_by_none() {
+    let key = SigningKey::generate().unwrap();
+    let signature = Backend::RustCrypto.signer(&key.pkcs8_der()).unwrap().sign(b"m").unwrap();
+    let parsed = p256::ecdsa::Signature::from_slice(&signature).unwrap();
+    let (r, s) = parsed.split_scalars();
+    let restated = p256::ecdsa::Signature::from_scalars(r.to_bytes(), (-*s).to_bytes()).unwrap();
+    for backend in Backend::ALL {
+        let verifier = backend.verifier(&key.public()).unwrap();
+        verifier.verify(b"m", &restated.to_bytes().into()).unwrap_or_else(|e| panic!("{backend:?}: {e}"));
+    }
+}
+
+#[test]
+fn what_is_no_key_is_refused_by_both() {
+    let mut off_curve = [0xffu8; PUBLIC_KEY_LEN];
+    off_curve[0] = 2;
+    let mut wrong_prefix = SigningKey::generate().unwrap().public();
+    wrong_prefix[0] = 4;
+    for backend in Backend::ALL {
+        for bytes in [[0u8; PUBLIC_KEY_LEN], off_curve, wrong_prefix] {
+            assert_eq!(backend.verifier(&bytes).err(), Some(CryptoError::BadPublicKey), "{backend:?}");
+        }
+        assert_eq!(backend.signer(b"not DER").err(), Some(CryptoError::BadPrivateKey), "{backend:?}");
+    }
+}
+
+fn pairs() -> [(Backend, Backend); 4] {
+    let [a, b] = Backend::ALL;
+    [(a, a), (a, b), (b, a), (b, b)]
+}

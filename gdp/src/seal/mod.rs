@@ -1,0 +1,1 @@
+//! Sealing, segmentation, reassembly.

@@ -1,0 +1,141 @@
+//! Files that hold secrets: created at mode 0600 and never visible wider or half-written, refused when anybody but the
+//! owner may touch them. Used for private keys and epoch keys; the content is the caller's business.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use zeroize::Zeroizing;
+
+#[derive(Debug, thiserror::Error)]
+pub enum SecretFileError {
+    #[error("{}: cannot {action}: {source}", path.display())]
+    Io { path: PathBuf, action: &'static str, source: io::Error },
+    #[error("{}: a file of this name exists and is not overwritten; choose another name or remove it", .0.display())]
+    Exists(PathBuf),
+    #[error("{}: not a regular file", .0.display())]
+    NotAFile(PathBuf),
+    #[error("{}: mode {mode:04o} lets others at a secret; run `chmod 600 {}`", path.display(), path.display())]
+    TooOpen { path: PathBuf, mode: u32 },
+    #[error("{}: longer than {max} bytes, so not what it should be", path.display())]
+    TooLong { path: PathBuf, max: usize },
+    #[error("{}: {reason}", path.display())]
+    Malformed { path: PathBuf, reason: String },
+}
+
+impl SecretFileError {
+    pub fn is_not_found(&self) -> bool {
+        matches!(self, Self::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
+    }
+
+    pub(crate) fn malformed(path: &Path, reason: impl ToString) -> Self {
+        Self::Malformed { path: path.into(), reason: reason.to_string() }
+    }
+}
+
+/// Creates `path` with `content`. The bytes are written and synced under a temporary name and then linked to the final
+/// one, which fails if that exists: whoever opens `path` sees the whole content or no file.
+pub(crate) fn create(path: &Path, content: &[u8]) -> Result<(), SecretFileError> {
+    let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
+    let suffix = crate::crypto::random::<8>().map_err(|e| io("create")(io::Error::other(e)))?;
+    let mut file_name = path.file_name().ok_or_else(|| SecretFileError::NotAFile(path.into()))?.to_owned();
+    file_name.push(format!(".{}.tmp", hex::encode(suffix)));
+    let temporary = path.with_file_name(file_name);
+
+    let written = OpenOptions::new()
+        .write(true)
+        .create_new(true)
+        .mode(0o600)
+        .open(&temporary)
+        .and_then(|mut file| file.write_all(content).and_then(|()| file.sync_all()));
+    let result = written.map_err(io("create")).and_then(|()| {
+        fs::hard_link(&temporary, path).map_err(|source| match source.kind() {
+            io::ErrorKind::AlreadyExists => SecretFileError::Exists(path.into()),
+            _ => io("create")(source),
+        })
+    });
+    // Nothing to do about a failure: the file was not created, or its name is of no interest to anybody.
+    let _ = fs::remove_file(&temporary);
+    result
+}
+
+/// The whole of `path`, at most `max` bytes. A symbolic link is followed; what counts is the file it leads to.
+pub(crate) fn read(path: &Path, max: usize) -> Result<Zeroizing<Vec<u8>>, SecretFileError> {
+    let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
+    // Without O_NONBLOCK, opening a FIFO would wait for a writer.
+    let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(io("open"))?;
+    check(path, &file)?;
+    let mut content = Zeroizing::new(Vec::with_capacity(max + 1));
+    file.take(max as u64 + 1).read_to_end(&mut content).map_err(io("read"))?;
+    if content.len() > max {
+        return Err(SecretFileError::TooLong { path: path.into(), max });
+    }
+    Ok(content)
+}
+
+/// Looks at the open file, not at its name, so that nothing can be exchanged in between.
+fn check(path: &Path, file: &File) -> Result<(), SecretFileError> {
+    let metadata =
+        file.metadata().map_err(|source| SecretFileError::Io { path: path.into(), action: "examine", source })?;
+    if !metadata.is_file() {
+        return Err(SecretFileError::NotAFile(path.into()));
+    }
+    let mode = metadata.permissions().mode() & 0o7777;
+    debug_assert_eq!(metadata.mode() & 0o7777, mode);
+    if mode & 0o077 != 0 {
+        return Err(SecretFileError::TooOpen { path: path.into(), mode });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn created_files_are_private_and_complete_and_never_overwritten() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("secret");
+        create(&path, b"one").unwrap();
+        assert_eq!(fs::metadata(&path).unwrap().mode() & 0o7777, 0o600);
+        assert_eq!(read(&path, 3).unwrap().as_slice(), b"one");
+
+        assert!(matches!(create(&path, b"two"), Err(SecretFileError::Exists(_))));
+        assert_eq!(fs::read(&path).unwrap(), b"one");
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "no temporary file stays behind");
+        assert!(create(&dir.path().join("no/such/folder"), b"x").is_err());
+    }
+
+    #[test]
+    fn wider_modes_are_refused_with_the_remedy() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("secret");
+        create(&path, b"x").unwrap();
+        for mode in [0o640, 0o604, 0o660, 0o601, 0o777] {
+            fs::set_permissions(&path, fs::Permissions::from_mode(mode)).unwrap();
+            let error = read(&path, 10).unwrap_err().to_string();
+            assert!(error.contains(&format!("chmod 600 {}", path.display())), "{error}");
+            assert!(error.contains(&format!("{mode:04o}")), "{error}");
+        }
+        for mode in [0o600, 0o400] {
+            fs::set_permissions(&path, fs::Permissions::from_mode(mode)).unwrap();
+            read(&path, 10).unwrap();
+        }
+    }
+
+    #[test]
+    fn only_regular_files_of_sensible_size_are_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("secret");
+        assert!(read(&path, 10).unwrap_err().is_not_found());
+        create(&path, b"12345").unwrap();
+        assert!(matches!(read(&path, 4), Err(SecretFileError::TooLong { max: 4, .. })));
+        assert!(matches!(read(dir.path(), 4), Err(SecretFileError::NotAFile(_))));
+
+        let fifo = dir.path().join("fifo");
+        let c_path = std::ffi::CString::new(fifo.to_str().unwrap()).unwrap();
+        // SAFETY: `c_path` is a valid NUL-terminated string for the duration of the call.
+        assert_eq!(unsafe { libc::mkfifo(c_path.as_ptr(), 0o600) }, 0);
+        assert!(matches!(read(&fifo, 4), Err(SecretFileError::NotAFile(_))));
+    }
+}
