@@ -1,1 +1,7 @@
+//! Carries ROS 2 topics over the Global Data Plane, with the applications unchanged.
+//!
+//! [`config`] says which topics; [`ros2`] is DDS; [`route`] joins one topic to one name, in one direction; [`proxy`] puts
+//! them together, [`stats`] counts. The fabric is the SDK's business (`gdp::node`): nothing here seals, signs or routes.
+#![deny(unsafe_code)]
 
+pub mod ros2;

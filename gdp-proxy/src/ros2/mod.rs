@@ -1,0 +1,92 @@
+//! The ROS 2 half of the proxy: a participant in a DDS domain, and readers and writers of topics of any type in it.
+//!
+//! DDS is RustDDS. Nothing here knows of the fabric; `route` joins the two.
+
+mod discovery;
+mod names;
+mod qos;
+mod raw;
+
+pub use names::{NameError, TopicName, TypeName};
+pub use qos::{Depth, Durability, Qos, Reliability};
+pub use raw::{ENCAPSULATION, RawReader, RawSample, RawWriter, Representation, Unreadable, WriteError};
+
+use std::sync::Arc;
+
+use rustdds::dds::CreateError;
+use rustdds::{DomainParticipant, DomainParticipantBuilder, QosPolicies, TopicKind};
+use tokio::task::JoinHandle;
+
+use discovery::Discovery;
+
+/// The largest domain id whose ports (7400 + 250 · id and up) exist.
+pub const MAX_DOMAIN_ID: u16 = 232;
+
+/// The proxy's presence in a DDS domain, until it [leaves](Domain::leave).
+pub struct Domain {
+    participant: DomainParticipant,
+    publisher: rustdds::Publisher,
+    subscriber: rustdds::Subscriber,
+    discovery: Arc<Discovery>,
+    watcher: JoinHandle<()>,
+}
+
+/// What DDS refused to make.
+#[derive(Debug, thiserror::Error)]
+pub enum RosError {
+    #[error(
+        "cannot join DDS domain {domain}: {source}; is a network interface up (in a namespace: `ip link set lo up`), and is \
+         the domain the one in ROS_DOMAIN_ID?"
+    )]
+    Join { domain: u16, source: CreateError },
+    #[error("cannot make a DDS {what} for {topic}: {source}")]
+    Endpoint { what: &'static str, topic: TopicName, source: CreateError },
+}
+
+impl Domain {
+    /// Joins a domain, at most [`MAX_DOMAIN_ID`]. Needs a tokio runtime.
+    pub fn join(domain: u16) -> Result<Self, RosError> {
+        let refused = |source| RosError::Join { domain, source };
+        let participant = DomainParticipantBuilder::new(domain).build().map_err(refused)?;
+        let none = QosPolicies::qos_none();
+        let publisher = participant.create_publisher(&none).map_err(refused)?;
+        let subscriber = participant.create_subscriber(&none).map_err(refused)?;
+        let discovery = Arc::new(Discovery::default());
+        let watcher = tokio::spawn(discovery.clone().watch(participant.clone()));
+        Ok(Self { participant, publisher, subscriber, discovery, watcher })
+    }
+
+    /// The type of a topic, as soon as anyone else in the domain publishes it.
+    pub async fn type_of(&self, topic: &TopicName) -> TypeName {
+        self.discovery.type_of(&self.participant, topic).await
+    }
+
+    pub fn reader(&self, topic: &TopicName, kind: &TypeName, qos: Qos) -> Result<RawReader, RosError> {
+        let refused = |source| RosError::Endpoint { what: "reader", topic: topic.clone(), source };
+        let policies = qos.to_reader();
+        let dds_topic = self.topic(topic, kind, &policies).map_err(refused)?;
+        RawReader::new(&self.subscriber, &dds_topic, policies).map_err(refused)
+    }
+
+    pub fn writer(&self, topic: &TopicName, kind: &TypeName, qos: Qos) -> Result<RawWriter, RosError> {
+        let refused = |source| RosError::Endpoint { what: "writer", topic: topic.clone(), source };
+        let policies = qos.to_writer();
+        let dds_topic = self.topic(topic, kind, &policies).map_err(refused)?;
+        RawWriter::new(&self.publisher, &dds_topic, policies).map_err(refused)
+    }
+
+    fn topic(&self, topic: &TopicName, kind: &TypeName, qos: &QosPolicies) -> Result<rustdds::Topic, CreateError> {
+        self.discovery.expect(topic, kind);
+        self.participant.create_topic(topic.to_dds(), kind.to_dds(), qos, TopicKind::NoKey)
+    }
+
+    /// Says goodbye to the other participants, so that they do not wait for a lease to end. Readers and writers of the
+    /// domain are of no use afterwards.
+    pub async fn leave(self) {
+        // The watcher holds the participant as well; RustDDS leaves when the last owner does, and joins its threads then.
+        self.watcher.abort();
+        let _ = self.watcher.await;
+        let rest = (self.publisher, self.subscriber, self.participant);
+        let _ = tokio::task::spawn_blocking(move || drop(rest)).await;
+    }
+}

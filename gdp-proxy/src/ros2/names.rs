@@ -1,0 +1,165 @@
+//! How ROS 2 names topics and types, and what DDS sees of them (design.ros2.org, "Topic and Service name mapping to DDS").
+//!
+//! Both kinds of text come from a user's file or from the network; nothing that is not a ROS name gets past here.
+
+use std::fmt;
+
+use serde::{Deserialize, Deserializer, de};
+
+/// The longest topic name: DDS vendors allow 256 characters, of which "rt" is two and a terminator one.
+const MAX_TOPIC: usize = 253;
+
+/// The longest type name that is accepted.
+const MAX_TYPE: usize = 253;
+
+/// A fully qualified topic name: `/chatter`, `/robot1/camera/image_raw`.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TopicName(String);
+
+/// A message type: `std_msgs/msg/String`.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TypeName(String);
+
+/// Why a text is not a ROS name.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NameError {
+    #[error(
+        "`{0}` is not a fully qualified topic name: write it with a leading slash, of letters, digits and underscores, \
+         such as /chatter or /robot1/image_raw, at most {MAX_TOPIC} characters"
+    )]
+    Topic(String),
+    #[error("`{0}` is not a message type: write it as package/msg/Name, such as std_msgs/msg/String")]
+    Type(String),
+}
+
+impl TopicName {
+    pub fn parse(text: &str) -> Result<Self, NameError> {
+        let tokens_are_good = text.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_identifier));
+        if tokens_are_good && text.len() <= MAX_TOPIC {
+            Ok(Self(text.to_owned()))
+        } else {
+            Err(NameError::Topic(excerpt(text)))
+        }
+    }
+
+    /// The DDS topic: `rt/chatter`.
+    pub fn to_dds(&self) -> String {
+        format!("rt{}", self.0)
+    }
+
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl TypeName {
+    pub fn parse(text: &str) -> Result<Self, NameError> {
+        let good = match text.split('/').collect::<Vec<_>>()[..] {
+            [package, kind, name] => {
+                is_identifier(package) && matches!(kind, "msg" | "srv" | "action") && is_identifier(name)
+            }
+            _ => false,
+        };
+        if good && text.len() <= MAX_TYPE { Ok(Self(text.to_owned())) } else { Err(NameError::Type(excerpt(text))) }
+    }
+
+    /// The type behind a DDS type name, if ROS 2 made it: `std_msgs::msg::dds_::String_`.
+    pub fn from_dds(dds: &str) -> Result<Self, NameError> {
+        let refusal = || NameError::Type(excerpt(dds));
+        match dds.split("::").collect::<Vec<_>>()[..] {
+            [package, kind, "dds_", name] => {
+                let name = name.strip_suffix('_').ok_or_else(refusal)?;
+                Self::parse(&format!("{package}/{kind}/{name}")).map_err(|_| refusal())
+            }
+            _ => Err(refusal()),
+        }
+    }
+
+    /// The DDS type name: `std_msgs::msg::dds_::String_`.
+    pub fn to_dds(&self) -> String {
+        let mut parts = self.0.split('/');
+        let mut part = || parts.next().unwrap_or_default();
+        format!("{}::{}::dds_::{}_", part(), part(), part())
+    }
+
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+fn is_identifier(token: &str) -> bool {
+    token.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
+        && token.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+}
+
+/// The text as an error may show it: short, without control characters.
+fn excerpt(text: &str) -> String {
+    text.chars().take(80).map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect()
+}
+
+impl fmt::Display for TopicName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl fmt::Display for TypeName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl<'de> Deserialize<'de> for TopicName {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Self::parse(&String::deserialize(deserializer)?).map_err(de::Error::custom)
+    }
+}
+
+impl<'de> Deserialize<'de> for TypeName {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Self::parse(&String::deserialize(deserializer)?).map_err(de::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn topics_and_types_are_mangled_as_every_ros_2_does() {
+        let topic = TopicName::parse("/robot1/image_raw").unwrap();
+        assert_eq!(topic.to_dds(), "rt/robot1/image_raw");
+        let kind = TypeName::parse("std_msgs/msg/String").unwrap();
+        assert_eq!(kind.to_dds(), "std_msgs::msg::dds_::String_");
+        assert_eq!(TypeName::from_dds(&kind.to_dds()), Ok(kind));
+        let feedback = TypeName::from_dds("example_interfaces::action::dds_::Fibonacci_FeedbackMessage_").unwrap();
+        assert_eq!(feedback.as_str(), "example_interfaces/action/Fibonacci_FeedbackMessage");
+    }
+
+    #[test]
+    fn what_is_not_a_topic_name_is_refused() {
+        let long = format!("/{}", "a".repeat(MAX_TOPIC));
+        for text in ["", "/", "chatter", "/a//b", "/a/", "/1a", "/a b", "/a\n", "/é", "rt/chatter", "~/x", &long] {
+            assert!(TopicName::parse(text).is_err(), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_a_type_name_is_refused() {
+        for text in ["", "String", "std_msgs/String", "std_msgs/msg/String/x", "std_msgs/foo/String", "std_msgs/msg/"] {
+            assert!(TypeName::parse(text).is_err(), "{text:?}");
+        }
+        for dds in
+            ["std_msgs::msg::String", "std_msgs::msg::dds_::String", "HelloWorld", "a::msg::dds_::_x::y_", "::::::"]
+        {
+            assert!(TypeName::from_dds(dds).is_err(), "{dds:?}");
+        }
+    }
+
+    #[test]
+    fn a_refusal_names_the_text_and_the_remedy() {
+        let refusal = TypeName::parse("std_msgs/String").unwrap_err().to_string();
+        assert!(refusal.contains("std_msgs/String") && refusal.contains("package/msg/Name"), "{refusal}");
+        assert!(!TopicName::parse("\u{1b}[2J").unwrap_err().to_string().contains('\u{1b}'));
+    }
+}

@@ -1,0 +1,104 @@
+//! Quality of service as the configuration states it, and as DDS takes it.
+
+use rustdds::{QosPolicies, QosPolicyBuilder, policy};
+use serde::Deserialize;
+
+/// Messages that RustDDS keeps of a topic it reads, whatever their size. They are taken out at once, so few will do.
+const READER_SAMPLES: u16 = 32;
+
+/// Messages a writer may have under way to reliable readers: what a reader that died holds back until DDS notices.
+const WRITER_SAMPLES: u16 = 256;
+
+/// How long a write may wait for a reliable reader that does not keep up. Short, because the other readers of the topic
+/// wait with it.
+const MAX_BLOCKING: rustdds::Duration = rustdds::Duration::from_millis(20);
+
+/// What a ROS 2 node states for a publisher or subscription. The default is ROS 2's own: reliable, volatile, depth 10.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Qos {
+    pub reliability: Reliability,
+    pub durability: Durability,
+    /// Keep-last history depth, in messages; also what may wait for the fabric before messages are dropped. At least 1.
+    pub depth: Depth,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reliability {
+    #[default]
+    Reliable,
+    BestEffort,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Durability {
+    #[default]
+    Volatile,
+    TransientLocal,
+}
+
+/// A history depth from 1 to [`Depth::MAX`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "u64")]
+pub struct Depth(u16);
+
+impl Depth {
+    pub const MAX: u16 = 10_000;
+
+    pub fn get(self) -> u16 {
+        self.0
+    }
+}
+
+impl TryFrom<u64> for Depth {
+    type Error = String;
+
+    fn try_from(depth: u64) -> Result<Self, String> {
+        match u16::try_from(depth) {
+            Ok(depth @ 1..=Self::MAX) => Ok(Self(depth)),
+            _ => Err(format!("a depth of {depth} is not possible: write 1 to {}", Self::MAX)),
+        }
+    }
+}
+
+impl Default for Qos {
+    fn default() -> Self {
+        Self { reliability: Reliability::default(), durability: Durability::default(), depth: Depth(10) }
+    }
+}
+
+impl Qos {
+    /// For a DDS reader.
+    pub fn to_reader(self) -> QosPolicies {
+        self.to_dds(READER_SAMPLES)
+    }
+
+    /// For a DDS writer.
+    pub fn to_writer(self) -> QosPolicies {
+        self.to_dds(WRITER_SAMPLES)
+    }
+
+    /// Resource limits are stated although ROS 2 states none: RustDDS would otherwise keep up to 8192 messages that a
+    /// stalled reliable reader has not acknowledged.
+    fn to_dds(self, samples: u16) -> QosPolicies {
+        let reliability = match self.reliability {
+            Reliability::Reliable => policy::Reliability::Reliable { max_blocking_time: MAX_BLOCKING },
+            Reliability::BestEffort => policy::Reliability::BestEffort,
+        };
+        let durability = match self.durability {
+            Durability::Volatile => policy::Durability::Volatile,
+            Durability::TransientLocal => policy::Durability::TransientLocal,
+        };
+        let depth = self.depth.get().into();
+        let max_samples = self.depth.get().max(samples).into();
+        let limits = policy::ResourceLimits { max_samples, max_instances: 1, max_samples_per_instance: max_samples };
+        QosPolicyBuilder::new()
+            .reliability(reliability)
+            .durability(durability)
+            .history(policy::History::KeepLast { depth })
+            .resource_limits(limits)
+            .build()
+    }
+}

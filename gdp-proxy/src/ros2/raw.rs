@@ -1,0 +1,261 @@
+//! Readers and writers of topics whose type is known by name only: a message is the bytes of its CDR encapsulation, the
+//! four-byte header that says how it is encoded (RTPS 2.5 §10.2) and the encoded body, carried as they are.
+
+use std::convert::Infallible;
+use std::future::poll_fn;
+use std::task::Poll;
+use std::time::Duration;
+
+use bytes::Bytes;
+use rustdds::dds::adapters::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter};
+use rustdds::dds::{CreateError, ReadError};
+use rustdds::no_key::{DataWriter, SimpleDataReader};
+use rustdds::{GUID, Publisher, QosPolicies, RepresentationIdentifier, Timestamp, Topic};
+
+/// Bytes of the encapsulation header: representation (2), options (2).
+pub const ENCAPSULATION: usize = 4;
+
+/// How long a write may take, whatever RustDDS makes of the maximum blocking time: its own deadline is only looked at when
+/// something else wakes the write.
+const WRITE_DEADLINE: Duration = Duration::from_millis(100);
+
+/// One message as it was on the wire.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RawSample {
+    pub representation: Representation,
+    /// Encapsulation header and body. DDS vendors pad the body to a multiple of four.
+    pub bytes: Bytes,
+}
+
+/// The encodings that ROS 2 uses: XCDR version 1, either byte order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Representation {
+    CdrBe,
+    CdrLe,
+}
+
+impl Representation {
+    const fn header(self) -> [u8; ENCAPSULATION] {
+        match self {
+            Self::CdrBe => [0, 0, 0, 0],
+            Self::CdrLe => [0, 1, 0, 0],
+        }
+    }
+}
+
+impl RawSample {
+    /// Reads what another proxy sent; `None` if the bytes are not a CDR encapsulation that DDS could write.
+    pub fn parse(bytes: Bytes) -> Option<Self> {
+        let representation = match bytes.get(..ENCAPSULATION)? {
+            [0, 0, ..] => Representation::CdrBe,
+            [0, 1, ..] => Representation::CdrLe,
+            _ => return None,
+        };
+        Some(Self { representation, bytes })
+    }
+}
+
+/// A message arrived that this reader does not understand: not XCDR version 1. The text is for the log.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct Unreadable(String);
+
+/// Reads a topic of any type. Messages that this participant itself wrote are not seen.
+pub struct RawReader {
+    reader: SimpleDataReader<RawSample, Adapter>,
+}
+
+impl RawReader {
+    pub(super) fn new(subscriber: &rustdds::Subscriber, topic: &Topic, qos: QosPolicies) -> Result<Self, CreateError> {
+        Ok(Self { reader: subscriber.create_simple_datareader_no_key::<RawSample, Adapter>(topic, Some(qos))? })
+    }
+
+    /// The next message. Wakes when it arrives, without polling; may be cancelled without losing one.
+    pub async fn recv(&self) -> Result<RawSample, Unreadable> {
+        poll_fn(|context| {
+            if let Some(taken) = self.take() {
+                return Poll::Ready(taken);
+            }
+            self.reader.set_waker(Some(context.waker().clone()));
+            // What came between the look and the waker would wake nobody.
+            self.take().map_or(Poll::Pending, Poll::Ready)
+        })
+        .await
+    }
+
+    fn take(&self) -> Option<Result<RawSample, Unreadable>> {
+        loop {
+            match self.reader.try_take_one() {
+                Ok(None) => return None,
+                Ok(Some(change)) if self.is_own(change.writer_guid()) => {}
+                Ok(Some(change)) => return Some(Ok(change.into_value())),
+                Err(ReadError::UnknownKey { .. }) => {}
+                Err(error) => return Some(Err(Unreadable(error.to_string()))),
+            }
+        }
+    }
+
+    /// What this participant wrote came from the fabric: taking it back would send it around for ever.
+    fn is_own(&self, writer: GUID) -> bool {
+        writer.prefix == self.reader.guid().prefix
+    }
+}
+
+/// Writes a topic of any type.
+pub struct RawWriter {
+    little_endian: DataWriter<RawSample, Encoder<true>>,
+    /// A DDS writer has one encoding; this one is made when the first message from a big-endian machine comes.
+    big_endian: Option<DataWriter<RawSample, Encoder<false>>>,
+    publisher: Publisher,
+    topic: Topic,
+    qos: QosPolicies,
+}
+
+/// Why a message was not written.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    #[error("a reliable reader of the topic does not keep up")]
+    Stalled,
+    #[error("the DDS writer failed: {0}")]
+    Failed(String),
+}
+
+impl RawWriter {
+    pub(super) fn new(publisher: &Publisher, topic: &Topic, qos: QosPolicies) -> Result<Self, CreateError> {
+        Ok(Self {
+            little_endian: publisher.create_datawriter_no_key(topic, Some(qos.clone()))?,
+            big_endian: None,
+            publisher: publisher.clone(),
+            topic: topic.clone(),
+            qos,
+        })
+    }
+
+    /// Writes one message as of `timestamp_ns` (nanoseconds since 1970), which readers see as its source timestamp.
+    /// Waits a bounded time for reliable readers that do not keep up.
+    pub async fn write(&mut self, sample: RawSample, timestamp_ns: u64) -> Result<(), WriteError> {
+        let stamp = Some(timestamp(timestamp_ns));
+        let write = async {
+            match sample.representation {
+                Representation::CdrLe => self.little_endian.async_write(sample, stamp).await,
+                Representation::CdrBe => self.big_endian()?.async_write(sample, stamp).await,
+            }
+            .map_err(|error| match error {
+                rustdds::dds::WriteError::WouldBlock { .. } => WriteError::Stalled,
+                other => WriteError::Failed(other.to_string()),
+            })
+        };
+        tokio::time::timeout(WRITE_DEADLINE, write).await.unwrap_or(Err(WriteError::Stalled))
+    }
+
+    fn big_endian(&mut self) -> Result<&DataWriter<RawSample, Encoder<false>>, WriteError> {
+        let writer = match self.big_endian.take() {
+            Some(writer) => writer,
+            None => self
+                .publisher
+                .create_datawriter_no_key(&self.topic, Some(self.qos.clone()))
+                .map_err(|error| WriteError::Failed(error.to_string()))?,
+        };
+        Ok(self.big_endian.insert(writer))
+    }
+}
+
+/// RTPS time is seconds and 2⁻³² fractions of a second since 1970, until 2106.
+fn timestamp(ns: u64) -> Timestamp {
+    let (seconds, nanos) = (ns / 1_000_000_000, ns % 1_000_000_000);
+    match u32::try_from(seconds) {
+        Ok(seconds) => Timestamp::from_ticks(u64::from(seconds) << 32 | (nanos << 32) / 1_000_000_000),
+        Err(_) => Timestamp::now(),
+    }
+}
+
+/// Takes bytes out of RustDDS, which hands them over without their encapsulation header.
+struct Adapter;
+
+#[derive(Clone)]
+struct Decoder;
+
+impl DeserializerAdapter<RawSample> for Adapter {
+    type Error = Infallible;
+    type Decoded = RawSample;
+
+    fn supported_encodings() -> &'static [RepresentationIdentifier] {
+        &[RepresentationIdentifier::CDR_LE, RepresentationIdentifier::CDR_BE]
+    }
+
+    fn transform_decoded(decoded: RawSample) -> RawSample {
+        decoded
+    }
+}
+
+impl DefaultDecoder<RawSample> for Adapter {
+    type Decoder = Decoder;
+    const DECODER: Decoder = Decoder;
+}
+
+impl Decode<'_, RawSample> for Decoder {
+    type Error = Infallible;
+
+    fn decode_bytes(self, body: &[u8], encoding: RepresentationIdentifier) -> Result<RawSample, Infallible> {
+        let representation = match encoding {
+            RepresentationIdentifier::CDR_BE => Representation::CdrBe,
+            _ => Representation::CdrLe,
+        };
+        let mut bytes = Vec::with_capacity(ENCAPSULATION + body.len());
+        bytes.extend(representation.header());
+        bytes.extend(body);
+        Ok(RawSample { representation, bytes: bytes.into() })
+    }
+}
+
+/// Gives bytes to RustDDS, which writes the encapsulation header itself, from the type of the writer.
+struct Encoder<const LITTLE_ENDIAN: bool>;
+
+impl<const LITTLE_ENDIAN: bool> SerializerAdapter<RawSample> for Encoder<LITTLE_ENDIAN> {
+    type Error = Infallible;
+
+    fn output_encoding() -> RepresentationIdentifier {
+        match LITTLE_ENDIAN {
+            true => RepresentationIdentifier::CDR_LE,
+            false => RepresentationIdentifier::CDR_BE,
+        }
+    }
+
+    fn to_bytes(sample: &RawSample) -> Result<Bytes, Infallible> {
+        Ok(sample.bytes.slice(ENCAPSULATION..))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_dds_could_write_is_taken_from_the_fabric() {
+        let parse = |bytes: &'static [u8]| RawSample::parse(Bytes::from_static(bytes)).map(|s| s.representation);
+        assert_eq!(parse(&[0, 1, 0, 0, 1, 2, 3, 4]), Some(Representation::CdrLe));
+        assert_eq!(parse(&[0, 0, 0, 3]), Some(Representation::CdrBe));
+        for bytes in [&[][..], &[0, 1, 0], &[0, 7, 0, 0, 1], &[0, 3, 0, 0], &[1, 1, 0, 0]] {
+            assert_eq!(parse(bytes), None, "{bytes:?}");
+        }
+    }
+
+    #[test]
+    fn the_encapsulation_survives_both_ways() {
+        for (encoding, header) in [(RepresentationIdentifier::CDR_LE, 1), (RepresentationIdentifier::CDR_BE, 0)] {
+            let sample = Decoder.decode_bytes(b"body", encoding).unwrap();
+            assert_eq!(sample.bytes[..], [0, header, 0, 0, b'b', b'o', b'd', b'y']);
+            assert_eq!(RawSample::parse(sample.bytes.clone()), Some(sample.clone()));
+            assert_eq!(Encoder::<true>::to_bytes(&sample).unwrap(), "body");
+        }
+    }
+
+    #[test]
+    fn source_timestamps_keep_their_value() {
+        let ns = 1_700_000_000_123_456_789;
+        let ticks = timestamp(ns).to_ticks();
+        let back = (ticks >> 32) * 1_000_000_000 + ((ticks & 0xffff_ffff) * 1_000_000_000 >> 32);
+        assert!(ns - back <= 1, "{back}");
+        assert!(timestamp(u64::MAX) < Timestamp::INFINITE, "a time after 2106 is not passed on");
+    }
+}

@@ -1,0 +1,98 @@
+//! Two participants in one process, over loopback: no root, no fabric, no other vendor (those are in the workspace's
+//! `tests`). RustDDS finds participants of the same host by unicast to 127.0.0.1, so loopback multicast is not needed.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use gdp_proxy::ros2::{Domain, Durability, Qos, RawReader, RawSample, RawWriter, TopicName, TypeName};
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn messages_of_any_type_cross_exactly_in_either_byte_order() {
+    let (here, there) = (Domain::join(domain_id()).unwrap(), Domain::join(domain_id()).unwrap());
+    let (topic, kind) = (topic("exact"), kind());
+    let mut writer = here.writer(&topic, &kind, latched()).unwrap();
+    let learnt = within("the type is learnt", there.type_of(&topic)).await;
+    assert_eq!(learnt, kind);
+    let reader = there.reader(&topic, &learnt, latched()).unwrap();
+
+    for header in [[0, 1, 0, 0], [0, 0, 0, 0]] {
+        for size in [8, 1_000_000] {
+            let sent = sample(header, size);
+            writer.write(sent.clone(), 1_700_000_000_000_000_000).await.unwrap();
+            let received = within("a message crosses", reader.recv()).await.unwrap();
+            assert!(received == sent, "{header:?} {size}");
+        }
+    }
+    here.leave().await;
+    there.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_the_participant_wrote_itself_is_not_read_back() {
+    let (here, there) = (Domain::join(domain_id()).unwrap(), Domain::join(domain_id()).unwrap());
+    let topic = topic("loop");
+    let own_reader = here.reader(&topic, &kind(), latched()).unwrap();
+    let mut own_writer = here.writer(&topic, &kind(), latched()).unwrap();
+    let other_reader = there.reader(&topic, &kind(), latched()).unwrap();
+    let mut other_writer = there.writer(&topic, &kind(), latched()).unwrap();
+
+    own_writer.write(sample([0, 1, 0, 0], 16), 0).await.unwrap();
+    let crossed = within("another participant reads it", other_reader.recv()).await.unwrap();
+    assert_eq!(crossed, sample([0, 1, 0, 0], 16));
+    // Whatever comes first to our own reader is the other's: its message is longer, ours was written before it.
+    other_writer.write(sample([0, 1, 0, 0], 32), 0).await.unwrap();
+    let read = within("the other's message is read", own_reader.recv()).await.unwrap();
+    assert_eq!(read, sample([0, 1, 0, 0], 32));
+    here.leave().await;
+    there.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_best_effort_reader_is_served_by_a_reliable_writer() {
+    let (here, there) = (Domain::join(domain_id()).unwrap(), Domain::join(domain_id()).unwrap());
+    let topic = topic("best_effort");
+    let mut writer = here.writer(&topic, &kind(), Qos::default()).unwrap();
+    let best_effort = Qos { reliability: gdp_proxy::ros2::Reliability::BestEffort, ..Qos::default() };
+    let reader = there.reader(&topic, &kind(), best_effort).unwrap();
+    let received = within("a message crosses", until_received(&mut writer, &reader)).await;
+    assert_eq!(received, sample([0, 1, 0, 0], 64));
+    here.leave().await;
+    there.leave().await;
+}
+
+/// Volatile: what is written before the two have found each other is lost, so it is written again.
+async fn until_received(writer: &mut RawWriter, reader: &RawReader) -> RawSample {
+    loop {
+        writer.write(sample([0, 1, 0, 0], 64), 0).await.unwrap();
+        if let Ok(received) = tokio::time::timeout(Duration::from_millis(20), reader.recv()).await {
+            return received.unwrap();
+        }
+    }
+}
+
+async fn within<T>(what: &str, future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(Duration::from_secs(20), future).await.unwrap_or_else(|_| panic!("not in 20 s: {what}"))
+}
+
+/// An encapsulation header and a body of `size` bytes.
+fn sample(header: [u8; 4], size: usize) -> RawSample {
+    let body = (0..size).map(|i| (i % 251) as u8);
+    RawSample::parse(Bytes::from_iter(header.into_iter().chain(body))).unwrap()
+}
+
+fn latched() -> Qos {
+    Qos { durability: Durability::TransientLocal, ..Qos::default() }
+}
+
+fn kind() -> TypeName {
+    TypeName::parse("some_msgs/msg/Unheard").unwrap()
+}
+
+/// Processes that test at the same time get other domains, or at least other topics.
+fn domain_id() -> u16 {
+    (std::process::id() % 100) as u16
+}
+
+fn topic(test: &str) -> TopicName {
+    TopicName::parse(&format!("/test_{}/{test}", std::process::id())).unwrap()
+}
