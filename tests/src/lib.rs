@@ -1,13 +1,19 @@
 //! What the tests that need root are built from, and what `xtask demo` and `xtask bench` build from as well.
 //!
 //! - [`netns`]: network namespaces, veth pairs, entering one and leaving it again
+//! - [`chain`]: robot – switches – cloud; [`packet`]: what an eavesdropper or attacker does on its cables
+//! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its ends
 //! - [`process`]: programs that end when their guard is dropped, with their output kept
 //! - [`wait`]: waiting for a condition with a deadline, never for a time
 //! - [`tools`]: where the programs under test are
 //!
 //! Everything made here is removed when its guard is dropped, also by a panic or Ctrl-C.
 
+pub mod chain;
+pub mod fabric;
 pub mod netns;
+pub mod packet;
+pub mod peers;
 pub mod process;
 pub mod tools;
 pub mod wait;

@@ -58,7 +58,7 @@ pub fn ebpf_cargo(verb: &str) -> Result<Command> {
         .args([verb, "--release", "--target", "bpfel-unknown-none", "--target-dir"])
         .arg(workspace::target().join("bpf"))
         .current_dir(workspace::root().join("gdp-ebpf"))
-        .env("RUSTFLAGS", format!("-C debuginfo=2 -C link-arg=--btf -C linker={}", linker.display()))
+        .env("RUSTFLAGS", format!("-C target-cpu=v3 -C debuginfo=2 -C link-arg=--btf -C linker={}", linker.display()))
         .env_remove("RUSTUP_TOOLCHAIN")
         .env_remove("CARGO_ENCODED_RUSTFLAGS");
     match compiler {

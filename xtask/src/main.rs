@@ -3,6 +3,7 @@
 //! Each verb is a module with `Options` and `run`. What several verbs share is in [`shell`] (running commands) and
 //! [`workspace`] (where things are). Nothing here is part of the product.
 
+mod bench;
 mod build;
 mod peers;
 mod run;
@@ -10,6 +11,8 @@ mod setup;
 mod shell;
 mod test;
 mod workspace;
+
+use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
@@ -30,13 +33,23 @@ enum Verb {
     Run(run::Options),
     /// Unit tests, kernel tests and network-namespace tests (needs root)
     Test(test::Options),
+    /// Measure, and print a table or JSON (needs root)
+    Bench(bench::Options),
 }
 
-fn main() -> anyhow::Result<()> {
-    match Cli::parse().verb {
+fn main() -> ExitCode {
+    let result = match Cli::parse().verb {
         Verb::Setup(options) => setup::run(options),
         Verb::Build(options) => build::run(options),
         Verb::Run(options) => run::run(options),
         Verb::Test(options) => test::run(options),
+        Verb::Bench(options) => bench::run(options),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
     }
 }

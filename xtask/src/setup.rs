@@ -145,11 +145,18 @@ const STEPS: &[Step] = &[
     },
     Step {
         part: Part::Dds,
+        what: "Python with its venv module",
+        why: "Cyclone DDS comes as a Python wheel, which Debian wants in an environment of its own",
+        present: || cyclone_present() || Path::new("/usr/share/doc/python3-venv").is_dir(),
+        debian: &["apt-get install -y --no-install-recommends python3-venv"],
+        elsewhere: "install python3 with venv",
+    },
+    Step {
+        part: Part::Dds,
         what: "Cyclone DDS 11.0.1 in a Python environment under the target folder",
         why: "the other of the two DDS vendors",
-        present: || venv().join("lib").is_dir() && venv().join("gdp-cyclonedds-11.0.1").is_file(),
+        present: cyclone_present,
         debian: &[
-            "dpkg -s python3-venv >/dev/null 2>&1 || apt-get install -y --no-install-recommends python3-venv",
             "/usr/bin/python3 -m venv --clear \"$GDP_VENV\"",
             "\"$GDP_VENV/bin/pip\" install --quiet --disable-pip-version-check cyclonedds==11.0.1",
             "touch \"$GDP_VENV/gdp-cyclonedds-11.0.1\"",
@@ -242,6 +249,11 @@ fn home(variable: &str, default: &str) -> PathBuf {
     std::env::var_os(variable)
         .map(PathBuf::from)
         .unwrap_or_else(|| PathBuf::from(std::env::var_os("HOME").unwrap_or_default()).join(default))
+}
+
+/// The marker is made last, so that an installation that was cut off does not count.
+fn cyclone_present() -> bool {
+    venv().join("gdp-cyclonedds-11.0.1").is_file()
 }
 
 fn venv() -> PathBuf {

@@ -1,0 +1,139 @@
+//! The one topology of tests, demo and benchmarks:
+//!
+//! ```text
+//!  robot r0 ── l0 s1 r0 ── l0 s2 r0 ── l0 s3 r0 ── l0 cloud
+//!                        ▲
+//!                       wire   (optional, on any link: a kernel bridge, where an eavesdropper or attacker sits)
+//! ```
+//!
+//! Only cables: no addresses, no programs. Every node's left interface is `l0`, the right one `r0`.
+
+use anyhow::{Context, Result};
+
+use crate::netns::{End, Namespace, veth};
+use crate::packet::PacketSocket;
+
+/// How long the chain is, and what its cables are like.
+#[derive(Clone, Copy, Debug)]
+pub struct ChainOptions {
+    /// Switches between robot and cloud.
+    pub switches: usize,
+    /// MTU of every interface, in bytes.
+    pub mtu: u32,
+    /// The link (0 is robot – s1) to put the wire into. Native XDP passes frames by where no capture sees them; on a
+    /// bridge in between they can be seen, and added.
+    pub wire: Option<usize>,
+}
+
+impl Default for ChainOptions {
+    fn default() -> Self {
+        Self { switches: 3, mtu: 1500, wire: None }
+    }
+}
+
+/// A chain of namespaces. Dropping it removes them.
+pub struct Chain {
+    nodes: Vec<Namespace>,
+    wire: Option<Namespace>,
+}
+
+impl Chain {
+    pub fn build(options: ChainOptions) -> Result<Self> {
+        let last = options.switches + 1;
+        let label = |i| match i {
+            0 => "robot".to_owned(),
+            i if i == last => "cloud".to_owned(),
+            i => format!("s{i}"),
+        };
+        let nodes = (0..=last).map(|i| Namespace::create(&label(i))).collect::<Result<Vec<_>>>()?;
+        let wire = options.wire.map(|_| Namespace::create("wire")).transpose()?;
+        for link in 0..last {
+            let left = End { namespace: &nodes[link], interface: "r0", mac: mac(link, 1) };
+            let right = End { namespace: &nodes[link + 1], interface: "l0", mac: mac(link, 2) };
+            match &wire {
+                Some(wire) if options.wire == Some(link) => bridge(wire, &left, &right, options.mtu)?,
+                _ => veth(&left, &right, options.mtu)?,
+            }
+        }
+        Ok(Self { nodes, wire })
+    }
+
+    /// Robot, switches, cloud, in this order.
+    pub fn nodes(&self) -> &[Namespace] {
+        &self.nodes
+    }
+
+    pub fn robot(&self) -> &Namespace {
+        &self.nodes[0]
+    }
+
+    pub fn cloud(&self) -> &Namespace {
+        &self.nodes[self.nodes.len() - 1]
+    }
+
+    pub fn switches(&self) -> &[Namespace] {
+        &self.nodes[1..self.nodes.len() - 1]
+    }
+
+    /// What arrives on the wire from the robot's side; frames sent on it go back there.
+    pub fn wire_from_robot(&self) -> Result<PacketSocket> {
+        PacketSocket::open(self.wire()?, WIRE_LEFT)
+    }
+
+    /// What arrives on the wire from the cloud's side; frames sent on it go on toward the cloud.
+    pub fn wire_to_cloud(&self) -> Result<PacketSocket> {
+        PacketSocket::open(self.wire()?, WIRE_RIGHT)
+    }
+
+    /// Gives every interface an address (`10.9.LINK.1` left, `.2` right) and makes the switches plain IP routers.
+    pub fn become_ip_routers(&self) -> Result<()> {
+        let last = self.nodes.len() - 1;
+        for (i, node) in self.nodes.iter().enumerate() {
+            if i > 0 {
+                node.ip(&["addr", "add", &format!("10.9.{}.2/24", i - 1), "dev", "l0"])?;
+            }
+            if i < last {
+                node.ip(&["addr", "add", &format!("10.9.{i}.1/24"), "dev", "r0"])?;
+            }
+            if i > 0 && i < last {
+                let _inside = node.enter()?;
+                std::fs::write("/proc/sys/net/ipv4/ip_forward", "1").context("cannot turn on IP forwarding")?;
+            }
+            for subnet in 0..last {
+                let to = format!("10.9.{subnet}.0/24");
+                if subnet > i {
+                    node.ip(&["route", "add", &to, "via", &format!("10.9.{i}.2")])?;
+                } else if subnet + 1 < i {
+                    node.ip(&["route", "add", &to, "via", &format!("10.9.{}.1", i - 1)])?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The addresses of robot and cloud after [`Chain::become_ip_routers`].
+    pub fn ip_ends(&self) -> (String, String) {
+        ("10.9.0.1".to_owned(), format!("10.9.{}.2", self.nodes.len() - 2))
+    }
+
+    fn wire(&self) -> Result<&Namespace> {
+        self.wire.as_ref().context("this chain was built without a wire")
+    }
+}
+
+const WIRE_LEFT: &str = "w0";
+const WIRE_RIGHT: &str = "w1";
+
+fn bridge(wire: &Namespace, left: &End, right: &End, mtu: u32) -> Result<()> {
+    wire.ip(&["link", "add", "br0", "type", "bridge", "mcast_snooping", "0", "stp_state", "0", "forward_delay", "0"])?;
+    for (end, interface, number) in [(left, WIRE_LEFT, 3), (right, WIRE_RIGHT, 4)] {
+        veth(end, &End { namespace: wire, interface, mac: mac(0xff, number) }, mtu)?;
+        wire.ip(&["link", "set", interface, "master", "br0"])?;
+    }
+    wire.ip(&["link", "set", "br0", "up"])?;
+    Ok(())
+}
+
+fn mac(link: usize, end: u8) -> [u8; 6] {
+    [0x02, 0, 0, 0, link as u8, end]
+}

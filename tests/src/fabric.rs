@@ -1,0 +1,299 @@
+//! A whole fabric on a [`Chain`]: keys, names and certificates made with `gdp-ctl` as a user would, a daemon on every
+//! switch (the last one is the RIB), and a `gdp-proxy` at each end.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use serde_json::{Value, json};
+
+use crate::chain::{Chain, ChainOptions};
+use crate::netns::{Namespace, execute};
+use crate::process::Process;
+use crate::tools::Tools;
+use crate::wait::wait_for;
+
+/// How long anything in a healthy fabric may take.
+pub const PATIENCE: Duration = Duration::from_secs(20);
+
+#[derive(Clone, Debug)]
+pub struct FabricOptions {
+    pub chain: ChainOptions,
+    /// `auto`, `xdp` or `userspace`.
+    pub data_plane: &'static str,
+    pub best_effort: bool,
+    pub transient_local: bool,
+    pub depth: u32,
+}
+
+impl Default for FabricOptions {
+    fn default() -> Self {
+        Self {
+            chain: ChainOptions::default(),
+            data_plane: "xdp",
+            best_effort: false,
+            transient_local: false,
+            depth: 10,
+        }
+    }
+}
+
+/// The topic that crosses the fabric.
+pub const TOPIC: &str = "/chatter";
+pub const TYPE: &str = "std_msgs/msg/String";
+
+/// A running fabric. Dropping it ends the programs, then removes the namespaces and files.
+pub struct Fabric {
+    // Order is the order of the end: proxies, daemons, network, files.
+    pub robot: Option<Process>,
+    pub cloud: Option<Process>,
+    pub switches: Vec<Switch>,
+    pub chain: Chain,
+    pub tools: Tools,
+    options: FabricOptions,
+    files: tempfile::TempDir,
+    /// The topic's name, 64 hex digits.
+    pub name: String,
+}
+
+/// One daemon.
+pub struct Switch {
+    /// 64 hex digits.
+    pub name: String,
+    pub process: Process,
+    socket: PathBuf,
+}
+
+impl Fabric {
+    /// Network, keys and daemons, each answering and all adjacent; no proxies yet.
+    pub fn start(tools: Tools, options: FabricOptions) -> Result<Self> {
+        let chain = Chain::build(options.chain)?;
+        for end in [chain.robot(), chain.cloud()] {
+            end.enable_loopback_multicast()?;
+        }
+        let files = tempfile::Builder::new().prefix("gdp-fabric-").tempdir().context("cannot create a folder")?;
+        let authority = Authority { tools: &tools, folder: files.path() };
+        let names = authority.switches(options.chain.switches)?;
+        let name = authority.topic()?;
+        let switches = names
+            .iter()
+            .enumerate()
+            .map(|(i, name)| start_switch(&tools, &chain, files.path(), &names, i, name, &options))
+            .collect::<Result<Vec<_>>>()?;
+        let mut fabric = Self { robot: None, cloud: None, switches, chain, tools, options, files, name };
+        for i in 0..fabric.switches.len() {
+            fabric.wait_for_status(i, "its neighbours", |status| links(status) >= neighbours(names.len(), i))?;
+        }
+        Ok(fabric)
+    }
+
+    /// Both proxies, and every switch on the path holding what the name needs.
+    pub fn start_proxies(&mut self) -> Result<()> {
+        self.start_cloud()?;
+        self.start_robot()?;
+        self.wait_for_route()
+    }
+
+    pub fn start_robot(&mut self) -> Result<()> {
+        let proxy = self.start_proxy("robot", "r0", "out", "chatter.ad", self.chain.robot())?;
+        self.robot = Some(proxy);
+        Ok(())
+    }
+
+    pub fn start_cloud(&mut self) -> Result<()> {
+        let proxy = self.start_proxy("cloud", "l0", "in", "chatter.grant", self.chain.cloud())?;
+        self.cloud = Some(proxy);
+        Ok(())
+    }
+
+    /// Waits until writer's and reader's switch hold the name.
+    pub fn wait_for_route(&mut self) -> Result<()> {
+        for i in [0, self.switches.len() - 1] {
+            self.wait_for_fib(i, true)?;
+        }
+        Ok(())
+    }
+
+    /// Waits until switch `i` holds the topic's name, or does not.
+    pub fn wait_for_fib(&mut self, i: usize, present: bool) -> Result<()> {
+        let what = format!("s{} to {} {}", i + 1, if present { "hold" } else { "forget" }, self.name);
+        wait_for(&what, PATIENCE, || {
+            self.switches[i].process.check_alive()?;
+            Ok((self.holds_name(i)? == present).then_some(()))
+        })
+        .with_context(|| self.report())
+    }
+
+    /// Whether switch `i` holds the topic's name.
+    pub fn holds_name(&self, i: usize) -> Result<bool> {
+        Ok(self.ctl(i, &["fib", "dump"])?.to_string().contains(&self.name))
+    }
+
+    /// `gdp-ctl status -j` of switch `i`.
+    pub fn status(&self, i: usize) -> Result<Value> {
+        self.ctl(i, &["status"])
+    }
+
+    /// A counter of switch `i`, all planes together.
+    pub fn counter(&self, i: usize, counter: &str) -> Result<u64> {
+        Ok(self.status(i)?["counters"][counter].as_u64().unwrap_or(0))
+    }
+
+    /// A `gdp-ctl` command against the daemon of switch `i`, as JSON.
+    pub fn ctl(&self, i: usize, arguments: &[&str]) -> Result<Value> {
+        let mut command = Command::new(self.tools.gdp_ctl()?);
+        command.arg("--socket").arg(&self.switches[i].socket).args(arguments).arg("-j");
+        parse(&execute(&mut command)?)
+    }
+
+    /// The latest counters a proxy has written.
+    pub fn proxy_stats(&self, label: &str) -> Value {
+        let text = fs::read_to_string(self.files.path().join(format!("{label}.stats"))).unwrap_or_default();
+        serde_json::from_str(&text).unwrap_or_default()
+    }
+
+    /// Where keys, cards, configuration and logs are.
+    pub fn folder(&self) -> &Path {
+        self.files.path()
+    }
+
+    /// The end of every program's output, for a failure message.
+    pub fn report(&self) -> String {
+        let switches = self.switches.iter().map(|switch| &switch.process);
+        let all = switches.chain(&self.robot).chain(&self.cloud);
+        all.map(Process::report).collect::<Vec<_>>().join("\n")
+    }
+
+    fn wait_for_status(&mut self, i: usize, what: &str, condition: impl Fn(&Value) -> bool) -> Result<()> {
+        wait_for(&format!("s{} to have {what}", i + 1), PATIENCE, || {
+            self.switches[i].process.check_alive()?;
+            // The daemon may not listen yet.
+            Ok(self.status(i).ok().filter(|status| condition(status)).map(drop))
+        })
+        .with_context(|| self.report())
+    }
+
+    fn start_proxy(
+        &self,
+        label: &str,
+        interface: &str,
+        direction: &str,
+        cert: &str,
+        at: &Namespace,
+    ) -> Result<Process> {
+        let file = |name: &str| self.files.path().join(name);
+        let options = &self.options;
+        let config = json!({
+            "identity": file(&format!("{label}.pem")),
+            "link": format!("eth://{interface}"),
+            "domain_id": 0,
+            "topics": [{
+                "topic": TOPIC, "type": TYPE, "direction": direction,
+                "card": file("chatter.card"), "cert": file(cert), "key": file("chatter.key"),
+                "qos": {
+                    "reliability": if options.best_effort { "best_effort" } else { "reliable" },
+                    "durability": if options.transient_local { "transient_local" } else { "volatile" },
+                    "depth": options.depth,
+                },
+            }],
+        });
+        let path = file(&format!("{label}.yaml"));
+        write_yaml(&path, &config)?;
+        let mut command = at.command(self.tools.gdp_proxy()?)?;
+        command.arg("--config").arg(path).arg("--stats").arg(file(&format!("{label}.stats")));
+        Process::spawn(&format!("{label}-proxy"), command, self.files.path())
+    }
+}
+
+fn start_switch(
+    tools: &Tools,
+    chain: &Chain,
+    folder: &Path,
+    names: &[String],
+    i: usize,
+    name: &str,
+    options: &FabricOptions,
+) -> Result<Switch> {
+    let label = format!("s{}", i + 1);
+    let socket = folder.join(format!("{label}.sock"));
+    let last = names.len() - 1;
+    let left = (i > 0).then(|| json!({"interface": "l0", "switch": names[i - 1]}));
+    let right = (i < last).then(|| json!({"interface": "r0", "switch": names[i + 1]}));
+    let mut config = json!({
+        "identity": folder.join(format!("{label}.pem")),
+        "socket": socket,
+        "interfaces": ["l0", "r0"],
+        "udp": null,
+        "data_plane": options.data_plane,
+        "rib": i == last,
+        "neighbours": left.iter().chain(&right).collect::<Vec<_>>(),
+    });
+    if let Some(uplink) = right {
+        config["uplink"] = uplink;
+    }
+    let path = folder.join(format!("{label}.yaml"));
+    write_yaml(&path, &config)?;
+    let mut command = chain.switches()[i].command(tools.gdp_ctl()?)?;
+    command.args(["serve", "--config"]).arg(path).env("GDP_EBPF_OBJECT", tools.ebpf_object()?);
+    let process = Process::spawn(&label, command, folder)?;
+    Ok(Switch { name: name.to_owned(), process, socket })
+}
+
+/// Keys, names and certificates, made with the command line.
+struct Authority<'a> {
+    tools: &'a Tools,
+    folder: &'a Path,
+}
+
+impl Authority<'_> {
+    fn switches(&self, count: usize) -> Result<Vec<String>> {
+        (1..=count).map(|i| self.key(&format!("s{i}.pem"), "switch")).collect()
+    }
+
+    /// The topic's name, with all that the two proxies need to publish and to read it.
+    fn topic(&self) -> Result<String> {
+        self.key("owner.pem", "owner")?;
+        let robot = self.key("robot.pem", "proxy")?;
+        let cloud = self.key("cloud.pem", "proxy")?;
+        let card = ["--topic", TOPIC, "--type", TYPE, "-o", "chatter.card"];
+        let made = self.ctl(&[&["name", "create", "--owner", "owner.pem"], &card[..]].concat())?;
+        for (kind, entity, file) in [("advertise", &robot, "chatter.ad"), ("read", &cloud, "chatter.grant")] {
+            let signed = ["--owner", "owner.pem", "--card", "chatter.card", "--entity", entity, "-o", file];
+            self.ctl(&[&["cert", kind], &signed[..]].concat())?;
+        }
+        self.ctl(&["key", "epoch", "chatter.key"])?;
+        field(&made, "name")
+    }
+
+    fn key(&self, file: &str, kind: &str) -> Result<String> {
+        field(&self.ctl(&["key", "generate", file, "--kind", kind])?, "name")
+    }
+
+    fn ctl(&self, arguments: &[&str]) -> Result<Value> {
+        let mut command = Command::new(self.tools.gdp_ctl()?);
+        parse(&execute(command.args(arguments).arg("-j").current_dir(self.folder))?)
+    }
+}
+
+/// JSON is YAML.
+fn write_yaml(path: &Path, config: &Value) -> Result<()> {
+    fs::write(path, format!("{config:#}\n")).with_context(|| format!("cannot write {}", path.display()))
+}
+
+fn parse(output: &str) -> Result<Value> {
+    serde_json::from_str(output).with_context(|| format!("not JSON: {output}"))
+}
+
+fn field(value: &Value, key: &str) -> Result<String> {
+    Ok(value[key].as_str().with_context(|| format!("no `{key}` in {value}"))?.to_owned())
+}
+
+fn links(status: &Value) -> usize {
+    status["links"].as_array().map_or(0, Vec::len)
+}
+
+fn neighbours(switches: usize, i: usize) -> usize {
+    usize::from(i > 0) + usize::from(i + 1 < switches)
+}

@@ -1,0 +1,106 @@
+//! Raw Ethernet frames on an interface: to look at what passes, and to send what no honest node would.
+
+use std::io::{Error, ErrorKind};
+use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+
+use crate::netns::Namespace;
+
+/// The ethertype of GDP frames.
+pub const GDP_ETHERTYPE: u16 = 0x88b5;
+
+/// Bytes of an Ethernet header.
+pub const ETHERNET: usize = 14;
+
+/// A promiscuous packet socket on one interface; sees what arrives there, not what leaves.
+pub struct PacketSocket {
+    socket: OwnedFd,
+}
+
+impl PacketSocket {
+    pub fn open(namespace: &Namespace, interface: &str) -> Result<Self> {
+        let _inside = namespace.enter()?;
+        Self::open_here(interface)
+            .with_context(|| format!("cannot open a packet socket on {interface} in {}", namespace.name()))
+    }
+
+    fn open_here(interface: &str) -> std::io::Result<Self> {
+        let name = std::ffi::CString::new(interface).map_err(|_| Error::from(ErrorKind::InvalidInput))?;
+        // SAFETY: `name` is a C string.
+        let index = check(unsafe { libc::if_nametoindex(name.as_ptr()) } as libc::c_int).and_then(|i| match i {
+            0 => Err(Error::last_os_error()),
+            i => Ok(i),
+        })?;
+        let protocol = (libc::ETH_P_ALL as u16).to_be();
+        // SAFETY: no pointers; the descriptor is owned at once.
+        let socket = unsafe {
+            let fd = check(libc::socket(libc::AF_PACKET, libc::SOCK_RAW | libc::SOCK_CLOEXEC, protocol.into()))?;
+            OwnedFd::from_raw_fd(fd)
+        };
+        // SAFETY: all-zero is a valid sockaddr_ll.
+        let mut address: libc::sockaddr_ll = unsafe { std::mem::zeroed() };
+        address.sll_family = libc::AF_PACKET as u16;
+        address.sll_protocol = protocol;
+        address.sll_ifindex = index;
+        // SAFETY: pointer and length are of one live sockaddr_ll.
+        check(unsafe { libc::bind(socket.as_raw_fd(), (&raw const address).cast(), size_of_val(&address) as u32) })?;
+        let membership = libc::packet_mreq {
+            mr_ifindex: index,
+            mr_type: libc::PACKET_MR_PROMISC as u16,
+            mr_alen: 0,
+            mr_address: [0; 8],
+        };
+        set_option(&socket, libc::PACKET_ADD_MEMBERSHIP, &membership)?;
+        const PACKET_IGNORE_OUTGOING: libc::c_int = 23;
+        set_option(&socket, PACKET_IGNORE_OUTGOING, &1i32)?;
+        Ok(Self { socket })
+    }
+
+    /// The next frame that `wanted` accepts, Ethernet header included; an error after `limit`.
+    pub fn receive(&self, limit: Duration, wanted: impl Fn(&[u8]) -> bool) -> Result<Vec<u8>> {
+        let deadline = Instant::now() + limit;
+        let mut buffer = vec![0u8; 1 << 16];
+        loop {
+            crate::wait::check_interrupt()?;
+            let left = deadline.saturating_duration_since(Instant::now());
+            anyhow::ensure!(!left.is_zero(), "no such frame within {limit:?}");
+            let mut poll = libc::pollfd { fd: self.socket.as_raw_fd(), events: libc::POLLIN, revents: 0 };
+            // SAFETY: one live pollfd.
+            unsafe { libc::poll(&raw mut poll, 1, left.as_millis().clamp(1, 100) as libc::c_int) };
+            if poll.revents == 0 {
+                continue;
+            }
+            // SAFETY: the buffer is as long as said.
+            let n = unsafe { libc::recv(self.socket.as_raw_fd(), buffer.as_mut_ptr().cast(), buffer.len(), 0) };
+            let length = usize::try_from(n).map_err(|_| Error::last_os_error()).context("packet socket")?;
+            if wanted(&buffer[..length]) {
+                return Ok(buffer[..length].to_vec());
+            }
+        }
+    }
+
+    /// Sends a frame, Ethernet header included, as it is.
+    pub fn send(&self, frame: &[u8]) -> Result<()> {
+        // SAFETY: the buffer is as long as said.
+        let n = unsafe { libc::send(self.socket.as_raw_fd(), frame.as_ptr().cast(), frame.len(), 0) };
+        if n < 0 { Err(Error::last_os_error()).context("cannot send a frame") } else { Ok(()) }
+    }
+}
+
+/// Whether this Ethernet frame is a GDP data frame.
+pub fn is_gdp_data(frame: &[u8]) -> bool {
+    const DATA: u8 = 0x10;
+    frame.len() > ETHERNET && frame[12..14] == GDP_ETHERTYPE.to_be_bytes() && frame[ETHERNET] == DATA
+}
+
+fn set_option<T>(socket: &OwnedFd, option: libc::c_int, value: &T) -> std::io::Result<()> {
+    let (pointer, length) = ((&raw const *value).cast(), size_of::<T>() as u32);
+    // SAFETY: pointer and length are of one live value of the type the option takes.
+    check(unsafe { libc::setsockopt(socket.as_raw_fd(), libc::SOL_PACKET, option, pointer, length) }).map(drop)
+}
+
+fn check(result: libc::c_int) -> std::io::Result<libc::c_int> {
+    if result < 0 { Err(Error::last_os_error()) } else { Ok(result) }
+}

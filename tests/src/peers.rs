@@ -1,0 +1,116 @@
+//! The foreign DDS programs of `tests/peers`, at either end of a chain.
+
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+use anyhow::Result;
+use serde_json::Value;
+
+use crate::netns::Namespace;
+use crate::process::Process;
+use crate::tools::Tools;
+
+/// Whose DDS a program is made with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Vendor {
+    Cyclone,
+    FastDds,
+}
+
+/// What a talker sends, and how both ends set their QoS.
+#[derive(Clone, Debug)]
+pub struct Traffic {
+    /// 0: until killed.
+    pub count: u64,
+    /// Messages per second.
+    pub rate: f64,
+    /// Bytes of the string in a message.
+    pub size: usize,
+    /// What the string says, again and again.
+    pub text: String,
+    pub best_effort: bool,
+    pub transient_local: bool,
+    pub depth: u32,
+    /// Find this address by unicast instead of anybody by multicast.
+    pub peer: Option<String>,
+}
+
+impl Default for Traffic {
+    fn default() -> Self {
+        Self {
+            count: 0,
+            rate: 20.0,
+            size: 64,
+            text: "hello from the robot".into(),
+            best_effort: false,
+            transient_local: false,
+            depth: 10,
+            peer: None,
+        }
+    }
+}
+
+/// A message as the listener saw it.
+#[derive(Clone, Copy, Debug)]
+pub struct Received {
+    pub sequence: i64,
+    /// From the talker's `write` to the listener's callback.
+    pub latency: Duration,
+    pub bytes: u64,
+    /// The content is what the talker sent.
+    pub intact: bool,
+}
+
+pub fn talker(tools: &Tools, at: &Namespace, vendor: Vendor, traffic: &Traffic, logs: &Path) -> Result<Process> {
+    let mut command = program(tools, at, vendor, "talk", traffic)?;
+    command.args(["--count", &traffic.count.to_string(), "--rate", &traffic.rate.to_string()]);
+    command.args(["--size", &traffic.size.to_string(), "--text", &traffic.text]);
+    Process::spawn("talker", command, logs)
+}
+
+pub fn listener(tools: &Tools, at: &Namespace, vendor: Vendor, traffic: &Traffic, logs: &Path) -> Result<Process> {
+    Process::spawn("listener", program(tools, at, vendor, "listen", traffic)?, logs)
+}
+
+/// All messages a listener has reported so far.
+pub fn received(listener: &Process) -> Vec<Received> {
+    listener.json_lines().iter().filter_map(parse).collect()
+}
+
+/// The value below which `percent` of `sorted` lie.
+pub fn percentile(sorted: &[Duration], percent: f64) -> Duration {
+    let rank = (sorted.len() as f64 * percent / 100.0).ceil() as usize;
+    sorted.get(rank.max(1).min(sorted.len()).wrapping_sub(1)).copied().unwrap_or_default()
+}
+
+fn parse(line: &Value) -> Option<Received> {
+    (line["event"] == "message").then_some(())?;
+    Some(Received {
+        sequence: line["seq"].as_i64()?,
+        latency: Duration::from_nanos(line["latency_ns"].as_i64()?.try_into().unwrap_or(0)),
+        bytes: line["bytes"].as_u64()?,
+        intact: line["intact"].as_bool()?,
+    })
+}
+
+fn program(tools: &Tools, at: &Namespace, vendor: Vendor, verb: &str, traffic: &Traffic) -> Result<Command> {
+    let mut command = match vendor {
+        Vendor::FastDds => at.command(tools.fastdds()?)?,
+        Vendor::Cyclone => {
+            let mut python = at.command(tools.python()?)?;
+            python.arg(tools.cyclone());
+            python
+        }
+    };
+    command.arg(verb).args(["--depth", &traffic.depth.to_string()]);
+    for (wanted, flag) in [(traffic.best_effort, "--best-effort"), (traffic.transient_local, "--transient-local")] {
+        if wanted {
+            command.arg(flag);
+        }
+    }
+    if let Some(peer) = &traffic.peer {
+        command.args(["--peer", peer]);
+    }
+    Ok(command)
+}

@@ -1,0 +1,198 @@
+//! One-way latency from a DDS program's `write` to the other's callback, over three switches and over three routers.
+//!
+//! ```text
+//!  gdp   talker ─lo─ gdp-proxy ── s1 ── s2 ── s3 ── gdp-proxy ─lo─ listener     (XDP)
+//!  site  talker ─lo─ listener                                                   (no network: what DDS itself takes)
+//!  ip    talker ──────────────── r1 ── r2 ── r3 ─────────────────── listener     (kernel IPv4, in clear)
+//! ```
+
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use gdp_tests::chain::{Chain, ChainOptions};
+use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
+use gdp_tests::netns::{self, Namespace};
+use gdp_tests::peers::{self, Received, Traffic, Vendor};
+use gdp_tests::{Tools, wait};
+use serde::Serialize;
+
+use crate::setup::{self, Part};
+use crate::workspace::{self, Profile};
+use crate::{build, peers as peer_programs};
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// One JSON object on stdout instead of a table
+    #[arg(long)]
+    json: bool,
+    /// Messages of each size per path and round
+    #[arg(long, default_value_t = 300)]
+    count: u64,
+    /// Each path is measured this often, in turn
+    #[arg(long, default_value_t = 2)]
+    rounds: u32,
+}
+
+/// Bytes of a message, and messages per second.
+const LOADS: [(usize, f64); 3] = [(64, 100.0), (8_000, 100.0), (1 << 20, 10.0)];
+
+#[derive(Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Route {
+    Gdp,
+    Ip,
+    Site,
+}
+
+const ROUTES: [Route; 3] = [Route::Gdp, Route::Ip, Route::Site];
+
+#[derive(Serialize)]
+struct Row {
+    route: Route,
+    bytes: usize,
+    rate: f64,
+    sent: u64,
+    received: u64,
+    latency_us: Latency,
+}
+
+#[derive(Serialize)]
+struct Latency {
+    mean: f64,
+    p50: f64,
+    p90: f64,
+    p99: f64,
+    max: f64,
+}
+
+pub fn run(options: Options) -> Result<()> {
+    if !workspace::is_root() {
+        bail!("network namespaces need root");
+    }
+    setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces, Part::Dds])?;
+    build::all(Profile::Release)?;
+    peer_programs::build()?;
+    wait::catch_interrupts();
+    netns::sweep()?;
+    let tools = workspace::tools(Profile::Release);
+    let mut rows = Vec::new();
+    for (bytes, rate) in LOADS {
+        // A megabyte ten times a second: fewer messages, or nobody waits for the end.
+        let count = if bytes > 100_000 { options.count.div_ceil(3) } else { options.count };
+        let mut samples: [Vec<Received>; 3] = Default::default();
+        for _ in 0..options.rounds {
+            for (route, all) in ROUTES.iter().zip(&mut samples) {
+                all.extend(measure(&tools, *route, bytes, rate, count)?);
+            }
+        }
+        let sent = count * u64::from(options.rounds);
+        rows.extend(ROUTES.iter().zip(&samples).map(|(route, all)| row(*route, bytes, rate, sent, all)));
+    }
+    if options.json {
+        println!("{}", serde_json::json!({ "bench": "latency", "switches": 3, "rows": rows }));
+    } else {
+        print_table(&rows);
+    }
+    Ok(())
+}
+
+fn measure(tools: &Tools, route: Route, bytes: usize, rate: f64, count: u64) -> Result<Vec<Received>> {
+    eprintln!("{count} messages of {bytes} B over {}", name(route));
+    let traffic = Traffic { count, rate, size: bytes, ..Default::default() };
+    match route {
+        Route::Gdp => {
+            let mut fabric = Fabric::start(tools.clone(), FabricOptions::default())?;
+            fabric.start_proxies()?;
+            converse(tools, fabric.chain.robot(), fabric.chain.cloud(), &traffic, &traffic, fabric.folder())
+        }
+        Route::Ip => {
+            let chain = Chain::build(ChainOptions::default())?;
+            chain.become_ip_routers()?;
+            let (robot, cloud) = chain.ip_ends();
+            // DDS finds its peers by multicast, which routers do not forward: each is told of the other.
+            let talks = Traffic { peer: Some(cloud), ..traffic.clone() };
+            let hears = Traffic { peer: Some(robot), ..traffic };
+            let folder = logs()?;
+            converse(tools, chain.robot(), chain.cloud(), &talks, &hears, folder.path())
+        }
+        Route::Site => {
+            let site = Namespace::create("site")?;
+            site.enable_loopback_multicast()?;
+            let folder = logs()?;
+            converse(tools, &site, &site, &traffic, &traffic, folder.path())
+        }
+    }
+}
+
+/// Runs both programs until the last message has come, or no more come.
+fn converse(
+    tools: &Tools,
+    from: &Namespace,
+    to: &Namespace,
+    talks: &Traffic,
+    hears: &Traffic,
+    folder: &std::path::Path,
+) -> Result<Vec<Received>> {
+    let mut listener = peers::listener(tools, to, Vendor::FastDds, hears, folder)?;
+    listener.wait_event("ready", PATIENCE)?;
+    let mut talker = peers::talker(tools, from, Vendor::Cyclone, talks, folder)?;
+    let time_to_send = Duration::from_secs_f64(talks.count as f64 / talks.rate);
+    talker.wait_event("done", PATIENCE + time_to_send)?;
+    let last = talks.count as i64 - 1;
+    let complete = |p: &gdp_tests::process::Process| {
+        let all = peers::received(p);
+        all.iter().any(|m| m.sequence == last).then_some(())
+    };
+    if let Err(error) = listener.wait_until("the last message", Duration::from_secs(5), complete) {
+        wait::check_interrupt()?;
+        eprintln!("  {}", error.root_cause());
+    }
+    Ok(peers::received(&listener))
+}
+
+fn logs() -> Result<tempfile::TempDir> {
+    Ok(tempfile::Builder::new().prefix("gdp-bench-").tempdir()?)
+}
+
+fn row(route: Route, bytes: usize, rate: f64, sent: u64, all: &[Received]) -> Row {
+    let mut sorted: Vec<Duration> = all.iter().map(|m| m.latency).collect();
+    sorted.sort();
+    let at = |percent| micros(peers::percentile(&sorted, percent));
+    let mean = sorted.iter().map(|d| micros(*d)).sum::<f64>() / sorted.len().max(1) as f64;
+    let latency_us = Latency { mean, p50: at(50.0), p90: at(90.0), p99: at(99.0), max: at(100.0) };
+    Row { route, bytes, rate, sent, received: all.len() as u64, latency_us }
+}
+
+fn micros(duration: Duration) -> f64 {
+    duration.as_nanos() as f64 / 1000.0
+}
+
+fn name(route: Route) -> &'static str {
+    match route {
+        Route::Gdp => "gdp: proxy, 3 XDP switches, proxy",
+        Route::Ip => "ip: 3 kernel routers, in clear",
+        Route::Site => "site: one host, DDS alone",
+    }
+}
+
+fn print_table(rows: &[Row]) {
+    println!("One-way latency, Cyclone DDS -> Fast DDS, in microseconds\n");
+    println!(
+        "{:<34} {:>8} {:>5} {:>11} {:>8} {:>8} {:>8} {:>8}",
+        "path", "bytes", "Hz", "recv/sent", "mean", "p50", "p99", "max"
+    );
+    for row in rows {
+        let l = &row.latency_us;
+        let got = format!("{}/{}", row.received, row.sent);
+        println!(
+            "{:<34} {:>8} {:>5} {got:>11} {:>8.0} {:>8.0} {:>8.0} {:>8.0}",
+            name(row.route),
+            row.bytes,
+            row.rate,
+            l.mean,
+            l.p50,
+            l.p99,
+            l.max
+        );
+    }
+}

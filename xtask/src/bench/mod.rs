@@ -1,0 +1,25 @@
+//! `cargo xtask bench NAME [--json]`: the figures in `docs/benchmarks`, one file a figure.
+//!
+//! What is compared is measured in one run under the same conditions, in turn, so that a busy machine slows both.
+
+mod latency;
+
+use anyhow::Result;
+
+#[derive(clap::Args)]
+pub struct Options {
+    #[command(subcommand)]
+    figure: Figure,
+}
+
+#[derive(clap::Subcommand)]
+enum Figure {
+    /// One-way latency, DDS to DDS: over three XDP switches, beside the same programs over three IP routers
+    Latency(latency::Options),
+}
+
+pub fn run(options: Options) -> Result<()> {
+    match options.figure {
+        Figure::Latency(options) => latency::run(options),
+    }
+}
