@@ -4,4 +4,6 @@
 //! them together, [`stats`] counts. The fabric is the SDK's business (`gdp::node`): nothing here seals, signs or routes.
 #![deny(unsafe_code)]
 
+pub mod config;
 pub mod ros2;
+pub mod stats;

@@ -1,0 +1,244 @@
+//! The configuration file: which topics cross, in which direction, under whose keys. Strict, because a misspelt key in a
+//! file about permissions must not pass for a default. The default exposes nothing.
+//!
+//! This is the file alone; [`crate::material`] reads the files it names.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use gdp::Name;
+use serde::Deserialize;
+
+use crate::ros2::{self, Qos, TopicName, TypeName};
+
+/// A longer file is no configuration.
+const MAX_FILE: u64 = 1024 * 1024;
+
+/// Topics of one proxy.
+const MAX_TOPICS: usize = 1024;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// The proxy's private key (`gdp-ctl key generate FILE --kind proxy`).
+    pub identity: PathBuf,
+    /// Where the switch is: `eth://INTERFACE`, `eth://INTERFACE/MAC` or `udp://HOST:PORT`.
+    pub link: String,
+    /// The switch that must be there, if only one will do.
+    #[serde(default)]
+    pub switch: Option<Name>,
+    /// ROS_DOMAIN_ID.
+    #[serde(default)]
+    pub domain_id: DomainId,
+    #[serde(default)]
+    pub topics: Vec<TopicConfig>,
+}
+
+/// One topic in one direction.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TopicConfig {
+    pub topic: TopicName,
+    /// If absent: what the name card says; if it says nothing, what the local publishers of an `out` topic use.
+    #[serde(default, rename = "type")]
+    pub kind: Option<TypeName>,
+    pub direction: Direction,
+    /// The topic's name card (`gdp-ctl name create`).
+    pub card: PathBuf,
+    /// The owner's permission for this proxy: to publish (`gdp-ctl cert advertise`) if `out`, to read (`gdp-ctl cert read`)
+    /// if `in`.
+    pub cert: PathBuf,
+    /// The epoch key that writer and readers share (`gdp-ctl key epoch`).
+    pub key: PathBuf,
+    #[serde(default)]
+    pub qos: Qos,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Direction {
+    /// From local ROS nodes into the fabric.
+    Out,
+    /// From the fabric to local ROS nodes.
+    In,
+}
+
+/// A DDS domain id that has ports.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "u64")]
+pub struct DomainId(u16);
+
+impl DomainId {
+    pub fn get(self) -> u16 {
+        self.0
+    }
+}
+
+impl TryFrom<u64> for DomainId {
+    type Error = String;
+
+    fn try_from(id: u64) -> Result<Self, String> {
+        match u16::try_from(id) {
+            Ok(id @ 0..=ros2::MAX_DOMAIN_ID) => Ok(Self(id)),
+            _ => Err(format!("there is no DDS domain {id}: write the ROS_DOMAIN_ID, 0 to {}", ros2::MAX_DOMAIN_ID)),
+        }
+    }
+}
+
+/// Why there is no configuration. Every text begins with the file.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    #[error("{}: cannot be read: {source}", path.display())]
+    Io { path: PathBuf, source: io::Error },
+    #[error("{}: longer than {MAX_FILE} bytes, so not a proxy configuration", .0.display())]
+    TooLong(PathBuf),
+    #[error("{}: {message}", path.display())]
+    Syntax { path: PathBuf, message: String },
+    #[error("{}: {key}: {reason}", path.display())]
+    Invalid { path: PathBuf, key: String, reason: String },
+}
+
+impl Config {
+    /// Reads and checks a file. Relative paths in it are made relative to the folder the file is in.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let io = |source| ConfigError::Io { path: path.into(), source };
+        let mut text = String::new();
+        let length = File::open(path).map_err(io)?.take(MAX_FILE + 1).read_to_string(&mut text).map_err(io)?;
+        if length as u64 > MAX_FILE {
+            return Err(ConfigError::TooLong(path.into()));
+        }
+        Self::parse(&text, path)
+    }
+
+    /// The same for a text; `path` is the file it would be in.
+    pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
+        let mut config: Self = serde_saphyr::from_str(text)
+            .map_err(|error| ConfigError::Syntax { path: path.into(), message: error.to_string() })?;
+        config.check().map_err(|(key, reason)| ConfigError::Invalid { path: path.into(), key, reason })?;
+        config.resolve(path.parent().unwrap_or(Path::new("")));
+        Ok(config)
+    }
+
+    fn check(&self) -> Result<(), (String, String)> {
+        if self.topics.len() > MAX_TOPICS {
+            return Err(("topics".into(), format!("more than {MAX_TOPICS}; run a second proxy")));
+        }
+        for (i, topic) in self.topics.iter().enumerate() {
+            let same = |other: &TopicConfig| other.topic == topic.topic && other.direction == topic.direction;
+            if let Some(first) = self.topics[..i].iter().position(same) {
+                let reason =
+                    format!("{} is already topics[{first}], in the same direction; remove one of them", topic.topic);
+                return Err((format!("topics[{i}].topic"), reason));
+            }
+        }
+        Ok(())
+    }
+
+    fn resolve(&mut self, folder: &Path) {
+        // An absolute path stays what it is.
+        let resolve = |path: &mut PathBuf| *path = folder.join(&path);
+        resolve(&mut self.identity);
+        for topic in &mut self.topics {
+            for file in [&mut topic.card, &mut topic.cert, &mut topic.key] {
+                resolve(file);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ros2::{Durability, Reliability};
+
+    const MINIMAL: &str = "{identity: robot.pem, link: 'eth://r0', topics: [{topic: /chatter, direction: out, \
+                           card: chatter.card, cert: /etc/gdp/chatter.ad, key: chatter.key}]}";
+
+    #[test]
+    fn what_is_not_said_has_the_defaults_of_ros_2() {
+        let config = parse(MINIMAL).unwrap();
+        assert_eq!((config.domain_id.get(), config.switch), (0, None));
+        let topic = &config.topics[0];
+        assert_eq!((topic.direction, &topic.kind), (Direction::Out, &None));
+        assert_eq!((topic.qos.reliability, topic.qos.durability), (Reliability::Reliable, Durability::Volatile));
+        assert_eq!(topic.qos.depth.get(), 10);
+    }
+
+    #[test]
+    fn paths_are_relative_to_the_file() {
+        let config = parse(MINIMAL).unwrap();
+        assert_eq!(config.identity, Path::new("/etc/robot/robot.pem"));
+        assert_eq!(config.topics[0].card, Path::new("/etc/robot/chatter.card"));
+        assert_eq!(config.topics[0].cert, Path::new("/etc/gdp/chatter.ad"));
+    }
+
+    #[test]
+    fn everything_can_be_said() {
+        let name = "1234e5".repeat(11)[..64].to_owned();
+        let text = format!(
+            "identity: a.pem\nlink: udp://127.0.0.1:31415\nswitch: {name}\ndomain_id: 42\ntopics:\n  - topic: /a/b\n    \
+             type: sensor_msgs/msg/Image\n    direction: in\n    card: c\n    cert: d\n    key: e\n    qos: {{reliability: \
+             best_effort, durability: transient_local, depth: 3}}\n"
+        );
+        let config = parse(&text).unwrap();
+        assert_eq!(config.switch.unwrap().to_string(), name);
+        assert_eq!(config.domain_id.get(), 42);
+        let topic = &config.topics[0];
+        assert_eq!(topic.kind.as_ref().unwrap().as_str(), "sensor_msgs/msg/Image");
+        assert_eq!(topic.direction, Direction::In);
+        assert_eq!((topic.qos.reliability, topic.qos.depth.get()), (Reliability::BestEffort, 3));
+        assert_eq!(topic.qos.durability, Durability::TransientLocal);
+    }
+
+    #[test]
+    fn nothing_is_exposed_by_default() {
+        assert!(parse("{identity: a.pem, link: 'eth://r0'}").unwrap().topics.is_empty());
+    }
+
+    /// Each refusal names the file, and what is wrong.
+    #[test]
+    fn what_is_wrong_is_refused_and_named() {
+        let cases = [
+            ("", "unexpected end of input"),
+            ("{link: 'eth://r0'}", "identity"),
+            ("{identity: a.pem}", "link"),
+            (&MINIMAL.replace("link:", "lnk:"), "lnk"),
+            (&MINIMAL.replace("key:", "keys:"), "keys"),
+            (&MINIMAL.replace("direction: out", "direction: both"), "both"),
+            (&MINIMAL.replace("/chatter", "chatter"), "leading slash"),
+            (&MINIMAL.replace("direction:", "type: std_msgs/String, direction:"), "package/msg/Name"),
+            (&MINIMAL.replace("direction:", "qos: {depth: 0}, direction:"), "a depth of 0"),
+            (&MINIMAL.replace("direction:", "qos: {reliability: maybe}, direction:"), "maybe"),
+            (&MINIMAL.replace("direction:", "qos: {lifespan: 1}, direction:"), "lifespan"),
+            (&MINIMAL.replace("topics:", "domain_id: 233, topics:"), "ROS_DOMAIN_ID"),
+            (&MINIMAL.replace("topics:", "switch: 75e1, topics:"), "64 hex digits"),
+            (&MINIMAL.replace("link:", "identity: b.pem, link:"), "identity"),
+            ("[", "robot.yaml"),
+        ];
+        for (text, expected) in cases {
+            let refusal = parse(text).unwrap_err().to_string();
+            assert!(refusal.starts_with("/etc/robot/robot.yaml: ") && refusal.contains(expected), "{text}\n{refusal}");
+        }
+    }
+
+    #[test]
+    fn a_topic_is_listed_once_per_direction() {
+        let topic = &MINIMAL[MINIMAL.find("[{").unwrap() + 1..MINIMAL.len() - 2];
+        let twice = |second: &str| MINIMAL.replace(topic, &format!("{topic}, {second}"));
+        let refusal = parse(&twice(topic)).unwrap_err().to_string();
+        assert!(refusal.contains("topics[1].topic: /chatter is already topics[0]"), "{refusal}");
+        assert_eq!(parse(&twice(&topic.replace("out", "in"))).unwrap().topics.len(), 2);
+    }
+
+    #[test]
+    fn a_missing_or_endless_file_is_refused() {
+        let missing = Config::load(Path::new("/nonexistent/robot.yaml")).unwrap_err().to_string();
+        assert!(missing.starts_with("/nonexistent/robot.yaml: cannot be read"), "{missing}");
+        assert!(matches!(Config::load(Path::new("/dev/zero")), Err(ConfigError::TooLong(_))));
+    }
+
+    fn parse(text: &str) -> Result<Config, ConfigError> {
+        Config::parse(text, Path::new("/etc/robot/robot.yaml"))
+    }
+}

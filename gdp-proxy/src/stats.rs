@@ -1,0 +1,188 @@
+//! Counters: what crossed, and what did not and why. Counting never allocates or locks; [`StatsFile`] shows the counters
+//! to other programs.
+
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+use gdp::Name;
+use serde::Serialize;
+
+use crate::config::Direction;
+
+/// Why a message did not cross. What the fabric drops is in the node's counters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Drop {
+    /// The fabric took messages more slowly than they came, and newer ones pushed this one out.
+    QueueFull,
+    /// A local message is not XCDR version 1.
+    Unreadable,
+    /// The fabric did not take the message.
+    SendFailed,
+    /// A remote message is in an encoding that this proxy does not write.
+    WrongEncoding,
+    /// A remote message is not a CDR encapsulation.
+    Malformed,
+    /// A remote message is one that this proxy sent.
+    Own,
+    /// A reliable local subscriber does not keep up.
+    Stalled,
+    /// DDS did not take the message.
+    WriteFailed,
+}
+
+impl Drop {
+    const ALL: [Self; 8] = [
+        Self::QueueFull,
+        Self::Unreadable,
+        Self::SendFailed,
+        Self::WrongEncoding,
+        Self::Malformed,
+        Self::Own,
+        Self::Stalled,
+        Self::WriteFailed,
+    ];
+
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::QueueFull => "queue_full",
+            Self::Unreadable => "unreadable",
+            Self::SendFailed => "send_failed",
+            Self::WrongEncoding => "wrong_encoding",
+            Self::Malformed => "malformed",
+            Self::Own => "own",
+            Self::Stalled => "stalled",
+            Self::WriteFailed => "write_failed",
+        }
+    }
+}
+
+/// What one topic did in one direction.
+#[derive(Default)]
+pub struct RouteCounters {
+    messages: AtomicU64,
+    bytes: AtomicU64,
+    drops: [AtomicU64; Drop::ALL.len()],
+}
+
+impl RouteCounters {
+    /// One message crossed; `bytes` with its encapsulation.
+    pub fn passed(&self, bytes: usize) {
+        self.messages.fetch_add(1, Relaxed);
+        self.bytes.fetch_add(bytes as u64, Relaxed);
+    }
+
+    /// One message did not. True if it is the first one for this reason, which deserves a line in the log.
+    pub fn dropped(&self, reason: Drop) -> bool {
+        self.drops[reason as usize].fetch_add(1, Relaxed) == 0
+    }
+
+    pub fn messages(&self) -> u64 {
+        self.messages.load(Relaxed)
+    }
+
+    /// All reasons, also those that did not happen.
+    pub fn drops(&self) -> BTreeMap<&'static str, u64> {
+        Drop::ALL.iter().map(|reason| (reason.as_str(), self.drops[*reason as usize].load(Relaxed))).collect()
+    }
+}
+
+/// One topic, as the statistics file shows it.
+#[derive(Serialize)]
+pub struct RouteStats {
+    pub topic: String,
+    /// ROS type; null while it is not known.
+    #[serde(rename = "type")]
+    pub kind: Option<String>,
+    pub direction: Direction,
+    pub name: Name,
+    pub messages: u64,
+    pub bytes: u64,
+    pub drops: BTreeMap<&'static str, u64>,
+}
+
+impl RouteStats {
+    pub fn new(
+        topic: String,
+        kind: Option<String>,
+        direction: Direction,
+        name: Name,
+        counters: &RouteCounters,
+    ) -> Self {
+        let (messages, bytes) = (counters.messages(), counters.bytes.load(Relaxed));
+        Self { topic, kind, direction, name, messages, bytes, drops: counters.drops() }
+    }
+}
+
+/// The whole statistics file: one JSON object.
+#[derive(Serialize)]
+pub struct Stats {
+    /// Of this format: 1.
+    pub version: u32,
+    /// The proxy's own name.
+    pub entity: Name,
+    pub domain_id: u16,
+    pub topics: Vec<RouteStats>,
+    /// The fabric's side: see `gdp::node`.
+    pub node: serde_json::Value,
+}
+
+/// A file that always holds one whole object: it is replaced, never written to.
+pub struct StatsFile(PathBuf);
+
+impl StatsFile {
+    pub fn new(path: PathBuf) -> Self {
+        Self(path)
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+
+    pub fn replace(&self, stats: &Stats) -> io::Result<()> {
+        let mut next = self.0.clone().into_os_string();
+        next.push(".new");
+        let mut text = serde_json::to_vec(stats)?;
+        text.push(b'\n');
+        std::fs::File::create(&next)?.write_all(&text)?;
+        std::fs::rename(&next, &self.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reasons_have_their_own_counters() {
+        for (i, reason) in Drop::ALL.into_iter().enumerate() {
+            assert_eq!(reason as usize, i);
+        }
+        let counters = RouteCounters::default();
+        assert!(counters.dropped(Drop::Own) && !counters.dropped(Drop::Own));
+        let drops = counters.drops();
+        assert_eq!((drops.len(), drops["own"], drops["stalled"]), (Drop::ALL.len(), 2, 0));
+    }
+
+    #[test]
+    fn the_file_is_whole_and_says_what_happened() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = StatsFile::new(folder.path().join("stats.json"));
+        let counters = RouteCounters::default();
+        for sent in 1..=2 {
+            counters.passed(68);
+            let name = Name::from_bytes([7; 32]);
+            let route = RouteStats::new("/chatter".into(), None, Direction::Out, name, &counters);
+            let topics = vec![route];
+            file.replace(&Stats { version: 1, entity: name, domain_id: 0, topics, node: serde_json::Value::Null })
+                .unwrap();
+            let read: serde_json::Value = serde_json::from_slice(&std::fs::read(file.path()).unwrap()).unwrap();
+            let topic = &read["topics"][0];
+            assert_eq!((&topic["messages"], &topic["bytes"]), (&sent.into(), &(68 * sent).into()));
+            assert_eq!((&topic["direction"], &topic["name"]), (&"out".into(), &"07".repeat(32).into()));
+            assert_eq!(topic["drops"]["queue_full"], 0);
+        }
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+}
