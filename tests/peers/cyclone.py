@@ -22,6 +22,7 @@ def arguments():
     p.add_argument("--rate", type=float, default=10)
     p.add_argument("--size", type=int, default=64)
     p.add_argument("--text", default="hello from the robot")
+    p.add_argument("--gate", help="send warm-up messages, numbered -1, until this file exists")
     p.add_argument("--no-wait", action="store_true", help="talk without a listener")
     return p.parse_args()
 
@@ -78,13 +79,20 @@ def talk(participant):
     filler = (args.text + " ") * (room // (len(args.text) + 1) + 1)
     filler = filler[:room]
     crc = zlib.crc32(filler.encode())
+
+    def write(sequence):
+        writer.write(String_(f"{sequence:010d} {time.monotonic_ns():020d} {crc:010d} {filler}"))
+
+    while args.gate and not os.path.exists(args.gate):
+        write(-1)
+        time.sleep(1 / args.rate)
     start = time.monotonic()
     sequence = 0
     while args.count == 0 or sequence < args.count:
         wait = start + sequence / args.rate - time.monotonic()
         if wait > 0:
             time.sleep(wait)
-        writer.write(String_(f"{sequence:010d} {time.monotonic_ns():020d} {crc:010d} {filler}"))
+        write(sequence)
         sequence += 1
     say(event="done", sent=sequence)
     while True:

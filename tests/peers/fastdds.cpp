@@ -12,6 +12,8 @@
 #include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
 #include <fastrtps/utils/IPLocator.h>
 
+#include <unistd.h>
+
 #include <array>
 #include <chrono>
 #include <cinttypes>
@@ -33,7 +35,7 @@ using StringType = std_msgs::msg::dds_::String_PubSubType;
 namespace {
 
 struct Arguments {
-    std::string verb, topic = "rt/chatter", peer, text = "hello from the robot";
+    std::string verb, gate, topic = "rt/chatter", peer, text = "hello from the robot";
     int domain = 0, depth = 10;
     bool best_effort = false, transient_local = false, no_wait = false;
     uint64_t count = 0, size = 64;
@@ -59,6 +61,7 @@ Arguments parse(int argc, char** argv) {
         std::string value = argv[i];
         if (flag == "--topic") a.topic = value;
         else if (flag == "--peer") a.peer = value;
+        else if (flag == "--gate") a.gate = value;
         else if (flag == "--text") a.text = value;
         else if (flag == "--domain") a.domain = std::atoi(value.c_str());
         else if (flag == "--depth") a.depth = std::atoi(value.c_str());
@@ -140,14 +143,21 @@ void talk(const Arguments& a, DomainParticipant* p, Topic* topic) {
     while (filler.size() < room) filler += a.text + " ";
     filler.resize(room);
     const uint32_t crc = crc32(filler.data(), filler.size());
-    const auto start = std::chrono::steady_clock::now();
     String message;
-    for (uint64_t sequence = 0; a.count == 0 || sequence < a.count; ++sequence) {
-        std::this_thread::sleep_until(start + std::chrono::duration<double>(sequence / a.rate));
+    auto write = [&](int64_t sequence) {
         char head[64];
-        std::snprintf(head, sizeof head, "%010" PRIu64 " %020" PRId64 " %010" PRIu32 " ", sequence, monotonic_ns(), crc);
+        std::snprintf(head, sizeof head, "%010" PRId64 " %020" PRId64 " %010" PRIu32 " ", sequence, monotonic_ns(), crc);
         message.data(head + filler);
         writer->write(&message);
+    };
+    while (!a.gate.empty() && access(a.gate.c_str(), F_OK) != 0) {
+        write(-1);
+        std::this_thread::sleep_for(std::chrono::duration<double>(1 / a.rate));
+    }
+    const auto start = std::chrono::steady_clock::now();
+    for (uint64_t sequence = 0; a.count == 0 || sequence < a.count; ++sequence) {
+        std::this_thread::sleep_until(start + std::chrono::duration<double>(sequence / a.rate));
+        write(static_cast<int64_t>(sequence));
     }
     std::printf("{\"event\":\"done\",\"sent\":%" PRIu64 "}\n", a.count);
     sleep_forever();

@@ -1,15 +1,16 @@
 //! The foreign DDS programs of `tests/peers`, at either end of a chain.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use serde_json::Value;
 
 use crate::netns::Namespace;
 use crate::process::Process;
 use crate::tools::Tools;
+use crate::wait::check_interrupt;
 
 /// Whose DDS a program is made with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,20 +63,70 @@ pub struct Received {
     pub intact: bool,
 }
 
+/// A talker and a listener, and messages on their way between them.
+pub struct Conversation {
+    pub talker: Process,
+    pub listener: Process,
+    gate: PathBuf,
+    count: u64,
+}
+
+impl Conversation {
+    /// Starts both and waits until warm-up messages arrive, so that afterwards every message counts. `folder` takes
+    /// the output of both.
+    pub fn start(tools: &Tools, talks: Side, hears: Side, folder: &Path) -> Result<Self> {
+        let listener = listener(tools, hears.at, hears.vendor, hears.traffic, folder)?;
+        let gate = folder.join("gate");
+        let mut command = talk_command(tools, talks.at, talks.vendor, talks.traffic)?;
+        command.arg("--gate").arg(&gate);
+        let talker = Process::spawn("talker", command, folder)?;
+        let mut this = Self { talker, listener, gate, count: talks.traffic.count };
+        this.listener.wait_until("a first message", Duration::from_secs(30), |p| {
+            p.json_lines().iter().any(|line| line["event"] == "message").then_some(())
+        })?;
+        Ok(this)
+    }
+
+    /// Lets the talker send what counts.
+    pub fn open(&self) -> Result<()> {
+        std::fs::write(&self.gate, "").with_context(|| format!("cannot write {}", self.gate.display()))
+    }
+
+    /// Waits until the talker has sent all, and the last has come (or, after `limit` more, will not come).
+    pub fn finish(&mut self, sending: Duration, limit: Duration) -> Result<Vec<Received>> {
+        self.talker.wait_event("done", sending + limit)?;
+        let last = self.count as i64 - 1;
+        let arrived = |p: &Process| received(p).iter().any(|m| m.sequence == last).then_some(());
+        let waited = self.listener.wait_until("the last message", limit, arrived);
+        check_interrupt()?;
+        self.listener.check_alive()?;
+        if waited.is_err() {
+            eprintln!("the last message did not arrive");
+        }
+        Ok(received(&self.listener))
+    }
+}
+
+/// One end of a conversation.
+#[derive(Clone, Copy)]
+pub struct Side<'a> {
+    pub at: &'a Namespace,
+    pub vendor: Vendor,
+    pub traffic: &'a Traffic,
+}
+
+/// A talker that sends at once to whoever listens already.
 pub fn talker(tools: &Tools, at: &Namespace, vendor: Vendor, traffic: &Traffic, logs: &Path) -> Result<Process> {
-    let mut command = program(tools, at, vendor, "talk", traffic)?;
-    command.args(["--count", &traffic.count.to_string(), "--rate", &traffic.rate.to_string()]);
-    command.args(["--size", &traffic.size.to_string(), "--text", &traffic.text]);
-    Process::spawn("talker", command, logs)
+    Process::spawn("talker", talk_command(tools, at, vendor, traffic)?, logs)
 }
 
 pub fn listener(tools: &Tools, at: &Namespace, vendor: Vendor, traffic: &Traffic, logs: &Path) -> Result<Process> {
     Process::spawn("listener", program(tools, at, vendor, "listen", traffic)?, logs)
 }
 
-/// All messages a listener has reported so far.
+/// All messages a listener has reported so far, without those of the warm-up.
 pub fn received(listener: &Process) -> Vec<Received> {
-    listener.json_lines().iter().filter_map(parse).collect()
+    listener.json_lines().iter().filter_map(parse).filter(|message| message.sequence >= 0).collect()
 }
 
 /// The value below which `percent` of `sorted` lie.
@@ -92,6 +143,13 @@ fn parse(line: &Value) -> Option<Received> {
         bytes: line["bytes"].as_u64()?,
         intact: line["intact"].as_bool()?,
     })
+}
+
+fn talk_command(tools: &Tools, at: &Namespace, vendor: Vendor, traffic: &Traffic) -> Result<Command> {
+    let mut command = program(tools, at, vendor, "talk", traffic)?;
+    command.args(["--count", &traffic.count.to_string(), "--rate", &traffic.rate.to_string()]);
+    command.args(["--size", &traffic.size.to_string(), "--text", &traffic.text]);
+    Ok(command)
 }
 
 fn program(tools: &Tools, at: &Namespace, vendor: Vendor, verb: &str, traffic: &Traffic) -> Result<Command> {

@@ -1,5 +1,6 @@
 //! The harness itself: what the other tests rely on, without any of the project's programs.
 
+use std::net::UdpSocket;
 use std::process::Command;
 use std::time::Duration;
 
@@ -8,7 +9,7 @@ use gdp_tests::Tools;
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::netns::{Namespace, execute};
 use gdp_tests::packet::GDP_ETHERTYPE;
-use gdp_tests::peers::{Traffic, Vendor, listener, received, talker};
+use gdp_tests::peers::{Conversation, Side, Traffic, Vendor};
 use gdp_tests::process::Process;
 use gdp_tests::wait::wait_for;
 
@@ -19,9 +20,17 @@ fn a_chain_routes_ip_from_end_to_end() -> Result<()> {
     let chain = Chain::build(ChainOptions { wire: Some(1), ..Default::default() })?;
     chain.become_ip_routers()?;
     let (_, cloud) = chain.ip_ends();
+    let socket_in = |namespace: &Namespace| -> Result<UdpSocket> {
+        let _inside = namespace.enter()?;
+        let socket = UdpSocket::bind("0.0.0.0:4000")?;
+        socket.set_read_timeout(Some(Duration::from_millis(100)))?;
+        Ok(socket)
+    };
+    let (from, to) = (socket_in(chain.robot())?, socket_in(chain.cloud())?);
     // The bridge in the wire takes a moment to forward.
-    wait_for("a ping through three routers", SOON, || {
-        Ok(execute(chain.robot().command("ping")?.args(["-c1", "-W1", &cloud])).ok())
+    wait_for("a datagram through three routers", SOON, || {
+        from.send_to(b"hello", (cloud.as_str(), 4000))?;
+        Ok(to.recv(&mut [0; 16]).ok())
     })?;
     Ok(())
 }
@@ -89,9 +98,11 @@ fn the_dds_vendors_understand_each_other() -> Result<()> {
         site.enable_loopback_multicast()?;
         let folder = tempfile::tempdir()?;
         let traffic = Traffic { count: 5, ..Default::default() };
-        let mut hears = listener(&tools, &site, to, &traffic, folder.path())?;
-        let _talks = talker(&tools, &site, from, &traffic, folder.path())?;
-        let messages = hears.wait_until("all messages", SOON, |p| Some(received(p)).filter(|all| all.len() == 5))?;
+        let [talks, hears] = [from, to].map(|vendor| Side { at: &site, vendor, traffic: &traffic });
+        let mut both = Conversation::start(&tools, talks, hears, folder.path())?;
+        both.open()?;
+        let messages = both.finish(SOON, SOON)?;
+        ensure!(messages.len() == 5, "{messages:?}");
         ensure!(messages.iter().all(|m| m.intact && m.bytes == 64), "{messages:?}");
     }
     Ok(())

@@ -6,13 +6,14 @@
 //!  ip    talker ──────────────── r1 ── r2 ── r3 ─────────────────── listener     (kernel IPv4, in clear)
 //! ```
 
+use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
 use gdp_tests::chain::{Chain, ChainOptions};
-use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
+use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::netns::{self, Namespace};
-use gdp_tests::peers::{self, Received, Traffic, Vendor};
+use gdp_tests::peers::{self, Conversation, Received, Side, Traffic, Vendor};
 use gdp_tests::{Tools, wait};
 use serde::Serialize;
 
@@ -103,7 +104,8 @@ fn measure(tools: &Tools, route: Route, bytes: usize, rate: f64, count: u64) -> 
         Route::Gdp => {
             let mut fabric = Fabric::start(tools.clone(), FabricOptions::default())?;
             fabric.start_proxies()?;
-            converse(tools, fabric.chain.robot(), fabric.chain.cloud(), &traffic, &traffic, fabric.folder())
+            let (robot, cloud) = (fabric.chain.robot(), fabric.chain.cloud());
+            converse(tools, [(robot, &traffic), (cloud, &traffic)], fabric.folder())
         }
         Route::Ip => {
             let chain = Chain::build(ChainOptions::default())?;
@@ -113,41 +115,24 @@ fn measure(tools: &Tools, route: Route, bytes: usize, rate: f64, count: u64) -> 
             let talks = Traffic { peer: Some(cloud), ..traffic.clone() };
             let hears = Traffic { peer: Some(robot), ..traffic };
             let folder = logs()?;
-            converse(tools, chain.robot(), chain.cloud(), &talks, &hears, folder.path())
+            converse(tools, [(chain.robot(), &talks), (chain.cloud(), &hears)], folder.path())
         }
         Route::Site => {
             let site = Namespace::create("site")?;
             site.enable_loopback_multicast()?;
             let folder = logs()?;
-            converse(tools, &site, &site, &traffic, &traffic, folder.path())
+            converse(tools, [(&site, &traffic), (&site, &traffic)], folder.path())
         }
     }
 }
 
-/// Runs both programs until the last message has come, or no more come.
-fn converse(
-    tools: &Tools,
-    from: &Namespace,
-    to: &Namespace,
-    talks: &Traffic,
-    hears: &Traffic,
-    folder: &std::path::Path,
-) -> Result<Vec<Received>> {
-    let mut listener = peers::listener(tools, to, Vendor::FastDds, hears, folder)?;
-    listener.wait_event("ready", PATIENCE)?;
-    let mut talker = peers::talker(tools, from, Vendor::Cyclone, talks, folder)?;
-    let time_to_send = Duration::from_secs_f64(talks.count as f64 / talks.rate);
-    talker.wait_event("done", PATIENCE + time_to_send)?;
-    let last = talks.count as i64 - 1;
-    let complete = |p: &gdp_tests::process::Process| {
-        let all = peers::received(p);
-        all.iter().any(|m| m.sequence == last).then_some(())
-    };
-    if let Err(error) = listener.wait_until("the last message", Duration::from_secs(5), complete) {
-        wait::check_interrupt()?;
-        eprintln!("  {}", error.root_cause());
-    }
-    Ok(peers::received(&listener))
+fn converse(tools: &Tools, ends: [(&Namespace, &Traffic); 2], folder: &Path) -> Result<Vec<Received>> {
+    let [(from, talks), (to, hears)] = ends;
+    let talker = Side { at: from, vendor: Vendor::Cyclone, traffic: talks };
+    let listener = Side { at: to, vendor: Vendor::FastDds, traffic: hears };
+    let mut both = Conversation::start(tools, talker, listener, folder)?;
+    both.open()?;
+    both.finish(Duration::from_secs_f64(talks.count as f64 / talks.rate), Duration::from_secs(10))
 }
 
 fn logs() -> Result<tempfile::TempDir> {

@@ -1,0 +1,206 @@
+//! `tests/fixtures/frames.json`: one switch, and what it does with each of many frames.
+//!
+//! Byte strings are hexadecimal; where a long frame ends in zeros they are counted instead of written. Everything else
+//! is as a reader of `docs/wire-format.md` expects.
+
+use serde::{Deserialize, Serialize};
+
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Fixtures {
+    pub about: Vec<String>,
+    pub switch: Switch,
+    pub cases: Vec<Case>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Switch {
+    pub ethertype: u16,
+    /// The number of this switch's egress bit.
+    pub own_bit: u32,
+    pub links: Vec<Link>,
+    pub routes: Vec<Route>,
+    pub next_hops: Vec<NextHop>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Link {
+    pub label: String,
+    pub id: u32,
+    pub peer_id: u32,
+    pub role: Role,
+    /// `null`: no interface the kernel can redirect to.
+    pub port: Option<u32>,
+    /// SipHash keys, 16 bytes.
+    pub rx_key: String,
+    pub tx_key: String,
+    /// Numbers of egress bits.
+    pub reach: Vec<u32>,
+    pub mtu: u32,
+    pub peer_mac: String,
+    pub local_mac: String,
+    /// Frames sent on the link before the case.
+    pub tx_counter: u32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    Endpoint,
+    Switch,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Route {
+    pub label: String,
+    pub name: String,
+    /// Numbers of egress bits.
+    pub egress: Vec<u32>,
+    pub egress_set: u8,
+    /// 0: none.
+    pub local_link: u32,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NextHop {
+    pub bit: u32,
+    pub link: u32,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Case {
+    pub name: String,
+    pub frame: Bytes,
+    pub kernel: Expected,
+    /// `null`: the same as the kernel.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub userspace: Option<Expected>,
+}
+
+/// What becomes of a frame. Exactly one counter goes up, by one.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Expected {
+    pub verdict: Verdict,
+    pub counter: String,
+    /// The frame as it leaves, of a frame that is sent. What passes is unchanged.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<Bytes>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    Send,
+    /// To the host, which the daemon is part of.
+    Pass,
+    Drop,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Bytes {
+    pub hex: String,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub zeros: usize,
+}
+
+impl Bytes {
+    pub fn new(bytes: &[u8]) -> Self {
+        let kept = bytes.iter().rposition(|b| *b != 0).map_or(0, |last| last + 1);
+        // Few zeros are clearer written out.
+        let kept = if bytes.len() - kept < 32 { bytes.len() } else { kept };
+        Self { hex: hex(&bytes[..kept]), zeros: bytes.len() - kept }
+    }
+
+    pub fn bytes(&self) -> Vec<u8> {
+        let mut bytes = unhex(&self.hex);
+        bytes.resize(bytes.len() + self.zeros, 0);
+        bytes
+    }
+}
+
+/// The committed file.
+pub fn read() -> Fixtures {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/fixtures/frames.json");
+    let text = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{path}: {error}"));
+    serde_json::from_str(&text).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+/// The tables of the fixtures' switch, as a data plane takes them.
+impl Switch {
+    pub fn config(&self) -> gdp_wire::SwitchConfig {
+        gdp_wire::SwitchConfig { own_bit: 1 << self.own_bit, ethertype: self.ethertype.into(), reserved: 0 }
+    }
+
+    pub fn links(&self) -> impl Iterator<Item = gdp_wire::LinkEntry> {
+        self.links.iter().map(Link::entry)
+    }
+
+    pub fn routes(&self) -> impl Iterator<Item = (gdp_wire::Name, gdp_wire::FibEntry)> {
+        self.routes.iter().map(|route| {
+            let name = gdp_wire::Name::from_bytes(array(&route.name));
+            let entry = gdp_wire::FibEntry {
+                egress_bits: bits(&route.egress),
+                local_link: route.local_link,
+                egress_set: route.egress_set.into(),
+            };
+            (name, entry)
+        })
+    }
+
+    pub fn next_hops(&self) -> [u32; 64] {
+        let mut links = [0; 64];
+        self.next_hops.iter().for_each(|hop| links[hop.bit as usize] = hop.link);
+        links
+    }
+}
+
+impl Link {
+    pub fn entry(&self) -> gdp_wire::LinkEntry {
+        gdp_wire::LinkEntry {
+            id: self.id,
+            peer_id: self.peer_id,
+            role: match self.role {
+                Role::Endpoint => gdp_wire::LinkRole::Endpoint,
+                Role::Switch => gdp_wire::LinkRole::Switch,
+            } as u32,
+            port: self.port.unwrap_or(gdp_wire::table::PORT_USERSPACE),
+            rx_key: key(&self.rx_key),
+            tx_key: key(&self.tx_key),
+            reach: bits(&self.reach),
+            mtu: self.mtu,
+            peer_mac: mac(&self.peer_mac),
+            local_mac: mac(&self.local_mac),
+        }
+    }
+}
+
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
+
+pub fn unhex(text: &str) -> Vec<u8> {
+    let byte = |i| u8::from_str_radix(&text[i..i + 2], 16).unwrap_or_else(|error| panic!("{text}: {error}"));
+    (0..text.len()).step_by(2).map(byte).collect()
+}
+
+pub fn array<const N: usize>(text: &str) -> [u8; N] {
+    unhex(text).try_into().unwrap_or_else(|_| panic!("{text}: not {N} bytes"))
+}
+
+/// The two words of a SipHash key.
+pub fn key(text: &str) -> [u64; 2] {
+    let bytes: [u8; 16] = array(text);
+    [0, 8].map(|i| u64::from_le_bytes(bytes[i..i + 8].try_into().expect("eight bytes")))
+}
+
+fn mac(text: &str) -> [u16; 3] {
+    let bytes: [u8; 6] = array(&text.replace(':', ""));
+    [0, 2, 4].map(|i| u16::from_ne_bytes([bytes[i], bytes[i + 1]]))
+}
+
+fn bits(numbers: &[u32]) -> u64 {
+    numbers.iter().fold(0, |bits, number| bits | 1 << number)
+}
+
+fn is_zero(number: &usize) -> bool {
+    *number == 0
+}

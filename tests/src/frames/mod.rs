@@ -1,0 +1,105 @@
+//! Frames for tests, byte by byte after `docs/wire-format.md` and not through `gdp_wire::Header`, so that a mistake in
+//! the one does not hide in the other. [`fixtures`] is the file of forwarding cases that every data plane runs.
+//!
+//! Depends on `gdp-wire`, `serde` and `serde_json` alone: the unit tests of `gdp-wire` include it by path.
+#![allow(dead_code, reason = "each test that includes this uses a part of it")]
+
+pub mod fixtures;
+
+use gdp_wire::siphash::siphash24;
+
+/// An Ethernet frame that carries a GDP data frame. Start from `Frame::default()` and name what differs.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    pub to_mac: [u8; 6],
+    pub from_mac: [u8; 6],
+    pub ethertype: u16,
+    pub version_type: u8,
+    pub flags: u8,
+    pub hop_limit: u8,
+    pub egress_set: u8,
+    /// `None`: the length of `payload`.
+    pub payload_len: Option<u16>,
+    pub header_words: u8,
+    pub reserved: u8,
+    pub link_id: u32,
+    pub link_counter: u32,
+    /// `None`: made with `key`.
+    pub tag: Option<u64>,
+    pub key: [u64; 2],
+    pub egress_bits: u64,
+    pub destination: [u8; 32],
+    pub source: [u8; 32],
+    pub payload: Vec<u8>,
+    /// Bytes behind the payload that the header does not speak of.
+    pub padding: usize,
+}
+
+impl Default for Frame {
+    fn default() -> Self {
+        Self {
+            to_mac: [0x02, 0, 0, 0, 0, 0xfe],
+            from_mac: [0x02, 0, 0, 0, 0, 0x01],
+            ethertype: 0x88b5,
+            version_type: 0x10,
+            flags: 0,
+            hop_limit: 64,
+            egress_set: 0,
+            payload_len: None,
+            header_words: 12,
+            reserved: 0,
+            link_id: 0,
+            link_counter: 0,
+            tag: None,
+            key: [0; 2],
+            egress_bits: 0,
+            destination: [0; 32],
+            source: [0; 32],
+            payload: b"sealed".to_vec(),
+            padding: 0,
+        }
+    }
+}
+
+impl Frame {
+    /// The whole Ethernet frame.
+    pub fn bytes(&self) -> Vec<u8> {
+        let mut bytes = self.ethernet().to_vec();
+        bytes.extend(self.header());
+        bytes.extend(&self.payload);
+        bytes.resize(bytes.len() + self.padding, 0);
+        bytes
+    }
+
+    pub fn ethernet(&self) -> [u8; 14] {
+        let mut bytes = [0; 14];
+        bytes[..6].copy_from_slice(&self.to_mac);
+        bytes[6..12].copy_from_slice(&self.from_mac);
+        bytes[12..].copy_from_slice(&self.ethertype.to_be_bytes());
+        bytes
+    }
+
+    /// The 96 bytes of the GDP header.
+    pub fn header(&self) -> [u8; 96] {
+        let payload_len = self.payload_len.unwrap_or(self.payload.len() as u16);
+        let mut h = [0; 96];
+        h[..4].copy_from_slice(&[self.version_type, self.flags, self.hop_limit, self.egress_set]);
+        h[4..6].copy_from_slice(&payload_len.to_be_bytes());
+        h[6..8].copy_from_slice(&[self.header_words, self.reserved]);
+        h[8..12].copy_from_slice(&self.link_id.to_be_bytes());
+        h[12..16].copy_from_slice(&self.link_counter.to_be_bytes());
+        h[24..32].copy_from_slice(&self.egress_bits.to_be_bytes());
+        h[32..64].copy_from_slice(&self.destination);
+        h[64..].copy_from_slice(&self.source);
+        let tag = self.tag.unwrap_or_else(|| hop_tag(self.key, &h));
+        h[16..24].copy_from_slice(&tag.to_be_bytes());
+        h
+    }
+}
+
+/// The hop tag: SipHash-2-4 over the header without bytes 16 to 23, where the tag itself goes.
+pub fn hop_tag(key: [u64; 2], header: &[u8; 96]) -> u64 {
+    let word = |i: usize| u64::from_le_bytes(header[i * 8..i * 8 + 8].try_into().expect("eight bytes"));
+    let words: [u64; 11] = std::array::from_fn(|i| word(if i < 2 { i } else { i + 1 }));
+    siphash24(key, &words)
+}
