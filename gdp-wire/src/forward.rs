@@ -122,7 +122,8 @@ fn route<'t, T: Tables>(header: &Header, available: usize, tables: &'t T) -> Res
     if egress.id == ingress.id {
         return Err(Counter::Hairpin);
     }
-    if Header::LEN + header.payload_len() as usize > egress.mtu as usize {
+    // All of it leaves, also what lies behind the payload.
+    if available > egress.mtu as usize {
         return Err(Counter::TooBig);
     }
     Ok((egress, bits, set, counter))

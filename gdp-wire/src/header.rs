@@ -142,9 +142,7 @@ impl Header {
         let this = (&raw const *self).cast::<u64>();
         // SAFETY: `Header` is 96 bytes of plain data with the alignment of u64, so it holds twelve words.
         let word = |i: usize| u64::from_le(unsafe { this.add(i).read() });
-        [
-            word(0), word(1), word(3), word(4), word(5), word(6), word(7), word(8), word(9), word(10), word(11),
-        ]
+        [word(0), word(1), word(3), word(4), word(5), word(6), word(7), word(8), word(9), word(10), word(11)]
     }
 }
 

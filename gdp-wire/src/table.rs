@@ -89,7 +89,7 @@ pub trait Tables {
     /// This switch's own egress bit.
     fn own_bit(&self) -> u64;
 
-    /// The next count for a frame that leaves by this link.
+    /// The count for a frame that leaves by this link: 1 for the first.
     fn next_counter(&self, link: &LinkEntry) -> u32;
 }
 

@@ -1,0 +1,441 @@
+//! The forwarding cases of `tests/fixtures/frames.json`, through the decision in plain Rust.
+//!
+//! [`cases`] is where they are written, with the frame builder of the other tests; the JSON file is made from it with
+//! `GDP_BLESS=1 cargo test -p gdp-wire`, and is what the other data planes and implementations read. What is expected
+//! is written here by hand, never taken from the code under test.
+
+#[path = "../../tests/src/frames/mod.rs"]
+mod frames;
+mod tables;
+
+use frames::Frame;
+use frames::fixtures::{self, Bytes, Case, Expected, Fixtures, Link, NextHop, Role, Route, Switch, Verdict};
+use gdp_wire::Counter;
+use gdp_wire::forward::Plane;
+use tables::PlainTables;
+
+#[test]
+fn every_case_through_decide() {
+    let fixtures = fixtures::read();
+    for case in &fixtures.cases {
+        let tables = PlainTables::new(&fixtures.switch);
+        assert_eq!(tables.run(&case.frame.bytes(), Plane::Kernel), case.kernel, "{} (kernel)", case.name);
+        let tables = PlainTables::new(&fixtures.switch);
+        let expected = case.userspace.as_ref().unwrap_or(&case.kernel);
+        assert_eq!(tables.run(&case.frame.bytes(), Plane::Userspace), *expected, "{} (userspace)", case.name);
+    }
+}
+
+#[test]
+fn every_counter_has_a_case() {
+    let cases = fixtures::read().cases;
+    for counter in Counter::ALL {
+        assert!(cases.iter().any(|case| case.kernel.counter == counter.as_str()), "none for {counter:?}");
+    }
+}
+
+#[test]
+fn the_file_holds_the_cases_written_here() {
+    let fixtures = Fixtures { about: about(), switch: switch(), cases: cases() };
+    let text = serde_json::to_string_pretty(&fixtures).expect("plain data") + "\n";
+    if std::env::var_os("GDP_BLESS").is_some() {
+        std::fs::write(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/fixtures/frames.json"), text).expect("write");
+    } else {
+        assert_eq!(fixtures::read(), fixtures, "run GDP_BLESS=1 cargo test -p gdp-wire --test fixtures");
+    }
+}
+
+fn about() -> Vec<String> {
+    [
+        "What one switch does with each of these Ethernet frames. Each case starts from the tables below.",
+        "`send`: by the link whose addresses the expected frame has. `pass`: to the host, unchanged.",
+        "Exactly one counter goes up, by one. `userspace` is there where the userspace plane differs from the kernel.",
+    ]
+    .map(String::from)
+    .to_vec()
+}
+
+const ROBOT: u32 = 0xa1b2_0001;
+const CLOUD: u32 = 0xa1b2_0402;
+const WEST: u32 = 0x0000_0003;
+const EAST: u32 = 0xffff_fc04;
+const UDP: u32 = 0xa1b2_0405;
+const JUMBO: u32 = 0xa1b2_0406;
+const NARROW: u32 = 0xa1b2_0407;
+const UNPLUGGED: u32 = 0xa1b2_07ff;
+
+const OWN_BIT: u32 = 2;
+const OWN: u64 = 1 << OWN_BIT;
+
+/// The switch of all cases:
+///
+/// ```text
+///            robot   cloud   (endpoints; `udp` is one without a port)
+///                 \ /
+///  bits 0, 1 — WEST*EAST — bits 3, 4, 63        * own bit 2
+///                 |
+///               JUMBO — bit 5   NARROW — bit 6   UNPLUGGED — bit 7
+/// ```
+fn switch() -> Switch {
+    Switch {
+        ethertype: 0x88b5,
+        own_bit: OWN_BIT,
+        links: vec![
+            endpoint("robot", ROBOT, Some(0)),
+            endpoint("cloud", CLOUD, Some(1)),
+            neighbour("west", WEST, 2, &[0, 1], 1500),
+            neighbour("east", EAST, 3, &[3, 4, 63], 1500),
+            endpoint("udp", UDP, None),
+            neighbour("jumbo", JUMBO, 4, &[5], 9000),
+            neighbour("narrow", NARROW, 5, &[6], 600),
+            neighbour("unplugged", UNPLUGGED, 63, &[7], 1500),
+        ],
+        routes: vec![
+            route("far", &[3], 0, 0),
+            route("far in set 3", &[3], 3, 0),
+            route("last bit", &[63], 0, 0),
+            route("two behind one neighbour", &[3, 4], 0, 0),
+            route("two behind two neighbours", &[0, 3], 0, 0),
+            route("here and far", &[OWN_BIT, 3], 0, CLOUD),
+            route("here", &[OWN_BIT], 0, CLOUD),
+            route("here, link gone", &[OWN_BIT], 0, CLOUD ^ 0x8000_0000),
+            route("here, no link", &[OWN_BIT], 0, 0),
+            route("back", &[OWN_BIT], 0, ROBOT),
+            route("over udp", &[OWN_BIT], 0, UDP),
+            route("nobody", &[], 0, 0),
+            route("unreachable", &[9], 0, 0),
+            route("jumbo", &[5], 0, 0),
+            route("narrow", &[6], 0, 0),
+            route("unplugged", &[7], 0, 0),
+        ],
+        next_hops: [(0, WEST), (1, WEST), (3, EAST), (4, EAST), (5, JUMBO), (6, NARROW), (7, UNPLUGGED), (63, EAST)]
+            .map(|(bit, link)| NextHop { bit, link })
+            .to_vec(),
+    }
+}
+
+fn cases() -> Vec<Case> {
+    [forwarding(), delivery(), refusals(), links(), sizes(), tags(), other_frames()].concat()
+}
+
+fn forwarding() -> Vec<Case> {
+    let far = from(ROBOT).to("far");
+    let in_set_3 = from(ROBOT).to("far in set 3");
+    let lying = from(ROBOT).to("far").with(|f| (f.egress_bits, f.egress_set) = (OWN | 1, 9));
+    let last = from(ROBOT).to("last bit");
+    let two = from(ROBOT).to("two behind one neighbour");
+    let east = from(WEST).bits(1 << 3);
+    let west = from(EAST).bits(0b11);
+    let set_7 = from(WEST).bits(1 << 4).with(|f| f.egress_set = 7);
+    let carried = from(WEST).bits(1 << 3).with(|f| (f.flags, f.reserved) = (0xff, 0x5a));
+    let limit_2 = from(WEST).bits(1 << 3).with(|f| f.hop_limit = 2);
+    let limit_255 = from(WEST).bits(1 << 3).with(|f| f.hop_limit = 255);
+    let count = from(WEST).bits(1 << 3).with(|f| f.link_counter = 0xffff_ffff);
+    let empty = from(WEST).bits(1 << 3).with(|f| f.payload.clear());
+    vec![
+        far.case("an endpoint's frame is stamped with the egress bits of its name", sends(&far, EAST, 1 << 3)),
+        in_set_3.case("and with the egress set", sends(&in_set_3, EAST, 1 << 3).with(|f| f.egress_set = 3)),
+        lying.case("what an endpoint claims of egress is overwritten", sends(&far, EAST, 1 << 3)),
+        last.case("the highest bit", sends(&last, EAST, 1 << 63)),
+        two.case("two switches behind one neighbour take one copy", sends(&two, EAST, 0b11000)),
+        east.case("in transit only the bits count, the name is not known", sends(&east, EAST, 1 << 3)),
+        west.case("in the other direction, with two bits", sends(&west, WEST, 0b11)),
+        set_7.case("the egress set is kept in transit", sends(&set_7, EAST, 1 << 4)),
+        carried.case("flags, class, ECN and the reserved byte are carried", sends(&carried, EAST, 1 << 3)),
+        limit_2.case("hop limit 2 leaves with 1", sends(&limit_2, EAST, 1 << 3)),
+        limit_255.case("hop limit 255 leaves with 254", sends(&limit_255, EAST, 1 << 3)),
+        count.case("any link counter comes in", sends(&count, EAST, 1 << 3)),
+        empty.case("no payload", sends(&empty, EAST, 1 << 3)),
+    ]
+}
+
+fn delivery() -> Vec<Case> {
+    let here = from(EAST).bits(OWN).to("here");
+    let local = from(ROBOT).to("here");
+    let set_4 = from(WEST).bits(OWN).to("here").with(|f| f.egress_set = 4);
+    let to_udp = from(EAST).bits(OWN).to("over udp");
+    let from_udp = from(UDP).to("far");
+    vec![
+        here.case("the own bit is cleared, the name looked up, the endpoint gets it", delivers(&here, CLOUD)),
+        local.case("from endpoint to endpoint of one switch", delivers(&local, CLOUD)),
+        set_4.case("the egress set is kept at delivery", delivers(&set_4, CLOUD)),
+        Case {
+            userspace: Some(delivers(&to_udp, UDP)),
+            ..to_udp.case("a link without a port is left to the userspace plane", pass("slow"))
+        },
+        from_udp.case("from a link without a port", sends(&from_udp, EAST, 1 << 3)),
+    ]
+}
+
+fn refusals() -> Vec<Case> {
+    let unplugged = from(ROBOT).to("unplugged");
+    vec![
+        from(ROBOT).to("unheard of").case("a name that is not in the FIB", drop("drop_no_route")),
+        from(EAST).bits(OWN).to("far").case("arrived, but nobody here takes the name", drop("drop_no_route")),
+        from(EAST).bits(OWN).to("unheard of").case("arrived, and the name is not known", drop("drop_no_route")),
+        from(ROBOT).to("here, no link").case("a route without a local link", drop("drop_no_route")),
+        from(ROBOT).to("here, link gone").case("a route to a link that is gone", drop("drop_no_route")),
+        from(ROBOT).to("nobody").case("a name that nobody takes", drop("drop_no_egress")),
+        from(WEST).bits(0).to("here").case("no egress bits from a switch", drop("drop_no_egress")),
+        from(ROBOT).to("unreachable").case("no neighbour toward the egress switch", drop("drop_no_egress")),
+        from(WEST).bits(1 << 62).case("a bit that nobody has", drop("drop_no_egress")),
+        from(ROBOT).to("two behind two neighbours").case("two neighbours need copies", drop("drop_replication")),
+        from(ROBOT).to("here and far").case("one copy here and one onward", drop("drop_replication")),
+        from(WEST).bits(OWN | 1 << 3).to("here").case("the same in transit", drop("drop_replication")),
+        from(ROBOT).to("back").case("back to the endpoint it came from", drop("drop_hairpin")),
+        from(EAST).bits(1 << 3).case("back to the switch it came from", drop("drop_hairpin")),
+        from(WEST).bits(1 << 3).with(|f| f.hop_limit = 1).case("hop limit 1", drop("drop_hop_limit")),
+        from(WEST).bits(1 << 3).with(|f| f.hop_limit = 0).case("hop limit 0", drop("drop_hop_limit")),
+        from(EAST)
+            .bits(OWN)
+            .to("here")
+            .with(|f| f.hop_limit = 1)
+            .case("hop limit 1 at the egress", drop("drop_hop_limit")),
+        Case {
+            userspace: Some(sends(&unplugged, UNPLUGGED, 1 << 7).into()),
+            ..unplugged.case("a port without an interface", drop("drop_redirect_failed"))
+        },
+    ]
+}
+
+fn links() -> Vec<Case> {
+    let on = |id| from(WEST).bits(1 << 3).with(move |f| f.link_id = id);
+    vec![
+        on(0).case("link id 0 is no link", drop("drop_no_link")),
+        on(8).case("an entry that is free", drop("drop_no_link")),
+        on(WEST | 0x400).case("an id that differs from the link's above the index", drop("drop_no_link")),
+        on(0xffff_ffff).case("the highest id", drop("drop_no_link")),
+        on(EAST).case("another link's id, this link's key", drop("drop_bad_tag")),
+    ]
+}
+
+fn sizes() -> Vec<Case> {
+    let sized = |to: &str, bytes: usize| from(ROBOT).to(to).with(|f| f.payload = vec![0x5a; bytes - 96]);
+    let full = sized("far", 1500);
+    let narrow = sized("narrow", 600);
+    let large = sized("jumbo", 3400);
+    let jumbo = from(ROBOT).to("jumbo").with(|f| f.payload = vec![0; 8900]);
+    let padded = from(WEST).bits(1 << 3).with(|f| f.padding = 17);
+    let short = |claimed| from(WEST).bits(1 << 3).with(|f| f.payload_len = Some(claimed));
+    let mut cases = vec![
+        full.case("as large as the link takes", sends(&full, EAST, 1 << 3)),
+        sized("far", 1501).case("one byte too large", drop("drop_too_big")),
+        narrow.case("as large as a narrow link takes", sends(&narrow, NARROW, 1 << 6)),
+        sized("narrow", 601).case("one byte too large for a narrow link", drop("drop_too_big")),
+        large.case("more than an Ethernet MTU", sends(&large, JUMBO, 1 << 5)),
+        jumbo.case("in several buffers", sends(&jumbo, JUMBO, 1 << 5)),
+        padded.case("bytes behind the payload stay", sends(&padded, EAST, 1 << 3)),
+        full.with(|f| f.padding = 1).case("bytes behind the payload count", drop("drop_too_big")),
+        short(7).case("one payload byte is missing", drop("drop_truncated")),
+        short(0xffff).case("nearly all is missing", drop("drop_truncated")),
+    ];
+    let whole = from(WEST).bits(1 << 3).with(|f| f.payload.clear()).frame.bytes();
+    for length in [14, 15, 16, 20, 22, 30, 38, 46, 78, 109] {
+        cases.push(raw(&format!("only {} bytes of a frame", length - 14), &whole[..length], drop("drop_truncated")));
+    }
+    cases
+}
+
+/// One bit of each field is flipped under way; the tag of the original stays.
+fn tags() -> Vec<Case> {
+    let original = from(ROBOT).to("far").with(|f| f.payload = vec![0x5a; 600]);
+    // The bits are chosen so that the length stays within the frame, and the low half of the id meets a free entry.
+    let flips: [(&str, usize, u8, &str); 15] = [
+        ("type", 0, 0x02, "drop_unknown"),
+        ("flags", 1, 0x01, "drop_bad_tag"),
+        ("hop limit", 2, 0x01, "drop_bad_tag"),
+        ("egress set", 3, 0x01, "drop_bad_tag"),
+        ("payload length (high)", 4, 0x02, "drop_bad_tag"),
+        ("payload length (low)", 5, 0x08, "drop_bad_tag"),
+        ("header length", 6, 0x08, "drop_unknown"),
+        ("reserved byte", 7, 0x01, "drop_bad_tag"),
+        ("link id (high)", 8, 0x01, "drop_no_link"),
+        ("link id (low)", 11, 0x80, "drop_no_link"),
+        ("link counter", 12, 0x01, "drop_bad_tag"),
+        ("tag", 16, 0x01, "drop_bad_tag"),
+        ("egress bits", 24, 0x01, "drop_bad_tag"),
+        ("destination", 63, 0x01, "drop_bad_tag"),
+        ("source", 95, 0x01, "drop_bad_tag"),
+    ];
+    let mut cases = Vec::new();
+    for (field, offset, bit, counter) in flips {
+        let mut bytes = original.frame.bytes();
+        bytes[14 + offset] ^= bit;
+        cases.push(raw(&format!("one bit of the {field} is flipped"), &bytes, drop(counter)));
+    }
+
+    let payload = "a flipped bit of the payload is for the reader to find: the tag covers the header";
+    let altered = original.clone().with(|f| f.payload[0] ^= 1);
+    cases.push(altered.case(payload, sends(&altered, EAST, 1 << 3)));
+
+    let (_, other_direction) = keys(ROBOT);
+    let (other_link, _) = keys(CLOUD);
+    cases.push(original.clone().with(|f| f.tag = Some(0)).case("no tag", drop("drop_bad_tag")));
+    cases.push(
+        original.clone().with(|f| f.key = other_direction).case("tag of the other direction", drop("drop_bad_tag")),
+    );
+    cases.push(original.with(|f| f.key = other_link).case("tag of another link", drop("drop_bad_tag")));
+    cases
+}
+
+fn other_frames() -> Vec<Case> {
+    let transit = from(WEST).bits(1 << 3);
+    let first_byte = |byte| transit.clone().with(|f| f.version_type = byte);
+    let header_words = |words| transit.clone().with(|f| f.header_words = words);
+    let ethertype = |ethertype| transit.clone().with(|f| f.ethertype = ethertype);
+    let mut short_control = transit.frame.bytes()[..14].to_vec();
+    short_control.push(0x11);
+    let mut tagged = transit.frame.bytes();
+    tagged.splice(12..12, [0x81, 0x00, 0x00, 0x05]);
+    vec![
+        first_byte(0x11).case("a control frame is the daemon's", pass("control")),
+        raw("also a short one", &short_control, pass("control")),
+        first_byte(0x00).case("version 0", drop("drop_unknown")),
+        first_byte(0x20).case("version 2", drop("drop_unknown")),
+        first_byte(0x12).case("an error frame is not known yet", drop("drop_unknown")),
+        first_byte(0x13).case("a probe is not known yet", drop("drop_unknown")),
+        first_byte(0x14).case("an echo is not known yet", drop("drop_unknown")),
+        first_byte(0x1f).case("the last type", drop("drop_unknown")),
+        first_byte(0x40).case("what would be QUIC on UDP", drop("drop_unknown")),
+        first_byte(0xff).case("the last first byte", drop("drop_unknown")),
+        header_words(11).case("a shorter header", drop("drop_unknown")),
+        header_words(13).case("a longer header", drop("drop_unknown")),
+        header_words(0).case("no header", drop("drop_unknown")),
+        ethertype(0x0800).case("IPv4 passes", pass("foreign")),
+        ethertype(0x0806).case("ARP passes", pass("foreign")),
+        ethertype(0x86dd).case("IPv6 passes", pass("foreign")),
+        ethertype(0x88b6).case("the neighbouring ethertype passes", pass("foreign")),
+        raw("with a VLAN tag it is not ours, and passes", &tagged, pass("foreign")),
+    ]
+}
+
+/// A frame as the neighbour on a link sends it.
+#[derive(Clone)]
+struct Sent {
+    frame: Frame,
+}
+
+fn from(id: u32) -> Sent {
+    let (key, _) = keys(id);
+    let (destination, source) = (name("unheard of"), name("writer"));
+    Sent { frame: Frame { link_id: id, link_counter: 7, key, destination, source, ..Frame::default() } }
+}
+
+impl Sent {
+    fn to(mut self, label: &str) -> Self {
+        self.frame.destination = name(label);
+        self
+    }
+
+    fn bits(mut self, bits: u64) -> Self {
+        self.frame.egress_bits = bits;
+        self
+    }
+
+    fn with(mut self, change: impl FnOnce(&mut Frame)) -> Self {
+        change(&mut self.frame);
+        self
+    }
+
+    fn case(&self, name: &str, expected: impl Into<Expected>) -> Case {
+        raw(name, &self.frame.bytes(), expected.into())
+    }
+}
+
+fn raw(name: &str, frame: &[u8], kernel: Expected) -> Case {
+    Case { name: name.into(), frame: Bytes::new(frame), kernel, userspace: None }
+}
+
+/// The frame that a sent one becomes when it is forwarded.
+struct Forwarded(Frame);
+
+fn sends(sent: &Sent, by: u32, bits: u64) -> Forwarded {
+    let link = link(by);
+    Forwarded(Frame {
+        to_mac: fixtures::array(&link.peer_mac.replace(':', "")),
+        from_mac: fixtures::array(&link.local_mac.replace(':', "")),
+        hop_limit: sent.frame.hop_limit - 1,
+        egress_bits: bits,
+        link_id: link.peer_id,
+        link_counter: link.tx_counter.wrapping_add(1),
+        key: fixtures::key(&link.tx_key),
+        ..sent.frame.clone()
+    })
+}
+
+impl Forwarded {
+    fn with(mut self, change: impl FnOnce(&mut Frame)) -> Self {
+        change(&mut self.0);
+        self
+    }
+}
+
+impl From<Forwarded> for Expected {
+    fn from(out: Forwarded) -> Self {
+        Self { verdict: Verdict::Send, counter: "forwarded".into(), frame: Some(Bytes::new(&out.0.bytes())) }
+    }
+}
+
+fn delivers(sent: &Sent, to: u32) -> Expected {
+    Expected { counter: "delivered".into(), ..sends(sent, to, 0).into() }
+}
+
+fn drop(counter: &str) -> Expected {
+    Expected { verdict: Verdict::Drop, counter: counter.into(), frame: None }
+}
+
+fn pass(counter: &str) -> Expected {
+    Expected { verdict: Verdict::Pass, counter: counter.into(), frame: None }
+}
+
+/// The receive and the transmit key of a link.
+fn keys(id: u32) -> ([u64; 2], [u64; 2]) {
+    let link = link(id);
+    (fixtures::key(&link.rx_key), fixtures::key(&link.tx_key))
+}
+
+fn link(id: u32) -> Link {
+    switch().links.into_iter().find(|link| link.id == id).expect("a link of the switch")
+}
+
+fn endpoint(label: &str, id: u32, port: Option<u32>) -> Link {
+    Link { role: Role::Endpoint, port, ..neighbour(label, id, 0, &[], 1500) }
+}
+
+fn neighbour(label: &str, id: u32, port: u32, reach: &[u32], mtu: u32) -> Link {
+    let index = id as u8;
+    let key = |direction: u8| (0..16).map(|i| format!("{:02x}", (i + 1) * 11 ^ index ^ direction)).collect::<String>();
+    Link {
+        label: label.into(),
+        id,
+        peer_id: 0xbeef_0000 | u32::from(index),
+        role: Role::Switch,
+        port: Some(port),
+        rx_key: key(0),
+        tx_key: key(0x80),
+        reach: reach.to_vec(),
+        mtu,
+        peer_mac: format!("02:00:00:00:{index:02x}:01"),
+        local_mac: format!("02:00:00:00:{index:02x}:02"),
+        // One of them wraps around.
+        tx_counter: if id == EAST { u32::MAX } else { 0x0102_0300 + u32::from(index) },
+    }
+}
+
+fn route(label: &str, egress: &[u32], egress_set: u8, local_link: u32) -> Route {
+    Route { label: label.into(), name: fixtures::hex(&name(label)), egress: egress.to_vec(), egress_set, local_link }
+}
+
+/// Any 32 bytes that differ for each label.
+fn name(label: &str) -> [u8; 32] {
+    let mut name = [0; 32];
+    for (part, chunk) in name.chunks_exact_mut(8).enumerate() {
+        let mut words = [part as u64; 4];
+        label
+            .bytes()
+            .enumerate()
+            .for_each(|(i, b)| words[i % 4] = words[i % 4].wrapping_mul(257).wrapping_add(b.into()));
+        chunk.copy_from_slice(&gdp_wire::siphash::siphash24([1, 2], &words).to_be_bytes());
+    }
+    name
+}
