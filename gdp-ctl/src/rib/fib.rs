@@ -1,0 +1,269 @@
+//! What one switch's FIB should hold, and the pushes that bring it there: deltas while it follows, the whole in parts
+//! after every (re)connect. Pure state; the RIB fills it and sends what [`Fib::next`] returns.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use gdp::control::{Extent, FibPush, Route};
+use gdp_wire::Name;
+
+/// Names in one push: an encoded route has about 115 bytes, and a message at most 64 KiB.
+const NAMES_PER_PUSH: usize = 400;
+
+/// How long after a push that failed the switch is sent its whole FIB.
+const RETRY: Duration = Duration::from_millis(500);
+
+/// The desired FIB of one switch, and how far the switch is known to hold it.
+#[derive(Debug)]
+pub struct Fib {
+    routes: BTreeMap<[u8; 32], Route>,
+    /// Names whose desired route is not what was last sent.
+    dirty: BTreeSet<[u8; 32]>,
+    masks_dirty: bool,
+    generation: u64,
+    phase: Phase,
+    /// Generation of the push that has not been answered.
+    in_flight: Option<u64>,
+}
+
+#[derive(Debug, PartialEq, Eq)]
+enum Phase {
+    /// The switch gets its whole FIB: next is this part, of the names above this one.
+    Full { part: u32, after: Option<[u8; 32]> },
+    /// The switch holds everything but what is dirty.
+    Following,
+    /// A push failed; try again from this time on.
+    Failed { retry: Duration },
+}
+
+impl Default for Fib {
+    fn default() -> Self {
+        Self {
+            routes: BTreeMap::new(),
+            dirty: BTreeSet::new(),
+            masks_dirty: false,
+            generation: 0,
+            phase: Phase::Full { part: 0, after: None },
+            in_flight: None,
+        }
+    }
+}
+
+impl Fib {
+    /// Makes `route` the desired one of its name, or none.
+    pub fn set(&mut self, name: &Name, route: Option<Route>) {
+        let key = name.to_bytes();
+        let old = match route {
+            Some(route) => self.routes.insert(key, route),
+            None => self.routes.remove(&key),
+        };
+        if old != route {
+            self.dirty.insert(key);
+        }
+    }
+
+    /// The masks or the own bit of the switch changed.
+    pub fn touch_masks(&mut self) {
+        self.masks_dirty = true;
+    }
+
+    /// Sends the whole again: the switch is new, or was away. An answer that is still out no longer counts.
+    pub fn restart(&mut self) {
+        self.phase = Phase::Full { part: 0, after: None };
+        self.in_flight = None;
+    }
+
+    /// The next push, unless one is out or there is nothing to say. `own_bit` and `reach` as in [`FibPush`].
+    pub fn next(&mut self, now: Duration, switch: Name, own_bit: u8, reach: Vec<(Name, u64)>) -> Option<FibPush> {
+        if self.in_flight.is_some() {
+            return None;
+        }
+        if matches!(self.phase, Phase::Failed { retry } if now >= retry) {
+            self.restart();
+        }
+        let (extent, set, remove) = match &mut self.phase {
+            Phase::Failed { .. } => return None,
+            Phase::Full { part, after } => {
+                let (set, last) = page(&self.routes, *after);
+                // This page settles what is dirty on it; changes before it stay for a delta.
+                let end = if last { None } else { set.last().map(|r| r.name.to_bytes()) };
+                let start = *after;
+                self.dirty.retain(|name| start.is_some_and(|s| *name <= s) || end.is_some_and(|e| *name > e));
+                let extent = Extent::Full { part: *part, last };
+                self.phase = if last { Phase::Following } else { Phase::Full { part: *part + 1, after: end } };
+                (extent, set, Vec::new())
+            }
+            Phase::Following => {
+                if self.dirty.is_empty() && !self.masks_dirty {
+                    return None;
+                }
+                let names: Vec<_> = self.dirty.iter().take(NAMES_PER_PUSH).copied().collect();
+                let (mut set, mut remove) = (Vec::new(), Vec::new());
+                for name in names {
+                    self.dirty.remove(&name);
+                    match self.routes.get(&name) {
+                        Some(route) => set.push(*route),
+                        None => remove.push(Name::from_bytes(name)),
+                    }
+                }
+                (Extent::Delta, set, remove)
+            }
+        };
+        self.masks_dirty = false;
+        self.generation += 1;
+        self.in_flight = Some(self.generation);
+        Some(FibPush { switch, generation: self.generation, extent, own_bit, reach, set, remove })
+    }
+
+    /// The push of this generation was carried out, or was not: then the whole is sent, a little later.
+    pub fn answered(&mut self, now: Duration, generation: u64, done: bool) {
+        if self.in_flight != Some(generation) {
+            return;
+        }
+        self.in_flight = None;
+        if !done {
+            self.phase = Phase::Failed { retry: now + RETRY };
+        }
+    }
+
+    /// When to ask for the next push again, if nothing else happens.
+    pub fn retry_at(&self) -> Option<Duration> {
+        match self.phase {
+            Phase::Failed { retry } => Some(retry),
+            _ => None,
+        }
+    }
+
+    /// All that the switch should hold.
+    pub fn routes(&self) -> impl Iterator<Item = &Route> {
+        self.routes.values()
+    }
+}
+
+/// The routes above `after` that one push takes, and whether they are the last.
+fn page(routes: &BTreeMap<[u8; 32], Route>, after: Option<[u8; 32]>) -> (Vec<Route>, bool) {
+    use std::ops::Bound::{Excluded, Unbounded};
+    let mut rest = routes.range((after.map_or(Unbounded, Excluded), Unbounded)).map(|(_, route)| *route);
+    let set = rest.by_ref().take(NAMES_PER_PUSH).collect();
+    (set, rest.next().is_none())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NOW: Duration = Duration::from_secs(5);
+
+    #[test]
+    fn the_whole_comes_first_and_then_what_changes() {
+        let (mut fib, mut switch) = (Fib::default(), Switch::default());
+        fib.set(&name(1), Some(route(1, 2)));
+        assert!(switch.follow(&mut fib));
+        assert_eq!(switch.pushes, 1);
+        assert!(!switch.follow(&mut fib), "nothing more to say");
+        fib.set(&name(1), Some(route(1, 2)));
+        assert!(!switch.follow(&mut fib), "the same route is no change");
+        fib.set(&name(1), None);
+        fib.set(&name(2), Some(route(2, 4)));
+        fib.touch_masks();
+        assert!(switch.follow(&mut fib));
+        assert_eq!((switch.pushes, switch.routes.len()), (2, 1));
+        switch.agrees(&fib);
+    }
+
+    #[test]
+    fn one_push_is_out_at_a_time_and_a_failure_sends_the_whole() {
+        let mut fib = Fib::default();
+        fib.set(&name(1), Some(route(1, 1)));
+        let push = fib.next(NOW, name(9), 0, vec![]).unwrap();
+        fib.set(&name(2), Some(route(2, 1)));
+        assert_eq!(fib.next(NOW, name(9), 0, vec![]), None);
+        fib.answered(NOW, push.generation + 1, true);
+        assert_eq!(fib.next(NOW, name(9), 0, vec![]), None, "an answer to something else");
+        fib.answered(NOW, push.generation, false);
+        assert_eq!(fib.next(NOW, name(9), 0, vec![]), None, "not at once");
+        let retry = fib.retry_at().unwrap();
+        let push = fib.next(retry, name(9), 0, vec![]).unwrap();
+        assert_eq!((push.extent, push.set.len()), (Extent::Full { part: 0, last: true }, 2));
+    }
+
+    #[test]
+    fn whatever_changes_during_a_long_transfer_arrives() {
+        let mut random = 1u64;
+        let mut next = move |bound: u64| {
+            random = random.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (random >> 33) % bound
+        };
+        for round in 0..20 {
+            let (mut fib, mut switch) = (Fib::default(), Switch::default());
+            switch.routes.insert(name(99_999).to_bytes(), route(99_999, 1));
+            for i in 0..1500 + 10 * round {
+                fib.set(&name(i), Some(route(i, 1)));
+            }
+            loop {
+                let more = switch.follow(&mut fib);
+                if !more && switch.pushes > 10 {
+                    break;
+                }
+                if switch.pushes < 10 {
+                    for _ in 0..50 {
+                        let i = next(2500);
+                        fib.set(&name(i), (next(2) == 0).then(|| route(i, next(64))));
+                    }
+                    fib.touch_masks();
+                }
+            }
+            switch.agrees(&fib);
+        }
+    }
+
+    /// A switch as the daemon implements it: marks, sweeps, insists on generations.
+    #[derive(Default)]
+    struct Switch {
+        routes: BTreeMap<[u8; 32], Route>,
+        marked: BTreeSet<[u8; 32]>,
+        generation: u64,
+        pushes: usize,
+    }
+
+    impl Switch {
+        fn follow(&mut self, fib: &mut Fib) -> bool {
+            let Some(push) = fib.next(NOW, name(9), 0, vec![]) else { return false };
+            self.pushes += 1;
+            assert!(push.set.len() + push.remove.len() <= NAMES_PER_PUSH);
+            if push.extent == Extent::Delta {
+                assert_eq!(push.generation, self.generation + 1);
+            }
+            self.generation = push.generation;
+            if matches!(push.extent, Extent::Full { part: 0, .. }) {
+                self.marked = self.routes.keys().copied().collect();
+            }
+            for route in push.set {
+                self.marked.remove(&route.name.to_bytes());
+                self.routes.insert(route.name.to_bytes(), route);
+            }
+            for name in push.remove {
+                self.routes.remove(&name.to_bytes());
+            }
+            if matches!(push.extent, Extent::Full { last: true, .. }) {
+                std::mem::take(&mut self.marked).iter().for_each(|name| drop(self.routes.remove(name)));
+            }
+            fib.answered(NOW, push.generation, true);
+            true
+        }
+
+        fn agrees(&self, fib: &Fib) {
+            assert!(self.routes.values().eq(fib.routes()));
+        }
+    }
+
+    fn name(i: u64) -> Name {
+        let mut bytes = [0; 32];
+        bytes[..8].copy_from_slice(&i.to_be_bytes());
+        Name::from_bytes(bytes)
+    }
+
+    fn route(i: u64, bits: u64) -> Route {
+        Route { name: name(i), egress_bits: bits, local: None }
+    }
+}

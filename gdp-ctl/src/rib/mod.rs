@@ -1,0 +1,516 @@
+//! The routing information base: which entities are attached where, who publishes and reads which name, and what each
+//! switch's FIB must therefore hold. Sans-IO: time and requests go in, a response and [`Effect`]s come out. No sockets,
+//! no clock, no data plane; the daemon in [`crate::serve`] moves what travels.
+//!
+//! Nothing is stored before it is verified: the derivation of names, the owner's certificate, the entity's own
+//! statement and its serial. The FIB of every switch is derived from what is stored, and from the paths in [`paths`].
+
+mod entities;
+pub mod fib;
+mod names;
+pub mod paths;
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use gdp::cert::{CertError, Speaker, authorise_publish, authorise_subscribe, authorise_withdraw};
+use gdp::control::{Credential, EntityRequest, FibPush, Refusal, RefusalCode, Response, WritersPush};
+use gdp::name::NameProof;
+use gdp_wire::Name;
+
+use entities::{Attachment, Entities};
+use fib::Fib;
+use names::{Key, Names, Registration};
+use paths::Topology;
+
+/// How long the names of a switch that nobody reaches stay: a restart or a short partition must not cost the FIBs.
+pub const HOLD: Duration = Duration::from_secs(10);
+
+/// A moment, on both clocks that matter.
+#[derive(Clone, Copy, Debug)]
+pub struct Now {
+    /// Unix seconds: certificates are judged by it.
+    pub unix: u64,
+    /// Since any fixed moment; never goes back. Everything that lasts is counted on it.
+    pub clock: Duration,
+}
+
+/// What a RIB holds at most.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    pub entities: usize,
+    pub names: usize,
+    pub names_per_entity: usize,
+    pub attached_per_switch: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            entities: 65_536,
+            names: 1 << 20,
+            names_per_entity: 16_384,
+            attached_per_switch: gdp_wire::table::MAX_LINKS as usize,
+        }
+    }
+}
+
+/// What the RIB has to say to a switch.
+#[derive(Clone, Debug)]
+pub enum Effect {
+    /// To be answered with [`Rib::pushed`].
+    Fib(FibPush),
+    Writers(WritersPush),
+    /// The RIB holds no attachment of `entity` at `switch`: it must attach again. If the entity is the switch itself,
+    /// the RIB does not know the switch: it must report in full.
+    Detach {
+        switch: Name,
+        entity: Name,
+    },
+}
+
+/// The routing information base of one domain.
+#[derive(Debug)]
+pub struct Rib {
+    root: Name,
+    limits: Limits,
+    topology: Topology,
+    switches: BTreeMap<Name, Switch>,
+    entities: Entities,
+    names: Names,
+    timers: Timers,
+    /// Names with a reader whose writers changed.
+    writers_changed: BTreeSet<Key>,
+    detached: BTreeSet<(Name, Name)>,
+}
+
+#[derive(Debug, Default)]
+struct Switch {
+    fib: Fib,
+    attached: BTreeSet<Name>,
+    /// When the switch is forgotten, unless it is reached again.
+    hold: Option<Duration>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Timer {
+    Registration { name: Key, entity: Name, reads: bool },
+    Attachment { entity: Name },
+    Entity { entity: Name },
+    Switch { switch: Name },
+}
+
+type Timers = BTreeSet<(Duration, Timer)>;
+
+impl Rib {
+    /// An empty RIB that runs beside the switch `root`.
+    pub fn new(root: Name, limits: Limits) -> Self {
+        Self {
+            root,
+            limits,
+            topology: Topology::default(),
+            switches: BTreeMap::new(),
+            entities: Entities::default(),
+            names: Names::default(),
+            timers: Timers::new(),
+            writers_changed: BTreeSet::new(),
+            detached: BTreeSet::new(),
+        }
+    }
+
+    /// Answers what `entity`, or a tool that speaks for it, asks through the switch `origin`.
+    pub fn request(
+        &mut self,
+        now: Now,
+        origin: Name,
+        entity: Option<&NameProof>,
+        by_tool: bool,
+        request: &EntityRequest,
+    ) -> Response {
+        self.tick(now);
+        if let EntityRequest::Query { prefix } = request {
+            return self.names.query(now.clock, prefix);
+        }
+        self.entity_request(now, origin, entity, by_tool, request).unwrap_or_else(Response::from)
+    }
+
+    /// Takes a switch's report of its neighbours with their costs, and after a (re)connect of all attached entities.
+    pub fn report(
+        &mut self,
+        now: Now,
+        switch: &NameProof,
+        neighbours: &[(Name, u32)],
+        attached: Option<&[Name]>,
+    ) -> Response {
+        self.tick(now);
+        self.try_report(now, switch, neighbours, attached).map_or_else(Response::from, |()| Response::Done)
+    }
+
+    /// An entity's link to `switch` is gone, and with it all that was bound to it. Nothing happens if the entity is
+    /// attached elsewhere by now.
+    pub fn detach(&mut self, now: Now, switch: &Name, entity: &Name) -> Response {
+        self.tick(now);
+        if self.entities.attachment(entity).is_some_and(|a| a.switch == *switch) {
+            self.end_attachment(entity);
+        }
+        Response::Done
+    }
+
+    /// Lets end what ends by itself. Call when [`Self::next_tick`] says; requests do it too.
+    pub fn tick(&mut self, now: Now) {
+        while let Some((at, timer)) = self.timers.first().copied() {
+            if at > now.clock {
+                break;
+            }
+            self.timers.pop_first();
+            match timer {
+                Timer::Registration { name, entity, reads } => self.unregister(name, entity, reads),
+                Timer::Attachment { entity } => {
+                    if let Some(attachment) = self.entities.attachment(&entity) {
+                        self.detached.insert((attachment.switch, entity));
+                    }
+                    self.end_attachment(&entity);
+                }
+                Timer::Entity { entity } => self.entities.forget(&entity),
+                Timer::Switch { switch } => self.forget_switch(now, &switch),
+            }
+        }
+    }
+
+    /// When [`Self::tick`] and [`Self::effects`] have something to do, if nothing else happens before.
+    pub fn next_tick(&self) -> Option<Duration> {
+        let retries = self.switches.values().filter_map(|s| s.fib.retry_at());
+        retries.chain(self.timers.first().map(|(at, _)| *at)).min()
+    }
+
+    /// Takes out what is to be sent now. Of each switch one FIB push is out at a time.
+    pub fn effects(&mut self, now: Now) -> Vec<Effect> {
+        let mut effects: Vec<_> = std::mem::take(&mut self.detached)
+            .into_iter()
+            .map(|(switch, entity)| Effect::Detach { switch, entity })
+            .collect();
+        for (name, switch) in &mut self.switches {
+            let Some(bit) = self.topology.bit(name) else { continue };
+            effects.extend(switch.fib.next(now.clock, *name, bit, self.topology.reach(name)).map(Effect::Fib));
+        }
+        for key in std::mem::take(&mut self.writers_changed) {
+            effects.extend(self.names.writers_push(now.clock, &key).map(Effect::Writers));
+        }
+        effects
+    }
+
+    /// The switch carried the FIB push of this generation out, or did not.
+    pub fn pushed(&mut self, now: Now, switch: &Name, generation: u64, done: bool) {
+        if let Some(switch) = self.switches.get_mut(switch) {
+            switch.fib.answered(now.clock, generation, done);
+        }
+    }
+
+    fn entity_request(
+        &mut self,
+        now: Now,
+        origin: Name,
+        entity: Option<&NameProof>,
+        by_tool: bool,
+        request: &EntityRequest,
+    ) -> Result<Response, Refusal> {
+        if !self.switches.contains_key(&origin) {
+            self.detached.insert((origin, origin));
+            let reason = format!("switch {origin} has not reported its links to the RIB yet; try again in a moment");
+            return Err(Refusal::new(RefusalCode::Unreachable, reason));
+        }
+        let proof = entity.ok_or_else(|| {
+            Refusal::new(RefusalCode::Malformed, "only a query may be anonymous: show the key of the entity")
+        })?;
+        let speaker = self.speaker(now, origin, proof)?;
+        let here = self.entities.attachment(&speaker.entity).is_some_and(|a| a.switch == origin);
+        if !here && !by_tool && !matches!(request, EntityRequest::Attach { .. }) {
+            let reason = format!("{} is not attached to switch {origin}; attach first", speaker.entity);
+            return Err(Refusal::new(RefusalCode::NotAttached, reason));
+        }
+        match request {
+            EntityRequest::Attach { rt_cert } => {
+                let cert = rt_cert.verify(&speaker.entity_key, now.unix).map_err(refusal)?;
+                if cert.entity != speaker.entity {
+                    return Err(refusal(CertError::WrongEntity { expected: speaker.entity, got: cert.entity }));
+                }
+                if cert.switch != origin {
+                    return Err(refusal(CertError::WrongSwitch { expected: origin, got: cert.switch }));
+                }
+                if !by_tool {
+                    let ends = now.clock.saturating_add(Duration::from_secs(cert.not_after - now.unix));
+                    self.attach(&speaker, ends)?;
+                }
+                Ok(Response::Attached { serial: speaker.floor })
+            }
+            EntityRequest::Advertise { proof: name, ad_cert, advert } => {
+                let (cert, statement) = authorise_publish(&speaker, name, ad_cert, advert).map_err(refusal)?;
+                self.raise_floor(now, &speaker, statement.serial, cert.not_after)?;
+                let ends = lifetime(now, statement.lifetime, cert.not_after)?;
+                let credential = Credential::Writer(ad_cert.clone());
+                let advert = advert.clone();
+                let registration =
+                    Registration { entity: *proof, switch: origin, credential, advert, ends, bound: here };
+                self.register(statement.name, *name, speaker.entity, registration)?;
+                Ok(Response::Done)
+            }
+            EntityRequest::Subscribe { proof: name, grant, advert } => {
+                let (cert, statement) = authorise_subscribe(&speaker, name, grant, advert).map_err(refusal)?;
+                self.raise_floor(now, &speaker, statement.serial, cert.not_after)?;
+                let ends = lifetime(now, statement.lifetime, cert.not_after)?;
+                let credential = Credential::Reader(grant.clone());
+                let advert = advert.clone();
+                let registration =
+                    Registration { entity: *proof, switch: origin, credential, advert, ends, bound: here };
+                self.register(statement.name, *name, speaker.entity, registration)?;
+                Ok(self.names.writers(now.clock, &statement.name.to_bytes()))
+            }
+            EntityRequest::Withdraw { advert } => {
+                let statement = authorise_withdraw(&speaker, advert).map_err(refusal)?;
+                self.entities.raise_floor(&speaker.entity, statement.serial);
+                let key = statement.name.to_bytes();
+                if !self.names.has(&key, &speaker.entity) {
+                    let reason = format!("{} neither publishes nor reads {}", speaker.entity, statement.name);
+                    return Err(Refusal::new(RefusalCode::NotFound, reason));
+                }
+                self.unregister(key, speaker.entity, false);
+                self.unregister(key, speaker.entity, true);
+                Ok(Response::Done)
+            }
+            EntityRequest::Query { prefix } => Ok(self.names.query(now.clock, prefix)),
+        }
+    }
+
+    fn speaker(&self, now: Now, switch: Name, proof: &NameProof) -> Result<Speaker, Refusal> {
+        let not_a_key = |error| refusal(CertError::Crypto(error));
+        let entity = proof.name().map_err(not_a_key)?;
+        let entity_key = proof.verify_key().map_err(not_a_key)?;
+        Ok(Speaker { entity, entity_key, switch, floor: self.entities.floor(&entity), now: now.unix })
+    }
+
+    fn attach(&mut self, speaker: &Speaker, ends: Duration) -> Result<(), Refusal> {
+        self.end_attachment(&speaker.entity);
+        let limit = self.limits.attached_per_switch;
+        let Some(switch) = self.switches.get_mut(&speaker.switch) else { return Ok(()) };
+        if switch.attached.len() >= limit {
+            return Err(limit_reached(format!("switch {} has {limit} attached entities", speaker.switch)));
+        }
+        let entity = self.entities.get_or_insert(speaker.entity, self.limits.entities, &mut self.timers)?;
+        entity.attachment = Some(Attachment { switch: speaker.switch, ends });
+        switch.attached.insert(speaker.entity);
+        self.timers.insert((ends, Timer::Attachment { entity: speaker.entity }));
+        Ok(())
+    }
+
+    fn end_attachment(&mut self, entity: &Name) {
+        let Some(attachment) = self.entities.take_attachment(entity) else { return };
+        self.timers.remove(&(attachment.ends, Timer::Attachment { entity: *entity }));
+        if let Some(switch) = self.switches.get_mut(&attachment.switch) {
+            switch.attached.remove(entity);
+        }
+        for (name, reads) in self.names.bound_of(entity, self.entities.names(entity)) {
+            self.unregister(name, *entity, reads);
+        }
+        self.entities.retire(entity, &mut self.timers);
+    }
+
+    /// A verified statement is spent, whatever becomes of it: nobody may present it again.
+    fn raise_floor(&mut self, now: Now, speaker: &Speaker, serial: u64, not_after: u64) -> Result<(), Refusal> {
+        let entity = self.entities.get_or_insert(speaker.entity, self.limits.entities, &mut self.timers)?;
+        entity.floor = serial;
+        // Once the certificate has ended the statement is refused for that, and the floor need not be known.
+        let end = now.clock.saturating_add(Duration::from_secs(not_after.saturating_sub(now.unix) + 1));
+        entity.remember_until = entity.remember_until.max(end);
+        Ok(())
+    }
+
+    fn register(
+        &mut self,
+        name: Name,
+        proof: NameProof,
+        entity: Name,
+        registration: Registration,
+    ) -> Result<(), Refusal> {
+        let (key, reads) = (name.to_bytes(), registration.reads());
+        let allowed = self.names.check_room(&name, &entity, &registration, self.limits.names).and_then(|()| {
+            let names = self.entities.names(&entity);
+            if names.len() >= self.limits.names_per_entity && !names.contains(&key) {
+                return Err(limit_reached(format!("{entity} already has {} names", names.len())));
+            }
+            Ok(())
+        });
+        if let Err(refusal) = allowed {
+            self.entities.retire(&entity, &mut self.timers);
+            return Err(refusal);
+        }
+        self.timers.insert((registration.ends, Timer::Registration { name: key, entity, reads }));
+        self.entities.add_name(&entity, key);
+        let change = self.names.insert(name, proof, entity, registration);
+        if let Some(old) = change.replaced_ends.filter(|old| *old != change.ends) {
+            self.timers.remove(&(old, Timer::Registration { name: key, entity, reads }));
+        }
+        self.follow_up(key, change.writers_changed);
+        Ok(())
+    }
+
+    fn unregister(&mut self, name: Key, entity: Name, reads: bool) {
+        let Some(old) = self.names.remove(&name, &entity, reads) else { return };
+        self.timers.remove(&(old.ends, Timer::Registration { name, entity, reads }));
+        if !self.names.has(&name, &entity) {
+            self.entities.remove_name(&entity, &name);
+            self.entities.retire(&entity, &mut self.timers);
+        }
+        self.follow_up(name, !reads);
+    }
+
+    /// Brings the desired FIBs in line with what is registered for one name.
+    fn follow_up(&mut self, name: Key, writers_changed: bool) {
+        if writers_changed && self.names.is_read(&name) {
+            self.writers_changed.insert(name);
+        }
+        let topology = &self.topology;
+        let (routes, affected) = self.names.routes(&name, |switch| topology.bit(switch));
+        for switch in affected {
+            if let Some(state) = self.switches.get_mut(&switch) {
+                state.fib.set(&Name::from_bytes(name), routes.get(&switch).copied());
+            }
+        }
+        self.names.sweep(&name);
+    }
+
+    fn try_report(
+        &mut self,
+        now: Now,
+        proof: &NameProof,
+        neighbours: &[(Name, u32)],
+        attached: Option<&[Name]>,
+    ) -> Result<(), Refusal> {
+        let switch = proof.name().map_err(|error| refusal(CertError::Crypto(error)))?;
+        let most = gdp_wire::table::MAX_LINKS as usize;
+        if neighbours.len() > most || attached.is_some_and(|list| list.len() > most) {
+            return Err(limit_reached(format!("a switch has at most {most} links")));
+        }
+        self.topology
+            .report(switch, neighbours.iter().copied())
+            .map_err(|full| Refusal::new(RefusalCode::Limit, full.to_string()))?;
+        let known = self.switches.contains_key(&switch);
+        self.switches.entry(switch).or_default();
+        match attached {
+            Some(attached) => self.reconcile(&switch, attached),
+            None if !known => drop(self.detached.insert((switch, switch))),
+            None => {}
+        }
+        self.recompute(now);
+        Ok(())
+    }
+
+    /// Compares the entities that are attached to a switch with those the RIB knows of, and sends it the whole FIB.
+    fn reconcile(&mut self, switch: &Name, attached: &[Name]) {
+        let attached: BTreeSet<Name> = attached.iter().copied().collect();
+        let Some(state) = self.switches.get_mut(switch) else { return };
+        state.fib.restart();
+        let gone: Vec<Name> = state.attached.difference(&attached).copied().collect();
+        let unknown = attached.difference(&state.attached).map(|entity| (*switch, *entity));
+        self.detached.extend(unknown);
+        for entity in gone {
+            self.end_attachment(&entity);
+        }
+        self.writers_changed.extend(self.names.read_at(switch));
+    }
+
+    fn recompute(&mut self, now: Now) {
+        for switch in self.topology.recompute() {
+            if let Some(state) = self.switches.get_mut(&switch) {
+                state.fib.touch_masks();
+            }
+        }
+        for (name, state) in &mut self.switches {
+            let reached = *name == self.root || self.topology.connected(&self.root, name);
+            match (reached, state.hold) {
+                (true, Some(at)) => {
+                    self.timers.remove(&(at, Timer::Switch { switch: *name }));
+                    state.hold = None;
+                }
+                (false, None) => {
+                    let at = now.clock + HOLD;
+                    self.timers.insert((at, Timer::Switch { switch: *name }));
+                    state.hold = Some(at);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn forget_switch(&mut self, now: Now, switch: &Name) {
+        let Some(state) = self.switches.get(switch) else { return };
+        for entity in state.attached.clone() {
+            self.end_attachment(&entity);
+        }
+        for (name, entity, reads) in self.names.registered_at(switch) {
+            self.unregister(name, entity, reads);
+        }
+        self.switches.remove(switch);
+        self.topology.forget(switch);
+        self.recompute(now);
+    }
+}
+
+/// What `gdp-ctl status` and `rib dump` show.
+impl Rib {
+    /// Egress bit of a switch.
+    pub fn bit(&self, switch: &Name) -> Option<u8> {
+        self.topology.bit(switch)
+    }
+
+    /// Switches with their egress bits, neighbours with costs, and attached entities.
+    pub fn switches(&self) -> impl Iterator<Item = (Name, u8, Vec<(Name, u32)>, Vec<Name>)> {
+        self.switches.iter().filter_map(|(name, state)| {
+            let neighbours = self.topology.neighbours(name).map(|(n, cost)| (*n, cost)).collect();
+            Some((*name, self.topology.bit(name)?, neighbours, state.attached.iter().copied().collect()))
+        })
+    }
+
+    /// At most `limit` records in the order of names, and whether that is all.
+    pub fn records(&self, now: Now, limit: usize) -> (Vec<gdp::control::Record>, bool) {
+        self.names.records(now.clock, limit)
+    }
+
+    /// Names with a writer or a reader.
+    pub fn name_count(&self) -> usize {
+        self.names.len()
+    }
+
+    /// What a switch's FIB should hold.
+    pub fn desired(&self, switch: &Name) -> Vec<gdp::control::Route> {
+        self.switches.get(switch).map_or_else(Vec::new, |s| s.fib.routes().copied().collect())
+    }
+}
+
+fn lifetime(now: Now, stated: u32, not_after: u64) -> Result<Duration, Refusal> {
+    if stated == 0 {
+        return Err(Refusal::new(RefusalCode::Malformed, "a statement with a lifetime of 0 s states nothing"));
+    }
+    let seconds = u64::from(stated).min((not_after - now.unix).max(1));
+    Ok(now.clock.saturating_add(Duration::from_secs(seconds)))
+}
+
+fn limit_reached(what: String) -> Refusal {
+    Refusal::new(RefusalCode::Limit, format!("{what}, and that is the limit of this RIB"))
+}
+
+/// The refusal that tells a requester of a certificate error.
+fn refusal(error: CertError) -> Refusal {
+    let code = match &error {
+        CertError::BadSignature { .. } | CertError::WrongKey { .. } => RefusalCode::BadSignature,
+        CertError::NotYetValid { .. } => RefusalCode::NotYetValid,
+        CertError::Expired { .. } => RefusalCode::Expired,
+        CertError::WrongName { .. } => RefusalCode::WrongName,
+        CertError::WrongEntity { .. } => RefusalCode::WrongEntity,
+        CertError::WrongSwitch { .. } => RefusalCode::WrongSwitch,
+        CertError::ReplayedSerial { .. } => RefusalCode::ReplayedSerial,
+        CertError::Malformed(_) | CertError::WrongOperation { .. } | CertError::Crypto(_) => RefusalCode::Malformed,
+    };
+    Refusal::new(code, error.to_string())
+}
