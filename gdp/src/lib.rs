@@ -8,7 +8,9 @@ pub mod cert;
 pub mod control;
 pub mod crypto;
 pub mod identity;
+pub mod link;
 pub mod name;
+pub mod port;
 pub mod seal;
 pub mod secret_file;
 

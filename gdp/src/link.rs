@@ -1,0 +1,280 @@
+//! An authenticated adjacency of two entities: a QUIC connection for requests both ways, and from it the ids, the keys and
+//! the MTU of the data frames on the link. Made by [`crate::port`]; data frames themselves never pass through here.
+//!
+//! After the TLS handshake the side that dialled opens a stream and says [`Hello`](hello), the other answers with its own.
+//! A peer's name is derived from the key it proved in TLS and the digest in its hello, so it cannot claim another's.
+
+mod hello;
+mod ids;
+mod streams;
+mod tls;
+
+use std::fmt;
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp_wire::{LinkEntry, LinkRole, Name};
+use serde::{Deserialize, Serialize};
+use tokio::sync::{Mutex, mpsc};
+use tokio::task::JoinHandle;
+
+use crate::control::{CodecError, Refusal, Request, Response};
+use crate::identity::VerifyKey;
+use crate::name::NameProof;
+use crate::port::LinkAddr;
+
+pub use ids::{LinkId, LinkIds};
+pub use streams::Responder;
+
+pub(crate) use hello::{HelloConfig, greet_as_client, greet_as_server};
+pub(crate) use tls::{QuicMtu, SERVER_NAME, configs};
+
+/// A silent link sends a packet this often.
+pub const KEEP_ALIVE: Duration = Duration::from_secs(1);
+
+/// A link is lost when nothing arrives for this long.
+pub const IDLE_TIMEOUT: Duration = Duration::from_secs(4);
+
+/// From the first packet to both hellos.
+pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// From a request to its response.
+pub const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Requests a peer can have open at once.
+pub(crate) const MAX_STREAMS: u32 = 32;
+
+/// What an entity is on its links.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Role {
+    Endpoint,
+    Switch,
+}
+
+impl From<Role> for LinkRole {
+    fn from(role: Role) -> Self {
+        match role {
+            Role::Endpoint => Self::Endpoint,
+            Role::Switch => Self::Switch,
+        }
+    }
+}
+
+/// Who is at the other end. The key is proven and the name derived from it; the role is what it says of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Peer {
+    pub name: Name,
+    pub proof: NameProof,
+    pub key: VerifyKey,
+    pub role: Role,
+}
+
+/// One link. Clones are the same link; it closes when the last is dropped.
+#[derive(Clone)]
+pub struct Link(Arc<Inner>);
+
+struct Inner {
+    peer: Peer,
+    local_id: LinkId,
+    peer_id: u32,
+    rx_key: [u64; 2],
+    tx_key: [u64; 2],
+    mtu: u32,
+    place: Place,
+    connection: quinn::Connection,
+    requests: Mutex<mpsc::Receiver<(Request, Responder)>>,
+    streams: JoinHandle<()>,
+}
+
+/// What a link needs to know of the port it is on.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Place {
+    Ethernet { ifindex: u32, local_mac: [u8; 6], peer_mac: [u8; 6] },
+    Udp,
+}
+
+/// Why a link could not be made, or failed a request.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    #[error("{what}: {source}")]
+    Io { what: String, source: io::Error },
+    #[error("the link could not be made: {0}")]
+    Handshake(String),
+    #[error("{what} took longer than {} s", .after.as_secs())]
+    Timeout { what: &'static str, after: Duration },
+    #[error("the peer is {found:#}, not {expected:#}; check the address, or the name that is configured for it")]
+    WrongPeer { expected: Name, found: Name },
+    #[error("all {} link ids are in use", gdp_wire::table::MAX_LINKS)]
+    NoFreeId,
+    #[error("the link is closed: {0}")]
+    Closed(String),
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    #[error("the peer broke the protocol: {0}")]
+    Protocol(String),
+}
+
+impl From<quinn::ConnectionError> for LinkError {
+    fn from(error: quinn::ConnectionError) -> Self {
+        Self::Closed(close_reason(&error))
+    }
+}
+
+impl Link {
+    /// Derives what data frames need from a connection on which both sides have said hello, and begins to take requests.
+    pub(crate) fn new(
+        connection: quinn::Connection,
+        place: Place,
+        local: (LinkId, u32),
+        peer: Peer,
+        peer_link: (u32, u32),
+        dialled: bool,
+    ) -> Result<Self, LinkError> {
+        let to_server = export_key(&connection, b"client to server")?;
+        let to_client = export_key(&connection, b"server to client")?;
+        let (rx_key, tx_key) = if dialled { (to_client, to_server) } else { (to_server, to_client) };
+        let (sender, requests) = mpsc::channel(MAX_STREAMS as usize);
+        let streams = tokio::spawn(streams::serve(connection.clone(), sender));
+        Ok(Self(Arc::new(Inner {
+            peer,
+            local_id: local.0,
+            peer_id: peer_link.0,
+            rx_key,
+            tx_key,
+            mtu: local.1.min(peer_link.1),
+            place,
+            connection,
+            requests: Mutex::new(requests),
+            streams,
+        })))
+    }
+
+    pub fn peer(&self) -> &Peer {
+        &self.0.peer
+    }
+
+    /// The id in frames that arrive.
+    pub fn local_id(&self) -> u32 {
+        self.0.local_id.get()
+    }
+
+    /// Largest data frame, header and payload, in bytes.
+    pub fn mtu(&self) -> u32 {
+        self.0.mtu
+    }
+
+    /// Where data frames go. A UDP address moves when the peer did and QUIC has validated its new path.
+    pub fn addr(&self) -> LinkAddr {
+        match self.0.place {
+            Place::Ethernet { ifindex, peer_mac, .. } => LinkAddr::Ethernet { ifindex, mac: peer_mac },
+            Place::Udp => LinkAddr::udp(self.0.connection.remote_address()),
+        }
+    }
+
+    /// The link as a data plane holds it, with `port` as its key in a device map. A switch fills in what it reaches.
+    pub fn entry(&self, port: u32) -> LinkEntry {
+        let inner = &*self.0;
+        let (local_mac, peer_mac) = match inner.place {
+            Place::Ethernet { local_mac, peer_mac, .. } => (mac_words(local_mac), mac_words(peer_mac)),
+            Place::Udp => Default::default(),
+        };
+        LinkEntry {
+            id: self.local_id(),
+            peer_id: inner.peer_id,
+            role: LinkRole::from(inner.peer.role) as u32,
+            port,
+            rx_key: inner.rx_key,
+            tx_key: inner.tx_key,
+            reach: 0,
+            mtu: inner.mtu,
+            peer_mac,
+            local_mac,
+        }
+    }
+
+    /// Asks the peer and waits for its answer, [`REQUEST_TIMEOUT`] at most. A refusal is an answer.
+    pub async fn request(&self, request: &Request) -> Result<Response, LinkError> {
+        streams::request(&self.0.connection, request).await
+    }
+
+    /// The next request of the peer; `None` when the link is closed.
+    pub async fn accept_request(&self) -> Option<(Request, Responder)> {
+        self.0.requests.lock().await.recv().await
+    }
+
+    /// Waits until the link is closed, by either side or by silence, and says why.
+    pub async fn closed(&self) -> String {
+        close_reason(&self.0.connection.closed().await)
+    }
+
+    /// Why the link is closed, if it is.
+    pub fn close_reason(&self) -> Option<String> {
+        self.0.connection.close_reason().map(|error| close_reason(&error))
+    }
+
+    /// Closes the link; the peer is told why.
+    pub fn close(&self, reason: &str) {
+        self.0.connection.close(quinn::VarInt::from_u32(0), reason.as_bytes());
+    }
+
+    /// Round-trip time of the control connection.
+    pub fn rtt(&self) -> Duration {
+        self.0.connection.rtt()
+    }
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        self.streams.abort();
+        self.connection.close(quinn::VarInt::from_u32(0), b"no longer in use");
+    }
+}
+
+impl fmt::Debug for Link {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Link({:#} at {}, id {:#x})", self.0.peer.name, self.addr(), self.local_id())
+    }
+}
+
+impl Response {
+    /// The response, unless it is a refusal.
+    pub fn accepted(self) -> Result<Self, Refusal> {
+        match self {
+            Self::Refused(refusal) => Err(refusal),
+            response => Ok(response),
+        }
+    }
+}
+
+/// RFC 5705: the same on both sides, unknown to anybody else.
+fn export_key(connection: &quinn::Connection, context: &[u8]) -> Result<[u64; 2], LinkError> {
+    let mut key = [0; 16];
+    connection
+        .export_keying_material(&mut key, b"EXPORTER-gdp-link", context)
+        .map_err(|_| LinkError::Handshake("TLS exports no keys".into()))?;
+    let (low, high) = key.split_at(8);
+    let word = |half: &[u8]| half.iter().rev().fold(0, |word, byte| word << 8 | u64::from(*byte));
+    Ok([word(low), word(high)])
+}
+
+fn mac_words(mac: [u8; 6]) -> [u16; 3] {
+    [[mac[0], mac[1]], [mac[2], mac[3]], [mac[4], mac[5]]].map(u16::from_ne_bytes)
+}
+
+/// What a person should read. The peer's own words are bounded and made printable.
+fn close_reason(error: &quinn::ConnectionError) -> String {
+    match error {
+        quinn::ConnectionError::ApplicationClosed(close) => {
+            let words: String = String::from_utf8_lossy(&close.reason).chars().take(200).collect();
+            if words.is_empty() {
+                "closed by the peer".into()
+            } else {
+                format!("closed by the peer: {}", words.escape_debug())
+            }
+        }
+        quinn::ConnectionError::TimedOut => format!("nothing heard for {} s", IDLE_TIMEOUT.as_secs()),
+        quinn::ConnectionError::LocallyClosed => "closed on this side".into(),
+        other => other.to_string(),
+    }
+}

@@ -1,0 +1,79 @@
+//! The ids an entity gives its links: a table index in the low bits, random bits above it, never 0. The random part makes
+//! frames of a link that is gone miss its successor in the table, before the tag is even looked at.
+
+use std::sync::{Arc, Mutex, MutexGuard};
+
+use gdp_wire::table::MAX_LINKS;
+
+use crate::crypto;
+
+/// All link ids of an entity. Clones share the table.
+#[derive(Clone, Default)]
+pub struct LinkIds(Arc<Mutex<Table>>);
+
+#[derive(Default)]
+struct Table {
+    used: Vec<bool>,
+    /// Where the search for a free index goes on, so that an index rests before it is used again.
+    next: usize,
+}
+
+impl LinkIds {
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// A free id, or `None` if there are [`MAX_LINKS`] links. Free again when what is returned is dropped: keep it until
+    /// no data plane holds the link any more.
+    pub fn allocate(&self) -> Option<LinkId> {
+        let random = u32::from_ne_bytes(crypto::random::<4>().ok()?);
+        let mut table = self.lock();
+        table.used.resize(MAX_LINKS as usize, false);
+        let index = (0..MAX_LINKS as usize).map(|i| (table.next + i) % MAX_LINKS as usize).find(|i| !table.used[*i])?;
+        table.used[index] = true;
+        table.next = index + 1;
+        let high = (random & !(MAX_LINKS - 1)).max(MAX_LINKS);
+        Some(LinkId { id: high | index as u32, ids: self.clone() })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Table> {
+        self.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+}
+
+/// An id in use.
+pub struct LinkId {
+    id: u32,
+    ids: LinkIds,
+}
+
+impl LinkId {
+    pub fn get(&self) -> u32 {
+        self.id
+    }
+}
+
+impl Drop for LinkId {
+    fn drop(&mut self) {
+        self.ids.lock().used[gdp_wire::table::link_index(self.id) as usize] = false;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashSet;
+
+    #[test]
+    fn ids_are_distinct_not_zero_and_bounded() {
+        let ids = LinkIds::new();
+        let held: Vec<_> = std::iter::from_fn(|| ids.allocate()).collect();
+        assert_eq!(held.len(), MAX_LINKS as usize);
+        let indices: HashSet<_> = held.iter().map(|id| gdp_wire::table::link_index(id.get())).collect();
+        assert_eq!(indices.len(), MAX_LINKS as usize);
+        assert!(held.iter().all(|id| id.get() >= MAX_LINKS));
+        assert!(ids.allocate().is_none());
+        drop(held);
+        assert!(ids.allocate().is_some());
+    }
+}

@@ -1,0 +1,318 @@
+//! A place links are made on: an Ethernet interface or a UDP address. A port owns the sockets, the QUIC endpoint on one of
+//! them and the [`DataSocket`] beside it. Switches open one per interface, endpoints open one.
+//!
+//! What is answered here needs no trust: QUIC handshakes and discovery. Who may stay is decided by the caller, which gets
+//! a [`Link`] once the peer's name is proven.
+
+mod addr;
+mod data;
+mod discover;
+mod ethernet;
+mod sys;
+mod udp;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use gdp_wire::{ControlHeader, Header, Name};
+use quinn::{AsyncUdpSocket, ClientConfig, Endpoint, EndpointConfig, Incoming, TokioRuntime};
+use tokio::sync::{Mutex, broadcast, mpsc};
+use tokio::task::JoinHandle;
+use tokio::time::{Instant, timeout, timeout_at};
+
+use crate::identity::Identity;
+use crate::link::{
+    self, HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, Place, QuicMtu, Role, greet_as_client,
+    greet_as_server,
+};
+
+pub use addr::{DisplayMac, LinkAddr, parse_mac};
+pub use data::{BATCH, DataSocket, OutFrame, RecvBatch, Sent};
+pub use ethernet::Interface;
+
+/// Largest data frame on a UDP link, in bytes: fits the paths of the Internet with room for tunnels and IPv6.
+pub const UDP_MTU: u32 = 1400;
+
+/// Largest QUIC packet on Ethernet. More gains control traffic nothing, and jumbo frames may not pass everywhere.
+const MAX_ETHERNET_QUIC: u32 = 1472;
+
+/// QUIC needs 1200 bytes (RFC 9000 §14).
+const MIN_ETHERNET_MTU: u32 = 1200 + ControlHeader::LEN as u32;
+
+/// Handshakes of peers that dialled, at once. Beyond half of them, a UDP peer has to prove its address first.
+const MAX_HANDSHAKES: usize = 64;
+
+/// Between two solicitations.
+const SOLICIT_INTERVAL: Duration = Duration::from_millis(200);
+
+/// After the first answer, how long others may follow.
+const ANSWERS_SETTLE: Duration = Duration::from_millis(50);
+
+/// How a port is opened.
+#[derive(Clone)]
+pub struct PortConfig {
+    /// Whose links are made here.
+    pub identity: Identity,
+    pub role: Role,
+    /// Shared by all ports of an entity.
+    pub link_ids: LinkIds,
+    /// Whether peers may dial in (and, on Ethernet, find this port by discovery).
+    pub listen: bool,
+    /// Ethertype of GDP frames.
+    pub ethertype: u16,
+}
+
+impl PortConfig {
+    /// For a switch: peers dial in and discover it.
+    pub fn switch(identity: Identity, link_ids: LinkIds) -> Self {
+        Self { identity, role: Role::Switch, link_ids, listen: true, ethertype: gdp_wire::ETHERTYPE }
+    }
+
+    /// For an endpoint: it only dials out.
+    pub fn endpoint(identity: Identity) -> Self {
+        Self { identity, role: Role::Endpoint, link_ids: LinkIds::new(), listen: false, ethertype: gdp_wire::ETHERTYPE }
+    }
+}
+
+/// An open port. Dropping it closes its links.
+pub struct Port {
+    endpoint: Endpoint,
+    client: ClientConfig,
+    hello: HelloConfig,
+    medium: Medium,
+    data: Arc<DataSocket>,
+    accepted: Mutex<mpsc::Receiver<Result<Link, LinkError>>>,
+    acceptor: Option<JoinHandle<()>>,
+}
+
+#[derive(Clone)]
+enum Medium {
+    Ethernet(Interface, Arc<ethernet::ControlSocket>),
+    Udp,
+}
+
+impl Port {
+    /// Opens a port on an Ethernet interface of the calling thread's network namespace. Needs CAP_NET_RAW. Call within a
+    /// tokio runtime.
+    pub fn ethernet(interface: &str, config: &PortConfig) -> Result<Self, LinkError> {
+        let fail = |what: &str| {
+            let what = format!("interface {interface}: {what}");
+            move |source| LinkError::Io { what, source }
+        };
+        let found = Interface::find(interface).map_err(fail("cannot be used"))?;
+        if found.mtu < MIN_ETHERNET_MTU {
+            let what = format!("interface {interface}: its MTU of {} is below {MIN_ETHERNET_MTU}", found.mtu);
+            return Err(LinkError::Io { what, source: std::io::ErrorKind::InvalidInput.into() });
+        }
+        let answer_as = config.listen.then(|| config.identity.name());
+        let opening = "no packet socket (needs root or CAP_NET_RAW; without it, use a UDP link)";
+        let control = ethernet::ControlSocket::open(&found, config.ethertype, answer_as).map_err(fail(opening))?;
+        let control = Arc::new(control);
+        let fd = ethernet::open_data(&found, config.ethertype).map_err(fail(opening))?;
+        let data = DataSocket::new(data::Kind::Ethernet { fd, ifindex: found.index, ethertype: config.ethertype });
+        let quic = (found.mtu - ControlHeader::LEN as u32).min(MAX_ETHERNET_QUIC) as u16;
+        let mtu = QuicMtu { initial: quic, discover_up_to: None };
+        let frame_mtu = found.mtu.min(Header::LEN as u32 + u16::MAX as u32);
+        Self::open(config, control.clone(), Medium::Ethernet(found, control), data, mtu, frame_mtu)
+    }
+
+    /// Opens a port on a UDP address. Call within a tokio runtime.
+    pub fn udp(bind: SocketAddr, config: &PortConfig) -> Result<Self, LinkError> {
+        let socket = udp::SharedUdp::bind(bind)
+            .map_err(|source| LinkError::Io { what: format!("cannot bind UDP {bind}"), source })?;
+        let socket = Arc::new(socket);
+        let data = DataSocket::new(data::Kind::Udp(socket.clone()));
+        let mtu = QuicMtu { initial: 1200, discover_up_to: Some(1452) };
+        Self::open(config, socket, Medium::Udp, data, mtu, UDP_MTU)
+    }
+
+    fn open(
+        config: &PortConfig,
+        socket: Arc<dyn AsyncUdpSocket>,
+        medium: Medium,
+        data: DataSocket,
+        quic_mtu: QuicMtu,
+        frame_mtu: u32,
+    ) -> Result<Self, LinkError> {
+        let (client, mut server) = link::configs(config.identity.key(), quic_mtu)?;
+        // A station does not change its MAC address within a link.
+        server.migration(matches!(medium, Medium::Udp));
+        let mut endpoint_config = EndpointConfig::default();
+        // The bit that tells QUIC from data frames on a shared port.
+        endpoint_config.grease_quic_bit(false);
+        let server = config.listen.then_some(server);
+        let endpoint = Endpoint::new_with_abstract_socket(endpoint_config, server, socket, Arc::new(TokioRuntime))
+            .map_err(|source| LinkError::Io { what: "QUIC endpoint".into(), source })?;
+        let hello = HelloConfig {
+            identity: config.identity.clone(),
+            role: config.role,
+            link_ids: config.link_ids.clone(),
+            mtu: frame_mtu,
+        };
+        let (sender, accepted) = mpsc::channel(MAX_HANDSHAKES);
+        let acceptor =
+            config.listen.then(|| tokio::spawn(accept_all(endpoint.clone(), hello.clone(), medium.clone(), sender)));
+        Ok(Self { endpoint, client, hello, medium, data: Arc::new(data), accepted: Mutex::new(accepted), acceptor })
+    }
+
+    /// Makes a link to the peer at `to`; refuses any other than `expected`, if that is given.
+    pub async fn dial(&self, to: LinkAddr, expected: Option<Name>) -> Result<Link, LinkError> {
+        let address = match (to, &self.medium) {
+            (LinkAddr::Ethernet { ifindex, mac }, Medium::Ethernet(interface, _)) if ifindex == interface.index => {
+                addr::mac_to_socket(mac)
+            }
+            (LinkAddr::Udp(addr), Medium::Udp) => addr,
+            _ => return Err(LinkError::Handshake(format!("{to} cannot be reached through this port"))),
+        };
+        let handshake = async {
+            let connecting = self
+                .endpoint
+                .connect_with(self.client.clone(), address, link::SERVER_NAME)
+                .map_err(|error| LinkError::Handshake(format!("{to}: {error}")))?;
+            let connection = connecting
+                .await
+                .map_err(|error| LinkError::Handshake(format!("no answer from {to} that is one of a peer: {error}")))?;
+            let place = self.medium.place(&connection);
+            greet_as_client(connection, place, &self.hello, expected).await
+        };
+        timeout(HANDSHAKE_TIMEOUT, handshake)
+            .await
+            .unwrap_or(Err(LinkError::Timeout { what: "the handshake", after: HANDSHAKE_TIMEOUT }))
+    }
+
+    /// The next link a peer made, or why one could not be made; `None` once the port is closed. Handshakes run beside
+    /// each other, a bounded number for a bounded time, whether or not this is being called.
+    pub async fn accept(&self) -> Option<Result<Link, LinkError>> {
+        self.accepted.lock().await.recv().await
+    }
+
+    /// Asks which switches are on the segment, until `within` is over, or `wanted` has answered, or answers stop coming.
+    /// What an answer says is proven only by dialling it. Nothing to ask on UDP.
+    pub async fn discover(&self, wanted: Option<Name>, within: Duration) -> Vec<(LinkAddr, Name)> {
+        let Medium::Ethernet(interface, control) = &self.medium else { return Vec::new() };
+        let end = Instant::now() + within;
+        let (mut answers, mut until, mut next_question) = (control.discovery.listen(), end, Instant::now());
+        let mut found: Vec<(LinkAddr, Name)> = Vec::new();
+        loop {
+            let now = Instant::now();
+            if now >= until {
+                return found;
+            }
+            if now >= next_question {
+                let _ = control.send([0xff; 6], ControlHeader::SOLICIT, &[]);
+                next_question = now + SOLICIT_INTERVAL;
+            }
+            let (mac, name) = match timeout_at(until.min(next_question), answers.recv()).await {
+                Ok(Ok(answer)) => answer,
+                Ok(Err(broadcast::error::RecvError::Lagged(_))) | Err(_) => continue,
+                Ok(Err(broadcast::error::RecvError::Closed)) => return found,
+            };
+            let answer = (LinkAddr::Ethernet { ifindex: interface.index, mac }, name);
+            if wanted == Some(name) {
+                return vec![answer];
+            }
+            if found.len() < MAX_HANDSHAKES && !found.contains(&answer) {
+                found.push(answer);
+            }
+            if wanted.is_none() {
+                until = end.min(now + ANSWERS_SETTLE);
+            }
+        }
+    }
+
+    /// Where data frames of this port's links arrive and leave.
+    pub fn data(&self) -> Arc<DataSocket> {
+        self.data.clone()
+    }
+
+    /// The interface of an Ethernet port.
+    pub fn interface(&self) -> Option<&Interface> {
+        match &self.medium {
+            Medium::Ethernet(interface, _) => Some(interface),
+            Medium::Udp => None,
+        }
+    }
+
+    /// The address a UDP port is bound to.
+    pub fn udp_addr(&self) -> Option<SocketAddr> {
+        match &self.medium {
+            Medium::Ethernet(..) => None,
+            Medium::Udp => self.endpoint.local_addr().ok(),
+        }
+    }
+
+    /// Largest data frame that fits this port's links, in bytes.
+    pub fn mtu(&self) -> u32 {
+        self.hello.mtu
+    }
+
+    /// Closes all links, telling the peers why, and waits a moment for that to be sent.
+    pub async fn close(&self, reason: &str) {
+        self.endpoint.close(quinn::VarInt::from_u32(0), reason.as_bytes());
+        let _ = timeout(Duration::from_secs(1), self.endpoint.wait_idle()).await;
+    }
+}
+
+impl Drop for Port {
+    fn drop(&mut self) {
+        if let Some(acceptor) = &self.acceptor {
+            acceptor.abort();
+        }
+        self.endpoint.close(quinn::VarInt::from_u32(0), b"port closed");
+    }
+}
+
+impl Medium {
+    fn place(&self, connection: &quinn::Connection) -> Place {
+        match self {
+            Self::Ethernet(interface, _) => Place::Ethernet {
+                ifindex: interface.index,
+                local_mac: interface.mac,
+                peer_mac: addr::socket_to_mac(&connection.remote_address()),
+            },
+            Self::Udp => Place::Udp,
+        }
+    }
+}
+
+async fn accept_all(
+    endpoint: Endpoint,
+    hello: HelloConfig,
+    medium: Medium,
+    sender: mpsc::Sender<Result<Link, LinkError>>,
+) {
+    let running = Arc::new(AtomicUsize::new(0));
+    while let Some(incoming) = endpoint.accept().await {
+        let number = running.load(Ordering::Relaxed);
+        if number >= MAX_HANDSHAKES {
+            incoming.ignore();
+            continue;
+        }
+        if number >= MAX_HANDSHAKES / 2 && matches!(medium, Medium::Udp) && incoming.may_retry() {
+            let _ = incoming.retry();
+            continue;
+        }
+        running.fetch_add(1, Ordering::Relaxed);
+        let (hello, medium, sender, running) = (hello.clone(), medium.clone(), sender.clone(), running.clone());
+        tokio::spawn(async move {
+            let from = incoming.remote_address();
+            let link = timeout(HANDSHAKE_TIMEOUT, accept_one(incoming, &hello, &medium))
+                .await
+                .unwrap_or(Err(LinkError::Timeout { what: "the handshake of a peer", after: HANDSHAKE_TIMEOUT }));
+            running.fetch_sub(1, Ordering::Relaxed);
+            if let Err(error) = &link {
+                tracing::debug!(%from, %error, "a handshake failed");
+            }
+            let _ = sender.send(link).await;
+        });
+    }
+}
+
+async fn accept_one(incoming: Incoming, hello: &HelloConfig, medium: &Medium) -> Result<Link, LinkError> {
+    let failed = |error: quinn::ConnectionError| LinkError::Handshake(error.to_string());
+    let connection = incoming.accept().map_err(failed)?.await.map_err(failed)?;
+    let place = medium.place(&connection);
+    greet_as_server(connection, place, hello).await
+}

@@ -1,0 +1,159 @@
+//! The few system calls of ports that the standard library lacks, each wrapped once.
+
+use std::io;
+use std::mem::{size_of, size_of_val, zeroed};
+use std::net::SocketAddr;
+use std::os::fd::{AsRawFd, BorrowedFd, FromRawFd, OwnedFd};
+use std::time::Duration;
+
+/// Turns the usual −1 into the error it stands for.
+pub fn check(result: libc::c_int) -> io::Result<libc::c_int> {
+    if result < 0 { Err(io::Error::last_os_error()) } else { Ok(result) }
+}
+
+pub fn set_option<T>(fd: BorrowedFd, level: libc::c_int, option: libc::c_int, value: &T) -> io::Result<()> {
+    // SAFETY: the pointer and the length describe `value`, which outlives the call.
+    check(unsafe {
+        libc::setsockopt(fd.as_raw_fd(), level, option, (&raw const *value).cast(), size_of_val(value) as u32)
+    })
+    .map(drop)
+}
+
+/// Asks for socket buffers of `bytes`: beyond the system's limit with CAP_NET_ADMIN, else up to the limit.
+pub fn set_buffers(fd: BorrowedFd, receive: usize, send: usize) {
+    for (bytes, force, polite) in
+        [(receive, libc::SO_RCVBUFFORCE, libc::SO_RCVBUF), (send, libc::SO_SNDBUFFORCE, libc::SO_SNDBUF)]
+    {
+        let bytes = bytes as libc::c_int;
+        if set_option(fd, libc::SOL_SOCKET, force, &bytes).is_err() {
+            // A smaller buffer than wished for is no error: it shows in the drop counters.
+            let _ = set_option(fd, libc::SOL_SOCKET, polite, &bytes);
+        }
+    }
+}
+
+/// Frames the kernel dropped because the receive buffer of the socket was full, since it was opened.
+pub fn receive_drops(fd: BorrowedFd) -> u64 {
+    const SO_MEMINFO: libc::c_int = 55;
+    const SK_MEMINFO_DROPS: usize = 8;
+    let mut info = [0u32; 9];
+    let mut length = size_of_val(&info) as u32;
+    // SAFETY: the kernel writes at most `length` bytes into `info`.
+    let result = unsafe {
+        libc::getsockopt(fd.as_raw_fd(), libc::SOL_SOCKET, SO_MEMINFO, info.as_mut_ptr().cast(), &mut length)
+    };
+    if result == 0 { info[SK_MEMINFO_DROPS].into() } else { 0 }
+}
+
+/// Waits until the descriptor is ready for `events` (POLLIN, POLLOUT) or the time is over; tells which.
+pub fn wait(fd: BorrowedFd, events: i16, timeout: Duration) -> io::Result<bool> {
+    let mut poll = libc::pollfd { fd: fd.as_raw_fd(), events, revents: 0 };
+    let time = libc::timespec {
+        tv_sec: timeout.as_secs().min(i32::MAX as u64) as libc::time_t,
+        tv_nsec: timeout.subsec_nanos().into(),
+    };
+    // SAFETY: one pollfd and one timespec, both alive during the call; no signal mask.
+    match check(unsafe { libc::ppoll(&mut poll, 1, &time, std::ptr::null()) }) {
+        Ok(ready) => Ok(ready > 0),
+        Err(error) if error.kind() == io::ErrorKind::Interrupted => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// An eventfd: lets a queue in memory be waited for like a socket.
+#[derive(Debug)]
+pub struct Event(OwnedFd);
+
+impl Event {
+    pub fn new() -> io::Result<Self> {
+        // SAFETY: no pointers; the descriptor is owned from here on.
+        Ok(Self(unsafe { OwnedFd::from_raw_fd(check(libc::eventfd(0, libc::EFD_NONBLOCK | libc::EFD_CLOEXEC))?) }))
+    }
+
+    pub fn set(&self) {
+        let one = 1u64;
+        // SAFETY: eight bytes are read from `one`. It can only fail when the event is set already 2^64 − 2 times.
+        unsafe { libc::write(self.0.as_raw_fd(), (&raw const one).cast(), size_of::<u64>()) };
+    }
+
+    pub fn clear(&self) {
+        let mut count = 0u64;
+        // SAFETY: eight bytes are written to `count`. It only fails when the event is not set.
+        unsafe { libc::read(self.0.as_raw_fd(), (&raw mut count).cast(), size_of::<u64>()) };
+    }
+
+    pub fn fd(&self) -> BorrowedFd<'_> {
+        use std::os::fd::AsFd;
+        self.0.as_fd()
+    }
+}
+
+/// A socket address in the kernel's form, for the calls of the `mmsg` family.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub union RawAddr {
+    pub link: libc::sockaddr_ll,
+    pub v4: libc::sockaddr_in,
+    pub v6: libc::sockaddr_in6,
+}
+
+impl RawAddr {
+    pub fn zeroed() -> Self {
+        // SAFETY: all three variants are plain integers.
+        unsafe { zeroed() }
+    }
+
+    /// The address of a station on the segment of an interface.
+    pub fn station(ifindex: u32, mac: [u8; 6], ethertype: u16) -> Self {
+        let mut raw = Self::zeroed();
+        let mut link = libc::sockaddr_ll {
+            sll_family: libc::AF_PACKET as u16,
+            sll_protocol: ethertype.to_be(),
+            sll_ifindex: ifindex as i32,
+            sll_hatype: 0,
+            sll_pkttype: 0,
+            sll_halen: 6,
+            sll_addr: [0; 8],
+        };
+        link.sll_addr[..6].copy_from_slice(&mac);
+        raw.link = link;
+        raw
+    }
+
+    /// The MAC address of a sender, from an address a packet socket wrote.
+    pub fn mac(&self) -> [u8; 6] {
+        // SAFETY: plain integers, whatever was written.
+        let address = unsafe { self.link.sll_addr };
+        [address[0], address[1], address[2], address[3], address[4], address[5]]
+    }
+
+    /// An IP address, in the form for a socket of the given family (an IPv6 socket takes IPv4 mapped); and its length.
+    pub fn socket(addr: SocketAddr, v6_socket: bool) -> (Self, u32) {
+        let mut raw = Self::zeroed();
+        match addr {
+            SocketAddr::V4(v4) if !v6_socket => {
+                raw.v4 = libc::sockaddr_in {
+                    sin_family: libc::AF_INET as u16,
+                    sin_port: v4.port().to_be(),
+                    sin_addr: libc::in_addr { s_addr: u32::from_ne_bytes(v4.ip().octets()) },
+                    sin_zero: [0; 8],
+                };
+                (raw, size_of::<libc::sockaddr_in>() as u32)
+            }
+            addr => {
+                let (ip, flow, scope) = match addr {
+                    SocketAddr::V4(v4) => (v4.ip().to_ipv6_mapped(), 0, 0),
+                    SocketAddr::V6(v6) => (*v6.ip(), v6.flowinfo(), v6.scope_id()),
+                };
+                raw.v6 = libc::sockaddr_in6 {
+                    sin6_family: libc::AF_INET6 as u16,
+                    sin6_port: addr.port().to_be(),
+                    sin6_flowinfo: flow.to_be(),
+                    sin6_addr: libc::in6_addr { s6_addr: ip.octets() },
+                    sin6_scope_id: scope,
+                };
+                (raw, size_of::<libc::sockaddr_in6>() as u32)
+            }
+        }
+    }
+}
