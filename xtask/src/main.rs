@@ -5,6 +5,7 @@
 
 mod bench;
 mod build;
+mod demo;
 mod peers;
 mod run;
 mod setup;
@@ -33,6 +34,8 @@ enum Verb {
     Run(run::Options),
     /// Unit tests, kernel tests and network-namespace tests (needs root)
     Test(test::Options),
+    /// A ROS 2 topic crosses three switches from one DDS vendor to another, and what can be seen of it (needs root)
+    Demo(demo::Options),
     /// Measure, and print a table or JSON (needs root)
     Bench(bench::Options),
 }
@@ -43,6 +46,7 @@ fn main() -> ExitCode {
         Verb::Build(options) => build::run(options),
         Verb::Run(options) => run::run(options),
         Verb::Test(options) => test::run(options),
+        Verb::Demo(options) => demo::run(options),
         Verb::Bench(options) => bench::run(options),
     };
     match result {

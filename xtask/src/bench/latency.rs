@@ -32,20 +32,21 @@ pub struct Options {
     /// Each path is measured this often, in turn
     #[arg(long, default_value_t = 2)]
     rounds: u32,
+    /// Only this path (may be repeated)
+    #[arg(long = "path", value_enum)]
+    paths: Vec<Route>,
 }
 
 /// Bytes of a message, and messages per second.
 const LOADS: [(usize, f64); 3] = [(64, 100.0), (8_000, 100.0), (1 << 20, 10.0)];
 
-#[derive(Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 enum Route {
     Gdp,
     Ip,
     Site,
 }
-
-const ROUTES: [Route; 3] = [Route::Gdp, Route::Ip, Route::Site];
 
 #[derive(Serialize)]
 struct Row {
@@ -70,8 +71,11 @@ pub fn run(options: Options) -> Result<()> {
     if !workspace::is_root() {
         bail!("network namespaces need root");
     }
+    let routes = if options.paths.is_empty() { vec![Route::Gdp, Route::Ip, Route::Site] } else { options.paths };
     setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces, Part::Dds])?;
-    build::all(Profile::Release)?;
+    if routes.contains(&Route::Gdp) {
+        build::all(Profile::Release)?;
+    }
     peer_programs::build()?;
     wait::catch_interrupts();
     netns::sweep()?;
@@ -80,14 +84,14 @@ pub fn run(options: Options) -> Result<()> {
     for (bytes, rate) in LOADS {
         // A megabyte ten times a second: fewer messages, or nobody waits for the end.
         let count = if bytes > 100_000 { options.count.div_ceil(3) } else { options.count };
-        let mut samples: [Vec<Received>; 3] = Default::default();
+        let mut samples = vec![Vec::<Received>::new(); routes.len()];
         for _ in 0..options.rounds {
-            for (route, all) in ROUTES.iter().zip(&mut samples) {
+            for (route, all) in routes.iter().zip(&mut samples) {
                 all.extend(measure(&tools, *route, bytes, rate, count)?);
             }
         }
         let sent = count * u64::from(options.rounds);
-        rows.extend(ROUTES.iter().zip(&samples).map(|(route, all)| row(*route, bytes, rate, sent, all)));
+        rows.extend(routes.iter().zip(&samples).map(|(route, all)| row(*route, bytes, rate, sent, all)));
     }
     if options.json {
         println!("{}", serde_json::json!({ "bench": "latency", "switches": 3, "rows": rows }));
