@@ -4,6 +4,8 @@
 //! them together, [`stats`] counts. The fabric is the SDK's business (`gdp::node`): nothing here seals, signs or routes.
 #![deny(unsafe_code)]
 
+mod backlog;
 pub mod config;
+pub mod material;
 pub mod ros2;
 pub mod stats;

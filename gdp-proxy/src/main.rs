@@ -1,1 +1,63 @@
-fn main() {}
+//! The `gdp-proxy` program: arguments, logging and signals. What it does is in the library.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use clap::Parser;
+use gdp_proxy::config::Config;
+use gdp_proxy::material::Material;
+use gdp_proxy::proxy;
+use gdp_proxy::stats::StatsFile;
+use tokio::signal::unix::{SignalKind, signal};
+use tracing_subscriber::EnvFilter;
+
+/// Carries ROS 2 topics over the Global Data Plane, as a YAML file says; without one it exposes nothing.
+///
+/// Exit codes: 0 ended by a signal or checked, 1 failed, 2 wrong usage. RUST_LOG sets what is logged, on stderr.
+#[derive(Parser)]
+#[command(version)]
+struct Arguments {
+    /// Which topics cross, and under whose keys
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// Check the configuration and the files it names, then end
+    #[arg(long)]
+    check: bool,
+    /// Write counters to this file, as one JSON object, every second
+    #[arg(long, value_name = "FILE")]
+    stats: Option<PathBuf>,
+}
+
+fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    log_to_stderr();
+    let config = Config::load(&arguments.config)?;
+    let material = Material::load(&config).with_context(|| arguments.config.display().to_string())?;
+    if arguments.check {
+        println!("{}: good, {} topics, entity {}", arguments.config.display(), config.topics.len(), material.identity.name());
+        return Ok(());
+    }
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("cannot start the runtime")?;
+    runtime.block_on(async {
+        let stop = stop_signal()?;
+        proxy::run(config, material, arguments.stats.map(StatsFile::new), stop).await
+    })
+}
+
+fn log_to_stderr() {
+    // RustDDS reports ordinary events as information, one line a message.
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,rustdds=warn"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+}
+
+/// Ends when the process is asked to; from now on, signals no longer kill it.
+fn stop_signal() -> Result<impl Future<Output = ()>> {
+    let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
+    let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for SIGINT")?;
+    Ok(async move {
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
+        }
+    })
+}

@@ -1,0 +1,254 @@
+//! The files that a configuration names: identity, name cards, certificates, epoch keys. Read once, at start, and checked
+//! against each other here, so that a mistake is said with the key of the configuration it is under, and not as a refusal
+//! from a RIB three hops away. The RIB verifies everything again.
+
+use std::fmt::Display;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use gdp::cert::{AdCert, CertError, Claims, MAX_SIGNED, ReadGrant, Signed};
+use gdp::seal::EpochKey;
+use gdp::{Identity, Name, NameCard, SigningKey};
+
+use crate::config::{Config, Direction, TopicConfig};
+use crate::ros2::TypeName;
+
+/// Everything secret or signed that a proxy works with.
+pub struct Material {
+    pub identity: Identity,
+    /// In the order of the configuration's topics.
+    pub topics: Vec<TopicMaterial>,
+}
+
+pub struct TopicMaterial {
+    pub card: NameCard,
+    /// From the configuration or the card; always there for [`Direction::In`].
+    pub kind: Option<TypeName>,
+    pub permission: Permission,
+    pub key: EpochKey,
+}
+
+/// What the owner of the name allows this proxy.
+pub enum Permission {
+    Publish(Signed<AdCert>),
+    Read(Signed<ReadGrant>),
+}
+
+/// A file does not do for what the configuration wants of it.
+#[derive(Debug, thiserror::Error)]
+#[error("{key}: {reason}")]
+pub struct MaterialError {
+    /// `topics[0].cert`
+    key: String,
+    reason: String,
+}
+
+impl Material {
+    pub fn load(config: &Config) -> Result<Self, MaterialError> {
+        let identity = load_identity(&config.identity)
+            .map_err(|reason| MaterialError { key: "identity".into(), reason: with_path(reason, &config.identity) })?;
+        let load = |(i, topic)| {
+            load_topic(topic, identity.name())
+                .map_err(|(key, reason)| MaterialError { key: format!("topics[{i}].{key}"), reason })
+        };
+        let topics = config.topics.iter().enumerate().map(load).collect::<Result<Vec<_>, _>>()?;
+        let material = Self { identity, topics };
+        material.check_names(config)?;
+        Ok(material)
+    }
+
+    /// A name has one publisher and one subscription per proxy: two topics in it would be indistinguishable at its readers.
+    fn check_names(&self, config: &Config) -> Result<(), MaterialError> {
+        let what = |i: usize| (self.topics[i].card.name(), config.topics[i].direction);
+        for i in 0..self.topics.len() {
+            if let Some(first) = (0..i).find(|first| what(*first) == what(i)) {
+                let reason = format!(
+                    "the name {:#} is already that of topics[{first}], in the same direction; make a card of its own for {}",
+                    self.topics[i].card.name(),
+                    config.topics[i].topic
+                );
+                return Err(MaterialError { key: format!("topics[{i}].card"), reason });
+            }
+        }
+        Ok(())
+    }
+}
+
+fn load_identity(path: &Path) -> Result<Identity, String> {
+    match SigningKey::load(path) {
+        Ok(key) => Ok(Identity::new(key, "proxy")),
+        Err(error) if error.is_not_found() => {
+            Err(format!("{error}; make one with `gdp-ctl key generate {} --kind proxy`", path.display()))
+        }
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+/// Errors with the key inside the topic.
+fn load_topic(topic: &TopicConfig, entity: Name) -> Result<TopicMaterial, (&'static str, String)> {
+    let card = NameCard::load(&topic.card).map_err(|error| ("card", with_path(error, &topic.card)))?;
+    let kind = agree_on_type(topic, &card).map_err(|reason| ("type", reason))?;
+    let permission = load_permission(topic, &card, entity).map_err(|error| ("cert", with_path(error, &topic.cert)))?;
+    let key = EpochKey::load(&topic.key).map_err(|error| ("key", with_path(error, &topic.key)))?;
+    Ok(TopicMaterial { card, kind, permission, key })
+}
+
+fn agree_on_type(topic: &TopicConfig, card: &NameCard) -> Result<Option<TypeName>, String> {
+    let carded = card.get("type").filter(|text| !text.is_empty()).map(TypeName::parse).transpose();
+    let carded = carded.map_err(|error| format!("{}: {error}", topic.card.display()))?;
+    match (&topic.kind, carded) {
+        (Some(configured), Some(carded)) if *configured != carded => Err(format!(
+            "{configured}, but the name is of a topic of {carded} ({}): correct one of them, bytes are not converted",
+            topic.card.display()
+        )),
+        (None, None) if topic.direction == Direction::In => Err(
+            "missing, and the name card does not say it either; write the message type, such as std_msgs/msg/String"
+                .into(),
+        ),
+        (configured, carded) => Ok(configured.clone().or(carded)),
+    }
+}
+
+fn load_permission(topic: &TopicConfig, card: &NameCard, entity: Name) -> Result<Permission, String> {
+    Ok(match topic.direction {
+        Direction::Out => Permission::Publish(load_cert(&topic.cert, card, entity, |c: &AdCert| (c.name, c.entity))?),
+        Direction::In => Permission::Read(load_cert(&topic.cert, card, entity, |c: &ReadGrant| (c.name, c.entity))?),
+    })
+}
+
+fn load_cert<T: Claims>(
+    path: &Path,
+    card: &NameCard,
+    entity: Name,
+    subject: impl Fn(&T) -> (Name, Name),
+) -> Result<Signed<T>, String> {
+    let mut text = String::new();
+    let file = File::open(path).map_err(|error| error.to_string())?;
+    file.take(2 * MAX_SIGNED as u64 + 1).read_to_string(&mut text).map_err(|error| error.to_string())?;
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_secs());
+    let check = || -> Result<Signed<T>, CertError> {
+        let signed = Signed::<T>::from_pem(&text)?;
+        let (certified_name, certified_entity) = subject(&signed.verify(card.owner_key(), now)?);
+        if certified_name != card.name() {
+            return Err(CertError::WrongName { expected: card.name(), got: certified_name });
+        }
+        if certified_entity != entity {
+            return Err(CertError::WrongEntity { expected: entity, got: certified_entity });
+        }
+        Ok(signed)
+    };
+    check().map_err(|error| error.to_string())
+}
+
+/// The reason with the file in front, unless it names the file already.
+fn with_path(reason: impl Display, path: &Path) -> String {
+    let (reason, path) = (reason.to_string(), path.display().to_string());
+    if reason.contains(&path) { reason } else { format!("{path}: {reason}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gdp::cert::{Mode, issue};
+    use std::fs;
+    use std::path::PathBuf;
+
+    #[test]
+    fn files_that_belong_together_are_taken() {
+        let files = Files::new();
+        let material = files.load("").unwrap();
+        assert_eq!(material.identity.name(), files.entity);
+        let [out, inward] = &material.topics[..] else { panic!("two topics") };
+        assert_eq!(out.kind.as_ref().unwrap().as_str(), "std_msgs/msg/String");
+        assert!(matches!(out.permission, Permission::Publish(_)) && matches!(inward.permission, Permission::Read(_)));
+    }
+
+    #[test]
+    fn what_is_missing_or_open_to_others_is_named() {
+        for (file, key) in [("id.pem", "identity"), ("t.card", "topics[0].card"), ("t.ad", "topics[0].cert")] {
+            let files = Files::new();
+            fs::remove_file(files.path(file)).unwrap();
+            let refusal = files.refusal("");
+            assert!(refusal.starts_with(key) && refusal.contains(file), "{refusal}");
+        }
+        let files = Files::new();
+        fs::set_permissions(files.path("t.key"), std::os::unix::fs::PermissionsExt::from_mode(0o644)).unwrap();
+        let refusal = files.refusal("");
+        assert!(refusal.starts_with("topics[0].key") && refusal.contains("chmod 600"), "{refusal}");
+    }
+
+    #[test]
+    fn a_certificate_of_the_other_kind_of_another_owner_entity_or_time_is_refused() {
+        let files = Files::new();
+        fs::copy(files.path("t.grant"), files.path("t.ad")).unwrap();
+        assert!(files.refusal("").contains("AD CERT"), "{}", files.refusal(""));
+
+        let other = SigningKey::generate().unwrap();
+        let cases: [(&str, &SigningKey, AdCert); 3] = [
+            ("wrong key", &other, files.claims()),
+            ("wrong entity", &files.owner, AdCert { entity: Name::from_bytes([1; 32]), ..files.claims() }),
+            ("expired", &files.owner, AdCert { not_after: 1, ..files.claims() }),
+        ];
+        for (expected, signer, claims) in cases {
+            fs::write(files.path("t.ad"), issue(signer, &claims).unwrap().to_pem()).unwrap();
+            let refusal = files.refusal("");
+            assert!(refusal.starts_with("topics[0].cert") && refusal.contains(expected), "{refusal}");
+        }
+    }
+
+    #[test]
+    fn the_type_of_the_name_is_not_another_one() {
+        let refusal = Files::new().refusal("type: std_msgs/msg/Int32, ");
+        assert!(refusal.contains("std_msgs/msg/Int32, but") && refusal.contains("std_msgs/msg/String"), "{refusal}");
+    }
+
+    struct Files {
+        folder: tempfile::TempDir,
+        owner: SigningKey,
+        entity: Name,
+        card: NameCard,
+    }
+
+    impl Files {
+        fn new() -> Self {
+            let folder = tempfile::tempdir().unwrap();
+            let owner = SigningKey::generate().unwrap();
+            let key = SigningKey::generate().unwrap();
+            let entity = Identity::new(key.clone(), "proxy").name();
+            let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "std_msgs/msg/String", None).unwrap();
+            let files = Self { folder, owner, entity, card };
+            key.save_new(&files.path("id.pem")).unwrap();
+            files.card.save_new(&files.path("t.card")).unwrap();
+            EpochKey::generate().unwrap().save_new(&files.path("t.key")).unwrap();
+            fs::write(files.path("t.ad"), issue(&files.owner, &files.claims()).unwrap().to_pem()).unwrap();
+            let grant = ReadGrant { name: files.card.name(), entity, not_before: 0, not_after: u64::MAX };
+            fs::write(files.path("t.grant"), issue(&files.owner, &grant).unwrap().to_pem()).unwrap();
+            files
+        }
+
+        fn path(&self, file: &str) -> PathBuf {
+            self.folder.path().join(file)
+        }
+
+        fn claims(&self) -> AdCert {
+            let (name, entity) = (self.card.name(), self.entity);
+            AdCert { name, entity, mode: Mode::Unicast, scope: vec![], not_before: 0, not_after: u64::MAX }
+        }
+
+        /// One topic out and one in; `extra` is said of the one that goes out.
+        fn load(&self, extra: &str) -> Result<Material, MaterialError> {
+            let text = format!(
+                "{{identity: id.pem, link: 'eth://r0', topics: [\
+                 {{topic: /chatter, {extra}direction: out, card: t.card, cert: t.ad, key: t.key}}, \
+                 {{topic: /other, direction: in, card: t.card, cert: t.grant, key: t.key}}]}}"
+            );
+            Material::load(&Config::parse(&text, &self.path("robot.yaml")).unwrap())
+        }
+
+        fn refusal(&self, extra: &str) -> String {
+            self.load(extra).err().expect("a refusal").to_string()
+        }
+    }
+}
