@@ -278,3 +278,6 @@ fn close_reason(error: &quinn::ConnectionError) -> String {
         other => other.to_string(),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -11,9 +11,9 @@ mod ethernet;
 mod sys;
 mod udp;
 
-use std::net::SocketAddr;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::collections::HashMap;
+use std::net::{IpAddr, SocketAddr};
+use std::sync::{Arc, Mutex as StdMutex, MutexGuard};
 use std::time::Duration;
 
 use gdp_wire::{ControlHeader, Header, Name};
@@ -43,6 +43,9 @@ const MIN_ETHERNET_MTU: u32 = 1200 + ControlHeader::LEN as u32;
 
 /// Handshakes of peers that dialled, at once. Beyond half of them, a UDP peer has to prove its address first.
 const MAX_HANDSHAKES: usize = 64;
+
+/// Of these, from one address: a peer that never finishes its handshakes leaves room for others.
+const MAX_HANDSHAKES_OF_ONE: usize = 16;
 
 /// Between two solicitations.
 const SOLICIT_INTERVAL: Duration = Duration::from_millis(200);
@@ -283,30 +286,65 @@ async fn accept_all(
     medium: Medium,
     sender: mpsc::Sender<Result<Link, LinkError>>,
 ) {
-    let running = Arc::new(AtomicUsize::new(0));
+    let running = Running::default();
     while let Some(incoming) = endpoint.accept().await {
-        let number = running.load(Ordering::Relaxed);
-        if number >= MAX_HANDSHAKES {
+        let from = incoming.remote_address();
+        let (total, of_one) = running.count(from.ip());
+        if total >= MAX_HANDSHAKES || of_one >= MAX_HANDSHAKES_OF_ONE {
             incoming.ignore();
             continue;
         }
-        if number >= MAX_HANDSHAKES / 2 && matches!(medium, Medium::Udp) && incoming.may_retry() {
+        if total >= MAX_HANDSHAKES / 2 && matches!(medium, Medium::Udp) && incoming.may_retry() {
             let _ = incoming.retry();
             continue;
         }
-        running.fetch_add(1, Ordering::Relaxed);
-        let (hello, medium, sender, running) = (hello.clone(), medium.clone(), sender.clone(), running.clone());
+        let started = running.start(from.ip());
+        let (hello, medium, sender) = (hello.clone(), medium.clone(), sender.clone());
         tokio::spawn(async move {
-            let from = incoming.remote_address();
             let link = timeout(HANDSHAKE_TIMEOUT, accept_one(incoming, &hello, &medium))
                 .await
                 .unwrap_or(Err(LinkError::Timeout { what: "the handshake of a peer", after: HANDSHAKE_TIMEOUT }));
-            running.fetch_sub(1, Ordering::Relaxed);
+            drop(started);
             if let Err(error) = &link {
                 tracing::debug!(%from, %error, "a handshake failed");
             }
             let _ = sender.send(link).await;
         });
+    }
+}
+
+/// How many handshakes are under way, by the peer's address.
+#[derive(Clone, Default)]
+struct Running(Arc<StdMutex<HashMap<IpAddr, usize>>>);
+
+impl Running {
+    fn count(&self, from: IpAddr) -> (usize, usize) {
+        let counts = self.lock();
+        (counts.values().sum(), counts.get(&from).copied().unwrap_or(0))
+    }
+
+    fn start(&self, from: IpAddr) -> Started {
+        *self.lock().entry(from).or_default() += 1;
+        Started(self.clone(), from)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
+        self.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+}
+
+/// A handshake that is counted as long as this lives.
+struct Started(Running, IpAddr);
+
+impl Drop for Started {
+    fn drop(&mut self) {
+        let mut counts = self.0.lock();
+        if let Some(count) = counts.get_mut(&self.1) {
+            *count -= 1;
+            if *count == 0 {
+                counts.remove(&self.1);
+            }
+        }
     }
 }
 
