@@ -1,1 +1,28 @@
-//! Sealing, segmentation, reassembly.
+//! Messages end to end (DESIGN §8): a [`Writer`] cuts a message into segments, seals each with AES-256-GCM under its
+//! session's key and signs a Merkle root over all of them; a [`Reader`] opens, reassembles and verifies. The bytes are
+//! specified in `docs/wire-format.md`, "Sealed segments".
+//!
+//! No sockets and no clocks: callers bring the time, carry the frame payloads and decide who may write. What the body
+//! means is theirs, too.
+
+mod assembly;
+mod epoch_key;
+mod merkle;
+mod reader;
+mod segments;
+mod window;
+mod wire;
+mod writer;
+
+pub use epoch_key::EpochKey;
+pub use reader::{DropReason, Limits, Message, Reader};
+pub use segments::Segments;
+pub use wire::{Encoding, MAX_BATCH, MIN_PAYLOAD};
+pub use writer::{SealError, Writer};
+
+#[cfg(test)]
+mod hostile_tests;
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+mod vectors;
