@@ -44,7 +44,9 @@ impl SigningKey {
         let content = secret_file::read(path, MAX_KEY_FILE)?;
         let text = std::str::from_utf8(&content).map_err(|_| malformed("not a PEM file".into()))?;
         let secret = SecretKey::from_pkcs8_pem(text).map_err(|e| {
-            malformed(format!("not a P-256 private key in PKCS#8 PEM form (\"-----BEGIN PRIVATE KEY-----\"): {e}"))
+            malformed(format!(
+                "not a P-256 private key in PKCS#8 PEM form ({e}); `openssl pkcs8 -topk8 -nocrypt` converts other forms"
+            ))
         })?;
         Self::from_secret(secret).map_err(|e| malformed(e.to_string()))
     }

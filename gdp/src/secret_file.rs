@@ -3,7 +3,7 @@
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use zeroize::Zeroizing;
 
@@ -81,7 +81,6 @@ fn check(path: &Path, file: &File) -> Result<(), SecretFileError> {
         return Err(SecretFileError::NotAFile(path.into()));
     }
     let mode = metadata.permissions().mode() & 0o7777;
-    debug_assert_eq!(metadata.mode() & 0o7777, mode);
     if mode & 0o077 != 0 {
         return Err(SecretFileError::TooOpen { path: path.into(), mode });
     }
@@ -91,6 +90,7 @@ fn check(path: &Path, file: &File) -> Result<(), SecretFileError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::os::unix::fs::MetadataExt;
 
     #[test]
     fn created_files_are_private_and_complete_and_never_overwritten() {

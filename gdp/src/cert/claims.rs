@@ -28,6 +28,14 @@ impl Validity {
         }
         Ok(())
     }
+
+    fn check_order(&self) -> Result<(), CertError> {
+        let Self { not_before, not_after } = self;
+        if not_before > not_after {
+            return Err(CertError::Malformed(format!("begins at {not_before}, after it ends at {not_after}")));
+        }
+        Ok(())
+    }
 }
 
 /// One kind of certificate or statement.
@@ -43,11 +51,7 @@ pub trait Claims: Serialize + DeserializeOwned {
 
     /// Bounds that the types do not express.
     fn check_bounds(&self) -> Result<(), CertError> {
-        let Validity { not_before, not_after } = self.validity();
-        if not_before > not_after {
-            return Err(CertError::Malformed(format!("begins at {not_before}, after it ends at {not_after}")));
-        }
-        Ok(())
+        self.validity().check_order()
     }
 }
 
@@ -89,10 +93,7 @@ impl Claims for AdCert {
                 self.scope.len()
             )));
         }
-        if self.not_before > self.not_after {
-            return Err(CertError::Malformed("ends before it begins".into()));
-        }
-        Ok(())
+        self.validity().check_order()
     }
 }
 

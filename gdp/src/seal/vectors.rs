@@ -68,7 +68,7 @@ fn vectors_of_segments() {
         (
             "a message of three segments; the last shares a payload with the proof",
             200,
-            &[(Encoding::Json, &[0x5a; 300])],
+            &[(Encoding::Json, &[0x5a; 290])],
         ),
         (
             "a batch of three under one signature",

@@ -1,0 +1,72 @@
+//! Sealing and opening must not allocate per frame. This file is a program of its own because it counts every
+//! allocation of the process.
+
+use gdp::crypto::Backend;
+use gdp::seal::{Encoding, EpochKey, Limits, Reader, Segments, Writer};
+use gdp::{Identity, Name};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+// SAFETY: everything is passed on to the system's allocator; counting touches only a `const` thread-local without
+// destructor, which itself never allocates.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.with(|count| count.set(count.get() + 1));
+        // SAFETY: the caller's guarantees are those that `System` asks for.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.with(|count| count.set(count.get() + 1));
+        // SAFETY: as above.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as above; what this allocator hands out comes from `System`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[test]
+fn frames_cost_no_allocation() {
+    let entity = Identity::generate("proxy").unwrap();
+    let (name, epoch_key) = (Name::from_bytes([1; 32]), EpochKey::generate().unwrap());
+    let mut writer = Writer::new(name, entity.name(), &epoch_key, entity.key().clone(), Backend::AwsLc).unwrap();
+    let mut reader = Reader::new(name, &epoch_key, Backend::AwsLc, Limits::default());
+    reader.authorise(entity.name(), entity.key().verify_key()).unwrap();
+    let (mut segments, mut messages) = (Segments::new(), Vec::with_capacity(16));
+    let body = vec![7u8; 200_000];
+
+    // Once to let the buffers grow.
+    writer.seal(0, Encoding::Bytes, &body, 1400, &mut segments).unwrap();
+    push(&mut reader, entity.name(), &segments, &mut messages);
+    let sealing = allocations(|| writer.seal(0, Encoding::Bytes, &body, 1400, &mut segments).unwrap());
+    assert!(segments.len() > 140);
+    let opening = allocations(|| push(&mut reader, entity.name(), &segments, &mut messages));
+    assert_eq!(messages.len(), 2);
+    // What is left: the signature (inside the library), and per message its body and bookkeeping.
+    assert!(sealing <= 4, "sealing {} frames: {sealing} allocations", segments.len());
+    assert!(opening <= 10, "opening {} frames: {opening} allocations", segments.len());
+}
+
+fn push(reader: &mut Reader, source: Name, segments: &Segments, messages: &mut Vec<gdp::seal::Message>) {
+    for payload in segments.iter() {
+        reader.push(0, source, payload, messages).unwrap();
+    }
+}
+
+fn allocations(work: impl FnOnce()) -> usize {
+    let before = ALLOCATIONS.with(Cell::get);
+    work();
+    ALLOCATIONS.with(Cell::get) - before
+}

@@ -1,0 +1,66 @@
+//! The public API from end to end, without a network: an owner makes a name and lets a writer and a reader in, a RIB
+//! checks both, and a message crosses.
+
+use gdp::cert::{self, AdCert, Advert, AdvertOp, CertError, Mode, ReadGrant, Signed, Speaker};
+use gdp::crypto::Backend;
+use gdp::seal::{Encoding, EpochKey, Limits, Reader, Segments, Writer};
+use gdp::{Identity, Name, NameCard, SigningKey};
+
+const NOW: u64 = 1_800_000_000;
+
+#[test]
+fn a_message_crosses_from_an_authorised_writer_to_a_reader() -> anyhow::Result<()> {
+    let owner = SigningKey::generate()?;
+    let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "std_msgs/msg/String", None)?;
+    let (writer, reader) = (Identity::generate("proxy")?, Identity::generate("proxy")?);
+    let switch = Identity::generate("switch")?.name();
+
+    let (name, not_before, not_after) = (card.name(), NOW, NOW + 3600);
+    let ad_cert = AdCert { name, entity: writer.name(), mode: Mode::Unicast, scope: vec![], not_before, not_after };
+    let ad_cert = cert::issue(&owner, &ad_cert)?;
+    let grant = cert::issue(&owner, &ReadGrant { name, entity: reader.name(), not_before, not_after })?;
+    // Certificates travel as files.
+    let ad_cert = Signed::<AdCert>::from_pem(&ad_cert.to_pem())?;
+
+    let publish = statement(&writer, AdvertOp::Publish, name, switch)?;
+    let subscribe = statement(&reader, AdvertOp::Subscribe, name, switch)?;
+    cert::authorise_publish(&speaker(&writer, switch), &card.proof(), &ad_cert, &publish)?;
+    cert::authorise_subscribe(&speaker(&reader, switch), &card.proof(), &grant, &subscribe)?;
+    // The reader's certificate does not make it a writer, nor anybody else.
+    let refused = cert::authorise_publish(&speaker(&reader, switch), &card.proof(), &ad_cert, &subscribe);
+    assert!(matches!(refused, Err(CertError::WrongEntity { .. })), "{refused:?}");
+
+    let epoch_key = EpochKey::generate()?;
+    let mut sealing = Writer::new(name, writer.name(), &epoch_key, writer.key().clone(), Backend::default())?;
+    let mut opening = Reader::new(name, &epoch_key, Backend::default(), Limits::default());
+    opening.authorise(writer.name(), writer.key().verify_key())?;
+    let (mut segments, mut messages) = (Segments::new(), Vec::new());
+    let image = vec![0xab; 1 << 20];
+    for body in [b"hello".as_slice(), &image] {
+        sealing.seal(NOW * 1_000_000_000, Encoding::Cdr, body, 1400, &mut segments)?;
+        for payload in segments.iter() {
+            opening.push(0, writer.name(), payload, &mut messages).map_err(|drop| anyhow::anyhow!(drop))?;
+        }
+        assert_eq!(messages.pop().map(|message| message.body), Some(body.to_vec().into()));
+    }
+    Ok(())
+}
+
+#[test]
+fn both_ends_can_live_in_tasks() {
+    fn check<T: Send + Sync + 'static>() {}
+    check::<Writer>();
+    check::<Reader>();
+    check::<Segments>();
+    check::<Identity>();
+    check::<EpochKey>();
+    check::<Signed<AdCert>>();
+}
+
+fn statement(entity: &Identity, op: AdvertOp, name: Name, switch: Name) -> Result<Signed<Advert>, CertError> {
+    cert::issue(entity.key(), &Advert { op, name, entity: entity.name(), switch, serial: 1, lifetime: 600 })
+}
+
+fn speaker(entity: &Identity, switch: Name) -> Speaker {
+    Speaker { entity: entity.name(), entity_key: entity.key().verify_key(), switch, floor: 0, now: NOW }
+}
