@@ -1,0 +1,189 @@
+//! Moves frames between data sockets according to [`super::userspace::handle`]: one thread for each socket that receives.
+//! Nothing is allocated, and the tables are locked once, for each batch.
+
+use std::collections::HashMap;
+use std::io;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, PoisonError, RwLock};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use gdp::port::{BATCH, DataSocket, LinkAddr, OutFrame, RecvBatch};
+use gdp_wire::Counter;
+
+use super::userspace::{Outcome, UserTables, handle};
+
+/// How long a thread takes to notice that it should end.
+const NOTICE: Duration = Duration::from_millis(100);
+
+/// Where frames can be sent: an interface, or UDP.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Medium {
+    Ethernet(u32),
+    Udp,
+}
+
+impl From<LinkAddr> for Medium {
+    fn from(address: LinkAddr) -> Self {
+        match address {
+            LinkAddr::Ethernet { ifindex, .. } => Self::Ethernet(ifindex),
+            LinkAddr::Udp(_) => Self::Udp,
+        }
+    }
+}
+
+/// What all threads share.
+pub struct Shared {
+    pub tables: RwLock<UserTables>,
+    sockets: RwLock<HashMap<Medium, Arc<DataSocket>>>,
+    counters: [AtomicU64; Counter::COUNT],
+}
+
+impl Shared {
+    pub fn new(tables: UserTables) -> Self {
+        Self {
+            tables: RwLock::new(tables),
+            sockets: RwLock::new(HashMap::new()),
+            counters: [const { AtomicU64::new(0) }; Counter::COUNT],
+        }
+    }
+
+    /// In the order of [`Counter::ALL`].
+    pub fn counters(&self) -> [u64; Counter::COUNT] {
+        std::array::from_fn(|i| self.counters[i].load(Ordering::Relaxed))
+    }
+
+    fn count(&self, counter: Counter, frames: u64) {
+        if frames > 0 {
+            self.counters[counter as usize].fetch_add(frames, Ordering::Relaxed);
+        }
+    }
+}
+
+/// One socket's thread. Dropping it ends the thread; frames to that medium are then lost and counted.
+pub struct Forwarder {
+    medium: Medium,
+    shared: Arc<Shared>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Forwarder {
+    /// `largest`: bytes of the largest frame the socket can deliver.
+    pub fn start(medium: Medium, socket: Arc<DataSocket>, largest: usize, shared: &Arc<Shared>) -> io::Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        sockets(shared, |sockets| sockets.insert(medium, socket.clone()));
+        let worker = Worker {
+            socket,
+            shared: shared.clone(),
+            stop: stop.clone(),
+            batch: RecvBatch::new(largest),
+            sends: [None; BATCH],
+        };
+        let thread = std::thread::Builder::new().name("gdp-forward".into()).spawn(move || worker.run())?;
+        Ok(Self { medium, shared: shared.clone(), stop, thread: Some(thread) })
+    }
+
+    /// Says that the thread should end, without waiting until it has.
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+}
+
+impl Drop for Forwarder {
+    fn drop(&mut self) {
+        self.stop();
+        sockets(&self.shared, |sockets| sockets.remove(&self.medium));
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+struct Worker {
+    socket: Arc<DataSocket>,
+    shared: Arc<Shared>,
+    stop: Arc<AtomicBool>,
+    batch: RecvBatch,
+    /// For each frame of the batch, where it goes.
+    sends: [Option<(LinkAddr, Counter)>; BATCH],
+}
+
+impl Worker {
+    fn run(mut self) {
+        while !self.stop.load(Ordering::Relaxed) {
+            let received = match self.socket.wait_readable(NOTICE) {
+                Ok(false) => continue,
+                Ok(true) => self.socket.try_recv_batch(&mut self.batch),
+                Err(error) => Err(error),
+            };
+            match received {
+                Ok(0) => {}
+                Ok(_) => {
+                    self.decide();
+                    self.send();
+                }
+                Err(error) => {
+                    tracing::warn!(%error, "a data socket failed; trying on");
+                    std::thread::park_timeout(NOTICE);
+                }
+            }
+        }
+    }
+
+    fn decide(&mut self) {
+        self.sends = [None; BATCH];
+        let mut counts = [0u64; Counter::COUNT];
+        let tables = self.shared.tables.read().unwrap_or_else(PoisonError::into_inner);
+        for ((frame, _), send) in self.batch.frames().zip(&mut self.sends) {
+            match handle(frame, &tables) {
+                Outcome::Send { to, counter, .. } => *send = Some((to, counter)),
+                Outcome::Control => counts[Counter::Control as usize] += 1,
+                Outcome::Drop(counter) => counts[counter as usize] += 1,
+            }
+        }
+        drop(tables);
+        for (counter, frames) in Counter::ALL.iter().zip(counts) {
+            self.shared.count(*counter, frames);
+        }
+    }
+
+    fn send(&mut self) {
+        // As a rule all frames of a batch leave by one socket, so this loop runs once.
+        while let Some((first, _)) = self.sends.iter().flatten().next() {
+            let medium = Medium::from(*first);
+            let socket = {
+                let sockets = self.shared.sockets.read().unwrap_or_else(PoisonError::into_inner);
+                sockets.get(&medium).cloned()
+            };
+            let batch = &self.batch;
+            let mut intended = [0u64; Counter::COUNT];
+            let frames = self.sends.iter_mut().enumerate().filter_map(|(index, send)| {
+                let (to, counter) = send.take_if(|(to, _)| Medium::from(*to) == medium)?;
+                intended[counter as usize] += 1;
+                Some(OutFrame { to, head: batch.frame(index), body: &[] })
+            });
+            let lost = match socket {
+                Some(socket) => socket.send_batch(frames).lost as u64,
+                None => frames.count() as u64,
+            };
+            self.account(intended, lost);
+        }
+    }
+
+    /// Counts what was to be sent as it was decided, but for what was lost. Which ones those were is not known, so they are
+    /// taken off in the order of the counters.
+    fn account(&self, intended: [u64; Counter::COUNT], lost: u64) {
+        let mut open = lost;
+        for (counter, frames) in Counter::ALL.iter().zip(intended) {
+            let failed = frames.min(open);
+            open -= failed;
+            self.shared.count(*counter, frames - failed);
+        }
+        self.shared.count(Counter::RedirectFailed, lost - open);
+    }
+}
+
+fn sockets<T>(shared: &Shared, change: impl FnOnce(&mut HashMap<Medium, Arc<DataSocket>>) -> T) -> T {
+    change(&mut shared.sockets.write().unwrap_or_else(PoisonError::into_inner))
+}

@@ -1,0 +1,250 @@
+//! The kernel plane: loads the XDP object, attaches it, and writes its maps. Knows BPF, nothing of sockets or links'
+//! meaning. Called by [`super::Planes`], by the kernel tests and by `bench forward`.
+
+use std::path::{Path, PathBuf};
+
+use aya::maps::{Array, DevMap, HashMap, MapData, MapError, PerCpuArray};
+use aya::programs::xdp::{XdpLinkId, XdpMode};
+use aya::programs::{ProgramError, TestRun, TestRunOptions, Xdp};
+use aya::{Ebpf, EbpfError, EbpfLoader};
+use gdp_wire::table::{EGRESS_SET_SIZE, MAX_PORTS, link_index};
+use gdp_wire::{Counter, FibEntry, LinkEntry, Name, SwitchConfig};
+
+use super::explain;
+use super::kernel_version::KernelVersion;
+use super::tx_counters::TxCounters;
+
+/// The oldest kernel the programs are meant for.
+pub const FLOOR: KernelVersion = KernelVersion(5, 15);
+/// The first kernel whose XDP takes packets in several buffers.
+const FRAGS: KernelVersion = KernelVersion(5, 18);
+
+/// Why the XDP programs cannot be used at all.
+#[derive(Debug, thiserror::Error)]
+pub enum LoadError {
+    #[error("the kernel is {0}, and the XDP programs need {FLOOR} or later")]
+    OldKernel(KernelVersion),
+    #[error("no eBPF object: looked for {}; `cargo xtask build` makes it", looked_for(.0))]
+    NoObject(Vec<PathBuf>),
+    #[error("{}: {}", path.display(), explain::load(source))]
+    Object { path: PathBuf, source: Box<EbpfError> },
+    #[error("{}: it has no {what} `{name}`; it belongs to another version: `cargo xtask build` makes the right one", path.display())]
+    Mismatch { path: PathBuf, what: &'static str, name: &'static str },
+    #[error("{}: {}", path.display(), explain::program(source))]
+    Program { path: PathBuf, source: Box<ProgramError> },
+    #[error("{}: map `{map}`: {source}", path.display())]
+    Map { path: PathBuf, map: &'static str, source: MapError },
+    #[error("cannot map the link counters into memory: {0}")]
+    Counters(std::io::Error),
+}
+
+/// A write to a BPF map was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum UpdateError {
+    #[error("the FIB is full ({capacity} names): set `fib_capacity` higher")]
+    FibFull { capacity: u32 },
+    #[error("port {port} is not below {MAX_PORTS}: XDP runs on at most that many interfaces")]
+    NoSuchPort { port: u32 },
+    #[error("port {port} cannot lead to interface {ifindex}: {source}")]
+    Port { port: u32, ifindex: u32, source: aya::maps::xdp::XdpMapError },
+    #[error("BPF map {map}: {source}")]
+    Map { map: &'static str, source: MapError },
+}
+
+/// How a program is attached to an interface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    Native,
+    Generic,
+}
+
+/// The action an XDP program returned in [`KernelPlane::test_run`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Action {
+    Drop,
+    Pass,
+    Redirect,
+    Other(u32),
+}
+
+/// The loaded programs and their maps. Dropping it detaches them.
+pub struct KernelPlane {
+    ebpf: Ebpf,
+    program: &'static str,
+    capacity: u32,
+    links: Array<MapData, LinkEntry>,
+    fib: HashMap<MapData, Name, FibEntry>,
+    next_hop: Array<MapData, u32>,
+    config: Array<MapData, SwitchConfig>,
+    ports: DevMap<MapData>,
+    counters: PerCpuArray<MapData, u64>,
+    tx_counters: TxCounters,
+}
+
+impl KernelPlane {
+    /// Loads the object and has the kernel verify the switch; attaches nothing. `capacity`: names the FIB can hold.
+    pub fn load(path: &Path, capacity: u32) -> Result<Self, LoadError> {
+        let version = KernelVersion::running();
+        if version < FLOOR {
+            return Err(LoadError::OldKernel(version));
+        }
+        let object = |source| LoadError::Object { path: path.into(), source: Box::new(source) };
+        let mut ebpf = EbpfLoader::new().map_max_entries("FIB", capacity).load_file(path).map_err(object)?;
+
+        let program = if version >= FRAGS { "gdp_switch" } else { "gdp_switch_linear" };
+        switch(&mut ebpf, program)
+            .ok_or(LoadError::Mismatch { path: path.into(), what: "program", name: program })?
+            .load()
+            .map_err(|source| LoadError::Program { path: path.into(), source: Box::new(source) })?;
+
+        let mut maps = Maps { ebpf: &mut ebpf, path };
+        let tx: Array<MapData, u64> = maps.take("TX_COUNTERS")?;
+        Ok(Self {
+            program,
+            capacity,
+            links: maps.take("LINKS")?,
+            fib: maps.take("FIB")?,
+            next_hop: maps.take("NEXT_HOP")?,
+            config: maps.take("CONFIG")?,
+            ports: maps.take("PORTS")?,
+            counters: maps.take("COUNTERS")?,
+            tx_counters: TxCounters::map(tx).map_err(LoadError::Counters)?,
+            ebpf,
+        })
+    }
+
+    /// Attaches the switch to an interface of this network namespace.
+    pub fn attach(&mut self, ifindex: u32, mode: Mode) -> Result<XdpLinkId, ProgramError> {
+        let mode = match mode {
+            Mode::Native => XdpMode::Driver,
+            Mode::Generic => XdpMode::Skb,
+        };
+        self.switch().attach_to_if_index(ifindex, mode)
+    }
+
+    pub fn detach(&mut self, link: XdpLinkId) -> Result<(), ProgramError> {
+        self.switch().detach(link)
+    }
+
+    /// Makes `port` lead to an interface of this network namespace.
+    pub fn set_port(&mut self, port: u32, ifindex: u32) -> Result<(), UpdateError> {
+        if port >= MAX_PORTS {
+            return Err(UpdateError::NoSuchPort { port });
+        }
+        self.ports.set(port, ifindex, None, 0).map_err(|source| UpdateError::Port { port, ifindex, source })
+    }
+
+    /// Frames for `port` are then dropped and counted. An empty port is no error.
+    pub fn clear_port(&mut self, port: u32) -> Result<(), UpdateError> {
+        self.set_port(port, 0)
+    }
+
+    pub fn set_config(&mut self, config: SwitchConfig) -> Result<(), UpdateError> {
+        self.config.set(0, config, 0).map_err(update("CONFIG"))
+    }
+
+    pub fn set_link(&mut self, link: &LinkEntry) -> Result<(), UpdateError> {
+        self.links.set(link_index(link.id), link, 0).map_err(update("LINKS"))
+    }
+
+    pub fn remove_link(&mut self, id: u32) -> Result<(), UpdateError> {
+        self.links.set(link_index(id), LinkEntry::default(), 0).map_err(update("LINKS"))
+    }
+
+    pub fn set_route(&mut self, name: &Name, entry: FibEntry) -> Result<(), UpdateError> {
+        match self.fib.insert(name, entry, 0) {
+            Err(MapError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::E2BIG) => {
+                Err(UpdateError::FibFull { capacity: self.capacity })
+            }
+            result => result.map_err(update("FIB")),
+        }
+    }
+
+    /// Removing a name that is not there is no error.
+    pub fn remove_route(&mut self, name: &Name) -> Result<(), UpdateError> {
+        match self.fib.remove(name) {
+            Err(MapError::KeyNotFound | MapError::ElementNotFound) => Ok(()),
+            Err(MapError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::ENOENT) => Ok(()),
+            result => result.map_err(update("FIB")),
+        }
+    }
+
+    pub fn set_next_hops(&mut self, next_hops: &[u32; EGRESS_SET_SIZE as usize]) -> Result<(), UpdateError> {
+        (0..).zip(next_hops).try_for_each(|(bit, link)| self.next_hop.set(bit, link, 0)).map_err(update("NEXT_HOP"))
+    }
+
+    /// What the kernel forwards by, read back from the map.
+    pub fn routes(&self) -> Result<Vec<(Name, FibEntry)>, UpdateError> {
+        self.fib.iter().collect::<Result<_, _>>().map_err(update("FIB"))
+    }
+
+    /// The counters, summed over the CPUs, in the order of [`Counter::ALL`].
+    pub fn counters(&self) -> Result<[u64; Counter::COUNT], UpdateError> {
+        let mut sums = [0; Counter::COUNT];
+        for (index, sum) in (0..).zip(&mut sums) {
+            *sum = self.counters.get(&index, 0).map_err(update("COUNTERS"))?.iter().sum();
+        }
+        Ok(sums)
+    }
+
+    /// The links' transmit counters, shared with whoever else sends on them.
+    pub fn tx_counters(&self) -> &TxCounters {
+        &self.tx_counters
+    }
+
+    /// Runs the switch over one Ethernet frame without an interface; the action, and the frame as it left it.
+    pub fn test_run(&mut self, frame: &[u8]) -> Result<(Action, Vec<u8>), ProgramError> {
+        let mut out = vec![0; frame.len()];
+        let mut options = TestRunOptions::new();
+        options.data_in = Some(frame);
+        options.data_out = Some(&mut out);
+        let result = self.switch().test_run(options)?;
+        out.truncate(result.data_size_out as usize);
+        let action = match result.return_value {
+            1 => Action::Drop,
+            2 => Action::Pass,
+            4 => Action::Redirect,
+            other => Action::Other(other),
+        };
+        Ok((action, out))
+    }
+
+    /// Nanoseconds a packet costs, over `repeat` runs on the same frame. The frame changes as it is forwarded, so only the
+    /// first run sees it as given.
+    pub fn time(&mut self, frame: &[u8], repeat: u32) -> Result<u32, ProgramError> {
+        let mut options = TestRunOptions::new();
+        options.data_in = Some(frame);
+        options.repeat = repeat;
+        Ok(self.switch().test_run(options)?.duration.subsec_nanos())
+    }
+
+    fn switch(&mut self) -> &mut Xdp {
+        switch(&mut self.ebpf, self.program).expect("`load` found the program")
+    }
+}
+
+struct Maps<'a> {
+    ebpf: &'a mut Ebpf,
+    path: &'a Path,
+}
+
+impl Maps<'_> {
+    fn take<T: TryFrom<aya::maps::Map, Error = MapError>>(&mut self, map: &'static str) -> Result<T, LoadError> {
+        let path = || self.path.to_owned();
+        let found = self.ebpf.take_map(map);
+        let found = found.ok_or_else(|| LoadError::Mismatch { path: path(), what: "map", name: map })?;
+        T::try_from(found).map_err(|source| LoadError::Map { path: path(), map, source })
+    }
+}
+
+fn switch<'a>(ebpf: &'a mut Ebpf, program: &str) -> Option<&'a mut Xdp> {
+    ebpf.program_mut(program)?.try_into().ok()
+}
+
+fn update(map: &'static str) -> impl Fn(MapError) -> UpdateError {
+    move |source| UpdateError::Map { map, source }
+}
+
+fn looked_for(paths: &[PathBuf]) -> String {
+    paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
+}

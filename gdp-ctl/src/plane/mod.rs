@@ -1,0 +1,360 @@
+//! The data planes of a daemon behind one owner. The userspace plane always runs and holds the full tables; where XDP
+//! attaches, the kernel holds the same entries and forwards before the daemon sees a frame.
+//!
+//! Knows links and routes as `gdp-wire` has them, nothing of names' owners, certificates or the RIB. Called by the daemon
+//! (`serve`); [`kernel`] also by the kernel tests and `bench forward`.
+//!
+//! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`], [`explain`] and [`xdp_features`] serve it
+//! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
+//! - [`tx_counters`]: what the two planes share
+
+pub mod explain;
+pub mod forwarder;
+pub mod kernel;
+pub mod kernel_version;
+pub mod object;
+pub mod tx_counters;
+pub mod userspace;
+pub mod xdp_features;
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::{Arc, PoisonError, RwLockWriteGuard};
+
+use aya::programs::xdp::XdpLinkId;
+use gdp::port::{DataSocket, Interface, LinkAddr};
+use gdp_wire::table::{EGRESS_SET_SIZE, MAX_PORTS, PORT_USERSPACE};
+use gdp_wire::{Counter, FibEntry, LinkEntry, Name, SwitchConfig};
+
+use forwarder::{Forwarder, Medium, Shared};
+use kernel::{KernelPlane, LoadError, Mode, UpdateError};
+use tx_counters::TxCounters;
+use userspace::UserTables;
+use xdp_features::XdpFeatures;
+
+/// Names the FIB can hold unless configured otherwise; about 125 B of kernel memory each.
+pub const FIB_CAPACITY: u32 = 65536;
+
+/// Largest frame read from UDP.
+const LARGEST_UDP_FRAME: usize = 2048;
+
+/// Which data plane the operator wants.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Wanted {
+    /// Native XDP, else generic XDP, else userspace; the report says which and why.
+    #[default]
+    Auto,
+    /// XDP, or an error.
+    Xdp,
+    /// No XDP.
+    Userspace,
+}
+
+/// How the planes are set up.
+#[derive(Clone, Debug)]
+pub struct PlaneConfig {
+    pub wanted: Wanted,
+    /// The eBPF object, if not where [`object::find`] looks.
+    pub ebpf_object: Option<PathBuf>,
+    /// Names the FIB can hold.
+    pub fib_capacity: u32,
+    /// Of GDP frames.
+    pub ethertype: u16,
+}
+
+impl Default for PlaneConfig {
+    fn default() -> Self {
+        let ethertype = gdp_wire::ETHERTYPE;
+        Self { wanted: Wanted::Auto, ebpf_object: None, fib_capacity: FIB_CAPACITY, ethertype }
+    }
+}
+
+/// Which plane forwards what arrives on an interface, and why that one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InterfacePlane {
+    pub interface: String,
+    /// `xdp-native`, `xdp-generic` or `userspace`.
+    pub kind: &'static str,
+    /// For people.
+    pub reason: String,
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum PlaneError {
+    #[error("{interface}: `data_plane: xdp` was asked for, but {reason}")]
+    NoXdp { interface: String, reason: String },
+    #[error("`data_plane: xdp` was asked for: {0}")]
+    Load(#[from] LoadError),
+    #[error(transparent)]
+    Update(#[from] UpdateError),
+    #[error("{interface}: cannot start a thread: {source}")]
+    Thread { interface: String, source: std::io::Error },
+}
+
+/// All planes of a daemon. Dropping it detaches the XDP programs and ends the threads.
+pub struct Planes {
+    config: PlaneConfig,
+    kernel: Result<KernelPlane, String>,
+    features: Option<XdpFeatures>,
+    shared: Arc<Shared>,
+    own_bit: u64,
+    ports: HashMap<u32, Port>,
+    udp: Option<Forwarder>,
+}
+
+/// An interface that frames come and go by.
+struct Port {
+    /// Its key in the device map; `None` without a kernel plane.
+    number: Option<u32>,
+    attached: Option<(XdpLinkId, Mode)>,
+    report: InterfacePlane,
+    forwarder: Forwarder,
+}
+
+impl Planes {
+    /// Loads what can be loaded. Fails only if XDP was explicitly wanted.
+    pub fn open(config: PlaneConfig) -> Result<Self, PlaneError> {
+        let kernel = match config.wanted {
+            Wanted::Userspace => Err("`data_plane: userspace` was asked for".to_owned()),
+            Wanted::Xdp => Ok(load(&config)?),
+            Wanted::Auto => load(&config).map_err(|error| error.to_string()),
+        };
+        let tx_counters = kernel.as_ref().map_or_else(|_| TxCounters::new(), |kernel| kernel.tx_counters().clone());
+        let mut planes = Self {
+            config,
+            kernel,
+            // Kernels before 6.3 cannot be asked; there it is assumed that native XDP comes with redirection.
+            features: XdpFeatures::open().ok(),
+            shared: Arc::new(Shared::new(UserTables::new(tx_counters))),
+            own_bit: 0,
+            ports: HashMap::new(),
+            udp: None,
+        };
+        planes.set_own_bit(0)?;
+        Ok(planes)
+    }
+
+    /// Takes over what arrives on an interface (of the calling thread's network namespace) by the best plane there is.
+    pub fn attach(&mut self, interface: &Interface, socket: Arc<DataSocket>) -> Result<InterfacePlane, PlaneError> {
+        self.detach(interface.index);
+        let (attached, reason) = self.attach_program(interface);
+        if attached.is_none() && self.config.wanted == Wanted::Xdp {
+            return Err(PlaneError::NoXdp { interface: interface.name.clone(), reason });
+        }
+        let medium = Medium::Ethernet(interface.index);
+        let forwarder = Forwarder::start(medium, socket, interface.mtu as usize, &self.shared)
+            .map_err(|source| PlaneError::Thread { interface: interface.name.clone(), source })?;
+        let kind = match &attached {
+            Some((_, Mode::Native)) => "xdp-native",
+            Some((_, Mode::Generic)) => "xdp-generic",
+            None => "userspace",
+        };
+        let number = self.make_port(interface.index)?;
+        let report = InterfacePlane { interface: interface.name.clone(), kind, reason };
+        let port = Port { number, attached, report: report.clone(), forwarder: forwarder };
+        self.ports.insert(interface.index, port);
+        self.refresh()?;
+        Ok(report)
+    }
+
+    /// Lets go of an interface; what arrives there is no longer forwarded. An unknown one is no error.
+    pub fn detach(&mut self, ifindex: u32) {
+        let Some(port) = self.ports.remove(&ifindex) else { return };
+        if let (Some((link, _)), Ok(kernel)) = (port.attached, &mut self.kernel)
+            && let Err(error) = kernel.detach(link)
+        {
+            // As when the interface was deleted.
+            tracing::debug!(interface = port.report.interface, %error, "the XDP program was already gone");
+        }
+        if let (Some(number), Ok(kernel)) = (port.number, &mut self.kernel) {
+            let _ = kernel.clear_port(number);
+        }
+    }
+
+    /// Takes over what arrives over UDP; always in userspace.
+    pub fn attach_udp(&mut self, socket: Arc<DataSocket>) -> Result<(), PlaneError> {
+        self.udp = None;
+        let forwarder = Forwarder::start(Medium::Udp, socket, LARGEST_UDP_FRAME, &self.shared)
+            .map_err(|source| PlaneError::Thread { interface: "udp".into(), source })?;
+        self.udp = Some(forwarder);
+        Ok(())
+    }
+
+    /// Which plane each interface got and why, by interface name.
+    pub fn report(&self) -> Vec<InterfacePlane> {
+        let mut report: Vec<_> = self.ports.values().map(|port| port.report.clone()).collect();
+        report.sort_by(|a, b| a.interface.cmp(&b.interface));
+        report
+    }
+
+    /// Adds or replaces a link; frames of it are sent to `to`. `entry.port` is filled in here.
+    pub fn set_link(&mut self, mut entry: LinkEntry, to: LinkAddr) -> Result<(), PlaneError> {
+        entry.port = self.port_for(to);
+        let before = self.tables().set_link(entry, to);
+        if before.is_none_or(|before| before.id != entry.id)
+            && let Ok(kernel) = &self.kernel
+        {
+            kernel.tx_counters().set(entry.id, 0);
+        }
+        if let Ok(kernel) = &mut self.kernel {
+            kernel.set_link(&entry)?;
+        }
+        Ok(())
+    }
+
+    /// An unknown link is no error.
+    pub fn remove_link(&mut self, id: u32) -> Result<(), PlaneError> {
+        if self.tables().remove_link(id).is_some()
+            && let Ok(kernel) = &mut self.kernel
+        {
+            kernel.remove_link(id)?;
+        }
+        Ok(())
+    }
+
+    /// Adds or replaces where a name leads. If the kernel's FIB is full, nothing is changed.
+    pub fn set_route(&mut self, name: Name, entry: FibEntry) -> Result<(), PlaneError> {
+        let before = self.tables().set_route(name, entry);
+        let Ok(kernel) = &mut self.kernel else { return Ok(()) };
+        if let Err(error) = kernel.set_route(&name, entry) {
+            match before {
+                Some(before) => self.tables().set_route(name, before),
+                None => self.tables().remove_route(&name),
+            };
+            return Err(error.into());
+        }
+        Ok(())
+    }
+
+    /// An unknown name is no error.
+    pub fn remove_route(&mut self, name: &Name) -> Result<(), PlaneError> {
+        if let Ok(kernel) = &mut self.kernel {
+            kernel.remove_route(name)?;
+        }
+        self.tables().remove_route(name);
+        Ok(())
+    }
+
+    /// For each egress bit the link toward that switch, or 0.
+    pub fn set_next_hops(&mut self, next_hops: &[u32; EGRESS_SET_SIZE as usize]) -> Result<(), PlaneError> {
+        self.tables().set_next_hops(next_hops);
+        if let Ok(kernel) = &mut self.kernel {
+            kernel.set_next_hops(next_hops)?;
+        }
+        Ok(())
+    }
+
+    /// This switch's own egress bit; 0 before it has one.
+    pub fn set_own_bit(&mut self, own_bit: u64) -> Result<(), PlaneError> {
+        self.own_bit = own_bit;
+        self.tables().set_own_bit(own_bit);
+        let config = SwitchConfig { own_bit, ethertype: self.config.ethertype.into(), reserved: 0 };
+        if let Ok(kernel) = &mut self.kernel {
+            kernel.set_config(config)?;
+        }
+        Ok(())
+    }
+
+    /// Each counter with what the kernel and what the userspace plane counted.
+    pub fn counters(&self) -> Result<Vec<(Counter, u64, u64)>, PlaneError> {
+        let kernel = self.kernel.as_ref().map_or(Ok([0; Counter::COUNT]), KernelPlane::counters)?;
+        let userspace = self.shared.counters();
+        Ok(Counter::ALL.iter().zip(kernel.into_iter().zip(userspace)).map(|(c, (k, u))| (*c, k, u)).collect())
+    }
+
+    /// What frames are forwarded by, in the order of names: read back from the kernel where XDP runs.
+    pub fn routes(&self) -> Result<Vec<(Name, FibEntry)>, PlaneError> {
+        let in_kernel = self.ports.values().any(|port| port.attached.is_some());
+        let mut routes = match &self.kernel {
+            Ok(kernel) if in_kernel => kernel.routes()?,
+            _ => self.tables().routes().map(|(name, entry)| (*name, *entry)).collect(),
+        };
+        routes.sort_by_key(|(name, _)| *name);
+        Ok(routes)
+    }
+
+    /// Looks again which interfaces take redirected frames (a veth does depending on its peer), and moves the links on them
+    /// to the plane that can send. Cheap; for the daemon to call now and then, and after changes to interfaces.
+    pub fn refresh(&mut self) -> Result<(), PlaneError> {
+        let links: Vec<_> = self.tables().links().copied().collect();
+        for (entry, to) in links {
+            if self.port_for(to) != entry.port {
+                self.set_link(entry, to)?;
+            }
+        }
+        let features = self.features.as_ref();
+        for (ifindex, port) in &mut self.ports {
+            if port.attached.is_some() {
+                port.report.reason = match takes_redirects(features, *ifindex) {
+                    true => String::new(),
+                    false => NO_REDIRECT.into(),
+                };
+            }
+        }
+        Ok(())
+    }
+
+    fn attach_program(&mut self, interface: &Interface) -> (Option<(XdpLinkId, Mode)>, String) {
+        let kernel = match &mut self.kernel {
+            Ok(kernel) => kernel,
+            Err(reason) => return (None, reason.clone()),
+        };
+        let native = match kernel.attach(interface.index, Mode::Native) {
+            Ok(link) => return (Some((link, Mode::Native)), String::new()),
+            Err(error) => error,
+        };
+        let why = explain::attach(&native);
+        if explain::is_occupied(&native) {
+            return (None, why);
+        }
+        match kernel.attach(interface.index, Mode::Generic) {
+            Ok(link) => (Some((link, Mode::Generic)), format!("no native XDP: {why}")),
+            Err(generic) => (None, format!("no native XDP: {why}; no generic XDP: {}", explain::attach(&generic))),
+        }
+    }
+
+    /// Gives an interface a key in the device map.
+    fn make_port(&mut self, ifindex: u32) -> Result<Option<u32>, PlaneError> {
+        let Ok(kernel) = &mut self.kernel else { return Ok(None) };
+        let taken = |number| self.ports.values().any(|port| port.number == Some(number));
+        let Some(number) = (0..MAX_PORTS).find(|number| !taken(*number)) else {
+            // What leaves here goes through the userspace plane.
+            return Ok(None);
+        };
+        kernel.set_port(number, ifindex)?;
+        Ok(Some(number))
+    }
+
+    /// The port by which the kernel can send to `to`, or [`PORT_USERSPACE`].
+    fn port_for(&self, to: LinkAddr) -> u32 {
+        let LinkAddr::Ethernet { ifindex, .. } = to else { return PORT_USERSPACE };
+        let number = self.ports.get(&ifindex).and_then(|port| port.number);
+        match number {
+            Some(number) if takes_redirects(self.features.as_ref(), ifindex) => number,
+            _ => PORT_USERSPACE,
+        }
+    }
+
+    fn tables(&self) -> RwLockWriteGuard<'_, UserTables> {
+        self.shared.tables.write().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Planes {
+    fn drop(&mut self) {
+        // So that the threads end side by side.
+        self.ports.values().map(|port| &port.forwarder).chain(&self.udp).for_each(Forwarder::stop);
+    }
+}
+
+const NO_REDIRECT: &str = "but frames leave here through the userspace plane, because the driver takes no redirected frames \
+                           (on a veth: until its peer has GRO on, `ethtool -K PEER gro on`, or an XDP program)";
+
+fn takes_redirects(features: Option<&XdpFeatures>, ifindex: u32) -> bool {
+    features.and_then(|features| features.takes_redirects(ifindex).ok()).unwrap_or(true)
+}
+
+fn load(config: &PlaneConfig) -> Result<KernelPlane, LoadError> {
+    let object = object::find(config.ebpf_object.as_deref()).map_err(LoadError::NoObject)?;
+    KernelPlane::load(&object, config.fib_capacity)
+}
