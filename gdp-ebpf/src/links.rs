@@ -29,7 +29,7 @@ pub fn get(id: u32) -> Option<&'static LinkEntry> {
 pub fn next_counter(link: &LinkEntry) -> u32 {
     match TX_COUNTERS.get_ptr_mut(link_index(link.id)) {
         // SAFETY: a live, aligned element of the map, only ever accessed atomically.
-        Some(slot) => unsafe { fetch_add(slot, 1) as u32 },
+        Some(slot) => unsafe { fetch_add(slot, 1) as u32 }.wrapping_add(1),
         None => 0,
     }
 }
