@@ -108,6 +108,21 @@ fn one_kind_never_verifies_as_another() {
     assert_eq!(disguised.verify(&key, NOW), Err(CertError::BadSignature { what: "ReadGrant" }));
 }
 
+/// As another implementation would check it: by RFC 9052, with the content type as external data.
+#[test]
+fn a_certificate_is_plain_cose() {
+    use coset::TaggedCborSerializable;
+    let f = Fixture::new();
+    let cose = coset::CoseSign1::from_tagged_slice(f.ad_cert(|_| ()).as_bytes()).unwrap();
+    let check = |aad: &[u8]| {
+        cose.verify_signature(aad, |signature, message| {
+            f.owner.verify_key().verify(message, signature.try_into().unwrap())
+        })
+    };
+    assert_eq!(check(b"application/vnd.gdp.ad-cert.v1+cbor"), Ok(()));
+    assert!(check(b"").is_err());
+}
+
 #[test]
 fn text_and_cbor_forms_keep_the_bytes() {
     let f = Fixture::new();
