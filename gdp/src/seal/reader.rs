@@ -346,7 +346,11 @@ impl Reader {
             }
         };
 
-        writer.sessions[at].window.check(header.sequence)?;
+        if let Err(reason) = writer.sessions[at].window.check(header.sequence) {
+            // The window has moved past a message that was still incomplete: it cannot be delivered any more.
+            self.memory -= writer.give_up(at, header.sequence);
+            return Err(reason);
+        }
         match writer.sessions[at].assemblies.get(&header.sequence) {
             Some(assembly) if !assembly.fits(header) => return Err(DropReason::Inconsistent),
             Some(assembly) if assembly.has(header) => return Err(DropReason::Duplicate),
