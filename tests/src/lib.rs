@@ -3,6 +3,7 @@
 //! - [`netns`]: network namespaces, veth pairs, entering one and leaving it again
 //! - [`chain`]: robot – switches – cloud; [`packet`]: what an eavesdropper or attacker does on its cables
 //! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its ends
+//! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
 //! - [`process`]: programs that end when their guard is dropped, with their output kept
 //! - [`wait`]: waiting for a condition with a deadline, never for a time
 //! - [`tools`]: where the programs under test are
@@ -11,6 +12,7 @@
 
 pub mod chain;
 pub mod fabric;
+pub mod frames;
 pub mod netns;
 pub mod packet;
 pub mod peers;

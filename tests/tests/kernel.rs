@@ -1,0 +1,249 @@
+//! The XDP switch under `BPF_PROG_TEST_RUN`: the real program in the real kernel, one frame at a time, no interfaces.
+
+use anyhow::{Context, Result, ensure};
+use gdp_ctl::plane::kernel::{Action, KernelPlane, LoadError, UpdateError};
+use gdp_ctl::plane::tx_counters::TxCounters;
+use gdp_ctl::plane::userspace::{Outcome, UserTables, handle};
+use gdp_tests::Tools;
+use gdp_tests::frames::Frame;
+use gdp_tests::frames::fixtures::{self, Bytes, Expected, Fixtures, Switch, Verdict};
+use gdp_wire::{Counter, FibEntry, LinkEntry, Name};
+
+#[test]
+fn every_fixture_through_the_kernel() -> Result<()> {
+    let Fixtures { switch, cases, .. } = fixtures::read();
+    let mut plane = kernel_plane(&switch)?;
+    for case in &cases {
+        reset(plane.tx_counters(), &switch);
+        let got = run(&mut plane, &case.frame.bytes()).with_context(|| case.name.clone())?;
+        ensure!(got == case.kernel, "{}:\n     got {got:?}\nexpected {:?}", case.name, case.kernel);
+    }
+    Ok(())
+}
+
+#[test]
+fn every_fixture_through_the_userspace_plane() -> Result<()> {
+    let Fixtures { switch, cases, .. } = fixtures::read();
+    for case in &cases {
+        let expected = case.userspace.as_ref().unwrap_or(&case.kernel);
+        if expected.counter == Counter::Foreign.as_str() {
+            // Its sockets are bound to the ethertype.
+            continue;
+        }
+        let (tables, tx_counters) = user_tables(&switch);
+        reset(&tx_counters, &switch);
+        let got = run_userspace(&tables, &switch, &case.frame.bytes());
+        ensure!(got == *expected, "{}:\n     got {got:?}\nexpected {expected:?}", case.name);
+    }
+    Ok(())
+}
+
+/// Frames that are nearly right in many ways must meet the same fate in both planes.
+#[test]
+fn random_frames_get_the_same_verdict_from_both_planes() -> Result<()> {
+    let Fixtures { switch, .. } = fixtures::read();
+    let mut kernel = kernel_plane(&switch)?;
+    let (tables, tx_counters) = user_tables(&switch);
+    let mut random = Random(0x9e37_79b9_7f4a_7c15);
+    let mut seen = [0u32; Counter::COUNT];
+    for round in 0..20_000 {
+        let frame = random_frame(&mut random, &switch);
+        reset(kernel.tx_counters(), &switch);
+        reset(&tx_counters, &switch);
+        let got = run(&mut kernel, &frame)?;
+        let counter = Counter::ALL.iter().position(|c| c.as_str() == got.counter).context("a counter")?;
+        seen[counter] += 1;
+        let userspace = run_userspace(&tables, &switch, &frame);
+        let same = match Counter::ALL[counter] {
+            Counter::Foreign => true,
+            // The kernel leaves these to the userspace plane, or would redirect to an interface that is not there.
+            Counter::Slow | Counter::RedirectFailed => userspace.verdict == Verdict::Send,
+            _ => got == userspace,
+        };
+        let shown = fixtures::hex(&frame[..frame.len().min(128)]);
+        ensure!(same, "round {round}: kernel {got:?}\nuserspace {userspace:?}\nframe {shown}");
+    }
+    for (counter, seen) in Counter::ALL.iter().zip(seen) {
+        ensure!(seen > 20, "the random frames reached {counter:?} only {seen} times");
+    }
+    Ok(())
+}
+
+#[test]
+fn the_map_is_the_fib() -> Result<()> {
+    let Fixtures { switch, .. } = fixtures::read();
+    let mut plane = kernel_plane(&switch)?;
+    let sorted = |mut routes: Vec<(Name, FibEntry)>| {
+        routes.sort_by_key(|(name, _)| *name);
+        routes
+    };
+    ensure!(sorted(plane.routes()?) == sorted(switch.routes().collect()));
+    let (name, _) = switch.routes().next().context("a route")?;
+    plane.remove_route(&name)?;
+    plane.remove_route(&name)?;
+    ensure!(plane.routes()?.iter().all(|(present, _)| *present != name), "removed, and removing again is no error");
+    Ok(())
+}
+
+#[test]
+fn a_full_fib_refuses_and_forgets_nothing() -> Result<()> {
+    let mut plane = KernelPlane::load(&Tools::beside_this_test()?.ebpf_object()?, 100)?;
+    let name = |i: u8| Name::from_bytes([i; 32]);
+    let entry = FibEntry { egress_bits: 1, ..FibEntry::default() };
+    for i in 0..100 {
+        plane.set_route(&name(i), entry)?;
+    }
+    let refused = plane.set_route(&name(100), entry);
+    ensure!(matches!(refused, Err(UpdateError::FibFull { capacity: 100 })), "{refused:?}");
+    plane.set_route(&name(7), FibEntry { egress_bits: 2, ..entry })?;
+    ensure!(plane.routes()?.len() == 100);
+    Ok(())
+}
+
+#[test]
+fn what_cannot_be_loaded_is_named() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let file = folder.path().join("gdp-ebpf");
+    let error = |result: Result<KernelPlane, LoadError>| result.err().map(|e| e.to_string()).unwrap_or_default();
+    ensure!(error(KernelPlane::load(&file, 10)).contains("gdp-ebpf"));
+    std::fs::write(&file, b"not an object")?;
+    ensure!(error(KernelPlane::load(&file, 10)).contains("parsing"), "{}", error(KernelPlane::load(&file, 10)));
+    Ok(())
+}
+
+/// The fixtures' switch in the kernel. Ports below 6 lead to `lo`: in a test run nothing is sent.
+fn kernel_plane(switch: &Switch) -> Result<KernelPlane> {
+    const LOOPBACK: u32 = 1;
+    let mut plane = KernelPlane::load(&Tools::beside_this_test()?.ebpf_object()?, 1024)?;
+    (0..6).try_for_each(|port| plane.set_port(port, LOOPBACK))?;
+    plane.set_config(switch.config())?;
+    switch.links().try_for_each(|link| plane.set_link(&link))?;
+    switch.routes().try_for_each(|(name, entry)| plane.set_route(&name, entry))?;
+    plane.set_next_hops(&switch.next_hops())?;
+    Ok(plane)
+}
+
+fn user_tables(switch: &Switch) -> (UserTables, TxCounters) {
+    let tx_counters = TxCounters::new();
+    let mut tables = UserTables::new(tx_counters.clone());
+    for link in switch.links() {
+        // Only to be told apart.
+        let to = gdp::port::LinkAddr::Ethernet { ifindex: link.port, mac: [0; 6] };
+        tables.set_link(link, to);
+    }
+    for (name, entry) in switch.routes() {
+        tables.set_route(name, entry);
+    }
+    tables.set_next_hops(&switch.next_hops());
+    tables.set_own_bit(switch.config().own_bit);
+    (tables, tx_counters)
+}
+
+fn reset(tx_counters: &TxCounters, switch: &Switch) {
+    switch.links.iter().for_each(|link| tx_counters.set(link.id, link.tx_counter.into()));
+}
+
+/// What the kernel does with a frame: the action, and exactly one counter.
+fn run(plane: &mut KernelPlane, frame: &[u8]) -> Result<Expected> {
+    let before = plane.counters()?;
+    let (action, out) = plane.test_run(frame)?;
+    let after = plane.counters()?;
+    let mut counted = Vec::new();
+    for (counter, (before, after)) in Counter::ALL.iter().zip(before.into_iter().zip(after)) {
+        counted.extend((before..after).map(|_| counter.as_str()));
+    }
+    let [counter] = counted[..] else { anyhow::bail!("counted {counted:?}") };
+    let verdict = match action {
+        Action::Redirect => Verdict::Send,
+        Action::Pass => Verdict::Pass,
+        Action::Drop => Verdict::Drop,
+        Action::Other(action) => anyhow::bail!("action {action}"),
+    };
+    ensure!(verdict != Verdict::Pass || out == frame, "a frame that passes was changed");
+    let sent = (verdict == Verdict::Send).then(|| Bytes::new(&out));
+    Ok(Expected { verdict, counter: counter.into(), frame: sent })
+}
+
+/// What the userspace plane does with a frame, dressed in the Ethernet header it came with or leaves with.
+fn run_userspace(tables: &UserTables, switch: &Switch, frame: &[u8]) -> Expected {
+    let mut gdp = frame[14..].to_vec();
+    let outcome = |verdict, counter: Counter| Expected { verdict, counter: counter.as_str().into(), frame: None };
+    match handle(&mut gdp, tables) {
+        Outcome::Send { link, counter, .. } => {
+            let link = switch.links().find(|entry| entry.id == link).expect("a link of the switch");
+            let mut out = ethernet(&link, &frame[12..14]);
+            out.extend(gdp);
+            Expected { frame: Some(Bytes::new(&out)), ..outcome(Verdict::Send, counter) }
+        }
+        Outcome::Control => outcome(Verdict::Pass, Counter::Control),
+        Outcome::Drop(counter) => outcome(Verdict::Drop, counter),
+    }
+}
+
+fn ethernet(link: &LinkEntry, ethertype: &[u8]) -> Vec<u8> {
+    let macs = [link.peer_mac, link.local_mac];
+    macs.iter().flatten().flat_map(|word| word.to_ne_bytes()).chain(ethertype.iter().copied()).collect()
+}
+
+/// A frame that is often right, and otherwise wrong in one or a few ways.
+fn random_frame(random: &mut Random, switch: &Switch) -> Vec<u8> {
+    let link = &switch.links[random.below(switch.links.len())];
+    let route = &switch.routes[random.below(switch.routes.len())];
+    let mut frame = Frame {
+        link_id: link.id,
+        key: fixtures::key(&link.rx_key),
+        link_counter: random.next() as u32,
+        hop_limit: random.one_of(&[0, 1, 2, 3, 64, 64, 64, 255]),
+        egress_set: random.one_of(&[0, 0, 3, 255]),
+        egress_bits: match random.below(5) {
+            0 => random.next(),
+            1 => 0,
+            2 => 1 << switch.own_bit,
+            _ => 1 << random.below(12),
+        },
+        destination: fixtures::array(&route.name),
+        source: std::array::from_fn(|_| random.next() as u8),
+        payload: vec![random.next() as u8; random.one_of(&[0, 1, 64, 500, 505, 1404, 1405, 1500])],
+        padding: random.one_of(&[0, 0, 0, 1, 30]),
+        ..Frame::default()
+    };
+    match random.below(24) {
+        0 => frame.version_type = random.next() as u8,
+        1 => frame.header_words = random.next() as u8,
+        2 => frame.payload_len = Some(random.next() as u16),
+        3 => frame.link_id = random.next() as u32,
+        4 => frame.tag = Some(random.next()),
+        5 => frame.ethertype = random.next() as u16,
+        6 => frame.destination = std::array::from_fn(|_| random.next() as u8),
+        7 => frame.version_type = 0x11,
+        _ => {}
+    }
+    let mut bytes = frame.bytes();
+    match random.below(12) {
+        0 => bytes.truncate(14 + random.below(bytes.len() - 14)),
+        1 => {
+            let at = random.below(bytes.len());
+            bytes[at] ^= 1 << random.below(8);
+        }
+        _ => {}
+    }
+    bytes
+}
+
+/// A linear congruential generator: the same frames in every run.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        self.0 ^ self.0 >> 29
+    }
+
+    fn below(&mut self, limit: usize) -> usize {
+        (self.next() >> 8) as usize % limit
+    }
+
+    fn one_of<T: Copy>(&mut self, values: &[T]) -> T {
+        values[self.below(values.len())]
+    }
+}
