@@ -61,6 +61,11 @@ impl RecvBatch {
         &self.storage.as_bytes()[index * self.stride..][..self.lengths[index]]
     }
 
+    /// The largest frame there is room for.
+    pub fn largest(&self) -> usize {
+        self.stride
+    }
+
     pub fn len(&self) -> usize {
         self.count
     }

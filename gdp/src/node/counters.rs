@@ -1,0 +1,116 @@
+//! What a node did with frames and messages. Written by the sending tasks and the receiving thread without locks.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use gdp_wire::Counter;
+use serde::Serialize;
+
+use crate::seal::DropReason;
+
+/// A counter that only rises.
+#[derive(Default)]
+pub struct Count(AtomicU64);
+
+impl Count {
+    pub fn add(&self, more: u64) {
+        self.0.fetch_add(more, Ordering::Relaxed);
+    }
+
+    pub fn get(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+#[derive(Default)]
+pub struct Counters {
+    pub messages_sent: Count,
+    pub messages_unsent: Count,
+    pub messages_received: Count,
+    pub frames_sent: Count,
+    pub frames_unsent: Count,
+    pub frames_received: Count,
+    pub links: Count,
+    /// Frames refused before their payload was looked at, by [`Counter`].
+    pub refused: [Count; Counter::COUNT],
+    /// Frames for a name nobody here subscribed to.
+    pub not_subscribed: Count,
+    /// Messages the application did not take in time.
+    pub queue_full: Count,
+    /// Segments and messages a reader dropped, by [`DropReason`].
+    pub dropped: [Count; DropReason::COUNT],
+}
+
+/// The counters of a node at one moment.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct NodeCounters {
+    pub messages_sent: u64,
+    /// Not sent, or not whole: no link, or no room in the kernel.
+    pub messages_unsent: u64,
+    pub messages_received: u64,
+    pub frames_sent: u64,
+    pub frames_unsent: u64,
+    /// Frames from the switch, before any check.
+    pub frames_received: u64,
+    /// Links made so far; all but the first are reconnections.
+    pub links: u64,
+    /// Frames, segments and messages that were dropped on arrival, by reason. Reasons without a drop are left out.
+    pub drops: BTreeMap<&'static str, u64>,
+}
+
+impl Counters {
+    /// `socket_drops`: what the kernel dropped before this process saw it.
+    pub fn snapshot(&self, socket_drops: u64) -> NodeCounters {
+        let refused = Counter::ALL.iter().zip(&self.refused).map(|(counter, count)| (counter.as_str(), count.get()));
+        let dropped =
+            DropReason::ALL.iter().zip(&self.dropped).map(|(reason, count)| (seal_label(*reason), count.get()));
+        let own = [
+            ("drop_not_subscribed", self.not_subscribed.get()),
+            ("drop_queue_full", self.queue_full.get()),
+            ("drop_socket_full", socket_drops),
+        ];
+        NodeCounters {
+            messages_sent: self.messages_sent.get(),
+            messages_unsent: self.messages_unsent.get(),
+            messages_received: self.messages_received.get(),
+            frames_sent: self.frames_sent.get(),
+            frames_unsent: self.frames_unsent.get(),
+            frames_received: self.frames_received.get(),
+            links: self.links.get(),
+            drops: refused.chain(dropped).chain(own).filter(|(_, count)| *count > 0).collect(),
+        }
+    }
+}
+
+/// The reason as a label beside those of frames.
+fn seal_label(reason: DropReason) -> &'static str {
+    match reason {
+        DropReason::Truncated => "seal_truncated",
+        DropReason::BadHeader => "seal_bad_header",
+        DropReason::TooLarge => "seal_too_large",
+        DropReason::UnknownWriter => "seal_unknown_writer",
+        DropReason::Forged => "seal_forged",
+        DropReason::TooOld => "seal_too_old",
+        DropReason::Duplicate => "seal_duplicate",
+        DropReason::Inconsistent => "seal_inconsistent",
+        DropReason::MemoryFull => "seal_memory_full",
+        DropReason::Evicted => "seal_evicted",
+        DropReason::Deadline => "seal_deadline",
+        DropReason::BadMessage => "seal_bad_message",
+        DropReason::BadSignature => "seal_bad_signature",
+        DropReason::Stale => "seal_stale",
+        DropReason::Internal => "seal_internal",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn labels_are_those_of_their_reasons() {
+        for reason in DropReason::ALL {
+            assert_eq!(seal_label(reason).strip_prefix("seal_"), Some(reason.as_str()));
+        }
+    }
+}

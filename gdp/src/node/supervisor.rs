@@ -1,0 +1,292 @@
+//! Keeps the link to the switch: makes it, attaches, states again what the application wants stated, answers the
+//! switch, and begins anew when the link is lost. The application's handles never notice but for what was lost.
+
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+use gdp_wire::table::PORT_USERSPACE;
+use gdp_wire::{Header, LinkEntry, Name};
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
+use tokio::time::sleep;
+
+use super::receiver::Command;
+use super::{LinkTarget, NodeError, State, Stated, Status};
+use crate::control::{Refusal, RefusalCode, Request, Response};
+use crate::crypto;
+use crate::link::{Link, LinkError, Responder, Role};
+use crate::port::{DataSocket, Interface, LinkAddr, Port, PortConfig};
+
+/// How long a switch may take to answer discovery.
+const DISCOVERY: Duration = Duration::from_secs(2);
+
+/// Between attempts to get the link back, and to state what was refused: doubled from the first to the second.
+const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
+
+/// How often certificates and statements with a lifetime of [`super::LIFETIME`] are renewed.
+const RENEWAL: Duration = Duration::from_secs(super::LIFETIME as u64 / 3);
+
+/// Largest frame sent, whatever the first link takes: a link further on may take no more. Bytes.
+const MAX_FRAME: u32 = 1500;
+
+/// What the rest of the node tells the supervisor.
+pub enum Event {
+    /// A publisher or subscription was dropped.
+    Withdraw { name: Name, stated: Stated },
+    /// Frames for this name arrive from a source that is not known as its writer.
+    UnknownWriter { name: Name },
+}
+
+/// The link as publishers use it.
+pub struct Attachment {
+    pub link: Link,
+    pub entry: LinkEntry,
+    pub data: Arc<DataSocket>,
+    counter: AtomicU32,
+}
+
+impl Attachment {
+    fn new(link: Link, port: &Port) -> Self {
+        Self { entry: link.entry(PORT_USERSPACE), link, data: port.data(), counter: AtomicU32::new(0) }
+    }
+
+    pub fn next_counter(&self) -> u32 {
+        self.counter.fetch_add(1, Ordering::Relaxed).wrapping_add(1)
+    }
+
+    /// Largest payload of a frame, in bytes.
+    pub fn max_payload(&self) -> usize {
+        (self.entry.mtu.min(MAX_FRAME) as usize).saturating_sub(Header::LEN)
+    }
+}
+
+pub struct Supervisor {
+    state: Arc<State>,
+    target: LinkTarget,
+    pinned: Option<Name>,
+    port_config: PortConfig,
+    port: Option<Arc<Port>>,
+}
+
+impl Supervisor {
+    pub fn new(state: Arc<State>, target: LinkTarget, pinned: Option<Name>) -> Self {
+        let port_config = PortConfig::endpoint(state.identity.clone());
+        Self { state, target, pinned, port_config, port: None }
+    }
+
+    /// The first link, within `patience`. What waiting cannot mend is an error at once.
+    pub async fn connect(&mut self, patience: Duration) -> Result<Arc<Attachment>, NodeError> {
+        let mut backoff = Backoff::new();
+        let attempts = async {
+            loop {
+                match self.attempt().await {
+                    Err(error) if worth_another_attempt(&error) => {
+                        self.state.set_status(Status::Down(error.to_string()));
+                        backoff.wait().await;
+                    }
+                    result => return result,
+                }
+            }
+        };
+        match tokio::time::timeout(patience, attempts).await {
+            Ok(result) => result,
+            Err(_) => Err(self.state.attached_now().err().unwrap_or(NodeError::Closed)),
+        }
+    }
+
+    /// Runs until `stop` becomes true, beginning with a link that is up.
+    pub async fn run(
+        mut self,
+        first: Arc<Attachment>,
+        mut events: mpsc::UnboundedReceiver<Event>,
+        mut stop: watch::Receiver<bool>,
+    ) {
+        tokio::select! {
+            () = self.supervise(first, &mut events) => {}
+            _ = stop.wait_for(|stop| *stop) => {}
+        }
+        self.state.set_status(Status::Closed);
+        self.state.command(Command::Stop);
+        if let Some(port) = &self.port {
+            port.close("the node was closed").await;
+        }
+    }
+
+    async fn supervise(&mut self, first: Arc<Attachment>, events: &mut mpsc::UnboundedReceiver<Event>) {
+        let mut attachment = first;
+        loop {
+            let reason = self.serve(attachment, events).await;
+            tracing::warn!(switch = %self.target, %reason, "lost the link to the switch");
+            self.state.set_status(Status::Down(reason));
+            let mut backoff = Backoff::new();
+            attachment = loop {
+                backoff.wait().await;
+                match self.attempt().await {
+                    Ok(attachment) => break attachment,
+                    Err(error) => {
+                        tracing::debug!(switch = %self.target, %error, "no link to the switch");
+                        self.state.set_status(Status::Down(error.to_string()));
+                    }
+                }
+            };
+            tracing::info!(switch = %attachment.link.peer().name, "the link to the switch is back");
+        }
+    }
+
+    /// One link's life; returns why it ended.
+    async fn serve(&self, attachment: Arc<Attachment>, events: &mut mpsc::UnboundedReceiver<Event>) -> String {
+        let _upkeep = AbortOnDrop(tokio::spawn(keep_stated(self.state.clone(), attachment.clone())));
+        let link = &attachment.link;
+        loop {
+            tokio::select! {
+                reason = link.closed() => return reason,
+                Some((request, responder)) = link.accept_request() => {
+                    tokio::spawn(answer(self.state.clone(), request, responder));
+                }
+                Some(event) = events.recv() => {
+                    tokio::spawn(handle(self.state.clone(), attachment.clone(), event));
+                }
+            }
+        }
+    }
+
+    async fn attempt(&mut self) -> Result<Arc<Attachment>, NodeError> {
+        let (port, to, expected) = self.locate().await?;
+        let link = port.dial(to, expected).await?;
+        if link.peer().role != Role::Switch {
+            return Err(NodeError::NotASwitch(to));
+        }
+        let attachment = Arc::new(Attachment::new(link, &port));
+        self.state.attach(&attachment).await?;
+        self.state.counters.links.add(1);
+        self.state.command(Command::Attach { data: attachment.data.clone(), entry: attachment.entry });
+        self.state.set_status(Status::Up(attachment.clone()));
+        Ok(attachment)
+    }
+
+    /// A port to dial from, and whom to dial. Opens another port if the interface is not the one it was.
+    async fn locate(&mut self) -> Result<(Arc<Port>, LinkAddr, Option<Name>), NodeError> {
+        match &self.target {
+            LinkTarget::Ethernet { interface, mac } => {
+                let same = |found: &Interface, port: &Port| {
+                    port.interface()
+                        .is_some_and(|open| (open.index, open.mac, open.mtu) == (found.index, found.mac, found.mtu))
+                };
+                let found = Interface::find(interface)
+                    .map_err(|source| LinkError::Io { what: format!("interface {interface}"), source })?;
+                let port = match self.port.take().filter(|port| same(&found, port)) {
+                    Some(port) => port,
+                    None => Arc::new(Port::ethernet(interface, &self.port_config)?),
+                };
+                self.port = Some(port.clone());
+                if let Some(mac) = *mac {
+                    return Ok((port, LinkAddr::Ethernet { ifindex: found.index, mac }, self.pinned));
+                }
+                let answers = port.discover(self.pinned, DISCOVERY).await;
+                let wanted = |name: &Name| self.pinned.is_none_or(|pinned| pinned == *name);
+                let (to, name) = answers.into_iter().find(|(_, name)| wanted(name)).ok_or_else(|| {
+                    let wanted = self.pinned.map_or("a switch".to_owned(), |name| format!("switch {name:#}"));
+                    NodeError::NoAnswer { interface: interface.clone(), wanted }
+                })?;
+                Ok((port, to, Some(name)))
+            }
+            LinkTarget::Udp { host, port: number } => {
+                let what = || format!("host {host}");
+                let mut found = tokio::net::lookup_host((host.as_str(), *number))
+                    .await
+                    .map_err(|source| LinkError::Io { what: what(), source })?;
+                let to = found.next().ok_or_else(|| LinkError::Io {
+                    what: what(),
+                    source: std::io::ErrorKind::AddrNotAvailable.into(),
+                })?;
+                let same = |port: &Arc<Port>| port.udp_addr().is_some_and(|open| open.is_ipv4() == to.is_ipv4());
+                let port = match self.port.take().filter(same) {
+                    Some(port) => port,
+                    None => {
+                        let any =
+                            if to.is_ipv4() { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
+                        Arc::new(Port::udp(SocketAddr::new(any, 0), &self.port_config)?)
+                    }
+                };
+                self.port = Some(port.clone());
+                Ok((port, LinkAddr::udp(to), self.pinned))
+            }
+        }
+    }
+}
+
+/// States what stands, again when something was refused that time may mend, and in time before it runs out.
+async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
+    let mut backoff = Backoff::new();
+    loop {
+        if state.state_all(&attachment).await {
+            sleep(RENEWAL).await;
+            backoff = Backoff::new();
+            if let Err(error) = state.attach(&attachment).await {
+                tracing::warn!(%error, "could not renew the attachment");
+            }
+        } else {
+            backoff.wait().await;
+        }
+    }
+}
+
+/// Answers what the switch asks.
+async fn answer(state: Arc<State>, request: Request, responder: Responder) {
+    let response = match request {
+        Request::Writers(push) if push.entity == state.identity.name() && state.subscribes_to(&push.name) => {
+            state.authorise(push.name, &push.records);
+            Response::Done
+        }
+        Request::Writers(push) => {
+            Refusal::new(RefusalCode::NotFound, format!("no subscription to {} here", push.name)).into()
+        }
+        _ => Refusal::new(RefusalCode::Unsupported, "an endpoint is only told about writers").into(),
+    };
+    let _ = responder.respond(response).await;
+}
+
+async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
+    let result = match event {
+        Event::Withdraw { name, stated } => state.state_withdrawal(&attachment, name, stated).await,
+        Event::UnknownWriter { name } => state.learn_writers(&attachment, name).await,
+    };
+    if let Err(error) = result {
+        tracing::debug!(%error, "a request to the switch failed");
+    }
+}
+
+/// Errors that are about this moment, not about the configuration.
+fn worth_another_attempt(error: &NodeError) -> bool {
+    match error {
+        NodeError::Link(LinkError::Io { .. } | LinkError::WrongPeer { .. }) | NodeError::NotASwitch(_) => false,
+        NodeError::Refused(refusal) => refusal.code == RefusalCode::Unreachable,
+        NodeError::Link(_) | NodeError::NoAnswer { .. } => true,
+        _ => false,
+    }
+}
+
+/// Growing pauses, each between half and the whole of its length, so that many nodes do not return at once.
+struct Backoff(Duration);
+
+impl Backoff {
+    fn new() -> Self {
+        Self(BACKOFF.0)
+    }
+
+    async fn wait(&mut self) {
+        let random = crypto::random::<1>().map_or(255, |[byte]| byte);
+        sleep(self.0 / 2 + self.0 / 512 * u32::from(random)).await;
+        self.0 = (self.0 * 2).min(BACKOFF.1);
+    }
+}
+
+struct AbortOnDrop(JoinHandle<()>);
+
+impl Drop for AbortOnDrop {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}

@@ -1,0 +1,110 @@
+//! Where a node finds its switch, as written in configurations: `eth://INTERFACE[/MAC]` or `udp://HOST[:PORT]`.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::port::{DisplayMac, parse_mac};
+
+/// What a node dials.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub enum LinkTarget {
+    /// The switch with this MAC address on the segment of an interface; without one, whichever answers there.
+    Ethernet { interface: String, mac: Option<[u8; 6]> },
+    /// A host name or address, and a port.
+    Udp { host: String, port: u16 },
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "\"{0}\" is no link: expected eth://INTERFACE, eth://INTERFACE/02:00:00:00:00:01, udp://HOST or udp://HOST:PORT"
+)]
+pub struct LinkTargetError(String);
+
+impl FromStr for LinkTarget {
+    type Err = LinkTargetError;
+
+    fn from_str(text: &str) -> Result<Self, LinkTargetError> {
+        let parsed = match text.split_once("://") {
+            Some(("eth", rest)) => parse_ethernet(rest),
+            Some(("udp", rest)) => parse_udp(rest),
+            _ => None,
+        };
+        parsed.ok_or_else(|| LinkTargetError(text.chars().take(100).collect()))
+    }
+}
+
+fn parse_ethernet(rest: &str) -> Option<LinkTarget> {
+    let (interface, mac) = match rest.split_once('/') {
+        Some((interface, mac)) => (interface, Some(parse_mac(mac)?)),
+        None => (rest, None),
+    };
+    let valid = (1..libc::IFNAMSIZ).contains(&interface.len()) && !interface.contains(char::is_whitespace);
+    valid.then(|| LinkTarget::Ethernet { interface: interface.into(), mac })
+}
+
+fn parse_udp(rest: &str) -> Option<LinkTarget> {
+    let (host, port) = match rest.strip_prefix('[') {
+        Some(bracketed) => {
+            let (host, behind) = bracketed.split_once(']')?;
+            host.parse::<std::net::Ipv6Addr>().ok()?;
+            (host, if behind.is_empty() { None } else { Some(behind.strip_prefix(':')?) })
+        }
+        None => match rest.split_once(':') {
+            Some((host, port)) => (host, Some(port)),
+            None => (rest, None),
+        },
+    };
+    let port = port.map_or(Some(gdp_wire::UDP_PORT), |port| port.parse().ok().filter(|port| *port != 0))?;
+    let valid = !host.is_empty() && host.len() < 256 && !host.contains(|c: char| c.is_whitespace() || c == '/');
+    valid.then(|| LinkTarget::Udp { host: host.into(), port })
+}
+
+impl fmt::Display for LinkTarget {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Ethernet { interface, mac: None } => write!(f, "eth://{interface}"),
+            Self::Ethernet { interface, mac: Some(mac) } => write!(f, "eth://{interface}/{}", DisplayMac(*mac)),
+            Self::Udp { host, port } if host.contains(':') => write!(f, "udp://[{host}]:{port}"),
+            Self::Udp { host, port } => write!(f, "udp://{host}:{port}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn targets_survive_their_text() {
+        for text in
+            ["eth://r0", "eth://r0/02:00:00:00:00:01", "udp://127.0.0.1:31415", "udp://[::1]:9", "udp://edge.local:1"]
+        {
+            assert_eq!(text.parse::<LinkTarget>().unwrap().to_string(), text);
+        }
+        assert_eq!("udp://edge".parse::<LinkTarget>().unwrap().to_string(), "udp://edge:31415");
+    }
+
+    #[test]
+    fn anything_else_is_refused() {
+        for text in [
+            "",
+            "r0",
+            "eth://",
+            "eth:///02:00:00:00:00:01",
+            "eth://r0/02",
+            "eth://an-interface-too-long",
+            "udp://",
+            "udp://:1",
+            "udp://host:",
+            "udp://host:0",
+            "udp://host:65536",
+            "udp://::1",
+            "udp://[::1",
+            "udp://[host]:1",
+            "udp://a/b",
+            "tcp://host:1",
+        ] {
+            assert!(text.parse::<LinkTarget>().is_err(), "{text}");
+        }
+    }
+}
