@@ -7,7 +7,7 @@ use core::str::FromStr;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// A 256-bit name. Displayed in full as 64 lower-case hex digits; `{:#}` is the short form for people (`75e…0fc`).
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Default, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct Name([u64; 4]);
 
@@ -37,6 +37,19 @@ impl Name {
     #[inline(always)]
     pub const fn words(&self) -> &[u64; 4] {
         &self.0
+    }
+}
+
+/// By the bytes in wire order, so that all machines agree which of two names is the smaller.
+impl Ord for Name {
+    fn cmp(&self, other: &Self) -> core::cmp::Ordering {
+        self.as_bytes().cmp(other.as_bytes())
+    }
+}
+
+impl PartialOrd for Name {
+    fn partial_cmp(&self, other: &Self) -> Option<core::cmp::Ordering> {
+        Some(self.cmp(other))
     }
 }
 
@@ -148,6 +161,13 @@ mod tests {
         assert_eq!(text.parse(), Ok(name));
         assert_eq!(name.as_bytes(), &bytes);
         assert_eq!(format!("{name:#}"), "75e…0fc");
+    }
+
+    #[test]
+    fn names_are_ordered_as_their_text_is() {
+        let (mut low, mut high) = ([0u8; 32], [0u8; 32]);
+        (low[1], low[7], high[0]) = (0xff, 0xff, 1);
+        assert!(Name::from_bytes(low) < Name::from_bytes(high));
     }
 
     #[test]
