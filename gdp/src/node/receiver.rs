@@ -134,11 +134,16 @@ impl Intake {
     fn deliver(&mut self, message: Message, counters: &Counters) {
         let length = message.body.len();
         let queued = self.queued_bytes.fetch_add(length, Ordering::Relaxed);
-        if queued.saturating_add(length) <= self.max_queued_bytes && self.queue.try_send(message).is_ok() {
-            counters.messages_received.add(1);
-        } else {
-            self.queued_bytes.fetch_sub(length, Ordering::Relaxed);
-            counters.queue_full.add(1);
+        match self.queue.try_reserve() {
+            Ok(place) if queued.saturating_add(length) <= self.max_queued_bytes => {
+                // Counted first: who has the message may look.
+                counters.messages_received.add(1);
+                place.send(message);
+            }
+            _ => {
+                self.queued_bytes.fetch_sub(length, Ordering::Relaxed);
+                counters.queue_full.add(1);
+            }
         }
     }
 }

@@ -1,0 +1,308 @@
+//! A switch with a RIB that believes everybody, for the tests of nodes: real ports and links, frames forwarded with
+//! `gdp_wire::forward`, and switches for each way in which a RIB may misbehave.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use gdp_wire::table::PORT_USERSPACE;
+use gdp_wire::{Header, LinkEntry, Name, forward};
+use zerocopy::{FromBytes, IntoBytes};
+
+use crate::card::NameCard;
+use crate::cert::{AdCert, Mode, ReadGrant, Signed, issue};
+use crate::control::{Credential, EntityRequest, Record, Refusal, RefusalCode, Request, Response, WritersPush};
+use crate::identity::{Identity, SigningKey};
+use crate::link::{Link, LinkIds};
+use crate::name::NameProof;
+use crate::node::{Node, NodeConfig, NodeError, Publisher, SubscribeOptions, Subscription, lock, unix_now};
+use crate::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
+use crate::seal::EpochKey;
+
+pub struct Fabric {
+    identity: Identity,
+    address: std::net::SocketAddr,
+    running: Option<Running>,
+    rib: Arc<Mutex<Rib>>,
+}
+
+struct Running {
+    port: Arc<Port>,
+    accept: tokio::task::JoinHandle<()>,
+    stop: Arc<AtomicBool>,
+    forwarder: std::thread::JoinHandle<()>,
+}
+
+#[derive(Default)]
+struct Rib {
+    links: HashMap<u32, Link>,
+    serials: HashMap<Name, u64>,
+    writers: HashMap<Name, Vec<Record>>,
+    subscribers: HashMap<Name, Name>,
+    refuse: Option<RefusalCode>,
+    silent: bool,
+}
+
+impl Fabric {
+    pub async fn start() -> Self {
+        let mut fabric = Self {
+            identity: Identity::generate("switch").unwrap(),
+            address: "127.0.0.1:0".parse().unwrap(),
+            running: None,
+            rib: Arc::default(),
+        };
+        fabric.restart().await;
+        fabric
+    }
+
+    pub async fn restart(&mut self) {
+        let port = Port::udp(self.address, &PortConfig::switch(self.identity.clone(), LinkIds::new())).unwrap();
+        let port = Arc::new(port);
+        self.address = port.udp_addr().unwrap();
+        let stop = Arc::new(AtomicBool::new(false));
+        let accept = tokio::spawn(accept_all(port.clone(), self.rib.clone()));
+        let (data, rib, stopped) = (port.data(), self.rib.clone(), stop.clone());
+        let forwarder = std::thread::spawn(move || {
+            let mut batch = RecvBatch::new(1500);
+            while !stopped.load(Ordering::Relaxed) {
+                data.wait_readable(Duration::from_millis(20)).unwrap();
+                while data.try_recv_batch(&mut batch).unwrap() > 0 {
+                    batch.frames().for_each(|(frame, _)| forward_frame(frame, &lock(&rib), &data));
+                }
+            }
+        });
+        self.running = Some(Running { port, accept, stop, forwarder });
+    }
+
+    /// The switch goes away and forgets everything.
+    pub async fn stop(&mut self) {
+        let running = self.running.take().unwrap();
+        running.stop.store(true, Ordering::Relaxed);
+        running.accept.abort();
+        running.forwarder.join().unwrap();
+        running.port.close("going away").await;
+        // The socket closes with the last of what still uses it.
+        *lock(&self.rib) = Rib::default();
+        let port = Arc::downgrade(&running.port);
+        drop(running.port);
+        eventually("the address is free", || {
+            port.strong_count() == 0 && std::net::UdpSocket::bind(self.address).is_ok()
+        })
+        .await;
+    }
+
+    pub fn target(&self) -> crate::node::LinkTarget {
+        format!("udp://{}", self.address).parse().unwrap()
+    }
+
+    pub async fn node(&self, kind: &str) -> Node {
+        let mut config = NodeConfig::new(Identity::generate(kind).unwrap(), self.target());
+        config.switch = Some(self.identity.name());
+        Node::connect(config).await.unwrap()
+    }
+
+    pub fn links(&self) -> usize {
+        lock(&self.rib).links.len()
+    }
+
+    pub fn writers(&self, name: Name) -> usize {
+        lock(&self.rib).writers.get(&name).map_or(0, Vec::len)
+    }
+
+    pub fn has_subscriber(&self, name: Name) -> bool {
+        lock(&self.rib).subscribers.contains_key(&name)
+    }
+
+    pub fn serial(&self, entity: Name) -> u64 {
+        lock(&self.rib).serials[&entity]
+    }
+
+    pub fn set_serial(&self, entity: Name, serial: u64) {
+        lock(&self.rib).serials.insert(entity, serial);
+    }
+
+    /// Refuses every advertisement and subscription.
+    pub fn refuse(&self, code: Option<RefusalCode>) {
+        lock(&self.rib).refuse = code;
+    }
+
+    /// Whether subscribers are told when the writers of their name change.
+    pub fn push_writers(&self, push: bool) {
+        lock(&self.rib).silent = !push;
+    }
+
+    /// Claims that `node` may write `name`.
+    pub fn lie(&self, name: Name, node: &Node, proof: NameProof, cert: Signed<AdCert>) {
+        let mut rib = lock(&self.rib);
+        let records = rib.writers.get_mut(&name).unwrap();
+        let entity = node.0.state.identity.proof();
+        let honest = records[0].clone();
+        records.push(Record { proof, entity, credential: Credential::Writer(cert), ..honest });
+    }
+}
+
+/// The owner of one name, and all it gives out.
+pub struct Owner {
+    key: SigningKey,
+    card: NameCard,
+    epoch: EpochKey,
+}
+
+impl Owner {
+    pub fn new(topic: &str) -> Self {
+        let key = SigningKey::generate().unwrap();
+        let metadata = [("kind", "topic"), ("topic", topic), ("nonce", "1")];
+        let metadata = metadata.into_iter().map(|(key, value)| (key.to_owned(), value.to_owned())).collect();
+        let card = NameCard::new(key.verify_key(), metadata).unwrap();
+        Self { key, card, epoch: EpochKey::generate().unwrap() }
+    }
+
+    /// Somebody who knows the card, but whose key is another.
+    pub fn of_card(card: NameCard) -> Self {
+        Self { key: SigningKey::generate().unwrap(), card, epoch: EpochKey::generate().unwrap() }
+    }
+
+    pub fn name(&self) -> Name {
+        self.card.name()
+    }
+
+    pub fn card(&self) -> &NameCard {
+        &self.card
+    }
+
+    pub fn key(&self) -> &EpochKey {
+        &self.epoch
+    }
+
+    pub fn ad_cert(&self, entity: Name) -> Signed<AdCert> {
+        let name = self.name();
+        let not_after = unix_now() + 60;
+        let claims = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], not_before: 0, not_after };
+        issue(&self.key, &claims).unwrap()
+    }
+
+    pub async fn publish(&self, node: &Node) -> Result<Publisher, NodeError> {
+        node.publish(self.card.proof(), self.ad_cert(node.name()), &self.epoch).await
+    }
+
+    pub async fn subscribe(&self, node: &Node) -> Result<Subscription, NodeError> {
+        let (name, entity) = (self.name(), node.name());
+        let claims = ReadGrant { name, entity, not_before: 0, not_after: unix_now() + 60 };
+        let grant = issue(&self.key, &claims).unwrap();
+        node.subscribe(self.card.proof(), grant, &self.epoch, SubscribeOptions::default()).await
+    }
+}
+
+/// Waits for a condition, ten seconds at most.
+pub async fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
+    let deadline = Instant::now() + Duration::from_secs(10);
+    while !condition() {
+        assert!(Instant::now() < deadline, "not in time: {what}");
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+}
+
+async fn accept_all(port: Arc<Port>, rib: Arc<Mutex<Rib>>) {
+    while let Some(link) = port.accept().await {
+        let Ok(link) = link else { continue };
+        lock(&rib).links.insert(link.local_id(), link.clone());
+        let rib = Arc::downgrade(&rib);
+        tokio::spawn(async move {
+            while let Some((request, responder)) = link.accept_request().await {
+                let Some(rib) = rib.upgrade() else { return };
+                let (response, push) = lock(&rib).answer(&link, request);
+                let _ = responder.respond(response).await;
+                if let Some((subscriber, push)) = push {
+                    let _ = subscriber.request(&Request::Writers(push)).await;
+                }
+            }
+            if let Some(rib) = rib.upgrade() {
+                lock(&rib).links.remove(&link.local_id());
+            }
+        });
+    }
+}
+
+impl Rib {
+    fn answer(&mut self, link: &Link, request: Request) -> (Response, Option<(Link, WritersPush)>) {
+        let entity = link.peer().name;
+        let Request::Entity(request) = request else { panic!("an endpoint sent {request:?}") };
+        let serial = match &request {
+            EntityRequest::Attach { .. } => {
+                let serial = *self.serials.entry(entity).or_default();
+                return (Response::Attached { serial }, None);
+            }
+            EntityRequest::Query { prefix } => {
+                let found = self.writers.iter().filter(|(name, _)| prefix.matches(name));
+                let records = found.flat_map(|(_, records)| records.clone()).collect();
+                return (Response::Records { records, truncated: false }, None);
+            }
+            EntityRequest::Advertise { advert, .. }
+            | EntityRequest::Subscribe { advert, .. }
+            | EntityRequest::Withdraw { advert } => advert.verify(&link.peer().key, unix_now()).unwrap().serial,
+        };
+        let floor = self.serials.get_mut(&entity).expect("attached first");
+        if serial <= *floor {
+            return (Refusal::new(RefusalCode::ReplayedSerial, format!("{serial} <= {floor}")).into(), None);
+        }
+        *floor = serial;
+        if let Some(code) = self.refuse {
+            return (Refusal::new(code, "as the test wants it").into(), None);
+        }
+        match request {
+            EntityRequest::Advertise { proof, ad_cert, advert } => {
+                let name = proof.name().unwrap();
+                let switch = advert.claims_unverified().unwrap().switch;
+                let credential = Credential::Writer(ad_cert);
+                let entity = link.peer().proof;
+                let record = Record { name, proof, entity, switch, credential, advert, expires_in: 60 };
+                let records = self.writers.entry(name).or_default();
+                records.retain(|other| other.entity != record.entity);
+                records.push(record);
+                (Response::Done, self.push(name))
+            }
+            EntityRequest::Subscribe { proof, .. } => {
+                let name = proof.name().unwrap();
+                self.subscribers.insert(name, entity);
+                let records = self.writers.get(&name).cloned().unwrap_or_default();
+                (Response::Records { records, truncated: false }, None)
+            }
+            EntityRequest::Withdraw { advert } => {
+                let name = advert.claims_unverified().unwrap().name;
+                if let Some(records) = self.writers.get_mut(&name) {
+                    records.retain(|other| other.entity != link.peer().proof);
+                }
+                self.subscribers.retain(|other, subscriber| *other != name || *subscriber != entity);
+                (Response::Done, None)
+            }
+            EntityRequest::Attach { .. } | EntityRequest::Query { .. } => unreachable!("answered above"),
+        }
+    }
+
+    fn push(&self, name: Name) -> Option<(Link, WritersPush)> {
+        let entity = *self.subscribers.get(&name).filter(|_| !self.silent)?;
+        let link = self.links.values().find(|link| link.peer().name == entity)?.clone();
+        let records = self.writers[&name].clone();
+        let switch = records[0].switch;
+        Some((link, WritersPush { switch, entity, name, records }))
+    }
+
+    fn entry(&self, id: u32) -> Option<(LinkEntry, LinkAddr)> {
+        self.links.get(&id).map(|link| (link.entry(PORT_USERSPACE), link.addr()))
+    }
+}
+
+fn forward_frame(frame: &mut [u8], rib: &Rib, data: &crate::port::DataSocket) {
+    let available = frame.len();
+    let Ok((header, payload)) = Header::mut_from_prefix(frame) else { return };
+    let Some((ingress, _)) = rib.entry(header.link_id()) else { return };
+    if forward::accept(header, available, &ingress).is_err() {
+        return;
+    }
+    let Some(subscriber) = rib.subscribers.get(&header.destination) else { return };
+    let Some(link) = rib.links.values().find(|link| link.peer().name == *subscriber) else { return };
+    let (egress, to) = (link.entry(PORT_USERSPACE), link.addr());
+    forward::stamp(header, &egress, header.link_counter());
+    data.send_batch([OutFrame { to, head: header.as_bytes(), body: payload }]);
+}
