@@ -1,0 +1,266 @@
+//! The planes on real interfaces: which one an interface gets, and that frames cross a switch whichever it is.
+//!
+//! ```text
+//!   left:e0 ──── l0:switch:r0 ──── e0:right
+//! ```
+
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use gdp::identity::Identity;
+use gdp::link::LinkIds;
+use gdp::port::{LinkAddr, Port, PortConfig};
+use gdp_ctl::plane::{PlaneConfig, PlaneError, Planes, Wanted};
+use gdp_tests::Tools;
+use gdp_tests::frames::Frame;
+use gdp_tests::netns::{End, Namespace, execute, veth};
+use gdp_tests::packet::PacketSocket;
+use gdp_wire::{Counter, FibEntry, LinkEntry, LinkRole, Name};
+
+const SOON: Duration = Duration::from_secs(10);
+
+const LEFT_MAC: [u8; 6] = [2, 0, 0, 0, 1, 1];
+const RIGHT_MAC: [u8; 6] = [2, 0, 0, 0, 2, 1];
+const L0_MAC: [u8; 6] = [2, 0, 0, 0, 1, 2];
+const R0_MAC: [u8; 6] = [2, 0, 0, 0, 2, 2];
+
+const TOPIC: Name = Name::from_bytes([0xd0; 32]);
+const OWN_BIT: u64 = 1 << 5;
+
+#[test]
+fn frames_cross_a_switch_in_native_xdp() -> Result<()> {
+    let site = Site::build(1500)?;
+    let switch = site.switch(Wanted::Auto)?;
+    for report in switch.planes.report() {
+        ensure!((report.kind, report.reason.as_str()) == ("xdp-native", ""), "{report:?}");
+    }
+    let crossed = site.send_through(1400)?;
+    ensure!(crossed.len() == 14 + 1400);
+    ensure!(switch.counted(Counter::Delivered)? == (1, 0), "{:?}", switch.planes.counters());
+    Ok(())
+}
+
+#[test]
+fn jumbo_frames_cross_in_several_buffers() -> Result<()> {
+    let site = Site::build(9000)?;
+    let switch = site.switch(Wanted::Xdp)?;
+    let crossed = site.send_through(8900)?;
+    ensure!(crossed.len() == 14 + 8900);
+    ensure!(switch.counted(Counter::Delivered)? == (1, 0));
+    Ok(())
+}
+
+#[test]
+fn frames_cross_a_switch_in_userspace() -> Result<()> {
+    let site = Site::build(1500)?;
+    let switch = site.switch(Wanted::Userspace)?;
+    for report in switch.planes.report() {
+        ensure!(report.kind == "userspace" && report.reason.contains("was asked for"), "{report:?}");
+    }
+    let crossed = site.send_through(1400)?;
+    ensure!(crossed.len() == 14 + 1400);
+    ensure!(switch.counted(Counter::Delivered)? == (0, 1));
+    Ok(())
+}
+
+/// A veth drops what is redirected to it while its peer has neither GRO nor a program; the planes must know.
+#[test]
+fn an_interface_that_takes_no_redirects_is_served_from_userspace() -> Result<()> {
+    let site = Site::build(1500)?;
+    gro(&site.right, "off")?;
+    let mut switch = site.switch(Wanted::Auto)?;
+    let report = switch.planes.report();
+    ensure!(report[1].reason.contains("gro on"), "{report:?}");
+    site.send_through(200)?;
+    ensure!(switch.counted(Counter::Slow)? == (1, 0) && switch.counted(Counter::Delivered)? == (0, 1));
+
+    gro(&site.right, "on")?;
+    switch.planes.refresh()?;
+    site.send_through(200)?;
+    ensure!(switch.counted(Counter::Delivered)? == (1, 1), "from then on in the kernel");
+    Ok(())
+}
+
+/// Both planes send on the link: its counter must not repeat, or a replay window would drop frames.
+#[test]
+fn the_planes_share_the_counter_of_a_link() -> Result<()> {
+    let site = Site::build(1500)?;
+    gro(&site.right, "off")?;
+    let mut switch = site.switch(Wanted::Auto)?;
+    let link_counter = |frame: Vec<u8>| u32::from_be_bytes([frame[26], frame[27], frame[28], frame[29]]);
+    let in_userspace = link_counter(site.send_through(200)?);
+    gro(&site.right, "on")?;
+    switch.planes.refresh()?;
+    let in_kernel = link_counter(site.send_through(200)?);
+    ensure!((in_userspace, in_kernel) == (1, 2), "{in_userspace} then {in_kernel}");
+    Ok(())
+}
+
+#[test]
+fn without_native_xdp_generic_is_next() -> Result<()> {
+    let site = Site::build(1500)?;
+    // A bridge has no native XDP.
+    site.switch.ip(&["link", "add", "b0", "type", "bridge"])?;
+    site.switch.ip(&["link", "set", "b0", "up"])?;
+    let mut switch = site.switch(Wanted::Auto)?;
+    let report = switch.attach(&site, "b0")?;
+    ensure!(report.kind == "xdp-generic" && report.reason.contains("no native XDP"), "{report:?}");
+    Ok(())
+}
+
+#[test]
+fn a_foreign_program_is_left_alone() -> Result<()> {
+    let site = Site::build(1500)?;
+    let theirs = site.switch(Wanted::Auto)?;
+    let ours = site.switch(Wanted::Auto)?;
+    for report in ours.planes.report() {
+        ensure!(report.kind == "userspace" && report.reason.contains("another XDP program"), "{report:?}");
+    }
+    ensure!(theirs.planes.report().iter().all(|report| report.kind == "xdp-native"));
+
+    let refused = site.switch(Wanted::Xdp).err().context("XDP was asked for and cannot be had")?;
+    let refused = refused.downcast::<PlaneError>()?;
+    ensure!(matches!(&refused, PlaneError::NoXdp { interface, .. } if interface == "l0"), "{refused}");
+    Ok(())
+}
+
+#[test]
+fn dropping_the_planes_detaches() -> Result<()> {
+    let site = Site::build(1500)?;
+    let shown = || site.switch.ip(&["-o", "link", "show", "l0"]);
+    let switch = site.switch(Wanted::Xdp)?;
+    ensure!(shown()?.contains("xdp"), "{}", shown()?);
+    drop(switch);
+    ensure!(!shown()?.contains("xdp"), "{}", shown()?);
+    Ok(())
+}
+
+#[test]
+fn a_missing_object_is_no_obstacle_unless_xdp_was_asked_for() -> Result<()> {
+    let config = |wanted| PlaneConfig { wanted, ebpf_object: Some("/nonexistent".into()), ..Default::default() };
+    Planes::open(config(Wanted::Auto))?;
+    let error = Planes::open(config(Wanted::Xdp)).err().context("an error")?.to_string();
+    ensure!(error.contains("/nonexistent") && error.contains("cargo xtask build"), "{error}");
+    Ok(())
+}
+
+struct Site {
+    left: Namespace,
+    switch: Namespace,
+    right: Namespace,
+}
+
+impl Site {
+    fn build(mtu: u32) -> Result<Self> {
+        let [left, switch, right] = ["left", "switch", "right"].map(Namespace::create);
+        let site = Self { left: left?, switch: switch?, right: right? };
+        let end = |namespace, interface, mac| End { namespace, interface, mac };
+        veth(&end(&site.left, "e0", LEFT_MAC), &end(&site.switch, "l0", L0_MAC), mtu)?;
+        veth(&end(&site.switch, "r0", R0_MAC), &end(&site.right, "e0", RIGHT_MAC), mtu)?;
+        // The kernel notices at the other end only what changes while this end is up.
+        for side in [&site.left, &site.right] {
+            gro(side, "off")?;
+            gro(side, "on")?;
+        }
+        Ok(site)
+    }
+
+    /// A switch on both interfaces, with a link to each side and a route from left to right.
+    fn switch(&self, wanted: Wanted) -> Result<Switch> {
+        let _inside = self.switch.enter()?;
+        let object = Tools::beside_this_test()?.ebpf_object()?;
+        let planes = Planes::open(PlaneConfig { wanted, ebpf_object: Some(object), ..Default::default() })?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let mut switch = Switch { planes, ports: Vec::new(), runtime };
+        for interface in ["l0", "r0"] {
+            switch.attach_here(interface)?;
+        }
+        let ifindex = |i: usize| switch.ports[i].interface().map(|interface| interface.index).context("an interface");
+        let (left, right) = (ifindex(0)?, ifindex(1)?);
+        switch.planes.set_own_bit(OWN_BIT)?;
+        switch.planes.set_link(left_link(), LinkAddr::Ethernet { ifindex: left, mac: LEFT_MAC })?;
+        switch.planes.set_link(right_link(), LinkAddr::Ethernet { ifindex: right, mac: RIGHT_MAC })?;
+        let here = FibEntry { egress_bits: OWN_BIT, local_link: right_link().id, egress_set: 0 };
+        switch.planes.set_route(TOPIC, here)?;
+        ensure!(switch.planes.routes()? == [(TOPIC, here)]);
+        Ok(switch)
+    }
+
+    /// Sends a frame of `length` bytes from left; what arrives on the right must be what the switch should make of it.
+    fn send_through(&self, length: usize) -> Result<Vec<u8>> {
+        let from = PacketSocket::open(&self.left, "e0")?;
+        let to = PacketSocket::open(&self.right, "e0")?;
+        let frame = Frame {
+            to_mac: L0_MAC,
+            from_mac: LEFT_MAC,
+            link_id: left_link().id,
+            key: left_link().rx_key,
+            destination: TOPIC.to_bytes(),
+            payload: vec![0x5a; length - 96],
+            ..Frame::default()
+        };
+        from.send(&frame.bytes())?;
+        let crossed = to.receive(SOON, gdp_tests::packet::is_gdp_data)?;
+        let link_counter = u32::from_be_bytes([crossed[26], crossed[27], crossed[28], crossed[29]]);
+        let expected = Frame {
+            to_mac: RIGHT_MAC,
+            from_mac: R0_MAC,
+            hop_limit: 63,
+            link_id: right_link().peer_id,
+            link_counter,
+            key: right_link().tx_key,
+            ..frame
+        };
+        ensure!(crossed == expected.bytes(), "{crossed:02x?}");
+        Ok(crossed)
+    }
+}
+
+fn gro(side: &Namespace, state: &str) -> Result<()> {
+    execute(side.command("ethtool")?.args(["-K", "e0", "gro", state])).map(drop)
+}
+
+struct Switch {
+    planes: Planes,
+    ports: Vec<Port>,
+    runtime: tokio::runtime::Runtime,
+}
+
+impl Switch {
+    fn attach(&mut self, site: &Site, interface: &str) -> Result<gdp_ctl::plane::InterfacePlane> {
+        let _inside = site.switch.enter()?;
+        self.attach_here(interface)
+    }
+
+    fn attach_here(&mut self, interface: &str) -> Result<gdp_ctl::plane::InterfacePlane> {
+        let _runtime = self.runtime.enter();
+        let identity = Identity::generate("switch")?;
+        let port = Port::ethernet(interface, &PortConfig::switch(identity, LinkIds::new()))?;
+        let found = port.interface().context("an interface")?.clone();
+        let report = self.planes.attach(&found, port.data())?;
+        self.ports.push(port);
+        Ok(report)
+    }
+
+    /// What the kernel and the userspace plane counted; waits until the latter has come to it.
+    fn counted(&self, wanted: Counter) -> Result<(u64, u64)> {
+        gdp_tests::wait::wait_for("a frame to be counted", SOON, || {
+            let counters = self.planes.counters()?;
+            Ok(counters.into_iter().find(|(c, k, u)| *c == wanted && k + u > 0).map(|(_, k, u)| (k, u)))
+        })
+    }
+}
+
+fn left_link() -> LinkEntry {
+    LinkEntry { id: 0x1001, peer_id: 0x2001, mtu: 9000, rx_key: [1, 2], tx_key: [3, 4], ..endpoint(LEFT_MAC, L0_MAC) }
+}
+
+fn right_link() -> LinkEntry {
+    LinkEntry { id: 0x1002, peer_id: 0x2002, mtu: 9000, rx_key: [5, 6], tx_key: [7, 8], ..endpoint(RIGHT_MAC, R0_MAC) }
+}
+
+fn endpoint(peer_mac: [u8; 6], local_mac: [u8; 6]) -> LinkEntry {
+    let words = |mac: [u8; 6]| [0, 2, 4].map(|i| u16::from_ne_bytes([mac[i], mac[i + 1]]));
+    let role = LinkRole::Endpoint as u32;
+    LinkEntry { role, peer_mac: words(peer_mac), local_mac: words(local_mac), ..LinkEntry::default() }
+}
