@@ -8,7 +8,8 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use gdp::Name;
-use serde::Deserialize;
+use gdp::node::LinkTarget;
+use serde::{Deserialize, Deserializer, de};
 
 use crate::ros2::{self, Qos, TopicName, TypeName};
 
@@ -24,7 +25,8 @@ pub struct Config {
     /// The proxy's private key (`gdp-ctl key generate FILE --kind proxy`).
     pub identity: PathBuf,
     /// Where the switch is: `eth://INTERFACE`, `eth://INTERFACE/MAC` or `udp://HOST:PORT`.
-    pub link: String,
+    #[serde(deserialize_with = "from_text")]
+    pub link: LinkTarget,
     /// The switch that must be there, if only one will do.
     #[serde(default)]
     pub switch: Option<Name>,
@@ -147,6 +149,10 @@ impl Config {
     }
 }
 
+fn from_text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<LinkTarget, D::Error> {
+    String::deserialize(deserializer)?.parse().map_err(de::Error::custom)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -204,6 +210,7 @@ mod tests {
             ("{link: 'eth://r0'}", "identity"),
             ("{identity: a.pem}", "link"),
             (&MINIMAL.replace("link:", "lnk:"), "lnk"),
+            (&MINIMAL.replace("eth://r0", "tcp://r0"), "is no link"),
             (&MINIMAL.replace("key:", "keys:"), "keys"),
             (&MINIMAL.replace("direction: out", "direction: both"), "both"),
             (&MINIMAL.replace("/chatter", "chatter"), "leading slash"),

@@ -7,5 +7,7 @@
 mod backlog;
 pub mod config;
 pub mod material;
+pub mod proxy;
 pub mod ros2;
+pub mod route;
 pub mod stats;

@@ -34,10 +34,16 @@ fn main() -> Result<()> {
     let config = Config::load(&arguments.config)?;
     let material = Material::load(&config).with_context(|| arguments.config.display().to_string())?;
     if arguments.check {
-        println!("{}: good, {} topics, entity {}", arguments.config.display(), config.topics.len(), material.identity.name());
+        println!(
+            "{}: good, {} topics, entity {}",
+            arguments.config.display(),
+            config.topics.len(),
+            material.identity.name()
+        );
         return Ok(());
     }
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("cannot start the runtime")?;
+    let runtime =
+        tokio::runtime::Builder::new_multi_thread().enable_all().build().context("cannot start the runtime")?;
     runtime.block_on(async {
         let stop = stop_signal()?;
         proxy::run(config, material, arguments.stats.map(StatsFile::new), stop).await

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use gdp::Name;
+use gdp::node::NodeCounters;
 use serde::Serialize;
 
 use crate::config::Direction;
@@ -95,6 +96,8 @@ pub struct RouteStats {
     /// ROS type; null while it is not known.
     #[serde(rename = "type")]
     pub kind: Option<String>,
+    /// `up`, or what the route waits for.
+    pub status: String,
     pub direction: Direction,
     pub name: Name,
     pub messages: u64,
@@ -106,12 +109,13 @@ impl RouteStats {
     pub fn new(
         topic: String,
         kind: Option<String>,
+        status: String,
         direction: Direction,
         name: Name,
         counters: &RouteCounters,
     ) -> Self {
         let (messages, bytes) = (counters.messages(), counters.bytes.load(Relaxed));
-        Self { topic, kind, direction, name, messages, bytes, drops: counters.drops() }
+        Self { topic, kind, status, direction, name, messages, bytes, drops: counters.drops() }
     }
 }
 
@@ -123,9 +127,11 @@ pub struct Stats {
     /// The proxy's own name.
     pub entity: Name,
     pub domain_id: u16,
+    /// Where it is attached; null while the link is lost.
+    pub switch: Option<Name>,
     pub topics: Vec<RouteStats>,
-    /// The fabric's side: see `gdp::node`.
-    pub node: serde_json::Value,
+    /// The fabric's side of it.
+    pub node: NodeCounters,
 }
 
 /// A file that always holds one whole object: it is replaced, never written to.
@@ -173,10 +179,17 @@ mod tests {
         for sent in 1..=2 {
             counters.passed(68);
             let name = Name::from_bytes([7; 32]);
-            let route = RouteStats::new("/chatter".into(), None, Direction::Out, name, &counters);
+            let route = RouteStats::new("/chatter".into(), None, "up".into(), Direction::Out, name, &counters);
             let topics = vec![route];
-            file.replace(&Stats { version: 1, entity: name, domain_id: 0, topics, node: serde_json::Value::Null })
-                .unwrap();
+            file.replace(&Stats {
+                version: 1,
+                entity: name,
+                domain_id: 0,
+                switch: None,
+                topics,
+                node: NodeCounters::default(),
+            })
+            .unwrap();
             let read: serde_json::Value = serde_json::from_slice(&std::fs::read(file.path()).unwrap()).unwrap();
             let topic = &read["topics"][0];
             assert_eq!((&topic["messages"], &topic["bytes"]), (&sent.into(), &(68 * sent).into()));

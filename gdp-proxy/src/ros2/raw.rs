@@ -164,7 +164,7 @@ impl RawWriter {
 fn timestamp(ns: u64) -> Timestamp {
     let (seconds, nanos) = (ns / 1_000_000_000, ns % 1_000_000_000);
     match u32::try_from(seconds) {
-        Ok(seconds) => Timestamp::from_ticks(u64::from(seconds) << 32 | (nanos << 32) / 1_000_000_000),
+        Ok(seconds) => Timestamp::from_ticks((u64::from(seconds) << 32) + (nanos << 32) / 1_000_000_000),
         Err(_) => Timestamp::now(),
     }
 }
@@ -254,7 +254,7 @@ mod tests {
     fn source_timestamps_keep_their_value() {
         let ns = 1_700_000_000_123_456_789;
         let ticks = timestamp(ns).to_ticks();
-        let back = (ticks >> 32) * 1_000_000_000 + ((ticks & 0xffff_ffff) * 1_000_000_000 >> 32);
+        let back = (ticks >> 32) * 1_000_000_000 + (((ticks & 0xffff_ffff) * 1_000_000_000) >> 32);
         assert!(ns - back <= 1, "{back}");
         assert!(timestamp(u64::MAX) < Timestamp::INFINITE, "a time after 2106 is not passed on");
     }

@@ -1,0 +1,108 @@
+//! Puts the halves together: joins the DDS domain, attaches to the switch, runs a route per topic, shows counters, and
+//! leaves both sides properly.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, Result, anyhow};
+use gdp::Node;
+use gdp::node::{NodeConfig, NodeError};
+use tokio::task::JoinSet;
+
+use crate::config::Config;
+use crate::material::Material;
+use crate::ros2::Domain;
+use crate::route::Route;
+use crate::stats::{Stats, StatsFile};
+
+const STATS_PERIOD: Duration = Duration::from_secs(1);
+
+/// How often the log says that the switch does not answer.
+const CONNECT_PATIENCE: Duration = Duration::from_secs(10);
+
+/// Runs until `stop` ends, or something fails that only a new start can mend.
+pub async fn run(
+    config: Config,
+    material: Material,
+    stats: Option<StatsFile>,
+    stop: impl Future<Output = ()>,
+) -> Result<()> {
+    if config.topics.is_empty() {
+        tracing::warn!("no topics are configured, so nothing is exposed");
+    }
+    let mut stop = std::pin::pin!(stop);
+    let node = tokio::select! {
+        node = connect(&config, &material) => node?,
+        () = &mut stop => return Ok(()),
+    };
+    let domain_id = config.domain_id.get();
+    let domain = Arc::new(Domain::join(domain_id)?);
+    tracing::info!(entity = %node.name(), domain_id, "attached to the switch and in the DDS domain");
+
+    let routes: Vec<_> = config
+        .topics
+        .iter()
+        .zip(&material.topics)
+        .map(|(topic, material)| Arc::new(Route::new(topic, material)))
+        .collect();
+    let mut tasks = JoinSet::new();
+    for (route, material) in routes.iter().zip(material.topics) {
+        let (route, domain, node) = (route.clone(), domain.clone(), node.clone());
+        tasks.spawn(async move {
+            let Err(error) = route.run(&domain, &node, material).await;
+            anyhow!(error).context(format!("topic {}", route.topic()))
+        });
+    }
+
+    let shown = || Stats {
+        version: 1,
+        entity: node.name(),
+        domain_id,
+        switch: node.switch().ok(),
+        topics: routes.iter().map(|route| route.stats()).collect(),
+        node: node.counters(),
+    };
+    let ended = tokio::select! {
+        () = stop => Ok(()),
+        Some(ended) = tasks.join_next() => Err(ended.unwrap_or_else(|panic| anyhow!(panic).context("a route panicked"))),
+        error = show(stats.as_ref(), &shown) => Err(error),
+    };
+
+    tracing::info!("leaving");
+    tasks.shutdown().await;
+    if let Some(file) = &stats {
+        file.replace(&shown()).with_context(|| file.path().display().to_string())?;
+    }
+    node.close().await;
+    if let Some(domain) = Arc::into_inner(domain) {
+        domain.leave().await;
+    }
+    ended
+}
+
+/// The switch may start after the proxy; what waiting cannot mend is an error at once.
+async fn connect(config: &Config, material: &Material) -> Result<Node> {
+    let mut node = NodeConfig::new(material.identity.clone(), config.link.clone());
+    node.switch = config.switch;
+    node.connect_timeout = CONNECT_PATIENCE;
+    loop {
+        match Node::connect(node.clone()).await {
+            Ok(node) => return Ok(node),
+            Err(NodeError::Detached(reason)) => tracing::warn!(link = %config.link, "no switch yet: {reason}"),
+            Err(error) => return Err(error).with_context(|| format!("cannot attach at {}", config.link)),
+        }
+    }
+}
+
+/// Replaces the file once per period, for ever; without a file it does nothing, for ever. Returns why it could not.
+async fn show(file: Option<&StatsFile>, stats: impl Fn() -> Stats) -> anyhow::Error {
+    let Some(file) = file else { return std::future::pending().await };
+    let mut ticks = tokio::time::interval(STATS_PERIOD);
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    loop {
+        ticks.tick().await;
+        if let Err(error) = file.replace(&stats()) {
+            return anyhow!(error).context(format!("{}: cannot be written", file.path().display()));
+        }
+    }
+}

@@ -1,0 +1,216 @@
+//! One topic in one direction. Each route is a task of its own, so a slow topic holds up nobody else's; within it a message
+//! goes straight from one side to the other, without a queue or a wake-up in between unless the far side is busy.
+
+use std::convert::Infallible;
+use std::fmt::Display;
+use std::pin::pin;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use gdp::cert::{AdCert, ReadGrant, Signed};
+use gdp::node::{NodeError, Publisher, SubscribeOptions};
+use gdp::seal::{Encoding, EpochKey, Message};
+use gdp::{Name, NameCard, Node};
+
+use crate::backlog::Backlog;
+use crate::config::{Direction, TopicConfig};
+use crate::material::{Permission, TopicMaterial};
+use crate::ros2::{
+    Domain, Qos, RawReader, RawSample, RawWriter, RosError, TopicName, TypeName, Unreadable, WriteError,
+};
+use crate::stats::{Drop, RouteCounters, RouteStats};
+
+/// Between attempts to have a name published or subscribed: doubled from the first to the second.
+const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(30));
+
+pub struct Route {
+    topic: TopicName,
+    direction: Direction,
+    qos: Qos,
+    name: Name,
+    counters: RouteCounters,
+    progress: Mutex<Progress>,
+}
+
+/// How far a route has come, for people and tests.
+struct Progress {
+    kind: Option<TypeName>,
+    status: String,
+}
+
+impl Route {
+    pub fn new(config: &TopicConfig, material: &TopicMaterial) -> Self {
+        Self {
+            topic: config.topic.clone(),
+            direction: config.direction,
+            qos: config.qos,
+            name: material.card.name(),
+            counters: RouteCounters::default(),
+            progress: Mutex::new(Progress { kind: material.kind.clone(), status: "starting".into() }),
+        }
+    }
+
+    pub fn stats(&self) -> RouteStats {
+        let progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        let (kind, status) = (progress.kind.as_ref().map(TypeName::to_string), progress.status.clone());
+        RouteStats::new(self.topic.to_string(), kind, status, self.direction, self.name, &self.counters)
+    }
+
+    pub fn topic(&self) -> &TopicName {
+        &self.topic
+    }
+
+    /// Carries messages until it is dropped, or DDS fails or the node is closed.
+    pub async fn run(&self, domain: &Domain, node: &Node, material: TopicMaterial) -> Result<Infallible, RouteError> {
+        let kind = match material.kind.clone() {
+            Some(kind) => kind,
+            None => self.learn_type(domain).await,
+        };
+        match material.permission {
+            Permission::Publish(cert) => self.run_out(domain, node, &kind, &material.card, &cert, &material.key).await,
+            Permission::Read(grant) => self.run_in(domain, node, &kind, &material.card, &grant, &material.key).await,
+        }
+    }
+
+    async fn run_out(
+        &self,
+        domain: &Domain,
+        node: &Node,
+        kind: &TypeName,
+        card: &NameCard,
+        cert: &Signed<AdCert>,
+        key: &EpochKey,
+    ) -> Result<Infallible, RouteError> {
+        // First the fabric, then DDS: a latched message that comes at once has somewhere to go.
+        let mut pause = RETRY.0;
+        let mut publisher = loop {
+            match node.publish(card.proof(), cert.clone(), key).await {
+                Ok(publisher) => break publisher,
+                Err(error) => self.pause_after(error, &mut pause).await,
+            }
+        };
+        let reader = domain.reader(&self.topic, kind, self.qos)?;
+        self.is_up();
+        self.carry_out(&reader, &mut publisher).await
+    }
+
+    async fn run_in(
+        &self,
+        domain: &Domain,
+        node: &Node,
+        kind: &TypeName,
+        card: &NameCard,
+        grant: &Signed<ReadGrant>,
+        key: &EpochKey,
+    ) -> Result<Infallible, RouteError> {
+        // First DDS, then the fabric, likewise.
+        let mut writer = domain.writer(&self.topic, kind, self.qos)?;
+        let mut pause = RETRY.0;
+        let mut subscription = loop {
+            match node.subscribe(card.proof(), grant.clone(), key, SubscribeOptions::default()).await {
+                Ok(subscription) => break subscription,
+                Err(error) => self.pause_after(error, &mut pause).await,
+            }
+        };
+        self.is_up();
+        loop {
+            let message = subscription.recv().await.ok_or(RouteError::NodeClosed)?;
+            self.carry_in(message, node.name(), &mut writer).await;
+        }
+    }
+
+    async fn learn_type(&self, domain: &Domain) -> TypeName {
+        self.set_status("waiting for a local publisher, to learn the type");
+        let kind = domain.type_of(&self.topic).await;
+        tracing::info!(topic = %self.topic, %kind, "learnt the type");
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner).kind = Some(kind.clone());
+        kind
+    }
+
+    /// A refusal is no reason to end: other topics may be fine, and owners, RIBs and clocks mend.
+    async fn pause_after(&self, error: NodeError, pause: &mut Duration) {
+        let message = error.to_string();
+        tracing::warn!(topic = %self.topic, name = %self.name, "{message}; asking again in {pause:?}");
+        self.set_status(&message);
+        tokio::time::sleep(*pause).await;
+        *pause = (*pause * 2).min(RETRY.1);
+    }
+
+    async fn carry_out(&self, reader: &RawReader, publisher: &mut Publisher) -> Result<Infallible, RouteError> {
+        let mut backlog = Backlog::new(self.qos.depth.get().into());
+        loop {
+            let Some(message) = backlog.pop() else {
+                self.keep(reader.recv().await, &mut backlog);
+                continue;
+            };
+            let mut sending = pin!(publisher.send(Encoding::Cdr, &message));
+            // RustDDS holds few messages and drops more without a word: they are taken over while the fabric is busy.
+            let sent = loop {
+                tokio::select! {
+                    biased;
+                    sent = &mut sending => break sent,
+                    arrived = reader.recv() => self.keep(arrived, &mut backlog),
+                }
+            };
+            match sent {
+                Ok(_) => self.counters.passed(message.len()),
+                Err(NodeError::Closed) => return Err(RouteError::NodeClosed),
+                Err(error) => self.drop(Drop::SendFailed, error),
+            }
+        }
+    }
+
+    fn keep(&self, arrived: Result<RawSample, Unreadable>, backlog: &mut Backlog) {
+        match arrived {
+            Ok(sample) => {
+                for _ in 0..backlog.push(sample.bytes) {
+                    self.drop(Drop::QueueFull, "the fabric takes messages more slowly than they come");
+                }
+            }
+            Err(error) => self.drop(Drop::Unreadable, error),
+        }
+    }
+
+    async fn carry_in(&self, message: Message, own: Name, writer: &mut RawWriter) {
+        if message.writer == own {
+            return self.drop(Drop::Own, "this proxy wrote it");
+        }
+        if message.encoding != Encoding::Cdr {
+            return self.drop(Drop::WrongEncoding, format_args!("{:?}, not CDR", message.encoding));
+        }
+        let bytes = message.body.len();
+        let Some(sample) = RawSample::parse(message.body) else {
+            return self.drop(Drop::Malformed, "not a CDR encapsulation");
+        };
+        match writer.write(sample, message.timestamp_ns).await {
+            Ok(()) => self.counters.passed(bytes),
+            Err(error @ WriteError::Stalled) => self.drop(Drop::Stalled, error),
+            Err(error @ WriteError::Failed(_)) => self.drop(Drop::WriteFailed, error),
+        }
+    }
+
+    /// Counts every drop; the first one for a reason is worth a line in the log, the counters have the rest.
+    fn drop(&self, reason: Drop, why: impl Display) {
+        if self.counters.dropped(reason) {
+            tracing::warn!(topic = %self.topic, reason = reason.as_str(), "a message was dropped: {why}");
+        }
+    }
+
+    fn is_up(&self) {
+        tracing::info!(topic = %self.topic, direction = ?self.direction, name = %self.name, "carrying");
+        self.set_status("up");
+    }
+
+    fn set_status(&self, status: &str) {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner).status = status.into();
+    }
+}
+
+/// Why a route ended.
+#[derive(Debug, thiserror::Error)]
+pub enum RouteError {
+    #[error(transparent)]
+    Ros(#[from] RosError),
+    #[error("the node is closed")]
+    NodeClosed,
+}
