@@ -404,7 +404,8 @@ fn endpoint(label: &str, id: u32, port: Option<u32>) -> Link {
 
 fn neighbour(label: &str, id: u32, port: u32, reach: &[u32], mtu: u32) -> Link {
     let index = id as u8;
-    let key = |direction: u8| (0..16).map(|i| format!("{:02x}", (i + 1) * 11 ^ index ^ direction)).collect::<String>();
+    let key =
+        |direction: u8| (0..16).map(|i| format!("{:02x}", ((i + 1) * 11) ^ index ^ direction)).collect::<String>();
     Link {
         label: label.into(),
         id,
