@@ -47,6 +47,9 @@ const MAX_HANDSHAKES: usize = 64;
 /// Of these, from one address: a peer that never finishes its handshakes leaves room for others.
 const MAX_HANDSHAKES_OF_ONE: usize = 16;
 
+/// Switches on one segment that are told of.
+const MAX_ANSWERS: usize = 64;
+
 /// Between two solicitations.
 const SOLICIT_INTERVAL: Duration = Duration::from_millis(200);
 
@@ -191,8 +194,8 @@ impl Port {
         self.accepted.lock().await.recv().await
     }
 
-    /// Asks which switches are on the segment, until `within` is over, or `wanted` has answered, or answers stop coming.
-    /// What an answer says is proven only by dialling it. Nothing to ask on UDP.
+    /// Asks which switches are on the segment, until `within` is over or answers stop coming; or only where `wanted` is,
+    /// until it has answered. What an answer says is proven only by dialling it. Nothing to ask on UDP.
     pub async fn discover(&self, wanted: Option<Name>, within: Duration) -> Vec<(LinkAddr, Name)> {
         let Medium::Ethernet(interface, control) = &self.medium else { return Vec::new() };
         let end = Instant::now() + within;
@@ -213,14 +216,15 @@ impl Port {
                 Ok(Err(broadcast::error::RecvError::Closed)) => return found,
             };
             let answer = (LinkAddr::Ethernet { ifindex: interface.index, mac }, name);
-            if wanted == Some(name) {
-                return vec![answer];
-            }
-            if found.len() < MAX_HANDSHAKES && !found.contains(&answer) {
-                found.push(answer);
-            }
-            if wanted.is_none() {
-                until = end.min(now + ANSWERS_SETTLE);
+            match wanted {
+                Some(wanted) if wanted == name => return vec![answer],
+                Some(_) => {}
+                None => {
+                    if found.len() < MAX_ANSWERS && !found.contains(&answer) {
+                        found.push(answer);
+                    }
+                    until = end.min(now + ANSWERS_SETTLE);
+                }
             }
         }
     }

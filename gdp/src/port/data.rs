@@ -286,7 +286,7 @@ impl<'a> Chunk<'a> {
             message.msg_hdr.msg_iov = self.iovecs[i].as_mut_ptr();
             message.msg_hdr.msg_iovlen = 2;
         }
-        let (mut next, mut sent, mut waited) = (0, 0, false);
+        let (mut next, mut sent, mut waited, mut told) = (0, 0, false, false);
         while next < self.count {
             let rest = &mut messages[next..self.count];
             // SAFETY: the headers point to addresses and pieces of frames that live as long as `self` and `'a`; the
@@ -305,6 +305,8 @@ impl<'a> Chunk<'a> {
                         waited = true;
                         let _ = sys::wait(fd, libc::POLLOUT, SEND_PATIENCE);
                     }
+                    // May be about the past: a socket tells once that its interface was down.
+                    Some(libc::ENETDOWN) if !told => told = true,
                     Some(libc::EAGAIN | libc::ENOBUFS | libc::ENETDOWN | libc::ENXIO) => break,
                     // Something about this one frame: its size, its destination.
                     _ => next += 1,
