@@ -36,7 +36,8 @@ pub fn all(profile: Profile) -> Result<()> {
 
 /// The executables alone: enough for the userspace data plane.
 pub fn executables(profile: Profile) -> Result<()> {
-    shell::run(shell::cargo().args(["build", "--profile", profile.name(), "-p", "gdp-ctl", "-p", "gdp-proxy"]))
+    // All default members, as `test` does: another choice of packages would mean other features of the dependencies.
+    shell::run(shell::cargo().args(["build", "--profile", profile.name()]))
 }
 
 /// Compiles `gdp-ebpf` with the compiler that [`EbpfCompiler`] finds, to [`workspace::ebpf_object`].

@@ -1,6 +1,6 @@
 //! `cargo xtask test`: unit tests, then the tests that need root: real XDP, namespaces, DDS.
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 
 use crate::setup::{self, Part};
 use crate::workspace::{self, Profile};
@@ -33,8 +33,25 @@ pub fn run(options: Options) -> Result<()> {
     setup::ensure(&[Part::Ebpf, Part::Namespaces, Part::Dds])?;
     build::all(Profile::Checked)?;
     peers::build()?;
-    // Namespaces on two cores: one test at a time, so that timing says something.
-    shell::say_and_run(tests(&options).args(["--no-fail-fast", "-p", "gdp-tests", "--", "--test-threads", "1"]))
+    let mut command = tests(&options);
+    // Named one by one over the whole workspace, and not with `-p gdp-tests`: Cargo would choose other features for the
+    // dependencies, and compile them all again.
+    command.args(["--no-fail-fast", "--workspace"]);
+    for name in names_of_root_tests()? {
+        command.args(["--test", &name]);
+    }
+    // Two cores: one network at a time, so that a deadline says something.
+    shell::say_and_run(command.args(["--", "--test-threads", "1"]))
+}
+
+/// The files of `tests/tests`.
+fn names_of_root_tests() -> Result<Vec<String>> {
+    let folder = workspace::root().join("tests/tests");
+    let files = std::fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))?;
+    let mut names: Vec<String> =
+        files.filter_map(|file| file.ok()?.file_name().to_str()?.strip_suffix(".rs").map(str::to_owned)).collect();
+    names.sort();
+    Ok(names)
 }
 
 fn tests(options: &Options) -> std::process::Command {
