@@ -198,6 +198,12 @@ mod tests {
     }
 
     #[test]
+    fn the_example_is_a_configuration() {
+        let config = parse(include_str!("../example.yaml")).unwrap();
+        assert_eq!(config.topics.iter().map(|t| t.direction).collect::<Vec<_>>(), [Direction::Out, Direction::In]);
+    }
+
+    #[test]
     fn nothing_is_exposed_by_default() {
         assert!(parse("{identity: a.pem, link: 'eth://r0'}").unwrap().topics.is_empty());
     }

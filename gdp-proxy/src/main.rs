@@ -1,6 +1,7 @@
 //! The `gdp-proxy` program: arguments, logging and signals. What it does is in the library.
 
 use std::path::PathBuf;
+use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::Parser;
@@ -28,9 +29,19 @@ struct Arguments {
     stats: Option<PathBuf>,
 }
 
-fn main() -> Result<()> {
+fn main() -> ExitCode {
     let arguments = Arguments::parse();
     log_to_stderr();
+    match run(arguments) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("gdp-proxy: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: Arguments) -> Result<()> {
     let config = Config::load(&arguments.config)?;
     let material = Material::load(&config).with_context(|| arguments.config.display().to_string())?;
     if arguments.check {
