@@ -127,8 +127,8 @@ struct State {
     identity: Identity,
     counters: Arc<Counters>,
     status: watch::Sender<Status>,
-    /// Everything the RIB is to know, stated again after each reconnection.
-    statements: Mutex<HashMap<(Name, Stated), Statement>>,
+    /// Everything the RIB is to know, stated again after each reconnection; and whether it was, on the present link.
+    statements: Mutex<HashMap<(Name, Stated), (Statement, bool)>>,
     /// The highest serial used. Held while a statement is on its way, so that they arrive in their order.
     serial: tokio::sync::Mutex<u64>,
     commands: std::sync::mpsc::Sender<Command>,
@@ -312,7 +312,7 @@ impl State {
         match lock(&self.statements).entry((name, stated)) {
             std::collections::hash_map::Entry::Occupied(_) => Err(NodeError::Already { name, stated }),
             std::collections::hash_map::Entry::Vacant(entry) => {
-                entry.insert(statement);
+                entry.insert((statement, false));
                 Ok(())
             }
         }
@@ -334,7 +334,9 @@ impl State {
     /// Lets the switch carry this entity's traffic, and learns the serial that the next statement must exceed.
     async fn attach(&self, attachment: &Attachment) -> Result<(), NodeError> {
         let mut serial = self.serial.lock().await;
-        self.attach_locked(attachment, &mut serial).await
+        self.attach_locked(attachment, &mut serial).await?;
+        lock(&self.statements).values_mut().for_each(|(_, done)| *done = false);
+        Ok(())
     }
 
     async fn attach_locked(&self, attachment: &Attachment, serial: &mut u64) -> Result<(), NodeError> {
@@ -348,12 +350,12 @@ impl State {
         Ok(())
     }
 
-    /// States one thing that stands to the RIB; does nothing if it does not stand any more.
+    /// States one thing that stands to the RIB, unless that is done since the last [`Self::attach`].
     async fn state(&self, attachment: &Attachment, name: Name, stated: Stated) -> Result<(), NodeError> {
         let mut serial = self.serial.lock().await;
         let mut learnt = false;
         loop {
-            let Some(statement) = lock(&self.statements).get(&(name, stated)).cloned() else { return Ok(()) };
+            let Some((statement, false)) = lock(&self.statements).get(&(name, stated)).cloned() else { return Ok(()) };
             let request = match statement {
                 Statement::Publish { proof, ad_cert } => {
                     let advert = self.advert(attachment, AdvertOp::Publish, name, &mut serial)?;
@@ -364,20 +366,23 @@ impl State {
                     EntityRequest::Subscribe { proof, grant, advert }
                 }
             };
-            return match ask(attachment, request).await {
+            match ask(attachment, request).await {
                 // Something else spoke for this entity since it attached, such as a command-line tool.
                 Err(NodeError::Refused(refusal)) if refusal.code == RefusalCode::ReplayedSerial && !learnt => {
                     learnt = true;
                     self.attach_locked(attachment, &mut serial).await?;
-                    continue;
                 }
-                Err(error) => Err(error),
-                Ok(Response::Records { records, .. }) => {
-                    self.authorise(name, &records);
-                    Ok(())
+                Err(error) => return Err(error),
+                Ok(response) => {
+                    if let Response::Records { records, .. } = response {
+                        self.authorise(name, &records);
+                    }
+                    if let Some((_, done)) = lock(&self.statements).get_mut(&(name, stated)) {
+                        *done = true;
+                    }
+                    return Ok(());
                 }
-                Ok(_) => Ok(()),
-            };
+            }
         }
     }
 
@@ -401,9 +406,12 @@ impl State {
             return Ok(());
         }
         let advert = self.advert(attachment, AdvertOp::Withdraw, name, &mut serial)?;
-        drop(ask(attachment, EntityRequest::Withdraw { advert }).await?);
+        ask(attachment, EntityRequest::Withdraw { advert }).await?;
         drop(serial);
         for other in [Stated::Published, Stated::Subscribed] {
+            if let Some((_, done)) = lock(&self.statements).get_mut(&(name, other)) {
+                *done = false;
+            }
             self.state(attachment, name, other).await?;
         }
         Ok(())

@@ -212,10 +212,11 @@ async fn accept_all(port: Arc<Port>, rib: Arc<Mutex<Rib>>) {
             while let Some((request, responder)) = link.accept_request().await {
                 let Some(rib) = rib.upgrade() else { return };
                 let (response, push) = lock(&rib).answer(&link, request);
-                let _ = responder.respond(response).await;
+                // Unlike a real RIB, so that the first message of a new writer is never too early.
                 if let Some((subscriber, push)) = push {
                     let _ = subscriber.request(&Request::Writers(push)).await;
                 }
+                let _ = responder.respond(response).await;
             }
             if let Some(rib) = rib.upgrade() {
                 lock(&rib).links.remove(&link.local_id());

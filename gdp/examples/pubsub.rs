@@ -1,0 +1,134 @@
+//! Publish and subscribe bytes by name, without ROS. Needs a running switch: `gdp-ctl serve` (no root needed).
+//!
+//! ```text
+//! cargo run -p gdp --example pubsub                               both ends in one process
+//! cargo run -p gdp --example pubsub -- --dir /tmp/papers --subscribe    one end each, in this order,
+//! cargo run -p gdp --example pubsub -- --dir /tmp/papers --publish      with the keys and certificates in a folder
+//! ```
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+use anyhow::{Context, Result, bail};
+use clap::Parser;
+use gdp::cert::{AdCert, Mode, ReadGrant, Signed, issue};
+use gdp::node::SubscribeOptions;
+use gdp::seal::{Encoding, EpochKey};
+use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
+
+#[derive(Parser)]
+#[command(about = "Publish and subscribe bytes by name")]
+struct Options {
+    /// Where the switch is: udp://HOST:PORT, or eth://INTERFACE as root.
+    #[arg(long, default_value = "udp://127.0.0.1:31415")]
+    link: gdp::node::LinkTarget,
+    /// Folder of keys and certificates, made if it is not there; without it, all are made anew and forgotten.
+    #[arg(long)]
+    dir: Option<PathBuf>,
+    /// Only publish.
+    #[arg(long, requires = "dir", conflicts_with = "subscribe")]
+    publish: bool,
+    /// Only subscribe.
+    #[arg(long, requires = "dir")]
+    subscribe: bool,
+    #[arg(long, default_value_t = 10)]
+    count: u64,
+}
+
+#[tokio::main]
+async fn main() -> Result<()> {
+    let level = tracing_subscriber::EnvFilter::from_default_env();
+    tracing_subscriber::fmt().with_env_filter(level).with_writer(std::io::stderr).init();
+    let options = Options::parse();
+    let scratch = tempfile::tempdir()?;
+    let papers = Papers::in_folder(options.dir.as_deref().unwrap_or(scratch.path()))?;
+    println!("name {}", papers.card.name());
+    match (options.publish, options.subscribe) {
+        (true, _) => publish(&options, &papers).await,
+        (_, true) => subscribe(&options, &papers, None).await,
+        _ => {
+            let (ready, subscribed) = tokio::sync::oneshot::channel();
+            let publisher = async { if subscribed.await.is_ok() { publish(&options, &papers).await } else { Ok(()) } };
+            let (received, sent) = tokio::join!(subscribe(&options, &papers, Some(ready)), publisher);
+            received.and(sent)
+        }
+    }
+}
+
+async fn publish(options: &Options, papers: &Papers) -> Result<()> {
+    let node = Node::connect(NodeConfig::new(papers.robot.clone(), options.link.clone())).await?;
+    let mut publisher = node.publish(papers.card.proof(), papers.ad_cert()?, &papers.epoch_key).await?;
+    for i in 1..=options.count {
+        let text = format!("message {i} of {}", options.count);
+        publisher.send(Encoding::Bytes, text.as_bytes()).await?;
+        println!("sent      {text}");
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    node.close().await;
+    Ok(())
+}
+
+async fn subscribe(options: &Options, papers: &Papers, ready: Option<tokio::sync::oneshot::Sender<()>>) -> Result<()> {
+    let node = Node::connect(NodeConfig::new(papers.cloud.clone(), options.link.clone())).await?;
+    let options_of_reading = SubscribeOptions::default();
+    let mut subscription =
+        node.subscribe(papers.card.proof(), papers.grant()?, &papers.epoch_key, options_of_reading).await?;
+    ready.map(|ready| ready.send(()));
+    // An endpoint that publishes a moment later is known by its certificate; nothing has to be set up for it here.
+    for received in 0..options.count {
+        let waiting = tokio::time::timeout(Duration::from_secs(60), subscription.recv());
+        let Ok(Some(message)) = waiting.await else {
+            bail!("{received} of {} messages in time; {:?}", options.count, node.counters());
+        };
+        let age = SystemTime::UNIX_EPOCH.elapsed()?.saturating_sub(Duration::from_nanos(message.timestamp_ns));
+        println!("received  {} from {:#}, {age:?} old", String::from_utf8_lossy(&message.body), message.writer);
+    }
+    node.close().await;
+    Ok(())
+}
+
+/// What the owner of a topic gives out, and to whom. The owner's key would stay off the robot.
+struct Papers {
+    owner: SigningKey,
+    card: NameCard,
+    robot: Identity,
+    cloud: Identity,
+    epoch_key: EpochKey,
+}
+
+impl Papers {
+    fn in_folder(dir: &Path) -> Result<Self> {
+        std::fs::create_dir_all(dir).with_context(|| format!("cannot make {}", dir.display()))?;
+        let owner = SigningKey::load_or_generate(&dir.join("owner.pem"))?;
+        let (card, epoch_key) = (dir.join("greeting.card"), dir.join("greeting.key"));
+        if !card.exists() {
+            NameCard::create(owner.verify_key(), "topic", "/greeting", "bytes", None)?.save_new(&card)?;
+            EpochKey::generate()?.save_new(&epoch_key)?;
+        }
+        Ok(Self {
+            card: NameCard::load(&card)?,
+            robot: Identity::load_or_generate(&dir.join("robot.pem"), "proxy")?,
+            cloud: Identity::load_or_generate(&dir.join("cloud.pem"), "proxy")?,
+            epoch_key: EpochKey::load(&epoch_key)?,
+            owner,
+        })
+    }
+
+    fn ad_cert(&self) -> Result<Signed<AdCert>> {
+        let (not_before, not_after) = today()?;
+        let (name, entity) = (self.card.name(), self.robot.name());
+        Ok(issue(&self.owner, &AdCert { name, entity, mode: Mode::Unicast, scope: vec![], not_before, not_after })?)
+    }
+
+    fn grant(&self) -> Result<Signed<ReadGrant>> {
+        let (not_before, not_after) = today()?;
+        let (name, entity) = (self.card.name(), self.cloud.name());
+        Ok(issue(&self.owner, &ReadGrant { name, entity, not_before, not_after })?)
+    }
+}
+
+/// From an hour ago to tomorrow, in Unix seconds.
+fn today() -> Result<(u64, u64)> {
+    let now = SystemTime::UNIX_EPOCH.elapsed()?.as_secs();
+    Ok((now - 3600, now + 24 * 3600))
+}
