@@ -187,7 +187,7 @@ impl Record {
             return Err(CertError::WrongSwitch { expected: self.switch, got: advert.switch });
         }
         if advert.op != op {
-            return Err(CertError::Malformed("the statement is not about what the certificate allows".into()));
+            return Err(CertError::WrongOperation { expected: op, got: advert.op });
         }
         Ok(entity)
     }
@@ -287,6 +287,8 @@ pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cert::{Mode, issue};
+    use crate::identity::SigningKey;
 
     #[test]
     fn a_push_survives_the_wire() {
@@ -330,8 +332,87 @@ mod tests {
     }
 
     #[test]
+    fn a_record_is_believed_only_if_all_of_it_fits() {
+        let (owner, robot, other) = (key(1), key(2), key(3));
+        let card = |owner: &SigningKey, digest| NameProof { owner_key: owner.public(), digest: [digest; 32] };
+        let (topic, robot_proof) = (card(&owner, 7), card(&robot, 8));
+        let (name, entity, switch) = (topic.name().unwrap(), robot_proof.name().unwrap(), Name::from_bytes([9; 32]));
+        let ad = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], not_before: 100, not_after: 200 };
+        let grant = ReadGrant { name, entity, not_before: 100, not_after: 200 };
+        let says = Advert { op: AdvertOp::Publish, name, entity, switch, serial: 1, lifetime: 60 };
+        let writer = Record {
+            name,
+            proof: topic,
+            entity: robot_proof,
+            switch,
+            credential: Credential::Writer(issue(&owner, &ad).unwrap()),
+            advert: issue(&robot, &says).unwrap(),
+            expires_in: 60,
+        };
+        let reader = Record {
+            credential: Credential::Reader(issue(&owner, &grant).unwrap()),
+            advert: issue(&robot, &Advert { op: AdvertOp::Subscribe, ..says.clone() }).unwrap(),
+            ..writer.clone()
+        };
+        for record in [&writer, &reader] {
+            assert_eq!(record.verify(150), Ok(entity));
+            assert!(matches!(record.verify(99), Err(CertError::NotYetValid { .. })));
+            assert!(matches!(record.verify(201), Err(CertError::Expired { .. })));
+            let bytes = encode(record).unwrap();
+            assert_eq!(decode::<Record>(&bytes[4..]).unwrap().verify(150), Ok(entity));
+        }
+        assert!(writer.is_writer() && !reader.is_writer());
+
+        let with = |change: &dyn Fn(&mut Record)| {
+            let mut record = writer.clone();
+            change(&mut record);
+            record.verify(150).unwrap_err()
+        };
+        let elsewhere = Name::from_bytes([5; 32]);
+        let ad_cert = |signer: &SigningKey, ad: AdCert| Credential::Writer(issue(signer, &ad).unwrap());
+        let advert = |signer: &SigningKey, says: Advert| issue(signer, &says).unwrap();
+        for (what, error, expected) in [
+            ("name", with(&|r| r.name = elsewhere), "wrong name"),
+            ("digest", with(&|r| r.proof.digest[0] ^= 1), "wrong name"),
+            ("owner", with(&|r| r.proof.owner_key = other.public()), "wrong name"),
+            ("entity", with(&|r| r.entity = card(&other, 8)), "wrong key"),
+            ("entity's digest", with(&|r| r.entity.digest[0] ^= 1), "wrong entity"),
+            ("switch", with(&|r| r.switch = elsewhere), "wrong switch"),
+            ("certificate of another", with(&|r| r.credential = ad_cert(&other, ad.clone())), "wrong key"),
+            (
+                "certificate for another name",
+                with(&|r| r.credential = ad_cert(&owner, AdCert { name: elsewhere, ..ad.clone() })),
+                "wrong name",
+            ),
+            (
+                "certificate for another entity",
+                with(&|r| r.credential = ad_cert(&owner, AdCert { entity: elsewhere, ..ad.clone() })),
+                "wrong entity",
+            ),
+            ("statement of another", with(&|r| r.advert = advert(&other, says.clone())), "wrong key"),
+            (
+                "statement about another name",
+                with(&|r| r.advert = advert(&robot, Advert { name: elsewhere, ..says.clone() })),
+                "wrong name",
+            ),
+            (
+                "statement of a withdrawal",
+                with(&|r| r.advert = advert(&robot, Advert { op: AdvertOp::Withdraw, ..says.clone() })),
+                "wrong operation",
+            ),
+            ("reader as writer", with(&|r| r.advert = reader.advert.clone()), "wrong operation"),
+        ] {
+            assert!(error.to_string().contains(expected), "{what}: {error}");
+        }
+    }
+
+    #[test]
     fn a_refusal_always_fits() {
         let refusal = Refusal::new(RefusalCode::Limit, "é".repeat(100_000));
         assert!(encode(&Response::from(refusal)).unwrap().len() < 2048);
+    }
+
+    fn key(seed: u8) -> SigningKey {
+        SigningKey::for_test(seed)
     }
 }

@@ -75,6 +75,8 @@ pub enum NodeError {
     Link(#[from] LinkError),
     #[error("no answer from {wanted} on interface {interface}; is it running there, and is the cable plugged in?")]
     NoAnswer { interface: String, wanted: String },
+    #[error("who answered on the segment is not the switch that it says: {0}")]
+    NoSwitch(Box<NodeError>),
     #[error("the peer at {0} is no switch")]
     NotASwitch(LinkAddr),
     #[error("refused: {0}")]

@@ -194,8 +194,8 @@ impl Port {
         self.accepted.lock().await.recv().await
     }
 
-    /// Asks which switches are on the segment, until `within` is over or answers stop coming; or only where `wanted` is,
-    /// until it has answered. What an answer says is proven only by dialling it. Nothing to ask on UDP.
+    /// Asks which switches are on the segment, or only where `wanted` is, until `within` is over or answers stop coming.
+    /// Whether an answer is true shows when it is dialled; several may claim one name. Nothing to ask on UDP.
     pub async fn discover(&self, wanted: Option<Name>, within: Duration) -> Vec<(LinkAddr, Name)> {
         let Medium::Ethernet(interface, control) = &self.medium else { return Vec::new() };
         let end = Instant::now() + within;
@@ -216,15 +216,11 @@ impl Port {
                 Ok(Err(broadcast::error::RecvError::Closed)) => return found,
             };
             let answer = (LinkAddr::Ethernet { ifindex: interface.index, mac }, name);
-            match wanted {
-                Some(wanted) if wanted == name => return vec![answer],
-                Some(_) => {}
-                None => {
-                    if found.len() < MAX_ANSWERS && !found.contains(&answer) {
-                        found.push(answer);
-                    }
-                    until = end.min(now + ANSWERS_SETTLE);
+            if wanted.is_none_or(|wanted| wanted == name) {
+                if found.len() < MAX_ANSWERS && !found.contains(&answer) {
+                    found.push(answer);
                 }
+                until = end.min(now + ANSWERS_SETTLE);
             }
         }
     }
@@ -308,11 +304,12 @@ async fn accept_all(
             let link = timeout(HANDSHAKE_TIMEOUT, accept_one(incoming, &hello, &medium))
                 .await
                 .unwrap_or(Err(LinkError::Timeout { what: "the handshake of a peer", after: HANDSHAKE_TIMEOUT }));
-            drop(started);
             if let Err(error) = &link {
                 tracing::debug!(%from, %error, "a handshake failed");
             }
             let _ = sender.send(link).await;
+            // Not before somebody took it: links that nobody takes are bounded as well.
+            drop(started);
         });
     }
 }

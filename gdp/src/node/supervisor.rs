@@ -22,6 +22,9 @@ use crate::port::{DataSocket, Interface, LinkAddr, Port, PortConfig};
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
 
+/// Answers to discovery that are tried before it is asked again.
+const MAX_CANDIDATES: usize = 8;
+
 /// Between attempts to get the link back, and to state what was refused: doubled from the first to the second.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
@@ -153,11 +156,8 @@ impl Supervisor {
     }
 
     async fn attempt(&mut self) -> Result<Arc<Attachment>, NodeError> {
-        let (port, to, expected) = self.locate().await?;
-        let link = port.dial(to, expected).await?;
-        if link.peer().role != Role::Switch {
-            return Err(NodeError::NotASwitch(to));
-        }
+        let (port, candidates) = self.locate().await?;
+        let link = self.dial_first(&port, &candidates).await?;
         let attachment = Arc::new(Attachment::new(link, &port));
         self.state.attach(&attachment).await?;
         self.state.counters.links.add(1);
@@ -166,8 +166,26 @@ impl Supervisor {
         Ok(attachment)
     }
 
+    /// Anybody on the segment can answer discovery in the name of the switch: the first that proves to be it counts.
+    async fn dial_first(&self, port: &Port, candidates: &[(LinkAddr, Option<Name>)]) -> Result<Link, NodeError> {
+        let mut failure = None;
+        for (to, expected) in candidates.iter().take(MAX_CANDIDATES) {
+            match port.dial(*to, *expected).await {
+                Ok(link) if link.peer().role == Role::Switch => return Ok(link),
+                Ok(_) => failure = Some(NodeError::NotASwitch(*to)),
+                Err(error) => failure = Some(error.into()),
+            }
+        }
+        let discovered = matches!(self.target, LinkTarget::Ethernet { mac: None, .. });
+        Err(match failure {
+            Some(error) if discovered => NodeError::NoSwitch(Box::new(error)),
+            Some(error) => error,
+            None => NodeError::Protocol("to discovery"),
+        })
+    }
+
     /// A port to dial from, and whom to dial. Opens another port if the interface is not the one it was.
-    async fn locate(&mut self) -> Result<(Arc<Port>, LinkAddr, Option<Name>), NodeError> {
+    async fn locate(&mut self) -> Result<(Arc<Port>, Vec<(LinkAddr, Option<Name>)>), NodeError> {
         match &self.target {
             LinkTarget::Ethernet { interface, mac } => {
                 let same = |found: &Interface, port: &Port| {
@@ -182,15 +200,14 @@ impl Supervisor {
                 };
                 self.port = Some(port.clone());
                 if let Some(mac) = *mac {
-                    return Ok((port, LinkAddr::Ethernet { ifindex: found.index, mac }, self.pinned));
+                    return Ok((port, vec![(LinkAddr::Ethernet { ifindex: found.index, mac }, self.pinned)]));
                 }
                 let answers = port.discover(self.pinned, DISCOVERY).await;
-                let wanted = |name: &Name| self.pinned.is_none_or(|pinned| pinned == *name);
-                let (to, name) = answers.into_iter().find(|(_, name)| wanted(name)).ok_or_else(|| {
+                if answers.is_empty() {
                     let wanted = self.pinned.map_or("a switch".to_owned(), |name| format!("switch {name:#}"));
-                    NodeError::NoAnswer { interface: interface.clone(), wanted }
-                })?;
-                Ok((port, to, Some(name)))
+                    return Err(NodeError::NoAnswer { interface: interface.clone(), wanted });
+                }
+                Ok((port, answers.into_iter().map(|(to, name)| (to, Some(name))).collect()))
             }
             LinkTarget::Udp { host, port: number } => {
                 let what = || format!("host {host}");
@@ -211,7 +228,7 @@ impl Supervisor {
                     }
                 };
                 self.port = Some(port.clone());
-                Ok((port, LinkAddr::udp(to), self.pinned))
+                Ok((port, vec![(LinkAddr::udp(to), self.pinned)]))
             }
         }
     }
@@ -263,7 +280,7 @@ fn worth_another_attempt(error: &NodeError) -> bool {
     match error {
         NodeError::Link(LinkError::Io { .. } | LinkError::WrongPeer { .. }) | NodeError::NotASwitch(_) => false,
         NodeError::Refused(refusal) => refusal.code == RefusalCode::Unreachable,
-        NodeError::Link(_) | NodeError::NoAnswer { .. } => true,
+        NodeError::Link(_) | NodeError::NoAnswer { .. } | NodeError::NoSwitch(_) => true,
         _ => false,
     }
 }

@@ -1,6 +1,7 @@
 //! GDP directly on Ethernet. Two packet sockets to an interface, told apart by a classic BPF filter on the first byte of
 //! the frame: one for control frames, which carries QUIC and discovery, one for all the others. Neither sees frames for
-//! other stations, nor those with a VLAN tag.
+//! other stations, nor those with a VLAN tag. What is sent passes the interface's queueing discipline: without it, frames
+//! would be lost whenever the ring of a NIC is full.
 
 use std::ffi::CString;
 use std::fmt;
