@@ -92,7 +92,7 @@ impl Scene {
 #[test]
 fn replayed_frames_are_refused_by_the_reader() -> Result<()> {
     let scene = Scene::set()?;
-    scene.refused_by_reader("drop_duplicate", &vec![scene.frame.clone(); 20])?;
+    scene.refused_by_reader("seal_duplicate", &vec![scene.frame.clone(); 20])?;
     scene.only_honest_messages_arrived()
 }
 
