@@ -16,6 +16,7 @@ mod workspace;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use gdp_tests::wait::Interrupted;
 
 #[derive(Parser)]
 #[command(name = "cargo xtask", about = "Build, set up, run, test, show and measure")]
@@ -51,6 +52,10 @@ fn main() -> ExitCode {
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
+        Err(error) if error.is::<Interrupted>() => {
+            eprintln!("interrupted; everything is cleaned up");
+            ExitCode::from(130)
+        }
         Err(error) => {
             eprintln!("error: {error:#}");
             ExitCode::FAILURE
