@@ -1,5 +1,9 @@
 //! The daemon of the Global Data Plane and what its command line is made of: the RIB, the switch with its data planes,
 //! the admin socket, the commands. A library so that tests reach all of it; the binary is a thin shell.
 
+pub mod admin;
+pub mod config;
+pub mod folders;
 pub mod plane;
 pub mod rib;
+pub mod serve;

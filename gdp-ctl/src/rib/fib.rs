@@ -202,7 +202,7 @@ mod tests {
             }
             loop {
                 let more = switch.follow(&mut fib);
-                if !more && switch.pushes > 10 {
+                if !more && switch.pushes >= 10 {
                     break;
                 }
                 if switch.pushes < 10 {
@@ -246,7 +246,8 @@ mod tests {
                 self.routes.remove(&name.to_bytes());
             }
             if matches!(push.extent, Extent::Full { last: true, .. }) {
-                std::mem::take(&mut self.marked).iter().for_each(|name| drop(self.routes.remove(name)));
+                let swept = std::mem::take(&mut self.marked);
+                self.routes.retain(|name, _| !swept.contains(name));
             }
             fib.answered(NOW, push.generation, true);
             true

@@ -472,9 +472,10 @@ impl Rib {
         })
     }
 
-    /// At most `limit` records in the order of names, and whether that is all.
-    pub fn records(&self, now: Now, limit: usize) -> (Vec<gdp::control::Record>, bool) {
-        self.names.records(now.clock, limit)
+    /// Records of names behind `after` in the order of their digits, whole names until there are `limit`; and whether
+    /// there are more.
+    pub fn records(&self, now: Now, after: Option<Name>, limit: usize) -> (Vec<gdp::control::Record>, bool) {
+        self.names.records(now.clock, after.as_ref().map(Name::as_bytes), limit)
     }
 
     /// Names with a writer or a reader.

@@ -247,12 +247,18 @@ impl Names {
         Response::Records { records, truncated }
     }
 
-    /// At most `limit` records, and whether they are all.
-    pub fn records(&self, now: Duration, limit: usize) -> (Vec<Record>, bool) {
-        let mut all = self.0.iter().flat_map(|(key, topic)| {
-            topic.registrations().map(move |r| r.record(now, Name::from_bytes(*key), topic.proof))
-        });
-        (all.by_ref().take(limit).collect(), all.next().is_none())
+    /// The records of names behind `after`, whole names until there are `limit`; and whether there are more.
+    pub fn records(&self, now: Duration, after: Option<&Key>, limit: usize) -> (Vec<Record>, bool) {
+        use std::ops::Bound::{Excluded, Unbounded};
+        let mut rest = self.0.range::<Key, _>((after.map_or(Unbounded, Excluded), Unbounded));
+        let mut records = Vec::new();
+        for (key, topic) in rest.by_ref() {
+            records.extend(topic.registrations().map(|r| r.record(now, Name::from_bytes(*key), topic.proof)));
+            if records.len() >= limit {
+                break;
+            }
+        }
+        (records, rest.next().is_some())
     }
 }
 

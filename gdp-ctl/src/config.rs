@@ -1,0 +1,355 @@
+//! The daemon's configuration file, and what it is without one. Strict YAML: unknown keys are refused. Read once, at
+//! start; paths in it are relative to its folder.
+
+use std::fmt;
+use std::fs;
+use std::io::Read;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+
+use gdp_wire::Name;
+use serde::{Deserialize, Deserializer};
+
+use crate::folders;
+
+/// A configuration is a page of text; more is a wrong file.
+const MAX_FILE: u64 = 256 * 1024;
+
+/// Entries of the kernel's FIB, unless configured.
+const FIB_CAPACITY: u32 = 1 << 16;
+
+/// What `gdp-ctl serve` runs with.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// The switch's private key; made if there is none.
+    pub identity: PathBuf,
+    /// The admin socket.
+    pub socket: PathBuf,
+    /// Ethernet interfaces to run on; `None`: all that are up.
+    pub interfaces: Option<Vec<String>>,
+    /// Where to take links over UDP, if at all.
+    pub udp: Option<SocketAddr>,
+    pub data_plane: DataPlane,
+    /// Whether this daemon is the RIB. If not, `uplink` says how to reach it.
+    pub rib: bool,
+    pub uplink: Option<Place>,
+    pub neighbours: Vec<Neighbour>,
+    pub ebpf_object: Option<PathBuf>,
+    pub fib_capacity: u32,
+}
+
+/// Which data plane the user wants.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DataPlane {
+    /// XDP where it attaches, else the userspace plane.
+    #[default]
+    Auto,
+    /// XDP on every Ethernet interface, or no start.
+    Xdp,
+    Userspace,
+}
+
+/// A switch this one has a link with, and what crossing the link costs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Neighbour {
+    pub place: Place,
+    pub cost: u32,
+}
+
+/// A neighbouring switch and where it is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    pub switch: Name,
+    pub via: Via,
+}
+
+/// How a neighbour is reached.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub enum Via {
+    /// On the segment of this interface; its address is discovered.
+    Interface(String),
+    Udp(SocketAddr),
+}
+
+impl fmt::Display for Via {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Interface(name) => f.write_str(name),
+            Self::Udp(addr) => write!(f, "udp {addr}"),
+        }
+    }
+}
+
+/// Why a configuration is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    #[error("cannot read the configuration {}: {source}", path.display())]
+    Io { path: PathBuf, source: std::io::Error },
+    #[error("{}: {reason}", path.display())]
+    Invalid { path: PathBuf, reason: String },
+    #[error("{0}")]
+    Folder(#[from] folders::NoFolder),
+}
+
+impl Config {
+    /// What a daemon without a configuration runs with: RIB and switch on all Ethernet interfaces (as root) and on UDP.
+    pub fn embedded() -> Result<Self, ConfigError> {
+        Ok(Self {
+            identity: folders::state()?.join("switch.pem"),
+            socket: folders::admin_socket()?,
+            interfaces: None,
+            udp: Some(default_udp()),
+            data_plane: DataPlane::Auto,
+            rib: true,
+            uplink: None,
+            neighbours: Vec::new(),
+            ebpf_object: None,
+            fib_capacity: FIB_CAPACITY,
+        })
+    }
+
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let io = |source| ConfigError::Io { path: path.into(), source };
+        let mut text = String::new();
+        fs::File::open(path).map_err(io)?.take(MAX_FILE + 1).read_to_string(&mut text).map_err(io)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        if text.len() as u64 > MAX_FILE {
+            let reason = format!("longer than {MAX_FILE} bytes, so not a configuration");
+            return Err(ConfigError::Invalid { path: path.into(), reason });
+        }
+        Self::parse(&text, folder).map_err(|error| match error {
+            ParseError::Invalid(reason) => ConfigError::Invalid { path: path.into(), reason },
+            ParseError::Folder(error) => error.into(),
+        })
+    }
+
+    fn parse(text: &str, folder: &Path) -> Result<Self, ParseError> {
+        let file: File = if text.trim().is_empty() {
+            File::default()
+        } else {
+            serde_saphyr::from_str(text).map_err(|error| ParseError::Invalid(error.to_string()))?
+        };
+        file.check(folder)
+    }
+}
+
+#[derive(Debug)]
+enum ParseError {
+    Invalid(String),
+    Folder(folders::NoFolder),
+}
+
+impl From<folders::NoFolder> for ParseError {
+    fn from(error: folders::NoFolder) -> Self {
+        Self::Folder(error)
+    }
+}
+
+/// The file as it is written.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct File {
+    identity: Option<PathBuf>,
+    socket: Option<PathBuf>,
+    interfaces: Option<Vec<String>>,
+    udp: Udp,
+    data_plane: DataPlane,
+    rib: Option<bool>,
+    uplink: Option<PlaceEntry>,
+    neighbours: Vec<PlaceEntry>,
+    ebpf_object: Option<PathBuf>,
+    fib_capacity: Option<u32>,
+}
+
+/// Absent is not the same as `null`, which turns UDP off.
+#[derive(Debug, Default)]
+enum Udp {
+    #[default]
+    Absent,
+    Off,
+    On(SocketAddr),
+}
+
+impl<'de> Deserialize<'de> for Udp {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let addr = Option::<String>::deserialize(deserializer)?;
+        let Some(addr) = addr else { return Ok(Self::Off) };
+        let problem = |_| format!("udp: {addr:?} is not an address and port such as 0.0.0.0:31415 or [::]:31415");
+        addr.parse().map(Self::On).map_err(problem).map_err(serde::de::Error::custom)
+    }
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlaceEntry {
+    switch: Name,
+    interface: Option<String>,
+    udp: Option<SocketAddr>,
+    cost: Option<u32>,
+}
+
+impl File {
+    fn check(self, folder: &Path) -> Result<Config, ParseError> {
+        let invalid = |reason: String| Err(ParseError::Invalid(reason));
+        let mut neighbours = Vec::new();
+        for entry in self.neighbours {
+            let cost = entry.cost.unwrap_or(1);
+            if cost == 0 {
+                return invalid(format!("neighbours: cost of {} is 0; the least is 1", entry.switch));
+            }
+            let neighbour = Neighbour { place: entry.place("neighbours")?, cost };
+            if neighbours.iter().any(|n: &Neighbour| n.place.switch == neighbour.place.switch) {
+                return invalid(format!("neighbours: {} is listed twice", neighbour.place.switch));
+            }
+            neighbours.push(neighbour);
+        }
+        let uplink = self.uplink.map(|entry| entry.place("uplink")).transpose()?;
+        let rib = self.rib.unwrap_or(uplink.is_none());
+        match &uplink {
+            Some(_) if rib => return invalid("uplink: this daemon is the RIB (rib: true); remove one of the two".into()),
+            None if !rib => {
+                return invalid(
+                    "rib: false needs an uplink, the neighbour toward the RIB: uplink: {interface: …, switch: …}".into(),
+                );
+            }
+            _ => {}
+        }
+        if let Some(uplink) = &uplink {
+            match neighbours.iter().find(|n| n.place.switch == uplink.switch) {
+                Some(listed) if listed.place != *uplink => {
+                    return invalid(format!("uplink: {} is another place in neighbours", uplink.switch));
+                }
+                Some(_) => {}
+                None => neighbours.push(Neighbour { place: uplink.clone(), cost: 1 }),
+            }
+        }
+        if let Some(interfaces) = &self.interfaces {
+            for neighbour in &neighbours {
+                if let Via::Interface(name) = &neighbour.place.via
+                    && !interfaces.contains(name)
+                {
+                    return invalid(format!(
+                        "neighbours: {} is on {name}, which interfaces does not list",
+                        neighbour.place.switch
+                    ));
+                }
+            }
+        }
+        let fib_capacity = self.fib_capacity.unwrap_or(FIB_CAPACITY);
+        if !(1..=1 << 24).contains(&fib_capacity) {
+            return invalid(format!("fib_capacity: {fib_capacity} is not between 1 and {}", 1 << 24));
+        }
+        let here = |path: PathBuf| folder.join(path);
+        Ok(Config {
+            identity: match self.identity {
+                Some(path) => here(path),
+                None => folders::state()?.join("switch.pem"),
+            },
+            socket: match self.socket {
+                Some(path) => here(path),
+                None => folders::admin_socket()?,
+            },
+            interfaces: self.interfaces,
+            udp: match self.udp {
+                Udp::Absent => Some(default_udp()),
+                Udp::Off => None,
+                Udp::On(addr) => Some(addr),
+            },
+            data_plane: self.data_plane,
+            rib,
+            uplink,
+            neighbours,
+            ebpf_object: self.ebpf_object.map(here),
+            fib_capacity,
+        })
+    }
+}
+
+impl PlaceEntry {
+    fn place(self, key: &str) -> Result<Place, ParseError> {
+        let via = match (self.interface, self.udp) {
+            (Some(name), None) => Via::Interface(name),
+            (None, Some(addr)) => Via::Udp(addr),
+            _ => {
+                let switch = self.switch;
+                let reason = format!("{key}: {switch} needs either interface: NAME or udp: ADDRESS:PORT");
+                return Err(ParseError::Invalid(reason));
+            }
+        };
+        Ok(Place { switch: self.switch, via })
+    }
+}
+
+fn default_udp() -> SocketAddr {
+    (Ipv4Addr::UNSPECIFIED, gdp_wire::UDP_PORT).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const S: &str = "75e1000000000000000000000000000000000000000000000000000000000000";
+
+    fn parse(text: &str) -> Result<Config, String> {
+        Config::parse(text, Path::new("/etc/gdp")).map_err(|error| match error {
+            ParseError::Invalid(reason) => reason,
+            ParseError::Folder(error) => error.to_string(),
+        })
+    }
+
+    #[test]
+    fn a_whole_configuration() {
+        let text = format!(
+            "identity: s1.pem\nsocket: /run/s1.sock\ninterfaces: [l0, r0]\nudp: null\ndata_plane: xdp\nrib: false\n\
+             neighbours: [{{interface: l0, switch: {S}, cost: 3}}]\nuplink: {{interface: l0, switch: {S}}}\n"
+        );
+        let config = parse(&text).unwrap();
+        assert_eq!(config.identity, Path::new("/etc/gdp/s1.pem"));
+        assert_eq!(config.socket, Path::new("/run/s1.sock"));
+        assert_eq!((config.udp, config.data_plane, config.rib), (None, DataPlane::Xdp, false));
+        assert_eq!(config.neighbours.len(), 1);
+        assert_eq!(config.neighbours[0].cost, 3);
+        assert_eq!(config.uplink.unwrap().via, Via::Interface("l0".into()));
+    }
+
+    #[test]
+    fn what_is_left_out_has_a_default() {
+        for text in ["", "identity: k.pem\nsocket: s\n"] {
+            let config = parse(text).unwrap();
+            assert!(config.rib && config.interfaces.is_none() && config.neighbours.is_empty(), "{text:?}");
+            assert_eq!(config.udp, Some(default_udp()));
+        }
+        let config = parse(&format!("udp: '[::1]:5'\nuplink: {{udp: '127.0.0.1:9', switch: {S}}}")).unwrap();
+        assert_eq!(config.udp, Some("[::1]:5".parse().unwrap()));
+        assert!(!config.rib);
+        assert_eq!(config.neighbours.len(), 1, "the uplink is a neighbour");
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (text, needle) in [
+            ("identiti: x", "identiti"),
+            ("udp: nowhere", "is not an address and port"),
+            ("data_plane: fast", "fast"),
+            ("rib: false", "needs an uplink"),
+            (&format!("rib: true\nuplink: {{interface: a, switch: {S}}}"), "remove one"),
+            (&format!("uplink: {{switch: {S}}}"), "needs either interface"),
+            ("uplink: {interface: a, switch: 75e}", "64 hex digits"),
+            (&format!("neighbours: [{{interface: a, switch: {S}, cost: 0}}]"), "the least is 1"),
+            (
+                &format!("neighbours: [{{interface: a, switch: {S}}}, {{interface: b, switch: {S}}}]"),
+                "listed twice",
+            ),
+            (&format!("interfaces: [b]\nneighbours: [{{interface: a, switch: {S}}}]"), "does not list"),
+            (
+                &format!("neighbours: [{{interface: a, switch: {S}}}]\nuplink: {{interface: b, switch: {S}}}"),
+                "another place",
+            ),
+            ("fib_capacity: 0", "fib_capacity"),
+        ] {
+            let error = parse(text).expect_err(text);
+            assert!(error.contains(needle), "{text}: {error}");
+        }
+    }
+}

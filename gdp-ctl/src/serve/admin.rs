@@ -1,0 +1,141 @@
+//! The admin socket: a Unix socket for the user who runs the daemon. One JSON object per line each way, see
+//! [`crate::admin`]; bounded in length and number.
+
+use std::os::unix::fs::{DirBuilderExt, FileTypeExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp::control::Response;
+use serde_json::Value;
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::net::{UnixListener, UnixStream};
+use tokio::sync::Semaphore;
+use tokio::time::timeout;
+
+use super::{Daemon, status};
+use crate::admin::{MAX_REQUEST, PAGE, Reply, Request, reply_line};
+
+/// Commands served at once.
+const MAX_CLIENTS: usize = 32;
+
+/// A client that says nothing for this long is let go.
+const IDLE: Duration = Duration::from_secs(30);
+
+#[derive(Debug, thiserror::Error)]
+pub enum AdminError {
+    #[error("another daemon already answers at {}; stop it, or choose another socket", .0.display())]
+    InUse(PathBuf),
+    #[error("{} exists and is not a socket; remove it, or choose another socket", .0.display())]
+    NotASocket(PathBuf),
+    #[error("cannot open the admin socket {}: {source}", path.display())]
+    Io { path: PathBuf, source: std::io::Error },
+}
+
+/// The socket file, removed at the end.
+pub struct Listening(PathBuf);
+
+impl Drop for Listening {
+    fn drop(&mut self) {
+        if let Err(error) = std::fs::remove_file(&self.0) {
+            tracing::debug!(%error, "the admin socket was already gone");
+        }
+    }
+}
+
+/// Opens the socket, mode 0600; a file left by a daemon that crashed is replaced.
+pub fn listen(daemon: &Arc<Daemon>, path: &Path) -> Result<Listening, AdminError> {
+    let io = |source| AdminError::Io { path: path.into(), source };
+    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder).map_err(io)?;
+    }
+    match std::fs::symlink_metadata(path) {
+        Ok(found) if !found.file_type().is_socket() => return Err(AdminError::NotASocket(path.into())),
+        Ok(_) if std::os::unix::net::UnixStream::connect(path).is_ok() => return Err(AdminError::InUse(path.into())),
+        Ok(_) => std::fs::remove_file(path).map_err(io)?,
+        Err(_) => {}
+    }
+    // The socket gets its mode before anybody knows its name.
+    let fresh = path.with_extension(format!("{}.new", std::process::id()));
+    let _ = std::fs::remove_file(&fresh);
+    let listener = UnixListener::bind(&fresh).map_err(io)?;
+    std::fs::set_permissions(&fresh, std::fs::Permissions::from_mode(0o600)).map_err(io)?;
+    std::fs::rename(&fresh, path).map_err(io)?;
+    daemon.spawn(accept(daemon.clone(), listener));
+    Ok(Listening(path.into()))
+}
+
+async fn accept(daemon: Arc<Daemon>, listener: UnixListener) {
+    let clients = Arc::new(Semaphore::new(MAX_CLIENTS));
+    loop {
+        let Ok(permit) = clients.clone().acquire_owned().await else { return };
+        match listener.accept().await {
+            Ok((stream, _)) => {
+                let served = daemon.clone();
+                daemon.spawn(async move {
+                    if let Err(error) = serve(&served, stream).await {
+                        tracing::debug!(%error, "an admin client went away");
+                    }
+                    drop(permit);
+                });
+            }
+            Err(error) => {
+                tracing::warn!(%error, "cannot accept an admin client");
+                tokio::time::sleep(Duration::from_millis(100)).await;
+            }
+        }
+    }
+}
+
+async fn serve(daemon: &Arc<Daemon>, stream: UnixStream) -> std::io::Result<()> {
+    let (reader, mut writer) = stream.into_split();
+    let mut reader = BufReader::new(reader);
+    let mut line = Vec::new();
+    loop {
+        line.clear();
+        let mut bounded = (&mut reader).take(MAX_REQUEST as u64 + 1);
+        let read = timeout(IDLE, bounded.read_until(b'\n', &mut line)).await;
+        if !matches!(read, Ok(Ok(length)) if length > 0) {
+            return Ok(());
+        }
+        let too_long = line.len() > MAX_REQUEST;
+        let reply = if too_long {
+            Reply::Error { code: "malformed".into(), reason: format!("a request longer than {MAX_REQUEST} bytes") }
+        } else {
+            match crate::admin::parse_request(&line) {
+                Ok(request) => answer(daemon, request).await,
+                Err(reason) => Reply::Error { code: "malformed".into(), reason },
+            }
+        };
+        writer.write_all(reply_line(&reply).as_bytes()).await?;
+        if too_long {
+            return Ok(());
+        }
+    }
+}
+
+async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
+    match request {
+        Request::Status => Reply::Ok(status::status(daemon).await),
+        Request::Fib { after } => page(status::fib(daemon, after, PAGE)),
+        Request::Rib { after } => page(status::rib(daemon, after, PAGE)),
+        Request::Entity { entity, request } => {
+            let next = daemon.core().entity_request(entity.as_ref(), true, request);
+            match daemon.complete(next).await {
+                Response::Refused(refusal) => {
+                    let code = serde_json::to_value(refusal.code).ok();
+                    let code = code.as_ref().and_then(Value::as_str).unwrap_or("Refused").to_owned();
+                    Reply::Error { code, reason: refusal.reason }
+                }
+                response => Reply::Control(response),
+            }
+        }
+    }
+}
+
+fn page(result: Result<Value, String>) -> Reply {
+    match result {
+        Ok(value) => Reply::Ok(value),
+        Err(reason) => Reply::Error { code: "failed".into(), reason },
+    }
+}

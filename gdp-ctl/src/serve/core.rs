@@ -1,0 +1,377 @@
+//! What the daemon holds and decides: its links, the RIB or the way to it, the FIB in links, the data planes. Behind one
+//! lock, never held across an await; the tasks around it ([`super::links`], [`super::uplink`], [`super::ports`],
+//! [`super::admin`]) do the waiting.
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+use gdp::control::{EntityRequest, FibPush, Refusal, RefusalCode, Request, Response};
+use gdp::identity::Identity;
+use gdp::link::{Link, Role};
+use gdp::name::NameProof;
+use gdp::port::LinkAddr;
+use gdp_wire::table::PORT_USERSPACE;
+use gdp_wire::{LinkEntry, Name};
+
+use super::routes::{Change, Routes};
+use crate::config::{Neighbour, Via};
+use crate::plane::{PlaneError, Planes};
+use crate::rib::{Effect, Limits, Now, Rib};
+
+/// The daemon's state.
+pub struct Core {
+    pub identity: Identity,
+    pub neighbours: Vec<Neighbour>,
+    /// The switch toward the RIB, unless the RIB is here.
+    pub uplink: Option<Name>,
+    /// The RIB has taken this switch's full report over the present uplink, so requests may follow.
+    pub uplink_ready: bool,
+    pub rib: Option<Rib>,
+    pub planes: Planes,
+    pub routes: Routes,
+    pub links: HashMap<u32, LinkState>,
+    /// The link to each peer.
+    pub peers: HashMap<Name, u32>,
+    /// The link toward each switch further from the RIB.
+    pub downstream: HashMap<Name, u32>,
+    /// Endpoints that the RIB has attached here.
+    pub attached: HashSet<Name>,
+    start: Instant,
+}
+
+/// A link that is up.
+pub struct LinkState {
+    pub link: Link,
+    pub via: Via,
+    entry: LinkEntry,
+    to: LinkAddr,
+}
+
+/// Something to send, on behalf of the RIB or of a switch nearer to it.
+pub struct Outgoing {
+    pub link: Option<Link>,
+    pub request: Request,
+    /// Of a FIB push by the RIB here: whose result the RIB wants to know.
+    pub push: Option<(Name, u64)>,
+}
+
+/// What a request needs before it can be answered.
+pub enum Next {
+    Answer(Response),
+    /// Ask over this link, and pass the response on.
+    Forward(Link, Request),
+}
+
+impl Core {
+    pub fn new(
+        identity: Identity,
+        neighbours: Vec<Neighbour>,
+        uplink: Option<Name>,
+        rib: bool,
+        planes: Planes,
+    ) -> Self {
+        let rib = rib.then(|| Rib::new(identity.name(), Limits::default()));
+        Self {
+            identity,
+            neighbours,
+            uplink,
+            uplink_ready: false,
+            rib,
+            planes,
+            routes: Routes::default(),
+            links: HashMap::new(),
+            peers: HashMap::new(),
+            downstream: HashMap::new(),
+            attached: HashSet::new(),
+            start: Instant::now(),
+        }
+    }
+
+    pub fn name(&self) -> Name {
+        self.identity.name()
+    }
+
+    pub fn now(&self) -> Now {
+        let unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
+        Now { unix, clock: self.start.elapsed() }
+    }
+
+    /// The moment at which [`Now::clock`] will be `clock`.
+    pub fn instant(&self, clock: std::time::Duration) -> Instant {
+        self.start + clock
+    }
+
+    /// The configured neighbour, if a switch may have a link where it came in.
+    pub fn admit(&self, switch: &Name, via: &Via) -> Result<(), String> {
+        let Some(neighbour) = self.neighbours.iter().find(|n| n.place.switch == *switch) else {
+            return Err(format!("switch {switch} is not listed in the neighbours of this one"));
+        };
+        let same_place = match (&neighbour.place.via, via) {
+            (Via::Interface(configured), Via::Interface(actual)) => configured == actual,
+            (Via::Udp(_), Via::Udp(_)) => true,
+            _ => false,
+        };
+        if same_place { Ok(()) } else { Err(format!("switch {switch} is a neighbour elsewhere, not {via}")) }
+    }
+
+    /// Takes a link into service. Returns the one to the same peer that it replaces.
+    pub fn link_up(&mut self, link: &Link, via: Via) -> Result<Option<Link>, PlaneError> {
+        let (id, peer) = (link.local_id(), link.peer().name);
+        let (entry, to) = (link.entry(PORT_USERSPACE), link.addr());
+        self.planes.set_link(entry, to)?;
+        let replaced = self.peers.insert(peer, id).and_then(|old| self.links.get(&old)).map(|old| old.link.clone());
+        self.links.insert(id, LinkState { link: link.clone(), via, entry, to });
+        let changes = self.routes.link_up(link.peer().role.into(), peer, id);
+        self.carry_out(changes);
+        if self.uplink == Some(peer) {
+            self.uplink_ready = false;
+        }
+        Ok(replaced)
+    }
+
+    /// Takes a link out of service.
+    pub fn link_down(&mut self, link: &Link) {
+        let (id, peer) = (link.local_id(), link.peer().name);
+        let changes = self.routes.link_down(link.peer().role.into(), peer, id);
+        self.carry_out(changes);
+        self.downstream.retain(|_, via| *via != id);
+        if self.peers.get(&peer) == Some(&id) {
+            self.peers.remove(&peer);
+            if self.uplink == Some(peer) {
+                self.uplink_ready = false;
+            }
+        }
+        if let Err(error) = self.planes.remove_link(id) {
+            tracing::error!(link = id, %error, "the data plane keeps a link that is gone");
+        }
+        self.links.remove(&id);
+    }
+
+    /// Looks whether peers have moved to other addresses, as QUIC has validated.
+    pub fn follow_addresses(&mut self) {
+        for state in self.links.values_mut() {
+            let to = state.link.addr();
+            if to != state.to {
+                tracing::info!(peer = %format_args!("{:#}", state.link.peer().name), from = %state.to, %to, "a peer moved");
+                state.to = to;
+                if let Err(error) = self.planes.set_link(state.entry, to) {
+                    tracing::error!(%error, "the data plane did not take a link's new address");
+                }
+            }
+        }
+    }
+
+    /// The link to a peer, if it is up.
+    pub fn link_to(&self, peer: &Name) -> Option<Link> {
+        self.peers.get(peer).and_then(|id| self.links.get(id)).map(|state| state.link.clone())
+    }
+
+    /// This switch's live adjacencies with other switches and their costs.
+    pub fn adjacencies(&self) -> Vec<(Name, u32)> {
+        let near = self.neighbours.iter().filter(|n| self.peers.contains_key(&n.place.switch));
+        near.map(|n| (n.place.switch, n.cost)).collect()
+    }
+
+    /// What an entity asks, over its link or (`by_tool`) through the admin socket.
+    pub fn entity_request(&mut self, entity: Option<&NameProof>, by_tool: bool, request: EntityRequest) -> Next {
+        let (now, switch) = (self.now(), self.name());
+        if let Some(rib) = &mut self.rib {
+            return Next::Answer(rib.request(now, switch, entity, by_tool, &request));
+        }
+        self.to_rib(Request::Relay { switch, entity: entity.copied(), by_tool, request })
+    }
+
+    /// The link of an entity is gone: what tells the RIB.
+    pub fn detach(&mut self, entity: Name) -> Next {
+        self.attached.remove(&entity);
+        let (now, switch) = (self.now(), self.name());
+        match &mut self.rib {
+            Some(rib) => Next::Answer(rib.detach(now, &switch, &entity)),
+            None => self.to_rib(Request::Detach { switch, entity }),
+        }
+    }
+
+    /// What a neighbouring switch asks or says.
+    pub fn switch_request(&mut self, from: &Link, request: Request) -> Next {
+        let peer = from.peer().name;
+        if self.uplink == Some(peer) {
+            return self.from_above(request);
+        }
+        match &request {
+            Request::Report { switch, .. } => {
+                let Ok(reporter) = switch.name() else {
+                    return refuse(RefusalCode::Malformed, "the key of the reporting switch is not valid");
+                };
+                if reporter == self.name() {
+                    return refuse(RefusalCode::Malformed, "this switch's own report came back: the uplinks form a loop");
+                }
+                self.downstream.insert(reporter, from.local_id());
+            }
+            Request::Relay { switch, .. } | Request::Detach { switch, .. } => {
+                if self.downstream.get(switch) != Some(&from.local_id()) {
+                    let reason = format!("switch {switch} has not reported over this link");
+                    return refuse(RefusalCode::Unreachable, reason);
+                }
+            }
+            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) => {
+                let reason = "only the uplink of a switch may send it this; check uplink in the configuration of both";
+                return refuse(RefusalCode::Malformed, reason);
+            }
+        }
+        self.upward(request)
+    }
+
+    /// A request from further down, for the RIB.
+    fn upward(&mut self, request: Request) -> Next {
+        let now = self.now();
+        let Some(rib) = &mut self.rib else { return self.to_rib(request) };
+        Next::Answer(match request {
+            Request::Relay { switch, entity, by_tool, request } => {
+                rib.request(now, switch, entity.as_ref(), by_tool, &request)
+            }
+            Request::Report { switch, neighbours, attached } => {
+                rib.report(now, &switch, &neighbours, attached.as_deref())
+            }
+            Request::Detach { switch, entity } => rib.detach(now, &switch, &entity),
+            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) => {
+                Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into()
+            }
+        })
+    }
+
+    /// Something the RIB sent, for this switch or one further down.
+    fn from_above(&mut self, request: Request) -> Next {
+        let target = match &request {
+            Request::Fib(push) => push.switch,
+            Request::Writers(push) => push.switch,
+            Request::Detach { switch, .. } => *switch,
+            _ => return refuse(RefusalCode::Malformed, "this came from the uplink itself: the uplinks form a loop"),
+        };
+        if target != self.name() {
+            let link = self.downstream.get(&target).and_then(|id| self.links.get(id));
+            return match link {
+                Some(state) => Next::Forward(state.link.clone(), request),
+                None => refuse(RefusalCode::Unreachable, format!("switch {target} is not behind this one")),
+            };
+        }
+        match request {
+            Request::Fib(push) => Next::Answer(self.push(&push)),
+            Request::Writers(push) => match self.link_to(&push.entity) {
+                Some(link) => Next::Forward(link, Request::Writers(push)),
+                None => refuse(RefusalCode::Unreachable, format!("{} has no link here", push.entity)),
+            },
+            Request::Detach { entity, .. } => {
+                self.told_to_detach(&entity);
+                Next::Answer(Response::Done)
+            }
+            _ => refuse(RefusalCode::Malformed, "not a request to a switch"),
+        }
+    }
+
+    /// The RIB does not hold what this switch thinks it holds.
+    fn told_to_detach(&mut self, entity: &Name) {
+        if *entity == self.name() {
+            // The caller reports again because of this.
+            self.uplink_ready = false;
+        } else if let Some(link) = self.link_to(entity)
+            && link.peer().role == Role::Endpoint
+        {
+            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB does not know the attachment; attaching it again");
+            link.close("the RIB does not know this attachment: attach again");
+        }
+    }
+
+    fn push(&mut self, push: &FibPush) -> Response {
+        match self.routes.push(push) {
+            Ok(changes) => {
+                tracing::debug!(generation = push.generation, changes = changes.len(), "FIB push");
+                self.carry_out(changes);
+                Response::Done
+            }
+            Err(error) => Refusal::new(RefusalCode::Malformed, error.to_string()).into(),
+        }
+    }
+
+    /// Takes out what the RIB here has to say; what is for this switch is done at once.
+    pub fn rib_effects(&mut self) -> Vec<Outgoing> {
+        let mut outgoing = Vec::new();
+        loop {
+            let now = self.now();
+            let Some(rib) = &mut self.rib else { return outgoing };
+            let effects = rib.effects(now);
+            if effects.is_empty() {
+                return outgoing;
+            }
+            for effect in effects {
+                let own = self.name();
+                let (target, request, push) = match effect {
+                    Effect::Fib(push) if push.switch == own => {
+                        let done = matches!(self.push(&push), Response::Done);
+                        if let Some(rib) = &mut self.rib {
+                            rib.pushed(now, &own, push.generation, done);
+                        }
+                        continue;
+                    }
+                    Effect::Fib(push) => {
+                        let id = (push.switch, push.generation);
+                        (push.switch, Request::Fib(push), Some(id))
+                    }
+                    Effect::Writers(push) => (push.switch, Request::Writers(push), None),
+                    Effect::Detach { switch, entity } if switch == own => {
+                        self.told_to_detach(&entity);
+                        continue;
+                    }
+                    Effect::Detach { switch, entity } => (switch, Request::Detach { switch, entity }, None),
+                };
+                let link = match &request {
+                    Request::Writers(push) if target == own => self.link_to(&push.entity),
+                    _ => self.downstream.get(&target).and_then(|id| self.links.get(id)).map(|s| s.link.clone()),
+                };
+                outgoing.push(Outgoing { link, request, push });
+            }
+        }
+    }
+
+    fn to_rib(&self, request: Request) -> Next {
+        let link = self.uplink.as_ref().and_then(|uplink| self.link_to(uplink));
+        match link {
+            Some(link) if self.uplink_ready => Next::Forward(link, request),
+            _ => {
+                let uplink = self.uplink.unwrap_or_default();
+                let reason = format!("switch {} has no way to the RIB: no link to its uplink {uplink}", self.name());
+                refuse(RefusalCode::Unreachable, reason)
+            }
+        }
+    }
+
+    /// Carries changes out in the data planes. One that fails is logged and shows in what the planes hold.
+    fn carry_out(&mut self, changes: Vec<Change>) {
+        for change in changes {
+            let result = match change {
+                Change::OwnBit(bit) => self.planes.set_own_bit(bit),
+                Change::Reach { link, bits } => match self.links.get_mut(&link) {
+                    Some(state) => {
+                        state.entry.reach = bits;
+                        self.planes.set_link(state.entry, state.to)
+                    }
+                    None => Ok(()),
+                },
+                Change::NextHops(next_hops) => self.planes.set_next_hops(&next_hops),
+                Change::Set(name, entry) => self.planes.set_route(name, entry),
+                Change::Remove(name) => self.planes.remove_route(&name),
+            };
+            if let Err(error) = result {
+                tracing::error!(%error, "the data plane refused a change");
+            }
+        }
+    }
+
+    /// Endpoints by the link they are on.
+    pub fn peers_by_link(&self) -> BTreeMap<u32, Name> {
+        self.links.iter().map(|(id, state)| (*id, state.link.peer().name)).collect()
+    }
+}
+
+fn refuse(code: RefusalCode, reason: impl Into<String>) -> Next {
+    Next::Answer(Refusal::new(code, reason).into())
+}

@@ -1,0 +1,170 @@
+//! One task to a link: takes the peer's requests in, and tells the RIB when an endpoint's link is gone.
+
+use std::sync::Arc;
+
+use gdp::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
+use gdp::link::{Link, Responder, Role};
+
+use super::Daemon;
+use super::core::Next;
+use crate::config::Via;
+
+/// Takes a new link into service, or closes it if its peer may not have one here.
+pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
+    let (peer, switch) = (link.peer().name, link.peer().role == Role::Switch);
+    if switch && let Err(reason) = daemon.core().admit(&peer, &via) {
+        tracing::warn!(%reason, "refused a link");
+        return link.close(&reason);
+    }
+    if daemon.is_stopping() {
+        return link.close("shutting down");
+    }
+    let replaced = match daemon.core().link_up(&link, via.clone()) {
+        Ok(replaced) => replaced,
+        Err(error) => {
+            tracing::error!(%error, "the data plane did not take a link");
+            return link.close("the data plane of the switch is full");
+        }
+    };
+    if let Some(replaced) = replaced {
+        replaced.close("replaced by a newer link");
+    }
+    let role = if switch { "switch" } else { "endpoint" };
+    tracing::info!(peer = %format_args!("{peer:#}"), role, %via, addr = %link.addr(), "link up");
+    if switch {
+        daemon.topology_changed();
+        daemon.spawn(serve_switch(daemon.clone(), link));
+    } else {
+        daemon.spawn(serve_endpoint(daemon.clone(), link));
+    }
+}
+
+/// An endpoint's requests are answered one after the other: its statements carry serials.
+async fn serve_endpoint(daemon: Arc<Daemon>, link: Link) {
+    // Waits until an older link of the same entity is dealt with, so that its end does not detach this one.
+    let entity = link.peer().name;
+    let lane = daemon.lane(entity);
+    let turn = lane.lock().await;
+    while let Some((request, responder)) = link.accept_request().await {
+        let response = match request {
+            Request::Entity(request) => entity_request(&daemon, &link, request).await,
+            _ => Refusal::new(RefusalCode::Malformed, "an endpoint may not send what switches tell each other").into(),
+        };
+        answer(responder, response).await;
+    }
+    end(&daemon, &link);
+    let attached = daemon.core().attached.contains(&entity);
+    if attached {
+        let next = daemon.core().detach(entity);
+        if let Response::Refused(refusal) = daemon.complete(next).await {
+            tracing::warn!(%refusal, "the RIB could not be told of a lost attachment; reporting in full");
+            daemon.report_in_full();
+        }
+    }
+    drop(turn);
+    drop(lane);
+    daemon.leave_lane(entity);
+}
+
+async fn entity_request(daemon: &Arc<Daemon>, link: &Link, request: EntityRequest) -> Response {
+    let attach = matches!(request, EntityRequest::Attach { .. });
+    let next = daemon.core().entity_request(Some(&link.peer().proof), false, request);
+    if attach {
+        // Before the answer, so that a report in the meantime does not leave it out.
+        daemon.core().attached.insert(link.peer().name);
+    }
+    daemon.complete(next).await
+}
+
+/// Switches speak for many: their requests are answered side by side, as many as the link has streams.
+async fn serve_switch(daemon: Arc<Daemon>, link: Link) {
+    while let Some((request, responder)) = link.accept_request().await {
+        let (daemon, link) = (daemon.clone(), link.clone());
+        tokio::spawn(async move {
+            let response = switch_request(&daemon, &link, request).await;
+            answer(responder, response).await;
+        });
+    }
+    end(&daemon, &link);
+    daemon.topology_changed();
+}
+
+async fn switch_request(daemon: &Arc<Daemon>, link: &Link, request: Request) -> Response {
+    let told_to_report = matches!(&request, Request::Detach { switch, entity } if switch == entity);
+    let (next, own) = {
+        let mut core = daemon.core();
+        (core.switch_request(link, request), core.uplink == Some(link.peer().name) && !core.uplink_ready)
+    };
+    if told_to_report && own {
+        daemon.report_in_full();
+    }
+    daemon.complete(next).await
+}
+
+fn end(daemon: &Arc<Daemon>, link: &Link) {
+    let reason = link.close_reason().unwrap_or_else(|| "closed".into());
+    let name = link.peer().name;
+    tracing::info!(peer = %format_args!("{name:#}"), reason, "link down");
+    daemon.core().link_down(link);
+}
+
+async fn answer(responder: Responder, response: Response) {
+    if let Err(error) = responder.respond(response).await {
+        tracing::debug!(%error, "an answer could not be sent");
+    }
+}
+
+impl Daemon {
+    /// Does what a request needs before it can be answered, and what follows from it.
+    pub(super) async fn complete(self: &Arc<Self>, next: Next) -> Response {
+        self.send_effects();
+        match next {
+            Next::Answer(response) => response,
+            Next::Forward(link, request) => match link.request(&request).await {
+                Ok(response) => response,
+                Err(error) => {
+                    let peer = link.peer().name;
+                    Refusal::new(RefusalCode::Unreachable, format!("no answer through {peer}: {error}")).into()
+                }
+            },
+        }
+    }
+
+    /// Sends what the RIB here has to say after something changed in it.
+    pub(super) fn send_effects(self: &Arc<Self>) {
+        self.dispatch_effects();
+        self.rib_changed.notify_one();
+    }
+
+    pub(super) fn dispatch_effects(self: &Arc<Self>) {
+        let outgoing = self.core().rib_effects();
+        for message in outgoing {
+            let daemon = self.clone();
+            tokio::spawn(async move {
+                let done = match message.link {
+                    Some(link) => match link.request(&message.request).await {
+                        Ok(Response::Refused(refusal)) => {
+                            tracing::debug!(%refusal, "a switch refused what the RIB sent");
+                            false
+                        }
+                        Ok(_) => true,
+                        Err(error) => {
+                            tracing::debug!(%error, "what the RIB sent was not answered");
+                            false
+                        }
+                    },
+                    None => false,
+                };
+                if let Some((switch, generation)) = message.push {
+                    let mut core = daemon.core();
+                    let now = core.now();
+                    if let Some(rib) = &mut core.rib {
+                        rib.pushed(now, &switch, generation, done);
+                    }
+                    drop(core);
+                    daemon.send_effects();
+                }
+            });
+        }
+    }
+}

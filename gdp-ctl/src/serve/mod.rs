@@ -1,0 +1,250 @@
+//! The daemon: ports and links, the switch's part of the control plane, the RIB if it is here, the admin socket. Thin
+//! tasks around [`core`]; the rules are in [`crate::rib`] and [`routes`], the data planes in [`crate::plane`].
+
+pub mod admin;
+pub mod core;
+pub mod interfaces;
+mod links;
+mod ports;
+pub mod routes;
+mod status;
+mod uplink;
+
+use std::collections::HashMap;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use gdp::identity::Identity;
+use gdp::link::{LinkError, LinkIds};
+use gdp::port::{Port, PortConfig};
+use gdp::secret_file::SecretFileError;
+use gdp_wire::Name;
+use tokio::sync::Notify;
+use tokio::task::JoinSet;
+
+use crate::config::{Config, DataPlane};
+use crate::folders;
+use crate::plane::{PlaneConfig, PlaneError, Planes, Wanted};
+use self::core::Core;
+
+/// How often the addresses of peers are looked at: QUIC moves without saying so.
+const FOLLOW: Duration = Duration::from_millis(500);
+
+/// Why a daemon does not start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    #[error(transparent)]
+    Identity(#[from] SecretFileError),
+    #[error("cannot create the folder {}: {source}", path.display())]
+    Folder { path: PathBuf, source: std::io::Error },
+    #[error(transparent)]
+    Plane(#[from] PlaneError),
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    #[error("cannot ask the kernel for its interfaces: {0}")]
+    Netlink(#[from] rtnetlink::Error),
+    #[error(
+        "this daemon has no interface and no UDP address, so nobody can reach it; list interfaces, or set udp: 0.0.0.0:31415"
+    )]
+    NoPort,
+    #[error(transparent)]
+    Admin(#[from] admin::AdminError),
+}
+
+/// A running daemon's shared state.
+pub struct Daemon {
+    name: Name,
+    port_config: PortConfig,
+    core: Mutex<Core>,
+    ports: Mutex<HashMap<String, Arc<Port>>>,
+    /// Makes the links of one entity take turns in what they tell the RIB.
+    lanes: Mutex<HashMap<Name, Arc<tokio::sync::Mutex<()>>>>,
+    report: Notify,
+    rib_changed: Notify,
+    stopping: AtomicBool,
+    tasks: Mutex<JoinSet<()>>,
+}
+
+/// A daemon that runs until [`Running::stop`].
+pub struct Running {
+    daemon: Arc<Daemon>,
+    udp: Option<Arc<Port>>,
+    admin: admin::Listening,
+}
+
+/// Starts a daemon: everything that can be wrong is wrong here, or waited for.
+pub async fn start(config: Config) -> Result<Running, StartError> {
+    make_folder(&config.identity)?;
+    let identity = Identity::load_or_generate(&config.identity, "switch")?;
+    tracing::info!("switch {}{}", identity.name(), if config.rib { ", with the RIB" } else { "" });
+    let wanted = match config.data_plane {
+        DataPlane::Auto if !folders::is_root() && config.interfaces.is_none() => Wanted::Userspace,
+        DataPlane::Auto => Wanted::Auto,
+        DataPlane::Xdp => Wanted::Xdp,
+        DataPlane::Userspace => Wanted::Userspace,
+    };
+    let planes = Planes::open(PlaneConfig {
+        wanted,
+        ebpf_object: config.ebpf_object.clone(),
+        fib_capacity: config.fib_capacity,
+        ..PlaneConfig::default()
+    })?;
+    let uplink = config.uplink.as_ref().map(|place| place.switch);
+    let daemon = Arc::new(Daemon {
+        name: identity.name(),
+        port_config: PortConfig::switch(identity.clone(), LinkIds::new()),
+        core: Mutex::new(Core::new(identity, config.neighbours.clone(), uplink, config.rib, planes)),
+        ports: Mutex::default(),
+        lanes: Mutex::default(),
+        report: Notify::new(),
+        rib_changed: Notify::new(),
+        stopping: AtomicBool::new(false),
+        tasks: Mutex::default(),
+    });
+    let interfaces = interfaces_to_use(&config).await?;
+    let changes = ports::watch_interfaces(&daemon);
+    let admin = admin::listen(&daemon, &config.socket)?;
+    let mut opened = Vec::new();
+    for name in &interfaces {
+        opened.push(match ports::open_ethernet(&daemon, name) {
+            Ok(port) => Some(port),
+            Err(error) if config.interfaces.is_none() || is_absent(&error) => {
+                tracing::warn!("{name} is not used for now: {error}");
+                None
+            }
+            Err(error) => return Err(error),
+        });
+    }
+    let udp = config.udp.map(|bind| ports::open_udp(&daemon, bind).map(|port| (bind, port))).transpose()?;
+    if interfaces.is_empty() && udp.is_none() {
+        return Err(StartError::NoPort);
+    }
+    for (name, port) in interfaces.into_iter().zip(opened) {
+        daemon.spawn(ports::run_ethernet(daemon.clone(), name, port, changes.clone()));
+    }
+    if let Some((bind, port)) = &udp {
+        daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind));
+    }
+    daemon.spawn(uplink::report(daemon.clone()));
+    daemon.spawn(uplink::rib_clock(daemon.clone()));
+    daemon.spawn(follow_addresses(daemon.clone()));
+    daemon.topology_changed();
+    Ok(Running { daemon, udp: udp.map(|(_, port)| port), admin })
+}
+
+impl Running {
+    pub fn name(&self) -> Name {
+        self.daemon.name
+    }
+
+    /// Where links over UDP are taken.
+    pub fn udp_addr(&self) -> Option<SocketAddr> {
+        self.udp.as_ref()?.udp_addr()
+    }
+
+    /// What `gdp-ctl status` shows.
+    pub async fn status(&self) -> serde_json::Value {
+        status::status(&self.daemon).await
+    }
+
+    /// Tells peers, closes everything and takes the XDP programs off.
+    pub async fn stop(self) {
+        self.daemon.stopping.store(true, Ordering::Relaxed);
+        let mut ports: Vec<_> = std::mem::take(&mut *self.daemon.ports()).into_values().collect();
+        ports.extend(self.udp);
+        futures::future::join_all(ports.iter().map(|port| port.close("shutting down"))).await;
+        let mut tasks = std::mem::take(&mut *lock(&self.daemon.tasks));
+        tasks.shutdown().await;
+        for interface in ports.iter().filter_map(|port| port.interface()) {
+            self.daemon.core().planes.detach(interface.index);
+        }
+        drop(self.admin);
+    }
+}
+
+impl Daemon {
+    fn core(&self) -> MutexGuard<'_, Core> {
+        lock(&self.core)
+    }
+
+    fn ports(&self) -> MutexGuard<'_, HashMap<String, Arc<Port>>> {
+        lock(&self.ports)
+    }
+
+    fn is_stopping(&self) -> bool {
+        self.stopping.load(Ordering::Relaxed)
+    }
+
+    /// Runs a task until it ends or the daemon does.
+    fn spawn(&self, task: impl Future<Output = ()> + Send + 'static) {
+        let mut tasks = lock(&self.tasks);
+        while tasks.try_join_next().is_some() {}
+        tasks.spawn(task);
+    }
+
+    /// Neighbours came or went.
+    fn topology_changed(&self) {
+        self.report.notify_one();
+    }
+
+    /// The RIB may hold less, or more, of this switch's endpoints than are here.
+    fn report_in_full(&self) {
+        self.core().uplink_ready = false;
+        self.report.notify_one();
+    }
+
+    fn lane(&self, entity: Name) -> Arc<tokio::sync::Mutex<()>> {
+        lock(&self.lanes).entry(entity).or_default().clone()
+    }
+
+    /// Forgets a lane that nobody is in or waits for.
+    fn leave_lane(&self, entity: Name) {
+        let mut lanes = lock(&self.lanes);
+        if lanes.get(&entity).is_some_and(|lane| Arc::strong_count(lane) == 1) {
+            lanes.remove(&entity);
+        }
+    }
+}
+
+/// A panic in another task is no reason to stop forwarding.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+async fn follow_addresses(daemon: Arc<Daemon>) {
+    loop {
+        tokio::time::sleep(FOLLOW).await;
+        daemon.core().follow_addresses();
+    }
+}
+
+/// The configured interfaces; without any, all Ethernet interfaces that are up, if this process may use them.
+async fn interfaces_to_use(config: &Config) -> Result<Vec<String>, StartError> {
+    if let Some(interfaces) = &config.interfaces {
+        return Ok(interfaces.clone());
+    }
+    if !folders::is_root() {
+        tracing::info!("not root: no Ethernet links and no XDP; links over UDP only, forwarded by the userspace plane");
+        return Ok(Vec::new());
+    }
+    let found = interfaces::list().await?;
+    Ok(found.into_iter().filter(|i| i.up && i.ethernet).map(|i| i.name).collect())
+}
+
+fn is_absent(error: &StartError) -> bool {
+    let StartError::Link(LinkError::Io { source, .. }) = error else { return false };
+    matches!(source.raw_os_error(), Some(libc::ENODEV | libc::ENETDOWN))
+}
+
+fn make_folder(file: &std::path::Path) -> Result<(), StartError> {
+    use std::os::unix::fs::DirBuilderExt;
+    let Some(folder) = file.parent().filter(|folder| !folder.as_os_str().is_empty()) else { return Ok(()) };
+    std::fs::DirBuilder::new()
+        .recursive(true)
+        .mode(0o700)
+        .create(folder)
+        .map_err(|source| StartError::Folder { path: folder.into(), source })
+}

@@ -1,0 +1,194 @@
+//! The places links are made on: opens a port and a data plane on each, takes in the links that peers make, makes those to
+//! configured neighbours, and starts over when an interface is made anew.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures::StreamExt;
+use gdp::crypto;
+use gdp::link::LinkError;
+use gdp::port::{Interface, LinkAddr, Port};
+use gdp_wire::Name;
+use tokio::sync::watch;
+use tokio::time::{sleep, timeout};
+
+use super::{Daemon, StartError, interfaces, links};
+use crate::config::{Place, Via};
+
+/// How long a neighbour may take to answer discovery.
+const DISCOVERY: Duration = Duration::from_secs(2);
+
+/// Between attempts to reach a neighbour: doubled from the first to the second.
+const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(3));
+
+/// Interfaces are looked at this often, even if netlink said nothing.
+const LOOK: Duration = Duration::from_secs(2);
+
+/// Opens a port on an interface and has the data planes take it over.
+pub fn open_ethernet(daemon: &Arc<Daemon>, name: &str) -> Result<Arc<Port>, StartError> {
+    let port = Arc::new(Port::ethernet(name, &daemon.port_config)?);
+    let Some(interface) = port.interface() else { return Ok(port) };
+    let report = daemon.core().planes.attach(interface, port.data())?;
+    let reason = if report.reason.is_empty() { String::new() } else { format!(": {}", report.reason) };
+    tracing::info!("{name}: data plane {}{reason}", report.kind);
+    Ok(port)
+}
+
+/// Opens the UDP port.
+pub fn open_udp(daemon: &Arc<Daemon>, bind: std::net::SocketAddr) -> Result<Arc<Port>, StartError> {
+    let port = Arc::new(Port::udp(bind, &daemon.port_config)?);
+    daemon.core().planes.attach_udp(port.data())?;
+    let addr = port.udp_addr().unwrap_or(bind);
+    tracing::info!("udp {addr}: data plane userspace: UDP links are forwarded by the daemon");
+    Ok(port)
+}
+
+/// Runs a port until the daemon ends.
+pub async fn run_udp(daemon: Arc<Daemon>, port: Arc<Port>, bind: std::net::SocketAddr) {
+    run(&daemon, &port, &Via::Udp(bind)).await;
+}
+
+/// Keeps a port on an interface, through its absence and return.
+pub async fn run_ethernet(
+    daemon: Arc<Daemon>,
+    name: String,
+    mut port: Option<Arc<Port>>,
+    mut changes: watch::Receiver<()>,
+) {
+    loop {
+        let open = match port.take() {
+            Some(port) => port,
+            None => match open_ethernet(&daemon, &name) {
+                Ok(port) => port,
+                Err(error) => {
+                    tracing::debug!(interface = name, %error, "not usable yet");
+                    look(&mut changes).await;
+                    continue;
+                }
+            },
+        };
+        daemon.ports().insert(name.clone(), open.clone());
+        let via = Via::Interface(name.clone());
+        tokio::select! {
+            () = run(&daemon, &open, &via) => {}
+            () = gone(&daemon, &open, &mut changes) => {}
+        }
+        tracing::warn!(interface = name, "the interface is gone or was made anew");
+        daemon.ports().remove(&name);
+        open.close("the interface is gone").await;
+        if let Some(interface) = open.interface() {
+            daemon.core().planes.detach(interface.index);
+        }
+    }
+}
+
+/// Until the interface is not the one that was opened.
+async fn gone(daemon: &Arc<Daemon>, port: &Port, changes: &mut watch::Receiver<()>) {
+    let Some(opened) = port.interface() else { return std::future::pending().await };
+    loop {
+        look(changes).await;
+        match Interface::find(&opened.name) {
+            Ok(now) if now.index == opened.index && now.mac == opened.mac && now.mtu == opened.mtu => {}
+            _ => return,
+        }
+        if let Err(error) = daemon.core().planes.refresh() {
+            tracing::error!(%error, "the data planes could not be refreshed");
+        }
+    }
+}
+
+/// Waits for a change of interfaces, but not for long.
+async fn look(changes: &mut watch::Receiver<()>) {
+    if let Ok(Err(_)) = timeout(LOOK, changes.changed()).await {
+        sleep(LOOK).await;
+    }
+}
+
+async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
+    let own = daemon.name;
+    let here = |place: &Place| match (&place.via, via) {
+        (Via::Interface(a), Via::Interface(b)) => a == b,
+        (Via::Udp(_), Via::Udp(_)) => true,
+        _ => false,
+    };
+    // Of two neighbours the one with the smaller name dials.
+    let to_dial: Vec<Place> = {
+        let core = daemon.core();
+        let near = core.neighbours.iter().map(|n| n.place.clone());
+        near.filter(|place| here(place) && own.as_bytes() < place.switch.as_bytes()).collect()
+    };
+    let dials = futures::future::join_all(to_dial.into_iter().map(|place| keep_link(daemon, port, place)));
+    tokio::join!(accept(daemon, port, via), dials);
+}
+
+async fn accept(daemon: &Arc<Daemon>, port: &Port, via: &Via) {
+    while let Some(result) = port.accept().await {
+        match result {
+            Ok(link) => links::take(daemon, link, via.clone()),
+            Err(error) => tracing::debug!(%via, %error, "a peer did not get a link"),
+        }
+    }
+}
+
+/// Makes the link to a neighbour, and again whenever it is lost.
+async fn keep_link(daemon: &Arc<Daemon>, port: &Port, place: Place) {
+    let mut wait = BACKOFF.0;
+    loop {
+        let existing = daemon.core().link_to(&place.switch);
+        if let Some(link) = existing {
+            link.closed().await;
+            // The link's own task takes it out of service.
+            sleep(BACKOFF.0).await;
+            wait = BACKOFF.0;
+            continue;
+        }
+        match dial(port, &place).await {
+            Ok(link) => links::take(daemon, link, place.via.clone()),
+            Err(error) => {
+                tracing::debug!(switch = %format_args!("{:#}", place.switch), via = %place.via, %error, "no link yet");
+                sleep(jittered(wait)).await;
+                wait = (wait * 2).min(BACKOFF.1);
+            }
+        }
+    }
+}
+
+async fn dial(port: &Port, place: &Place) -> Result<gdp::link::Link, LinkError> {
+    let to = match &place.via {
+        Via::Udp(addr) => LinkAddr::udp(*addr),
+        Via::Interface(_) => find(port, place.switch).await?,
+    };
+    port.dial(to, Some(place.switch)).await
+}
+
+async fn find(port: &Port, switch: Name) -> Result<LinkAddr, LinkError> {
+    let answers = port.discover(Some(switch), DISCOVERY).await;
+    let found = answers.into_iter().find(|(_, name)| *name == switch);
+    let silent = || LinkError::Timeout { what: "a neighbour's answer to discovery", after: DISCOVERY };
+    found.map(|(addr, _)| addr).ok_or_else(silent)
+}
+
+/// Between three quarters and all of a time, so that neighbours that start together do not stay in step.
+fn jittered(time: Duration) -> Duration {
+    let random = crypto::random::<1>().map_or(0, |[byte]| byte);
+    time - time / 4 * u32::from(random) / 256
+}
+
+/// Tells when interfaces change.
+pub fn watch_interfaces(daemon: &Arc<Daemon>) -> watch::Receiver<()> {
+    let (sender, receiver) = watch::channel(());
+    match interfaces::changes() {
+        Ok(mut changes) => daemon.spawn(async move {
+            while changes.next().await.is_some() {
+                let _ = sender.send(());
+            }
+        }),
+        Err(error) => {
+            tracing::warn!(%error, "no news of interfaces from the kernel; looking every {} s", LOOK.as_secs());
+            daemon.spawn(async move {
+                sender.closed().await;
+            });
+        }
+    }
+    receiver
+}

@@ -1,0 +1,137 @@
+//! What the daemon tells people and programs of itself, as JSON.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use gdp::link::Role;
+use gdp_wire::{FibEntry, Name};
+use serde_json::{Map, Value, json};
+
+use super::{Daemon, interfaces};
+
+/// `gdp-ctl status`.
+pub async fn status(daemon: &Arc<Daemon>) -> Value {
+    let interfaces = interfaces::list().await.unwrap_or_default();
+    let udp_links = daemon.core().links.values().filter(|l| matches!(l.via, crate::config::Via::Udp(_))).count();
+    let core = daemon.core();
+    let report = core.planes.report();
+    let used: Vec<Value> = report
+        .iter()
+        .map(|plane| {
+            let info = interfaces.iter().find(|i| i.name == plane.interface);
+            json!({
+                "interface": plane.interface, "data_plane": plane.kind, "reason": plane.reason,
+                "mtu": info.map(|i| i.mtu), "addresses": info.map(|i| &i.addresses), "stations": info.map(|i| &i.stations),
+            })
+        })
+        .collect();
+    let mut links: Vec<_> = core
+        .links
+        .values()
+        .map(|state| {
+            let peer = state.link.peer();
+            json!({
+                "peer": peer.name,
+                "role": match peer.role { Role::Endpoint => "endpoint", Role::Switch => "switch" },
+                "via": state.via.to_string(),
+                "address": state.link.addr().to_string(),
+                "id": state.link.local_id(),
+                "mtu": state.link.mtu(),
+                "rtt_us": state.link.rtt().as_micros() as u64,
+            })
+        })
+        .collect();
+    links.sort_by_key(|link| link["id"].as_u64());
+    let (mut counters, mut by_plane) = (Map::new(), Map::new());
+    let mut errors = Vec::new();
+    match core.planes.counters() {
+        Ok(counted) => {
+            for (counter, kernel, userspace) in counted {
+                counters.insert(counter.as_str().into(), (kernel + userspace).into());
+                by_plane.insert(counter.as_str().into(), json!({"kernel": kernel, "userspace": userspace}));
+            }
+        }
+        Err(error) => errors.push(error.to_string()),
+    }
+    let (data_plane, reason) = summary(&report, udp_links);
+    json!({
+        "v": 1,
+        "name": core.name(),
+        "data_plane": data_plane,
+        "data_plane_reason": reason,
+        "interfaces": used,
+        "links": links,
+        "counters": counters,
+        "counters_by_plane": by_plane,
+        "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
+        "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
+        "uplink": core.uplink.map(|switch| json!({
+            "switch": switch, "connected": core.peers.contains_key(&switch), "ready": core.uplink_ready,
+        })),
+        "errors": errors,
+    })
+}
+
+/// One word for all interfaces, and why.
+fn summary(report: &[crate::plane::InterfacePlane], udp_links: usize) -> (&'static str, String) {
+    let Some(first) = report.first() else {
+        return ("userspace", "no Ethernet interface is in use; links over UDP are forwarded by the daemon".into());
+    };
+    let same = report.iter().all(|plane| plane.kind == first.kind);
+    let kind = if same { first.kind } else { "mixed" };
+    let mut reasons: Vec<String> = report
+        .iter()
+        .filter(|plane| !plane.reason.is_empty() || !same)
+        .map(|plane| format!("{}: {} {}", plane.interface, plane.kind, plane.reason).trim_end().to_owned())
+        .collect();
+    if udp_links > 0 {
+        reasons.push("links over UDP are forwarded by the daemon".into());
+    }
+    if reasons.is_empty() {
+        reasons.push("every interface took it".into());
+    }
+    (kind, reasons.join("; "))
+}
+
+/// One page of `gdp-ctl fib dump`: at most `limit` names behind `after`, and whether there are more.
+pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, String> {
+    let core = daemon.core();
+    let mut routes = core.planes.routes().map_err(|error| error.to_string())?;
+    routes.sort_by_key(|(name, _)| *name.as_bytes());
+    let from = after.map_or(0, |after| routes.partition_point(|(name, _)| name.as_bytes() <= after.as_bytes()));
+    let peers = core.peers_by_link();
+    let page: Vec<Value> = routes[from..].iter().take(limit).map(|(name, entry)| route(&core, &peers, name, entry)).collect();
+    let more = routes.len() - from > page.len();
+    Ok(json!({"routes": page, "more": more}))
+}
+
+fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
+    let own = core.routes.own_bit().map_or(0, |bit| 1u64 << bit);
+    let local = (entry.local_link != 0).then(|| peers.get(&entry.local_link)).flatten();
+    json!({
+        "name": name,
+        "egress_bits": format!("{:#x}", entry.egress_bits),
+        "own": entry.egress_bits & own != 0,
+        "toward": core.routes.neighbours_toward(entry.egress_bits & !own),
+        "local": local,
+        "local_link": entry.local_link,
+    })
+}
+
+/// One page of `gdp-ctl rib dump`, or why there is none.
+pub fn rib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, String> {
+    let core = daemon.core();
+    let Some(rib) = &core.rib else {
+        let uplink = core.uplink.unwrap_or_default();
+        return Err(format!("this daemon is not the RIB; it is behind {uplink}: run `gdp-ctl rib dump` on the RIB's host"));
+    };
+    let (records, more) = rib.records(core.now(), after, limit);
+    let switches: Vec<Value> = rib
+        .switches()
+        .map(|(name, bit, neighbours, attached)| {
+            let neighbours: Vec<_> = neighbours.iter().map(|(n, cost)| json!({"switch": n, "cost": cost})).collect();
+            json!({"switch": name, "bit": bit, "neighbours": neighbours, "attached": attached})
+        })
+        .collect();
+    Ok(json!({"records": records, "switches": switches, "more": more}))
+}
