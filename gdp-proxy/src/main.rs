@@ -1,5 +1,6 @@
 //! The `gdp-proxy` program: arguments, logging and signals. What it does is in the library.
 
+use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -64,7 +65,8 @@ fn run(arguments: Arguments) -> Result<()> {
 fn log_to_stderr() {
     // RustDDS reports ordinary events as information, one line a message.
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,rustdds=warn"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let colours = std::io::stderr().is_terminal();
+    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
 }
 
 /// Ends when the process is asked to; from now on, signals no longer kill it.

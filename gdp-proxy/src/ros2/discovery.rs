@@ -60,27 +60,19 @@ impl Discovery {
                 self.writer_appeared.notify_waiters();
             }
             Event::ReaderDetected { reader } => self.compare("subscriber", &reader),
-            Event::RemoteWriterMatched { remote_writer, .. } if is_foreign(participant, remote_writer) => {
-                tracing::info!(writer = ?remote_writer, "a ROS 2 publisher is heard");
+            Event::RemoteWriterMatched { remote_writer, .. } if is_application(participant, remote_writer) => {
+                let topic = written_topic(participant, remote_writer);
+                tracing::info!(topic, writer = ?remote_writer, "a local publisher is heard");
             }
-            Event::RemoteReaderMatched { remote_reader, .. } if is_foreign(participant, remote_reader) => {
-                tracing::info!(reader = ?remote_reader, "a ROS 2 subscriber is served");
+            Event::RemoteReaderMatched { remote_reader, .. } if is_application(participant, remote_reader) => {
+                let topic = read_topic(participant, remote_reader);
+                tracing::info!(topic, reader = ?remote_reader, "a local subscriber is served");
             }
             Event::RemoteWriterQosIncompatible { remote_writer, requested_qos, offered_qos, .. } => {
-                let topic = participant
-                    .discovered_writers()
-                    .into_iter()
-                    .find(|w| w.writer_proxy.remote_writer_guid == remote_writer)
-                    .map(|w| w.publication_topic_data.topic_name);
-                incompatible("publisher", topic, &requested_qos, &offered_qos);
+                incompatible("publisher", written_topic(participant, remote_writer), &requested_qos, &offered_qos);
             }
             Event::RemoteReaderQosIncompatible { remote_reader, requested_qos, offered_qos, .. } => {
-                let topic = participant
-                    .discovered_readers()
-                    .into_iter()
-                    .find(|r| r.reader_proxy.remote_reader_guid == remote_reader)
-                    .map(|r| r.subscription_topic_data.topic_name().clone());
-                incompatible("subscriber", topic, &requested_qos, &offered_qos);
+                incompatible("subscriber", read_topic(participant, remote_reader), &requested_qos, &offered_qos);
             }
             _ => {}
         }
@@ -99,14 +91,27 @@ impl Discovery {
     }
 }
 
-fn is_foreign(participant: &DomainParticipant, endpoint: GUID) -> bool {
-    endpoint.prefix != participant.guid().prefix
+/// Not one of ours, and not one of those that discovery itself uses.
+fn is_application(participant: &DomainParticipant, endpoint: GUID) -> bool {
+    endpoint.prefix != participant.guid().prefix && endpoint.entity_id.kind().is_user_defined()
+}
+
+fn written_topic(participant: &DomainParticipant, writer: GUID) -> Option<String> {
+    let mut writers = participant.discovered_writers().into_iter();
+    let found = writers.find(|found| found.writer_proxy.remote_writer_guid == writer)?;
+    Some(found.publication_topic_data.topic_name)
+}
+
+fn read_topic(participant: &DomainParticipant, reader: GUID) -> Option<String> {
+    let mut readers = participant.discovered_readers().into_iter();
+    let found = readers.find(|found| found.reader_proxy.remote_reader_guid == reader)?;
+    Some(found.subscription_topic_data.topic_name().clone())
 }
 
 fn incompatible(whose: &str, topic: Option<String>, requested: &QosPolicies, offered: &QosPolicies) {
     let policy = offered.compliance_failure_wrt(requested);
     tracing::warn!(
-        topic = topic.as_deref().unwrap_or("unknown"),
+        topic,
         "the QoS of a {whose} here does not fit the proxy's ({policy:?}): they do not see each other; correct `qos`",
     );
 }
