@@ -151,7 +151,7 @@ impl Planes {
         };
         let number = self.make_port(interface.index)?;
         let report = InterfacePlane { interface: interface.name.clone(), kind, reason };
-        let port = Port { number, attached, report: report.clone(), forwarder: forwarder };
+        let port = Port { number, attached, report: report.clone(), forwarder };
         self.ports.insert(interface.index, port);
         self.refresh()?;
         Ok(report)
