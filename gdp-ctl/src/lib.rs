@@ -2,6 +2,7 @@
 //! the admin socket, the commands. A library so that tests reach all of it; the binary is a thin shell.
 
 pub mod admin;
+pub mod cli;
 pub mod config;
 pub mod folders;
 pub mod plane;

@@ -290,11 +290,17 @@ impl Rib {
         Ok(Speaker { entity, entity_key, switch, floor: self.entities.floor(&entity), now: now.unix })
     }
 
+    /// Attaching again at the same switch only renews: a lost link is told of by a detach.
     fn attach(&mut self, speaker: &Speaker, ends: Duration) -> Result<(), Refusal> {
-        self.end_attachment(&speaker.entity);
+        match self.entities.attachment(&speaker.entity) {
+            Some(old) if old.switch == speaker.switch => {
+                self.timers.remove(&(old.ends, Timer::Attachment { entity: speaker.entity }));
+            }
+            _ => self.end_attachment(&speaker.entity),
+        }
         let limit = self.limits.attached_per_switch;
         let Some(switch) = self.switches.get_mut(&speaker.switch) else { return Ok(()) };
-        if switch.attached.len() >= limit {
+        if switch.attached.len() >= limit && !switch.attached.contains(&speaker.entity) {
             return Err(limit_reached(format!("switch {} has {limit} attached entities", speaker.switch)));
         }
         let entity = self.entities.get_or_insert(speaker.entity, self.limits.entities, &mut self.timers)?;

@@ -171,6 +171,8 @@ fn what_lives_with_an_attachment_dies_with_it_and_serials_survive() {
     w.publish(&robot, 0, 41);
     w.detach(&robot, 1);
     assert_eq!(w.rib.name_count(), 1, "another switch cannot detach it");
+    assert!(matches!(w.attach(&robot, 0), Response::Attached { serial: 41 }));
+    assert_eq!(w.rib.name_count(), 1, "it renews its attachment");
     w.detach(&robot, 0);
     assert_eq!(w.rib.name_count(), 0);
     assert!(matches!(w.attach(&robot, 1), Response::Attached { serial: 41 }));

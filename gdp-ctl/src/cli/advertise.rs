@@ -1,0 +1,149 @@
+//! `gdp-ctl advertise` and `withdraw`: an entity's statements, signed here with its key and sent through the daemon.
+
+use std::path::PathBuf;
+
+use anyhow::{Context as _, bail};
+use clap::Args;
+use gdp::NameCard;
+use gdp::cert::{AdCert, Advert, AdvertOp, Mode, RtCert, Signed, issue};
+use gdp::control::{EntityRequest, Response};
+use gdp::identity::{Identity, SigningKey};
+use gdp::name::Name;
+use serde_json::json;
+
+use super::key::Kind;
+use super::{Context, cert, parse_seconds, unix_now};
+use crate::admin::{Client, Request};
+
+/// What the switch is allowed to carry for a statement that a tool makes.
+const ROUTE_SECONDS: u64 = 300;
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// The name card of what to advertise.
+    card: PathBuf,
+    #[command(flatten)]
+    entity: Entity,
+    /// The owner's certificate for the entity. Not needed if the key is the owner's own.
+    #[arg(long, value_name = "FILE")]
+    cert: Option<PathBuf>,
+    /// How long the advertisement lives: 90s, 15m, 2h, 7d.
+    #[arg(long = "for", default_value = "1h", value_parser = parse_seconds, value_name = "TIME")]
+    lifetime: u32,
+}
+
+#[derive(Debug, Args)]
+pub struct WithdrawOptions {
+    /// The name card of what to withdraw.
+    card: PathBuf,
+    #[command(flatten)]
+    entity: Entity,
+}
+
+#[derive(Debug, Args)]
+struct Entity {
+    /// The entity's private key file.
+    #[arg(long, value_name = "FILE")]
+    key: PathBuf,
+    /// What the entity is, as it was when its key was made.
+    #[arg(long, value_enum, default_value = "proxy")]
+    kind: Kind,
+}
+
+pub fn advertise(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let card = NameCard::load(&options.card)?;
+    let entity = options.entity.load()?;
+    let ad_cert = certificate(options, &card, &entity)?;
+    let mut session = Session::begin(&entity, context)?;
+    let advert = session.statement(&entity, AdvertOp::Publish, card.name(), options.lifetime)?;
+    session.ask(&entity, EntityRequest::Advertise { proof: card.proof(), ad_cert, advert })?;
+    let value = json!({
+        "name": card.name(), "entity": entity.name(), "switch": session.switch, "lifetime": options.lifetime,
+    });
+    context.output.print(value, || {
+        let switch = session.switch;
+        format!("{:#} is advertised by {:#} at switch {switch:#} for {} s", card.name(), entity.name(), options.lifetime)
+    })
+}
+
+pub fn withdraw(options: &WithdrawOptions, context: &Context) -> anyhow::Result<()> {
+    let card = NameCard::load(&options.card)?;
+    let entity = options.entity.load()?;
+    let mut session = Session::begin(&entity, context)?;
+    let advert = session.statement(&entity, AdvertOp::Withdraw, card.name(), 1)?;
+    session.ask(&entity, EntityRequest::Withdraw { advert })?;
+    let value = json!({"name": card.name(), "entity": entity.name(), "switch": session.switch});
+    context.output.print(value, || format!("{:#} is withdrawn by {:#}", card.name(), entity.name()))
+}
+
+impl Entity {
+    fn load(&self) -> anyhow::Result<Identity> {
+        Ok(Identity::new(SigningKey::load(&self.key)?, self.kind.as_str()))
+    }
+}
+
+/// The certificate of the file; without one, the owner allows itself.
+fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow::Result<Signed<AdCert>> {
+    if let Some(file) = &options.cert {
+        return cert::load(file);
+    }
+    let key = entity.key();
+    if key.verify_key() != *card.owner_key() {
+        bail!(
+            "{} is not the owner's key of {}, so it needs the owner's certificate: have the owner run `gdp-ctl cert \
+             advertise --owner OWNER.pem --card {} --entity {} -o FILE`, then add --cert FILE",
+            options.entity.key.display(),
+            card.name(),
+            options.card.display(),
+            entity.name()
+        );
+    }
+    let now = unix_now();
+    let claims = AdCert {
+        name: card.name(),
+        entity: entity.name(),
+        mode: Mode::Unicast,
+        scope: Vec::new(),
+        not_before: now - 300,
+        not_after: now + u64::from(options.lifetime) + 300,
+    };
+    Ok(issue(key, &claims)?)
+}
+
+/// A conversation with the RIB on behalf of an entity, through the daemon's switch.
+struct Session {
+    client: Client,
+    switch: Name,
+    serial: u64,
+}
+
+impl Session {
+    fn begin(entity: &Identity, context: &Context) -> anyhow::Result<Self> {
+        let mut client = context.client()?;
+        let status = client.ask_value(&Request::Status)?;
+        let switch = status["name"].as_str().and_then(|name| name.parse().ok()).context("the daemon tells no name")?;
+        let claims = RtCert { entity: entity.name(), switch, not_after: unix_now() + ROUTE_SECONDS };
+        let request = EntityRequest::Attach { rt_cert: issue(entity.key(), &claims)? };
+        match client.ask_control(&Request::Entity { entity: Some(entity.proof()), request })? {
+            Response::Attached { serial } => Ok(Self { client, switch, serial }),
+            _ => bail!("the RIB answered another question"),
+        }
+    }
+
+    fn statement(
+        &mut self,
+        entity: &Identity,
+        op: AdvertOp,
+        name: Name,
+        lifetime: u32,
+    ) -> anyhow::Result<Signed<Advert>> {
+        self.serial = self.serial.checked_add(1).context("the serials of this entity are used up; make a new key")?;
+        let claims =
+            Advert { op, name, entity: entity.name(), switch: self.switch, serial: self.serial, lifetime };
+        Ok(issue(entity.key(), &claims)?)
+    }
+
+    fn ask(&mut self, entity: &Identity, request: EntityRequest) -> anyhow::Result<Response> {
+        Ok(self.client.ask_control(&Request::Entity { entity: Some(entity.proof()), request })?)
+    }
+}

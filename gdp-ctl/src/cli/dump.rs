@@ -1,0 +1,115 @@
+//! `gdp-ctl fib dump` and `rib dump`: all that the data plane forwards by, all that the RIB knows. Fetched page by page.
+
+use clap::Subcommand;
+use gdp::control::Record;
+use gdp::name::{Name, NamePrefix};
+use serde_json::{Value, json};
+
+use super::Context;
+use super::output::{short, table};
+use crate::admin::{Client, ClientError, Request};
+
+#[derive(Debug, Subcommand)]
+pub enum FibCommand {
+    /// Print the routes, read back from the kernel where XDP runs.
+    Dump {
+        /// Only names that begin so.
+        prefix: Option<NamePrefix>,
+    },
+}
+
+#[derive(Debug, Subcommand)]
+pub enum RibCommand {
+    /// Print switches, writers and readers.
+    Dump {
+        /// Only names that begin so.
+        prefix: Option<NamePrefix>,
+    },
+}
+
+pub fn fib(command: &FibCommand, context: &Context) -> anyhow::Result<()> {
+    let FibCommand::Dump { prefix } = command;
+    let (mut routes, _) = all(&mut context.client()?, "routes", |after| Request::Fib { after })?;
+    keep(&mut routes, prefix.as_ref());
+    context.output.print(json!({"routes": routes}), || {
+        let rows: Vec<_> = routes
+            .iter()
+            .map(|route| {
+                let toward: Vec<_> = route["toward"].as_array().into_iter().flatten().map(short).collect();
+                let bits = route["egress_bits"].as_str().unwrap_or_default().to_owned();
+                [short(&route["name"]), bits, toward.join(" "), short(&route["local"])]
+            })
+            .collect();
+        table(["name", "egress bits", "toward", "local endpoint"], &rows)
+    })
+}
+
+pub fn rib(command: &RibCommand, context: &Context) -> anyhow::Result<()> {
+    let RibCommand::Dump { prefix } = command;
+    let (mut records, last) = all(&mut context.client()?, "records", |after| Request::Rib { after })?;
+    keep(&mut records, prefix.as_ref());
+    let records: Vec<Value> = records.into_iter().map(describe).collect::<Result<_, ClientError>>()?;
+    let switches = last["switches"].clone();
+    context.output.print(json!({"records": records, "switches": switches}), || {
+        let switches: Vec<_> = switches
+            .as_array()
+            .into_iter()
+            .flatten()
+            .map(|switch| {
+                let near = switch["neighbours"].as_array().into_iter().flatten();
+                let near: Vec<_> = near.map(|n| format!("{} ({})", short(&n["switch"]), n["cost"])).collect();
+                let attached = switch["attached"].as_array().map_or(0, Vec::len);
+                [short(&switch["switch"]), switch["bit"].to_string(), near.join(" "), attached.to_string()]
+            })
+            .collect();
+        let rows: Vec<_> = records
+            .iter()
+            .map(|r| {
+                let role = r["role"].as_str().unwrap_or_default().to_owned();
+                [short(&r["name"]), role, short(&r["entity"]), short(&r["switch"]), format!("{} s", r["expires_in"])]
+            })
+            .collect();
+        format!(
+            "{}\n\n{}",
+            table(["switch", "bit", "neighbours (cost)", "attached"], &switches),
+            table(["name", "role", "entity", "switch", "expires in"], &rows)
+        )
+    })
+}
+
+/// All entries of a dump, and its last page.
+fn all(
+    client: &mut Client,
+    key: &str,
+    request: impl Fn(Option<Name>) -> Request,
+) -> Result<(Vec<Value>, Value), ClientError> {
+    let (mut entries, mut after) = (Vec::new(), None);
+    loop {
+        let mut page = client.ask_value(&request(after))?;
+        let Value::Array(new) = page[key].take() else {
+            return Err(ClientError::Malformed(format!("no {key} in a page")));
+        };
+        entries.extend(new);
+        let last: Option<Name> = entries.last().and_then(|e| e["name"].as_str()).and_then(|name| name.parse().ok());
+        // A daemon that repeats itself must not keep this program for ever.
+        if page["more"] != true || last == after {
+            return Ok((entries, page));
+        }
+        after = last;
+    }
+}
+
+fn keep(entries: &mut Vec<Value>, prefix: Option<&NamePrefix>) {
+    if let Some(prefix) = prefix {
+        entries.retain(|e| e["name"].as_str().is_some_and(|name| name.starts_with(prefix.as_str())));
+    }
+}
+
+fn describe(record: Value) -> Result<Value, ClientError> {
+    let record: Record = serde_json::from_value(record).map_err(|e| ClientError::Malformed(e.to_string()))?;
+    let role = if record.is_writer() { "writer" } else { "reader" };
+    let entity = record.entity.name().map_err(|e| ClientError::Malformed(e.to_string()))?;
+    Ok(json!({
+        "name": record.name, "role": role, "entity": entity, "switch": record.switch, "expires_in": record.expires_in,
+    }))
+}

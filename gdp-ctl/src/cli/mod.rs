@@ -1,0 +1,155 @@
+//! The command line: one file to an object. Commands that make files work without a daemon; the others talk to it over the
+//! admin socket. Data goes to stdout (JSON with `-j`, each object with `"v": 1`), everything else to stderr.
+
+mod advertise;
+mod cert;
+mod dump;
+mod key;
+mod name;
+mod output;
+mod query;
+mod serve;
+mod status;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::admin::{Client, ClientError};
+use crate::folders;
+use output::Output;
+
+/// Names, certificates and the daemon of the Global Data Plane.
+#[derive(Debug, Parser)]
+#[command(
+    name = "gdp-ctl",
+    version,
+    after_help = "Exit status: 0 done, 1 failed or refused, 2 wrong usage, 3 no daemon answers."
+)]
+pub struct Cli {
+    /// Admin socket of the daemon.
+    #[arg(long, global = true, env = "GDP_SOCKET", value_name = "PATH")]
+    socket: Option<PathBuf>,
+    /// Print JSON.
+    #[arg(short, long, global = true)]
+    json: bool,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run the daemon: switch, and RIB unless an uplink is configured.
+    Serve(serve::Options),
+    /// Announce that an entity publishes a name, through the daemon's switch.
+    Advertise(advertise::Options),
+    /// Take back what an entity advertised or subscribed to.
+    Withdraw(advertise::WithdrawOptions),
+    /// Show who publishes and reads names, with every certificate verified here.
+    Query(query::Options),
+    /// Show the daemon's links, data plane and counters.
+    Status,
+    /// Make and read name cards.
+    #[command(subcommand)]
+    Name(name::Command),
+    /// Make and read keys.
+    #[command(subcommand)]
+    Key(key::Command),
+    /// Issue and read certificates.
+    #[command(subcommand)]
+    Cert(cert::Command),
+    /// What the switch forwards by.
+    #[command(subcommand)]
+    Fib(dump::FibCommand),
+    /// What the RIB knows.
+    #[command(subcommand)]
+    Rib(dump::RibCommand),
+}
+
+/// What every command may need.
+struct Context {
+    socket: Option<PathBuf>,
+    output: Output,
+}
+
+impl Context {
+    fn client(&self) -> anyhow::Result<Client> {
+        let path = match &self.socket {
+            Some(path) => path.clone(),
+            None => folders::admin_socket()?,
+        };
+        Ok(Client::connect(&path)?)
+    }
+}
+
+/// Runs the command of this process.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let context = Context { socket: cli.socket, output: Output { json: cli.json } };
+    match run(cli.command, &context) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("gdp-ctl: {error:#}");
+            let no_daemon = matches!(error.downcast_ref(), Some(ClientError::NoDaemon { .. }));
+            ExitCode::from(if no_daemon { 3 } else { 1 })
+        }
+    }
+}
+
+fn run(command: Command, context: &Context) -> anyhow::Result<()> {
+    match command {
+        Command::Serve(options) => serve::run(options, context),
+        Command::Advertise(options) => advertise::advertise(&options, context),
+        Command::Withdraw(options) => advertise::withdraw(&options, context),
+        Command::Query(options) => query::run(&options, context),
+        Command::Status => status::run(context),
+        Command::Name(command) => name::run(command, context),
+        Command::Key(command) => key::run(command, context),
+        Command::Cert(command) => cert::run(command, context),
+        Command::Fib(command) => dump::fib(&command, context),
+        Command::Rib(command) => dump::rib(&command, context),
+    }
+}
+
+/// Seconds since 1970.
+fn unix_now() -> u64 {
+    std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default().as_secs()
+}
+
+/// `90s`, `15m`, `2h`, `7d`, or a bare number of seconds.
+fn parse_seconds(text: &str) -> Result<u32, String> {
+    let (digits, unit) = match text.strip_suffix(['s', 'm', 'h', 'd']) {
+        Some(digits) => (digits, &text[digits.len()..]),
+        None => (text, "s"),
+    };
+    let factor = match unit {
+        "m" => 60,
+        "h" => 3600,
+        "d" => 86400,
+        _ => 1,
+    };
+    let seconds = digits.parse::<u32>().ok().and_then(|n| n.checked_mul(factor)).filter(|n| *n > 0);
+    seconds.ok_or_else(|| format!("{text:?} is not a time such as 90s, 15m, 2h or 7d"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn times_have_units_and_bounds() {
+        assert_eq!(parse_seconds("90"), Ok(90));
+        assert_eq!(parse_seconds("15m"), Ok(900));
+        assert_eq!(parse_seconds("7d"), Ok(604_800));
+        for text in ["", "0", "h", "-1s", "1.5h", "99999999d", "5w"] {
+            assert!(parse_seconds(text).is_err(), "{text:?}");
+        }
+    }
+}

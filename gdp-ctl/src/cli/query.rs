@@ -1,0 +1,72 @@
+//! `gdp-ctl query`: who publishes and reads a name. Believes neither the daemon nor the RIB: every record is verified here.
+
+use std::path::Path;
+
+use anyhow::{Context as _, bail};
+use clap::Args;
+use gdp::NameCard;
+use gdp::control::{EntityRequest, Record, Response};
+use gdp::name::NamePrefix;
+use serde_json::{Value, json};
+
+use super::{Context, output, unix_now};
+use crate::admin::Request;
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// A name, the first digits of some names, or a name card.
+    #[arg(value_name = "NAME|PREFIX|CARD")]
+    what: String,
+}
+
+pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let prefix = prefix(&options.what)?;
+    let request = EntityRequest::Query { prefix: prefix.clone() };
+    let response = context.client()?.ask_control(&Request::Entity { entity: None, request })?;
+    let Response::Records { records, truncated } = response else { bail!("the RIB answered another question") };
+    if records.is_empty() {
+        bail!("nobody publishes or reads {prefix}");
+    }
+    let now = unix_now();
+    let mut rows = Vec::new();
+    let mut values = Vec::new();
+    for record in &records {
+        if !prefix.matches(&record.name) {
+            bail!("the answer contains {}, which was not asked for: the RIB is faulty or lies", record.name);
+        }
+        let value = describe(record, now)
+            .with_context(|| format!("the RIB's record of {} does not verify: it is faulty or lies", record.name))?;
+        rows.push([
+            format!("{:#}", record.name),
+            value["role"].as_str().unwrap_or_default().to_owned(),
+            output::short(&value["entity"]),
+            output::short(&value["switch"]),
+            format!("{} s", record.expires_in),
+        ]);
+        values.push(value);
+    }
+    if truncated {
+        eprintln!("gdp-ctl: there are more; ask with more digits of the name");
+    }
+    context.output.print(json!({"records": values, "truncated": truncated}), || {
+        output::table(["name", "role", "entity", "switch", "expires in"], &rows)
+    })
+}
+
+fn describe(record: &Record, now: u64) -> Result<Value, gdp::cert::CertError> {
+    let entity = record.verify(now)?;
+    let role = if record.is_writer() { "writer" } else { "reader" };
+    Ok(json!({
+        "name": record.name, "role": role, "entity": entity, "switch": record.switch,
+        "expires_in": record.expires_in, "verified": true,
+    }))
+}
+
+/// A card file, else digits of a name.
+fn prefix(what: &str) -> anyhow::Result<NamePrefix> {
+    let path = Path::new(what);
+    if path.is_file() {
+        return Ok(NameCard::load(path)?.name().into());
+    }
+    what.parse().with_context(|| format!("{what} is neither a file nor the beginning of a name"))
+}

@@ -1,0 +1,59 @@
+//! `gdp-ctl serve`: runs the daemon until it is told to stop.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use clap::Args;
+use tokio::signal::unix::{SignalKind, signal};
+use tracing_subscriber::EnvFilter;
+
+use super::Context;
+use crate::config::Config;
+use crate::serve;
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// The configuration (YAML). Without one: a key of its own, RIB and switch on all interfaces and on UDP.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// The switch's key file, instead of the configured one; made if there is none.
+    #[arg(long, value_name = "FILE")]
+    identity: Option<PathBuf>,
+    /// Where to take links over UDP, instead of what is configured.
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    udp: Option<SocketAddr>,
+    /// The eBPF object, instead of the configured or installed one.
+    #[arg(long, value_name = "FILE")]
+    ebpf_object: Option<PathBuf>,
+}
+
+pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
+    let level = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    tracing_subscriber::fmt().with_env_filter(level).with_writer(std::io::stderr).with_target(false).init();
+    let mut config = match &options.config {
+        Some(path) => Config::load(path)?,
+        None => Config::embedded()?,
+    };
+    if let Some(socket) = &context.socket {
+        config.socket = socket.clone();
+    }
+    config.identity = options.identity.unwrap_or(config.identity);
+    config.udp = options.udp.or(config.udp);
+    config.ebpf_object = options.ebpf_object.or(config.ebpf_object);
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .context("cannot start the asynchronous runtime")?;
+    runtime.block_on(async {
+        let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
+        let mut interrupt = signal(SignalKind::interrupt()).context("cannot wait for SIGINT")?;
+        let running = serve::start(config).await?;
+        tokio::select! {
+            _ = terminate.recv() => tracing::info!("SIGTERM: shutting down"),
+            _ = interrupt.recv() => tracing::info!("SIGINT: shutting down"),
+        }
+        running.stop().await;
+        Ok(())
+    })
+}

@@ -1,0 +1,56 @@
+//! `gdp-ctl status`: the daemon as it sees itself.
+
+use serde_json::Value;
+
+use super::Context;
+use super::output::{short, table};
+use crate::admin::Request;
+
+pub fn run(context: &Context) -> anyhow::Result<()> {
+    let status = context.client()?.ask_value(&Request::Status)?;
+    context.output.print(status.clone(), || describe(&status))
+}
+
+fn describe(status: &Value) -> String {
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+    let items = |value: &Value| value.as_array().cloned().unwrap_or_default();
+    let mut out = format!(
+        "switch      {}\ndata plane  {}: {}\n",
+        text(&status["name"]),
+        text(&status["data_plane"]),
+        text(&status["data_plane_reason"])
+    );
+    out += &match (&status["rib"], &status["uplink"]) {
+        (Value::Object(rib), _) => format!("RIB         here: {} names, {} switches\n", rib["names"], rib["switches"]),
+        (_, uplink) => format!(
+            "RIB         through {} ({})\n",
+            short(&uplink["switch"]),
+            match (uplink["connected"].as_bool(), uplink["ready"].as_bool()) {
+                (Some(true), Some(true)) => "connected",
+                (Some(true), _) => "connecting",
+                _ => "no link",
+            }
+        ),
+    };
+    out += &format!("FIB         {} names, generation {}\n", status["fib"]["names"], status["fib"]["generation"]);
+    let links: Vec<_> = items(&status["links"])
+        .iter()
+        .map(|link| {
+            let rtt = format!("{} µs", link["rtt_us"]);
+            [short(&link["peer"]), text(&link["role"]), text(&link["via"]), text(&link["address"]), link["mtu"].to_string(), rtt]
+        })
+        .collect();
+    out += &format!("\n{}\n", table(["link to", "role", "via", "address", "MTU", "RTT"], &links));
+    let counted = status["counters_by_plane"].as_object().into_iter().flatten();
+    let counters: Vec<_> = counted
+        .filter(|(_, planes)| planes["kernel"] != 0 || planes["userspace"] != 0)
+        .map(|(name, planes)| [name.clone(), planes["kernel"].to_string(), planes["userspace"].to_string()])
+        .collect();
+    if !counters.is_empty() {
+        out += &format!("\n{}\n", table(["frames", "kernel", "userspace"], &counters));
+    }
+    for error in items(&status["errors"]) {
+        out += &format!("error: {}\n", text(&error));
+    }
+    out
+}
