@@ -1,0 +1,254 @@
+//! Whole daemons on loopback UDP, without root: what two applications publish and read through them, and what is left when
+//! one of them, or a link, or a daemon is gone.
+
+use std::net::{SocketAddr, UdpSocket};
+use std::path::Path;
+use std::time::{Duration, Instant, SystemTime};
+
+use gdp::cert::{AdCert, Mode, ReadGrant, issue};
+use gdp::node::{SubscribeOptions, Subscription};
+use gdp::seal::{Encoding, EpochKey};
+use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
+use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
+use gdp_ctl::serve::{Running, start};
+use gdp_wire::Name;
+
+const PATIENCE: Duration = Duration::from_secs(20);
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_applications_meet_at_one_switch() {
+    let folder = tempfile::tempdir().unwrap();
+    let switch = start(config(folder.path(), "s1")).await.unwrap();
+    let at = switch.udp_addr().unwrap();
+    let papers = Papers::new();
+
+    let reader = papers.reader(at).await;
+    let mut subscription = papers.subscribe(&reader).await;
+    let writer = papers.writer(at).await;
+    let mut publisher = papers.publish(&writer).await;
+    wait("a route", async || fib_names(&switch).await == 1).await;
+    for i in 0..20u32 {
+        publisher.send(Encoding::Bytes, &i.to_be_bytes()).await.unwrap();
+        let message = next(&mut subscription).await;
+        assert_eq!(message.body[..], i.to_be_bytes());
+        assert_eq!(message.writer, papers.robot.name());
+    }
+    let big = vec![7; 1 << 20];
+    publisher.send(Encoding::Bytes, &big).await.unwrap();
+    assert_eq!(next(&mut subscription).await.body, big);
+
+    drop(publisher);
+    writer.close().await;
+    wait("the name to be gone", async || fib_names(&switch).await == 0).await;
+    let status = switch.status().await;
+    assert_eq!(status["rib"]["names"], 1, "the subscription alone is left: {status}");
+    switch.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_name_crosses_three_switches_and_outlives_the_loss_of_any_of_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let chain = Chain::new(folder.path());
+    let mut running = Vec::new();
+    for i in 0..3 {
+        running.push(Some(start(chain.config(i)).await.unwrap()));
+    }
+    let papers = Papers::new();
+    let reader = papers.reader(chain.addrs[2]).await;
+    let mut subscription = papers.subscribe(&reader).await;
+    let writer = papers.writer(chain.addrs[0]).await;
+    let mut publisher = papers.publish(&writer).await;
+    exchange(&mut publisher, &mut subscription, "at first").await;
+    let status = running[1].as_ref().unwrap().status().await;
+    assert!(status["counters"]["forwarded"].as_u64().unwrap() > 0, "{status}");
+    assert_eq!(fib_names(running[1].as_ref().unwrap()).await, 0, "a switch in transit holds no names");
+
+    for (i, which) in ["the writer's switch", "the switch in the middle", "the RIB"].into_iter().enumerate() {
+        running[i].take().unwrap().stop().await;
+        running[i] = Some(start(chain.config(i)).await.unwrap());
+        exchange(&mut publisher, &mut subscription, &format!("after a restart of {which}")).await;
+    }
+
+    writer.close().await;
+    for i in [0, 2] {
+        let switch = running[i].as_ref().unwrap();
+        wait("the name to be gone everywhere", async || fib_names(switch).await == 0).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_switch_that_is_not_listed_gets_no_link() {
+    let folder = tempfile::tempdir().unwrap();
+    let chain = Chain::new(folder.path());
+    let mut unlisting = chain.config(2);
+    unlisting.neighbours.clear();
+    let (rib, other) = (start(unlisting).await.unwrap(), start(chain.config(1)).await.unwrap());
+    // One of the two may dial; whichever it is, the link does not stay. An endpoint afterwards is served as ever.
+    let papers = Papers::new();
+    let node = papers.reader(chain.addrs[2]).await;
+    papers.subscribe(&node).await;
+    let status = rib.status().await;
+    let links = status["links"].as_array().unwrap();
+    assert!(links.iter().all(|link| link["role"] == "endpoint"), "{status}");
+    assert_eq!(other.status().await["uplink"]["ready"], false);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_second_subscriber_is_told_who_was_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let switch = start(config(folder.path(), "s1")).await.unwrap();
+    let papers = Papers::new();
+    let first = papers.reader(switch.udp_addr().unwrap()).await;
+    let _subscription = papers.subscribe(&first).await;
+    let second = Papers { cloud: Identity::generate("proxy").unwrap(), ..papers.clone() };
+    let node = second.reader(switch.udp_addr().unwrap()).await;
+    let grant = second.grant();
+    let error = node.subscribe(papers.card.proof(), grant, &papers.key, SubscribeOptions::default()).await.err().unwrap();
+    assert!(error.to_string().contains(&papers.cloud.name().to_string()), "{error}");
+}
+
+/// A message sent again and again until it arrives: links and routes may just be coming back.
+async fn exchange(publisher: &mut gdp::node::Publisher, subscription: &mut Subscription, what: &str) {
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        assert!(Instant::now() < deadline, "no message {what}");
+        let _ = publisher.send(Encoding::Bytes, what.as_bytes()).await;
+        let waiting = tokio::time::timeout(Duration::from_millis(100), subscription.recv()).await;
+        if let Ok(Some(message)) = waiting
+            && message.body == what.as_bytes()
+        {
+            return;
+        }
+    }
+}
+
+async fn next(subscription: &mut Subscription) -> gdp::seal::Message {
+    tokio::time::timeout(PATIENCE, subscription.recv()).await.expect("a message in time").expect("a live subscription")
+}
+
+async fn fib_names(switch: &Running) -> u64 {
+    switch.status().await["fib"]["names"].as_u64().unwrap()
+}
+
+async fn wait(what: &str, condition: impl AsyncFn() -> bool) {
+    let deadline = Instant::now() + PATIENCE;
+    while !condition().await {
+        assert!(Instant::now() < deadline, "waited in vain for {what}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+fn config(folder: &Path, label: &str) -> Config {
+    Config {
+        identity: folder.join(format!("{label}.pem")),
+        socket: folder.join(format!("{label}.sock")),
+        interfaces: Some(Vec::new()),
+        udp: Some("127.0.0.1:0".parse().unwrap()),
+        data_plane: DataPlane::Userspace,
+        rib: true,
+        uplink: None,
+        neighbours: Vec::new(),
+        ebpf_object: None,
+        fib_capacity: 1024,
+    }
+}
+
+/// s1 – s2 – s3, over UDP; s3 is the RIB.
+struct Chain<'a> {
+    folder: &'a Path,
+    names: Vec<Name>,
+    addrs: Vec<SocketAddr>,
+}
+
+impl<'a> Chain<'a> {
+    fn new(folder: &'a Path) -> Self {
+        let names = (1..=3).map(|i| {
+            let file = folder.join(format!("s{i}.pem"));
+            Identity::load_or_generate(&file, "switch").unwrap().name()
+        });
+        // Free when asked for; taken by the daemons a moment later.
+        let sockets: Vec<_> = (0..3).map(|_| UdpSocket::bind("127.0.0.1:0").unwrap()).collect();
+        let addrs = sockets.iter().map(|socket| socket.local_addr().unwrap()).collect();
+        Self { folder, names: names.collect(), addrs }
+    }
+
+    fn config(&self, i: usize) -> Config {
+        let place = |j: usize| Place { switch: self.names[j], via: Via::Udp(self.addrs[j]) };
+        let near = [i.checked_sub(1), (i < 2).then_some(i + 1)];
+        Config {
+            udp: Some(self.addrs[i]),
+            rib: i == 2,
+            uplink: (i < 2).then(|| place(i + 1)),
+            neighbours: near.into_iter().flatten().map(|j| Neighbour { place: place(j), cost: 1 }).collect(),
+            ..config(self.folder, &format!("s{}", i + 1))
+        }
+    }
+}
+
+/// Who may do what with one name.
+#[derive(Clone)]
+struct Papers {
+    owner: SigningKey,
+    card: NameCard,
+    key: EpochKey,
+    robot: Identity,
+    cloud: Identity,
+}
+
+impl Papers {
+    fn new() -> Self {
+        let owner = SigningKey::generate().unwrap();
+        let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None).unwrap();
+        Self {
+            owner,
+            card,
+            key: EpochKey::generate().unwrap(),
+            robot: Identity::generate("proxy").unwrap(),
+            cloud: Identity::generate("proxy").unwrap(),
+        }
+    }
+
+    async fn writer(&self, at: SocketAddr) -> Node {
+        connect(&self.robot, at).await
+    }
+
+    async fn reader(&self, at: SocketAddr) -> Node {
+        connect(&self.cloud, at).await
+    }
+
+    async fn publish(&self, node: &Node) -> gdp::node::Publisher {
+        let cert = AdCert {
+            name: self.card.name(),
+            entity: self.robot.name(),
+            mode: Mode::Unicast,
+            scope: vec![],
+            not_before: 0,
+            not_after: unix_now() + 3600,
+        };
+        let cert = issue(&self.owner, &cert).unwrap();
+        node.publish(self.card.proof(), cert, &self.key).await.unwrap()
+    }
+
+    async fn subscribe(&self, node: &Node) -> Subscription {
+        node.subscribe(self.card.proof(), self.grant(), &self.key, SubscribeOptions::default()).await.unwrap()
+    }
+
+    fn grant(&self) -> gdp::cert::Signed<ReadGrant> {
+        let grant = ReadGrant {
+            name: self.card.name(),
+            entity: self.cloud.name(),
+            not_before: 0,
+            not_after: unix_now() + 3600,
+        };
+        issue(&self.owner, &grant).unwrap()
+    }
+}
+
+async fn connect(identity: &Identity, at: SocketAddr) -> Node {
+    let target = format!("udp://{at}").parse().unwrap();
+    Node::connect(NodeConfig::new(identity.clone(), target)).await.unwrap()
+}
+
+fn unix_now() -> u64 {
+    SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_secs()
+}
