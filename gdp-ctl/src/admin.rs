@@ -33,11 +33,18 @@ const PATIENCE: Duration = Duration::from_secs(15);
 pub enum Request {
     Status,
     /// A page of the data plane's routes, behind this name.
-    Fib { after: Option<Name> },
+    Fib {
+        after: Option<Name>,
+    },
     /// A page of the RIB's records, behind this name.
-    Rib { after: Option<Name> },
+    Rib {
+        after: Option<Name>,
+    },
     /// Something an entity asks of the RIB, through this daemon's switch.
-    Entity { entity: Option<NameProof>, request: EntityRequest },
+    Entity {
+        entity: Option<NameProof>,
+        request: EntityRequest,
+    },
 }
 
 /// What the daemon answers.
@@ -71,8 +78,7 @@ pub struct Client {
 
 impl Client {
     pub fn connect(path: &Path) -> Result<Self, ClientError> {
-        let stream = UnixStream::connect(path)
-            .map_err(|source| ClientError::NoDaemon { path: path.into(), source })?;
+        let stream = UnixStream::connect(path).map_err(|source| ClientError::NoDaemon { path: path.into(), source })?;
         stream.set_read_timeout(Some(PATIENCE)).map_err(ClientError::Broken)?;
         stream.set_write_timeout(Some(PATIENCE)).map_err(ClientError::Broken)?;
         Ok(Self { stream: BufReader::new(stream) })

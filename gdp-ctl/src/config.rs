@@ -207,10 +207,13 @@ impl File {
         let uplink = self.uplink.map(|entry| entry.place("uplink")).transpose()?;
         let rib = self.rib.unwrap_or(uplink.is_none());
         match &uplink {
-            Some(_) if rib => return invalid("uplink: this daemon is the RIB (rib: true); remove one of the two".into()),
+            Some(_) if rib => {
+                return invalid("uplink: this daemon is the RIB (rib: true); remove one of the two".into());
+            }
             None if !rib => {
                 return invalid(
-                    "rib: false needs an uplink, the neighbour toward the RIB: uplink: {interface: …, switch: …}".into(),
+                    "rib: false needs an uplink, the neighbour toward the RIB: uplink: {interface: …, switch: …}"
+                        .into(),
                 );
             }
             _ => {}
@@ -337,10 +340,7 @@ mod tests {
             (&format!("uplink: {{switch: {S}}}"), "needs either interface"),
             ("uplink: {interface: a, switch: 75e}", "64 hex digits"),
             (&format!("neighbours: [{{interface: a, switch: {S}, cost: 0}}]"), "the least is 1"),
-            (
-                &format!("neighbours: [{{interface: a, switch: {S}}}, {{interface: b, switch: {S}}}]"),
-                "listed twice",
-            ),
+            (&format!("neighbours: [{{interface: a, switch: {S}}}, {{interface: b, switch: {S}}}]"), "listed twice"),
             (&format!("interfaces: [b]\nneighbours: [{{interface: a, switch: {S}}}]"), "does not list"),
             (
                 &format!("neighbours: [{{interface: a, switch: {S}}}]\nuplink: {{interface: b, switch: {S}}}"),

@@ -103,7 +103,8 @@ async fn a_second_subscriber_is_told_who_was_first() {
     let second = Papers { cloud: Identity::generate("proxy").unwrap(), ..papers.clone() };
     let node = second.reader(switch.udp_addr().unwrap()).await;
     let grant = second.grant();
-    let error = node.subscribe(papers.card.proof(), grant, &papers.key, SubscribeOptions::default()).await.err().unwrap();
+    let error =
+        node.subscribe(papers.card.proof(), grant, &papers.key, SubscribeOptions::default()).await.err().unwrap();
     assert!(error.to_string().contains(&papers.cloud.name().to_string()), "{error}");
 }
 

@@ -62,7 +62,12 @@ pub fn advertise(options: &Options, context: &Context) -> anyhow::Result<()> {
     });
     context.output.print(value, || {
         let switch = session.switch;
-        format!("{:#} is advertised by {:#} at switch {switch:#} for {} s", card.name(), entity.name(), options.lifetime)
+        format!(
+            "{:#} is advertised by {:#} at switch {switch:#} for {} s",
+            card.name(),
+            entity.name(),
+            options.lifetime
+        )
     })
 }
 
@@ -138,8 +143,7 @@ impl Session {
         lifetime: u32,
     ) -> anyhow::Result<Signed<Advert>> {
         self.serial = self.serial.checked_add(1).context("the serials of this entity are used up; make a new key")?;
-        let claims =
-            Advert { op, name, entity: entity.name(), switch: self.switch, serial: self.serial, lifetime };
+        let claims = Advert { op, name, entity: entity.name(), switch: self.switch, serial: self.serial, lifetime };
         Ok(issue(entity.key(), &claims)?)
     }
 

@@ -123,14 +123,14 @@ fn show(file: &Path, card: Option<&Path>, context: &Context) -> anyhow::Result<(
     let text = read(file)?;
     let owner = card.map(NameCard::load).transpose()?;
     let key = owner.as_ref().map(NameCard::owner_key);
-    let value = if text.contains("BEGIN GDP ADCERT") {
+    let value = if is::<AdCert>(&text) {
         describe::<AdCert>(&text, key)
-    } else if text.contains("BEGIN GDP READGRANT") {
+    } else if is::<ReadGrant>(&text) {
         describe::<ReadGrant>(&text, key)
-    } else if text.contains("BEGIN GDP RTCERT") {
+    } else if is::<RtCert>(&text) {
         describe::<RtCert>(&text, None)
     } else {
-        bail!("{}: not a certificate: no line such as \"-----BEGIN GDP ADCERT-----\"", file.display());
+        bail!("{}: not a certificate: no line such as \"-----BEGIN {}-----\"", file.display(), AdCert::LABEL);
     };
     let value = value.with_context(|| file.display().to_string())?;
     if let (Some(card), Some(stated)) = (&owner, value["claims"]["name"].as_str())
@@ -144,8 +144,16 @@ fn show(file: &Path, card: Option<&Path>, context: &Context) -> anyhow::Result<(
             let claim = claim.as_str().map_or_else(|| claim.to_string(), str::to_owned);
             text += &format!("{key:<10}  {claim}\n");
         }
-        text + if owner.is_some() { "signed by the owner of the name, and valid now" } else { "not verified: give --card" }
+        text + if owner.is_some() {
+            "signed by the owner of the name, and valid now"
+        } else {
+            "not verified: give --card"
+        }
     })
+}
+
+fn is<T: Claims>(text: &str) -> bool {
+    text.contains(&format!("-----BEGIN {}-----", T::LABEL))
 }
 
 fn describe<T: Claims + Serialize>(text: &str, key: Option<&VerifyKey>) -> Result<Value, CertError> {

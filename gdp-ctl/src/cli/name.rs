@@ -78,7 +78,12 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
             let card = NameCard::load(&card)?;
             context.output.print(describe(&card), || {
                 let metadata = card.metadata().iter().map(|(key, value)| format!("{key:<10}  {value}\n"));
-                format!("name        {}\nowner key   {}\n{}", card.name(), card.owner_key(), metadata.collect::<String>())
+                format!(
+                    "name        {}\nowner key   {}\n{}",
+                    card.name(),
+                    card.owner_key(),
+                    metadata.collect::<String>()
+                )
             })
         }
     }

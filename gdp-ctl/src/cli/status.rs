@@ -37,7 +37,14 @@ fn describe(status: &Value) -> String {
         .iter()
         .map(|link| {
             let rtt = format!("{} µs", link["rtt_us"]);
-            [short(&link["peer"]), text(&link["role"]), text(&link["via"]), text(&link["address"]), link["mtu"].to_string(), rtt]
+            [
+                short(&link["peer"]),
+                text(&link["role"]),
+                text(&link["via"]),
+                text(&link["address"]),
+                link["mtu"].to_string(),
+                rtt,
+            ]
         })
         .collect();
     out += &format!("\n{}\n", table(["link to", "role", "via", "address", "MTU", "RTT"], &links));

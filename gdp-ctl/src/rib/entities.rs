@@ -31,12 +31,7 @@ pub(super) struct Entities(HashMap<Name, Entity>);
 static NO_NAMES: BTreeSet<Key> = BTreeSet::new();
 
 impl Entities {
-    pub fn get_or_insert(
-        &mut self,
-        name: Name,
-        limit: usize,
-        timers: &mut Timers,
-    ) -> Result<&mut Entity, Refusal> {
+    pub fn get_or_insert(&mut self, name: Name, limit: usize, timers: &mut Timers) -> Result<&mut Entity, Refusal> {
         if self.0.len() >= limit && !self.0.contains_key(&name) {
             return Err(limit_reached(format!("{limit} entities are known")));
         }

@@ -192,11 +192,7 @@ impl Names {
     /// The routes that a name needs now, by switch, and all switches that need one or were given one before.
     ///
     /// There are none unless somebody writes the name and somebody reads it.
-    pub fn routes(
-        &mut self,
-        name: &Key,
-        bit: impl Fn(&Name) -> Option<u8>,
-    ) -> (BTreeMap<Name, Route>, BTreeSet<Name>) {
+    pub fn routes(&mut self, name: &Key, bit: impl Fn(&Name) -> Option<u8>) -> (BTreeMap<Name, Route>, BTreeSet<Name>) {
         let mut routes = BTreeMap::new();
         let Some(topic) = self.0.get_mut(name) else { return (routes, BTreeSet::new()) };
         if let Some((reader, registration)) = &topic.reader

@@ -23,32 +23,88 @@ fn every_bad_advertisement_is_refused_with_its_reason() {
     good.advert.serial = 2;
     type Change<'a> = Box<dyn Fn(&mut Parts) + 'a>;
     let rows: Vec<(&str, Change, RefusalCode, &str)> = vec![
-        ("a certificate by another owner", Box::new(|p| p.owner = SigningKey::generate().unwrap()),
-            RefusalCode::BadSignature, "wrong key"),
-        ("another owner key in the proof", Box::new(|p| p.proof.owner_key = SigningKey::generate().unwrap().public()),
-            RefusalCode::BadSignature, "wrong key"),
+        (
+            "a certificate by another owner",
+            Box::new(|p| p.owner = SigningKey::generate().unwrap()),
+            RefusalCode::BadSignature,
+            "wrong key",
+        ),
+        (
+            "another owner key in the proof",
+            Box::new(|p| p.proof.owner_key = SigningKey::generate().unwrap().public()),
+            RefusalCode::BadSignature,
+            "wrong key",
+        ),
         ("an owner key off the curve", Box::new(|p| p.proof.owner_key = [0xff; 33]), RefusalCode::Malformed, "key"),
         ("a wrong digest", Box::new(|p| p.proof.digest[3] ^= 1), RefusalCode::WrongName, "the digest"),
-        ("a certificate for another name", Box::new(|p| p.cert.name = Name::from_bytes([7; 32])),
-            RefusalCode::WrongName, "wrong name"),
-        ("an expired certificate", Box::new(|p| p.cert.not_after = UNIX - 1), RefusalCode::Expired, "expired at Unix time"),
+        (
+            "a certificate for another name",
+            Box::new(|p| p.cert.name = Name::from_bytes([7; 32])),
+            RefusalCode::WrongName,
+            "wrong name",
+        ),
+        (
+            "an expired certificate",
+            Box::new(|p| p.cert.not_after = UNIX - 1),
+            RefusalCode::Expired,
+            "expired at Unix time",
+        ),
         ("a certificate of tomorrow", Box::new(|p| p.cert.not_before = UNIX + 60), RefusalCode::NotYetValid, "not yet"),
-        ("a certificate for another entity", Box::new(|p| p.cert.entity = stranger.name()),
-            RefusalCode::WrongEntity, "wrong entity"),
-        ("a statement by another key", Box::new(|p| p.signer = stranger.key().clone()),
-            RefusalCode::BadSignature, "wrong key"),
-        ("a statement about another name", Box::new(|p| p.advert.name = Name::from_bytes([7; 32])),
-            RefusalCode::WrongName, "wrong name"),
-        ("a statement for another entity", Box::new(|p| p.advert.entity = stranger.name()),
-            RefusalCode::WrongEntity, "wrong entity"),
-        ("a statement for another switch", Box::new(|p| p.advert.switch = Name::from_bytes([7; 32])),
-            RefusalCode::WrongSwitch, "wrong switch"),
-        ("a statement of another kind", Box::new(|p| p.advert.op = AdvertOp::Subscribe),
-            RefusalCode::Malformed, "wrong operation"),
+        (
+            "a certificate for another entity",
+            Box::new(|p| p.cert.entity = stranger.name()),
+            RefusalCode::WrongEntity,
+            "wrong entity",
+        ),
+        (
+            "a statement by another key",
+            Box::new(|p| p.signer = stranger.key().clone()),
+            RefusalCode::BadSignature,
+            "wrong key",
+        ),
+        (
+            "a statement about another name",
+            Box::new(|p| p.advert.name = Name::from_bytes([7; 32])),
+            RefusalCode::WrongName,
+            "wrong name",
+        ),
+        (
+            "a statement for another entity",
+            Box::new(|p| p.advert.entity = stranger.name()),
+            RefusalCode::WrongEntity,
+            "wrong entity",
+        ),
+        (
+            "a statement for another switch",
+            Box::new(|p| p.advert.switch = Name::from_bytes([7; 32])),
+            RefusalCode::WrongSwitch,
+            "wrong switch",
+        ),
+        (
+            "a statement of another kind",
+            Box::new(|p| p.advert.op = AdvertOp::Subscribe),
+            RefusalCode::Malformed,
+            "wrong operation",
+        ),
         ("serial zero", Box::new(|p| p.advert.serial = 0), RefusalCode::ReplayedSerial, "replayed serial: 0"),
-        ("no lifetime", Box::new(|p| (p.advert.lifetime, p.advert.serial) = (0, 1)), RefusalCode::Malformed, "lifetime"),
-        ("a flipped bit in the certificate", Box::new(|p| p.flip_cert = true), RefusalCode::BadSignature, "bad signature"),
-        ("a flipped bit in the statement", Box::new(|p| p.flip_advert = true), RefusalCode::BadSignature, "bad signature"),
+        (
+            "no lifetime",
+            Box::new(|p| (p.advert.lifetime, p.advert.serial) = (0, 1)),
+            RefusalCode::Malformed,
+            "lifetime",
+        ),
+        (
+            "a flipped bit in the certificate",
+            Box::new(|p| p.flip_cert = true),
+            RefusalCode::BadSignature,
+            "bad signature",
+        ),
+        (
+            "a flipped bit in the statement",
+            Box::new(|p| p.flip_advert = true),
+            RefusalCode::BadSignature,
+            "bad signature",
+        ),
     ];
     for (what, change, code, needle) in rows {
         let mut parts = good.clone();
@@ -75,9 +131,11 @@ fn who_is_not_attached_here_is_refused() {
     let nowhere = Name::from_bytes([9; 32]);
     let response = w.rib.request(w.now, nowhere, Some(&writer.proof()), false, &request);
     expect_refused(&response, "a switch that never reported", RefusalCode::Unreachable, "has not reported");
-    let asked = w.rib.effects(w.now).into_iter().any(
-        |e| matches!(e, Effect::Detach { switch, entity } if switch == nowhere && entity == nowhere),
-    );
+    let asked = w
+        .rib
+        .effects(w.now)
+        .into_iter()
+        .any(|e| matches!(e, Effect::Detach { switch, entity } if switch == nowhere && entity == nowhere));
     assert!(asked, "the unknown switch is told to report");
 }
 
@@ -314,7 +372,8 @@ fn a_reconnected_switch_is_reconciled_both_ways() {
         _ => None,
     });
     assert_eq!(detach, Some((w.switch(1), new.name())));
-    let full = |e: &&Effect| matches!(e, Effect::Fib(push) if push.switch == w.switch(1) && push.extent != Extent::Delta);
+    let full =
+        |e: &&Effect| matches!(e, Effect::Fib(push) if push.switch == w.switch(1) && push.extent != Extent::Delta);
     assert_eq!(effects.iter().filter(full).count(), 1, "it is sent its whole FIB");
 }
 
@@ -482,7 +541,8 @@ impl World {
 
     fn subscribe(&mut self, entity: &Identity, at: usize, serial: u64) -> Response {
         let parts = Parts::publish(self, entity, at);
-        let grant = ReadGrant { name: parts.cert.name, entity: entity.name(), not_before: UNIX, not_after: UNIX + 1_000_000 };
+        let grant =
+            ReadGrant { name: parts.cert.name, entity: entity.name(), not_before: UNIX, not_after: UNIX + 1_000_000 };
         let advert = Advert { op: AdvertOp::Subscribe, serial, ..parts.advert };
         let (grant, advert) = (issue(&self.owner, &grant).unwrap(), issue(entity.key(), &advert).unwrap());
         self.ask(entity, at, EntityRequest::Subscribe { proof: parts.proof, grant, advert })
@@ -490,7 +550,11 @@ impl World {
 
     fn query(&mut self, prefix: &str) -> Response {
         // A person types at least one digit; the empty prefix asks for what begins with any.
-        let prefixes = if prefix.is_empty() { "0123456789abcdef".chars().map(String::from).collect() } else { vec![prefix.to_owned()] };
+        let prefixes = if prefix.is_empty() {
+            "0123456789abcdef".chars().map(String::from).collect()
+        } else {
+            vec![prefix.to_owned()]
+        };
         let mut last = Response::Done;
         for prefix in prefixes {
             let prefix: NamePrefix = prefix.parse().unwrap();

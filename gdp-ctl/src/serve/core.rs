@@ -195,7 +195,7 @@ impl Core {
     pub fn switch_request(&mut self, from: &Link, request: Request) -> Next {
         let peer = from.peer().name;
         if self.uplink == Some(peer) {
-            return self.from_above(request);
+            return self.downward(request);
         }
         match &request {
             Request::Report { switch, .. } => {
@@ -203,7 +203,10 @@ impl Core {
                     return refuse(RefusalCode::Malformed, "the key of the reporting switch is not valid");
                 };
                 if reporter == self.name() {
-                    return refuse(RefusalCode::Malformed, "this switch's own report came back: the uplinks form a loop");
+                    return refuse(
+                        RefusalCode::Malformed,
+                        "this switch's own report came back: the uplinks form a loop",
+                    );
                 }
                 self.downstream.insert(reporter, from.local_id());
             }
@@ -240,7 +243,7 @@ impl Core {
     }
 
     /// Something the RIB sent, for this switch or one further down.
-    fn from_above(&mut self, request: Request) -> Next {
+    fn downward(&mut self, request: Request) -> Next {
         let target = match &request {
             Request::Fib(push) => push.switch,
             Request::Writers(push) => push.switch,

@@ -25,10 +25,10 @@ use gdp_wire::Name;
 use tokio::sync::Notify;
 use tokio::task::JoinSet;
 
+use self::core::Core;
 use crate::config::{Config, DataPlane};
 use crate::folders;
 use crate::plane::{PlaneConfig, PlaneError, Planes, Wanted};
-use self::core::Core;
 
 /// How often the addresses of peers are looked at: QUIC moves without saying so.
 const FOLLOW: Duration = Duration::from_millis(500);

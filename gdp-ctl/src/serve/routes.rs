@@ -13,7 +13,10 @@ pub enum Change {
     /// This switch's own egress bit, as a mask.
     OwnBit(u64),
     /// Which egress switches the neighbour on this link leads to.
-    Reach { link: u32, bits: u64 },
+    Reach {
+        link: u32,
+        bits: u64,
+    },
     NextHops(Box<[u32; EGRESS_SET_SIZE as usize]>),
     Set(Name, FibEntry),
     Remove(Name),
@@ -259,10 +262,7 @@ mod tests {
         assert!(r.push(&push(1, Extent::Full { part: 1, last: true }, set.clone())).is_err(), "a part without a first");
         r.push(&push(5, Extent::Full { part: 0, last: true }, set.clone())).unwrap();
         for generation in [4, 5, 7] {
-            assert_eq!(
-                r.push(&push(generation, Extent::Delta, vec![])),
-                Err(OutOfStep { held: 5, got: generation })
-            );
+            assert_eq!(r.push(&push(generation, Extent::Delta, vec![])), Err(OutOfStep { held: 5, got: generation }));
         }
         let mut delta = push(6, Extent::Delta, vec![]);
         delta.remove = vec![name(1), name(2)];

@@ -100,7 +100,8 @@ pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, 
     routes.sort_by_key(|(name, _)| *name.as_bytes());
     let from = after.map_or(0, |after| routes.partition_point(|(name, _)| name.as_bytes() <= after.as_bytes()));
     let peers = core.peers_by_link();
-    let page: Vec<Value> = routes[from..].iter().take(limit).map(|(name, entry)| route(&core, &peers, name, entry)).collect();
+    let page: Vec<Value> =
+        routes[from..].iter().take(limit).map(|(name, entry)| route(&core, &peers, name, entry)).collect();
     let more = routes.len() - from > page.len();
     Ok(json!({"routes": page, "more": more}))
 }
@@ -123,7 +124,9 @@ pub fn rib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, 
     let core = daemon.core();
     let Some(rib) = &core.rib else {
         let uplink = core.uplink.unwrap_or_default();
-        return Err(format!("this daemon is not the RIB; it is behind {uplink}: run `gdp-ctl rib dump` on the RIB's host"));
+        return Err(format!(
+            "this daemon is not the RIB; it is behind {uplink}: run `gdp-ctl rib dump` on the RIB's host"
+        ));
     };
     let (records, more) = rib.records(core.now(), after, limit);
     let switches: Vec<Value> = rib
