@@ -54,8 +54,12 @@ fn run(arguments: Arguments) -> Result<()> {
         );
         return Ok(());
     }
-    let runtime =
-        tokio::runtime::Builder::new_multi_thread().enable_all().build().context("cannot start the runtime")?;
+    // One thread for links, discovery and statistics; routes have threads of their own.
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .max_blocking_threads(config.topics.len() + 16)
+        .build()
+        .context("cannot start the runtime")?;
     runtime.block_on(async {
         let stop = stop_signal()?;
         proxy::run(config, material, arguments.stats.map(StatsFile::new), stop).await

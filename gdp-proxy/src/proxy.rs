@@ -7,6 +7,8 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow};
 use gdp::Node;
 use gdp::node::{NodeConfig, NodeError};
+use tokio::runtime::Handle;
+use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use crate::config::Config;
@@ -45,13 +47,21 @@ pub async fn run(
         .zip(&material.topics)
         .map(|(topic, material)| Arc::new(Route::new(topic, material)))
         .collect();
-    let mut tasks = JoinSet::new();
+    let (stopping, stopped) = watch::channel(false);
+    let mut running = JoinSet::new();
     for (route, material) in routes.iter().zip(material.topics) {
-        let (route, domain, node) = (route.clone(), domain.clone(), node.clone());
-        tasks.spawn(async move {
-            let Err(error) = route.run(&domain, &node, material).await;
-            anyhow!(error).context(format!("topic {}", route.topic()))
-        });
+        let (route, domain, node, mut stopped) = (route.clone(), domain.clone(), node.clone(), stopped.clone());
+        let carry = async move {
+            tokio::select! {
+                Err(error) = route.run(&domain, &node, material) => {
+                    Err(anyhow!(error).context(format!("topic {}", route.topic())))
+                }
+                _ = stopped.wait_for(|stopped| *stopped) => Ok(()),
+            }
+        };
+        // A thread each: RustDDS and the node wake it directly, and no other topic's sealing is ever in its way.
+        let runtime = Handle::current();
+        running.spawn_blocking(move || runtime.block_on(carry));
     }
 
     let shown = || Stats {
@@ -64,12 +74,13 @@ pub async fn run(
     };
     let ended = tokio::select! {
         () = stop => Ok(()),
-        Some(ended) = tasks.join_next() => Err(ended.unwrap_or_else(|panic| anyhow!(panic).context("a route panicked"))),
+        Some(ended) = running.join_next() => ended.context("a route panicked").flatten(),
         error = show(stats.as_ref(), &shown) => Err(error),
     };
 
     tracing::info!("leaving");
-    tasks.shutdown().await;
+    stopping.send_replace(true);
+    while running.join_next().await.is_some() {}
     if let Some(file) = &stats {
         file.replace(&shown()).with_context(|| file.path().display().to_string())?;
     }

@@ -1,5 +1,5 @@
-//! One topic in one direction. Each route is a task of its own, so a slow topic holds up nobody else's; within it a message
-//! goes straight from one side to the other, without a queue or a wake-up in between unless the far side is busy.
+//! One topic in one direction. Each route has a thread of its own, so a slow topic holds up nobody else's; within it a
+//! message goes straight from one side to the other, without a queue or a wake-up in between unless the far side is busy.
 
 use std::convert::Infallible;
 use std::fmt::Display;
