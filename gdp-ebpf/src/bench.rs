@@ -1,32 +1,48 @@
 //! Generator and sink of `cargo xtask bench forward`. The generator runs under `BPF_PROG_TEST_RUN` with live frames: the
-//! kernel hands it frames, it sends them by an interface. The sink sits on the interface where they should arrive.
+//! kernel hands it frames, it sends them by an interface, as long as not too many are under way. The sink sits on the
+//! interface where they should arrive.
 #![cfg_attr(target_arch = "bpf", no_std, no_main)]
 
 use aya_ebpf::bindings::xdp_action::{XDP_ABORTED, XDP_DROP, XDP_PASS};
 use aya_ebpf::macros::{map, xdp};
-use aya_ebpf::maps::{Array, DevMap, PerCpuArray};
+use aya_ebpf::maps::{Array, DevMap};
 use aya_ebpf::programs::XdpContext;
 
 /// What forwarding changes lies in the first 48 bytes: Ethernet and all of a GDP header before the destination name, or
 /// Ethernet, IPv4 and UDP.
 const CHANGED_WORDS: usize = 6;
 
-/// The first bytes of every frame. Written once, before the generator runs.
+/// Frames under way at most. Less than a veth's ring of 256 would hold back the planes that work in batches; more than the
+/// receive buffer of a packet socket takes would lose frames.
+const WINDOW: u64 = 1024;
+
+/// The first bytes of every frame. Written by user space while the generator does not run.
 #[map]
 static TEMPLATE: Array<[u64; CHANGED_WORDS]> = Array::with_max_entries(1, 0);
 
-/// Entry 0: where frames leave. Written once, before the generator runs.
+/// Entry 0: where frames leave. Written by user space before the generator runs.
 #[map]
 static OUT: DevMap = DevMap::with_max_entries(1, 0);
 
-/// Entry 0: frames that arrived at the sink. Each CPU writes its own.
+/// Entry 0: frames sent. Written by the generator, which runs on one CPU; by user space while it does not run.
 #[map]
-static ARRIVED: PerCpuArray<u64> = PerCpuArray::with_max_entries(1, 0);
+static SENT: Array<u64> = Array::with_max_entries(1, 0);
+
+/// Entry 0: frames that arrived. Written by the sink: its interface has one queue, so it runs on one CPU at a time.
+#[map]
+static ARRIVED: Array<u64> = Array::with_max_entries(1, 0);
 
 #[xdp]
 pub fn generate(context: XdpContext) -> u32 {
     let (start, end) = (context.data(), context.data_end());
-    let (Some(template), true) = (TEMPLATE.get(0), start + CHANGED_WORDS * 8 <= end) else { return XDP_ABORTED };
+    let (Some(template), Some(sent), Some(arrived)) = (TEMPLATE.get(0), SENT.get_ptr_mut(0), ARRIVED.get_ptr(0)) else {
+        return XDP_ABORTED;
+    };
+    // SAFETY: elements of the maps; what another CPU writes meanwhile is read once.
+    let (count, done) = unsafe { (*sent, arrived.read_volatile()) };
+    if count.wrapping_sub(done) >= WINDOW || start + CHANGED_WORDS * 8 > end {
+        return XDP_DROP;
+    }
     // The kernel reuses the pages of frames that were received, with all that was rewritten on the way.
     let mut i = 0;
     while i < CHANGED_WORDS {
@@ -34,10 +50,12 @@ pub fn generate(context: XdpContext) -> u32 {
         unsafe { *(start as *mut u64).add(i) = template[i] };
         i += 1;
     }
+    // SAFETY: an element of the map that only this program writes.
+    unsafe { *sent = count + 1 };
     OUT.redirect(0, 0).unwrap_or(XDP_ABORTED)
 }
 
-/// Counts frames of at least `TEMPLATE`'s size and drops them; lets what hosts say to each other pass.
+/// Counts frames and drops them; lets what hosts say to each other (ARP, and other short ones) pass.
 #[xdp]
 pub fn sink(context: XdpContext) -> u32 {
     const SMALLEST: usize = 110;
@@ -45,7 +63,7 @@ pub fn sink(context: XdpContext) -> u32 {
         return XDP_PASS;
     }
     if let Some(arrived) = ARRIVED.get_ptr_mut(0) {
-        // SAFETY: this CPU's own slot.
+        // SAFETY: an element of the map that only this program writes.
         unsafe { *arrived += 1 };
     }
     XDP_DROP

@@ -8,8 +8,8 @@
 //!
 //! No daemons: the tables are what a RIB would have installed, put there through the same `Planes`. All paths exist at
 //! once and are measured in turn, so that a busy machine slows all of them; a ratio is the median of the rounds' ratios.
-//! The generator sends a chunk and waits until it has arrived, so a rate is one without loss. XDP and the routers run on the
-//! generator's core, which is how veths work; the userspace plane's threads take whatever cores there are.
+//! The generator keeps a number of frames under way and waits for arrivals beyond that, so a rate is one without loss. XDP and
+//! the routers run on the generator's core, which is how veths work; the userspace plane's threads take whatever is left.
 
 mod path;
 mod report;
@@ -69,7 +69,7 @@ fn main() -> Result<()> {
         rows.extend(paths.iter().map(|(path, _)| Row::new(path.kind(), path.hops(), payload)));
         for round in 0..=options.rounds {
             for ((path, generator), row) in paths.iter_mut().zip(&mut rows[first..]) {
-                let rate = generator.measure(&path.frame(payload), path.chunk(), duration)?;
+                let rate = generator.measure(&path.frame(payload), duration)?;
                 // The first round warms caches and neighbour tables up.
                 if round > 0 {
                     row.add(rate);

@@ -77,11 +77,6 @@ impl Path {
         &self.chain
     }
 
-    /// Frames sent at once. The userspace plane's sockets must hold them; the others are done with a frame before the next.
-    pub fn chunk(&self) -> u32 {
-        if self.kind == Kind::Userspace { 1024 } else { 16384 }
-    }
-
     /// The frame to send from the robot.
     pub fn frame(&self, payload: usize) -> Vec<u8> {
         let ethertype = if self.kind == Kind::Ip { 0x0800 } else { gdp_wire::ETHERTYPE };

@@ -1,28 +1,34 @@
 //! Generator and sink: the programs of `gdp-ebpf/src/bench.rs` at the two ends of a chain.
 
 use std::path::Path;
+use std::sync::mpsc;
+use std::thread::ScopedJoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use aya::maps::{Array, DevMap, MapData, PerCpuArray};
+use aya::maps::{Array, DevMap, MapData};
 use aya::programs::xdp::XdpMode;
-use aya::programs::{TestRun, TestRunAttrs, TestRunOptions, Xdp};
+use aya::programs::{ProgramError, TestRun, TestRunAttrs, TestRunOptions, Xdp};
 use aya::{Ebpf, Pod};
+use gdp::port::Interface;
 use gdp_tests::chain::Chain;
-use gdp_tests::netns::Namespace;
+use gdp_tests::wait::wait_for;
 
 /// Frames the kernel sends at a time: a quarter of a veth's ring.
 const BATCH: u32 = 64;
 
+/// The kernel takes some milliseconds to begin with a test run; then caches fill.
+const RUN_UP: Duration = Duration::from_millis(100);
+
 /// How long nothing may arrive before what is missing is taken as lost.
-const PATIENCE: Duration = Duration::from_millis(100);
+const PATIENCE: Duration = Duration::from_millis(200);
 
 pub struct Generator {
-    generator: Ebpf,
+    /// Both programs; the sink is attached while this lives.
+    programs: Ebpf,
     template: Array<MapData, Template>,
-    arrived: PerCpuArray<MapData, u64>,
-    /// Attached while this lives.
-    _sink: Ebpf,
+    sent: Array<MapData, u64>,
+    arrived: Array<MapData, u64>,
     _out: DevMap<MapData>,
 }
 
@@ -45,94 +51,101 @@ pub struct Rate {
 
 impl Generator {
     pub fn new(chain: &Chain, object: &Path) -> Result<Self> {
-        let load = || Ebpf::load_file(object).with_context(|| format!("cannot load {}", object.display()));
-        let mut sink = load()?;
-        let l0 = {
+        let loaded = Ebpf::load_file(object);
+        let mut programs = loaded.with_context(|| format!("cannot load {}", object.display()))?;
+        for name in ["sink", "generate"] {
+            program(&mut programs, name)?.load().with_context(|| format!("cannot load {name}"))?;
+        }
+        {
             let _inside = chain.cloud().enter()?;
-            program(&mut sink, "sink")?.attach("l0", XdpMode::Driver)
-        };
-        l0.context("cannot attach the sink")?;
-
-        let mut generator = load()?;
-        program(&mut generator, "generate")?;
-        let mut out: DevMap<MapData> = map(&mut generator, "OUT")?;
+            program(&mut programs, "sink")?.attach("l0", XdpMode::Driver).context("cannot attach the sink")?;
+        }
+        let mut out: DevMap<MapData> = map(&mut programs, "OUT")?;
         {
             let _inside = chain.robot().enter()?;
-            out.set(0, ifindex(chain.robot(), "r0")?, None, 0)?;
+            out.set(0, Interface::find("r0")?.index, None, 0)?;
         }
-        let template = map(&mut generator, "TEMPLATE")?;
-        let arrived = map(&mut sink, "ARRIVED")?;
-        Ok(Self { generator, template, arrived, _sink: sink, _out: out })
+        Ok(Self {
+            template: map(&mut programs, "TEMPLATE")?,
+            sent: map(&mut programs, "SENT")?,
+            arrived: map(&mut programs, "ARRIVED")?,
+            _out: out,
+            programs,
+        })
     }
 
-    /// Sends `frame` for `duration`, `chunk` at a time.
-    pub fn measure(&mut self, frame: &[u8], chunk: u32, duration: Duration) -> Result<Rate> {
+    /// Sends `frame` for `duration`.
+    pub fn measure(&mut self, frame: &[u8], duration: Duration) -> Result<Rate> {
+        gdp_tests::wait::check_interrupt()?;
         let mut words = [0; 6];
         for (word, bytes) in words.iter_mut().zip(frame.chunks_exact(8)) {
             *word = u64::from_ne_bytes(bytes.try_into()?);
         }
         self.template.set(0, Template(words), 0)?;
+        let before = self.arrived.get(&0, 0)?;
+        self.sent.set(0, before, 0)?;
 
-        let before = self.arrived()?;
-        let (mut sent, mut lost) = (0, 0);
-        let start = Instant::now();
-        while start.elapsed() < duration {
-            gdp_tests::wait::check_interrupt()?;
-            self.send(frame, chunk)?;
-            sent += u64::from(chunk);
-            lost = self.wait_for(before, sent, lost)?;
-        }
-        let arrived = self.arrived()? - before;
-        ensure!(arrived > 0, "no frame of {sent} arrived");
-        Ok(Rate { pps: arrived as f64 / start.elapsed().as_secs_f64(), sent, lost })
+        let (generate, arrived) = (program(&mut self.programs, "generate")?, &self.arrived);
+        let pps = std::thread::scope(|scope| -> Result<f64> {
+            let (itself, thread) = mpsc::channel();
+            let running = scope.spawn(move || {
+                // SAFETY: no preconditions.
+                itself.send(unsafe { libc::pthread_self() })?;
+                send_until_signalled(generate, frame)
+            });
+            let thread = thread.recv()?;
+            std::thread::sleep(RUN_UP);
+            let (first, start) = (arrived.get(&0, 0)?, Instant::now());
+            std::thread::sleep(duration);
+            let (last, elapsed) = (arrived.get(&0, 0)?, start.elapsed());
+            stop(thread, running)?;
+            Ok((last - first) as f64 / elapsed.as_secs_f64())
+        })?;
+
+        let sent = self.sent.get(&0, 0)? - before;
+        ensure!(pps > 0.0, "no frame of {sent} arrived");
+        Ok(Rate { pps, sent, lost: self.lost(before, sent)? })
     }
 
-    fn send(&mut self, frame: &[u8], count: u32) -> Result<()> {
-        let mut options = TestRunOptions::new();
-        options.data_in = Some(frame);
-        options.repeat = count;
-        options.attrs = TestRunAttrs::new().xdp_live_frames(BATCH);
-        let generate: &mut Xdp = self.generator.program_mut("generate").context("generate")?.try_into()?;
-        generate.test_run(options)?;
-        Ok(())
-    }
-
-    /// Waits until all frames but those lost so far are there; returns how many are lost now.
-    fn wait_for(&self, before: u64, sent: u64, lost: u64) -> Result<u64> {
-        let (mut last, mut since) = (0, Instant::now());
-        loop {
-            let arrived = self.arrived()? - before;
-            if arrived + lost >= sent {
-                return Ok(lost);
-            }
-            if arrived != last {
-                (last, since) = (arrived, Instant::now());
-            } else if since.elapsed() > PATIENCE {
-                return Ok(sent - arrived);
-            }
-            // Leaves the core to the forwarders.
-            std::thread::sleep(Duration::from_micros(50));
-        }
-    }
-
-    fn arrived(&self) -> Result<u64> {
-        Ok(self.arrived.get(&0, 0)?.iter().sum())
+    /// Frames that do not arrive even when waited for.
+    fn lost(&self, before: u64, sent: u64) -> Result<u64> {
+        let missing = || -> Result<u64> { Ok(sent - (self.arrived.get(&0, 0)? - before)) };
+        let all = wait_for("the last frames", PATIENCE, || Ok((missing()? == 0).then_some(0)));
+        if all.is_ok() { Ok(0) } else { missing() }
     }
 }
 
-fn program<'a>(ebpf: &'a mut Ebpf, name: &str) -> Result<&'a mut Xdp> {
-    let program: &mut Xdp = ebpf.program_mut(name).with_context(|| format!("no program {name}"))?.try_into()?;
-    program.load().with_context(|| format!("cannot load {name}"))?;
-    Ok(program)
+/// The kernel ends a test run early only for a signal.
+fn send_until_signalled(generate: &mut Xdp, frame: &[u8]) -> Result<()> {
+    let mut options = TestRunOptions::new();
+    options.data_in = Some(frame);
+    options.repeat = u32::MAX;
+    options.attrs = TestRunAttrs::new().xdp_live_frames(BATCH);
+    match generate.test_run(options) {
+        Err(ProgramError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::EINTR) => Ok(()),
+        Err(error) => Err(error).context("cannot generate frames"),
+        Ok(_) => Ok(()),
+    }
 }
 
-fn map<T: TryFrom<aya::maps::Map, Error = aya::maps::MapError>>(ebpf: &mut Ebpf, name: &str) -> Result<T> {
-    let map = ebpf.take_map(name).with_context(|| format!("no map {name}"))?;
+fn stop(thread: libc::pthread_t, running: ScopedJoinHandle<Result<()>>) -> Result<()> {
+    extern "C" fn nothing(_: libc::c_int) {}
+    // SAFETY: the handler does nothing, which is async-signal-safe.
+    unsafe { libc::signal(libc::SIGUSR1, nothing as *const () as libc::sighandler_t) };
+    // Once is not enough if the thread is just on its way into the kernel.
+    wait_for("the generator to end", Duration::from_secs(5), || {
+        // SAFETY: the thread is not joined yet, so its handle is valid.
+        unsafe { libc::pthread_kill(thread, libc::SIGUSR1) };
+        Ok(running.is_finished().then_some(()))
+    })?;
+    running.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+}
+
+fn program<'a>(programs: &'a mut Ebpf, name: &str) -> Result<&'a mut Xdp> {
+    Ok(programs.program_mut(name).with_context(|| format!("no program {name}"))?.try_into()?)
+}
+
+fn map<T: TryFrom<aya::maps::Map, Error = aya::maps::MapError>>(programs: &mut Ebpf, name: &str) -> Result<T> {
+    let map = programs.take_map(name).with_context(|| format!("no map {name}"))?;
     T::try_from(map).with_context(|| format!("map {name}"))
-}
-
-fn ifindex(node: &Namespace, interface: &str) -> Result<u32> {
-    let shown = node.ip(&["-o", "link", "show", interface])?;
-    let index = shown.split(':').next().and_then(|index| index.trim().parse().ok());
-    index.with_context(|| format!("no index in {shown:?}"))
 }
