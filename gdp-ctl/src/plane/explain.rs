@@ -33,7 +33,7 @@ pub fn attach(error: &ProgramError) -> String {
         Some(libc::EBUSY | libc::EEXIST) => {
             "another XDP program is attached (`ip link show` names it; `ip link set DEV xdp off` removes one that `ip` attached)".into()
         }
-        Some(libc::EOPNOTSUPP) => "the driver has no native XDP".into(),
+        Some(libc::EOPNOTSUPP) => "the driver has none".into(),
         Some(libc::ERANGE | libc::EINVAL) => {
             "the driver refuses XDP with the interface's present MTU or offloads (on a veth: `ethtool -K DEV gro off lro off`, or an MTU up to 3506)".into()
         }

@@ -107,7 +107,9 @@ struct Port {
     /// Its key in the device map; `None` without a kernel plane.
     number: Option<u32>,
     attached: Option<(XdpLinkId, Mode)>,
-    report: InterfacePlane,
+    interface: String,
+    /// Why it got this plane.
+    reason: String,
     forwarder: Forwarder,
 }
 
@@ -144,17 +146,11 @@ impl Planes {
         let medium = Medium::Ethernet(interface.index);
         let forwarder = Forwarder::start(medium, socket, interface.mtu as usize, &self.shared)
             .map_err(|source| PlaneError::Thread { interface: interface.name.clone(), source })?;
-        let kind = match &attached {
-            Some((_, Mode::Native)) => "xdp-native",
-            Some((_, Mode::Generic)) => "xdp-generic",
-            None => "userspace",
-        };
         let number = self.make_port(interface.index)?;
-        let report = InterfacePlane { interface: interface.name.clone(), kind, reason };
-        let port = Port { number, attached, report: report.clone(), forwarder };
+        let port = Port { number, attached, interface: interface.name.clone(), reason, forwarder };
         self.ports.insert(interface.index, port);
         self.refresh()?;
-        Ok(report)
+        Ok(self.report_of(interface.index, &self.ports[&interface.index]))
     }
 
     /// Lets go of an interface; what arrives there is no longer forwarded. An unknown one is no error.
@@ -164,7 +160,7 @@ impl Planes {
             && let Err(error) = kernel.detach(link)
         {
             // As when the interface was deleted.
-            tracing::debug!(interface = port.report.interface, %error, "the XDP program was already gone");
+            tracing::debug!(interface = port.interface, %error, "the XDP program was already gone");
         }
         if let (Some(number), Ok(kernel)) = (port.number, &mut self.kernel) {
             let _ = kernel.clear_port(number);
@@ -182,7 +178,7 @@ impl Planes {
 
     /// Which plane each interface got and why, by interface name.
     pub fn report(&self) -> Vec<InterfacePlane> {
-        let mut report: Vec<_> = self.ports.values().map(|port| port.report.clone()).collect();
+        let mut report: Vec<_> = self.ports.iter().map(|(ifindex, port)| self.report_of(*ifindex, port)).collect();
         report.sort_by(|a, b| a.interface.cmp(&b.interface));
         report
     }
@@ -282,16 +278,18 @@ impl Planes {
                 self.set_link(entry, to)?;
             }
         }
-        let features = self.features.as_ref();
-        for (ifindex, port) in &mut self.ports {
-            if port.attached.is_some() {
-                port.report.reason = match takes_redirects(features, *ifindex) {
-                    true => String::new(),
-                    false => NO_REDIRECT.into(),
-                };
-            }
-        }
         Ok(())
+    }
+
+    fn report_of(&self, ifindex: u32, port: &Port) -> InterfacePlane {
+        let kind = match &port.attached {
+            Some((_, Mode::Native)) => "xdp-native",
+            Some((_, Mode::Generic)) => "xdp-generic",
+            None => "userspace",
+        };
+        let leaves_in_kernel = port.attached.is_none() || self.kernel_can_send_to(ifindex);
+        let reason = port.reason.clone() + if leaves_in_kernel { "" } else { NO_REDIRECT };
+        InterfacePlane { interface: port.interface.clone(), kind, reason }
     }
 
     fn attach_program(&mut self, interface: &Interface) -> (Option<(XdpLinkId, Mode)>, String) {
@@ -300,7 +298,7 @@ impl Planes {
             Err(reason) => return (None, reason.clone()),
         };
         let native = match kernel.attach(interface.index, Mode::Native) {
-            Ok(link) => return (Some((link, Mode::Native)), String::new()),
+            Ok(link) => return (Some((link, Mode::Native)), "the driver supports it".into()),
             Err(error) => error,
         };
         let why = explain::attach(&native);
@@ -329,10 +327,14 @@ impl Planes {
     fn port_for(&self, to: LinkAddr) -> u32 {
         let LinkAddr::Ethernet { ifindex, .. } = to else { return PORT_USERSPACE };
         let number = self.ports.get(&ifindex).and_then(|port| port.number);
-        match number {
-            Some(number) if takes_redirects(self.features.as_ref(), ifindex) => number,
-            _ => PORT_USERSPACE,
-        }
+        number.filter(|_| self.kernel_can_send_to(ifindex)).unwrap_or(PORT_USERSPACE)
+    }
+
+    fn kernel_can_send_to(&self, ifindex: u32) -> bool {
+        // What generic XDP redirects are ordinary packets, which every interface takes.
+        let only_generic = self.ports.values().all(|port| !matches!(port.attached, Some((_, Mode::Native))));
+        let asked = self.features.as_ref().and_then(|features| features.takes_redirects(ifindex).ok());
+        only_generic || asked.unwrap_or(true)
     }
 
     fn tables(&self) -> RwLockWriteGuard<'_, UserTables> {
@@ -347,12 +349,8 @@ impl Drop for Planes {
     }
 }
 
-const NO_REDIRECT: &str = "but frames leave here through the userspace plane, because the driver takes no redirected frames \
-                           (on a veth: until its peer has GRO on, `ethtool -K PEER gro on`, or an XDP program)";
-
-fn takes_redirects(features: Option<&XdpFeatures>, ifindex: u32) -> bool {
-    features.and_then(|features| features.takes_redirects(ifindex).ok()).unwrap_or(true)
-}
+const NO_REDIRECT: &str = "; frames leave here through the userspace plane, because the interface takes no redirected frames (a \
+                           veth takes them while its peer has an XDP program, or GRO on: `ethtool -K PEER gro on`)";
 
 fn load(config: &PlaneConfig) -> Result<KernelPlane, LoadError> {
     let object = object::find(config.ebpf_object.as_deref()).map_err(LoadError::NoObject)?;
