@@ -134,9 +134,12 @@ pub fn veth(a: &End, b: &End, mtu: u32) -> Result<()> {
         &mac_b,
     ])?;
     for end in [a, b] {
+        end.namespace.ip(&["link", "set", end.interface, "up"])?;
+    }
+    // Only a change on a running interface tells its other end that it takes redirected frames.
+    for end in [a, b] {
         let mut ethtool = end.namespace.command("ethtool")?;
         execute(ethtool.args(["-K", end.interface, "tx", "off", "gro", "on"]))?;
-        end.namespace.ip(&["link", "set", end.interface, "up"])?;
     }
     Ok(())
 }

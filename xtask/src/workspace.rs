@@ -20,6 +20,11 @@ pub fn ebpf_object() -> PathBuf {
     target().join("bpf/gdp-ebpf")
 }
 
+/// The object with the generator and the sink of `bench forward`.
+pub fn ebpf_bench_object() -> PathBuf {
+    target().join("bpf/bpfel-unknown-none/release/gdp-ebpf-bench")
+}
+
 /// Which of Cargo's profiles an executable is built with.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Profile {

@@ -2,6 +2,7 @@
 //!
 //! What is compared is measured in one run under the same conditions, in turn, so that a busy machine slows both.
 
+mod forward;
 mod latency;
 
 use anyhow::Result;
@@ -16,10 +17,13 @@ pub struct Options {
 enum Figure {
     /// One-way latency, DDS to DDS: over three XDP switches, beside the same programs over three IP routers
     Latency(latency::Options),
+    /// Frames per second through one and three switches: XDP, the kernel's IPv4 routers, a forwarder on packet sockets
+    Forward(forward::Options),
 }
 
 pub fn run(options: Options) -> Result<()> {
     match options.figure {
         Figure::Latency(options) => latency::run(options),
+        Figure::Forward(options) => forward::run(options),
     }
 }
