@@ -83,6 +83,7 @@ async fn subscribe(options: &Options, papers: &Papers, ready: Option<tokio::sync
         let age = SystemTime::UNIX_EPOCH.elapsed()?.saturating_sub(Duration::from_nanos(message.timestamp_ns));
         println!("received  {} from {:#}, {age:?} old", String::from_utf8_lossy(&message.body), message.writer);
     }
+    println!("{:?}", node.counters());
     node.close().await;
     Ok(())
 }

@@ -13,6 +13,8 @@
 //! certificates of the name's owner alone.
 
 mod counters;
+mod held;
+mod intake;
 mod publisher;
 mod receiver;
 mod subscription;
@@ -28,7 +30,8 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
 use self::counters::Counters;
-use self::receiver::{Command, Intake, Receiver, Writer as KnownWriter};
+use self::intake::{Intake, Writer as KnownWriter};
+use self::receiver::{Command, Receiver};
 use self::supervisor::{Attachment, Event, Supervisor};
 use crate::cert::{AdCert, Advert, AdvertOp, CertError, ReadGrant, RtCert, Signed, issue};
 use crate::control::{Credential, EntityRequest, Record, Refusal, RefusalCode, Request, Response};
@@ -278,8 +281,11 @@ impl State {
     }
 
     fn command(&self, command: Command) {
-        // The thread ends only after this state is gone.
+        // The thread ends only once this node is closed.
         let _ = self.commands.send(command);
+        if let Ok(attachment) = self.attached_now() {
+            attachment.data.wake();
+        }
     }
 
     /// The link, if it is up at this moment.

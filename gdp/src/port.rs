@@ -117,7 +117,8 @@ impl Port {
         let control = ethernet::ControlSocket::open(&found, config.ethertype, answer_as).map_err(fail(opening))?;
         let control = Arc::new(control);
         let fd = ethernet::open_data(&found, config.ethertype).map_err(fail(opening))?;
-        let data = DataSocket::new(data::Kind::Ethernet { fd, ifindex: found.index, ethertype: config.ethertype });
+        let data = DataSocket::new(data::Kind::Ethernet { fd, ifindex: found.index, ethertype: config.ethertype })
+            .map_err(fail(opening))?;
         let quic = (found.mtu - ControlHeader::LEN as u32).min(MAX_ETHERNET_QUIC) as u16;
         let mtu = QuicMtu { initial: quic, discover_up_to: None };
         let frame_mtu = found.mtu.min(Header::LEN as u32 + u16::MAX as u32);
@@ -126,10 +127,9 @@ impl Port {
 
     /// Opens a port on a UDP address. Call within a tokio runtime.
     pub fn udp(bind: SocketAddr, config: &PortConfig) -> Result<Self, LinkError> {
-        let socket = udp::SharedUdp::bind(bind)
-            .map_err(|source| LinkError::Io { what: format!("cannot bind UDP {bind}"), source })?;
-        let socket = Arc::new(socket);
-        let data = DataSocket::new(data::Kind::Udp(socket.clone()));
+        let fail = |source| LinkError::Io { what: format!("cannot bind UDP {bind}"), source };
+        let socket = Arc::new(udp::SharedUdp::bind(bind).map_err(fail)?);
+        let data = DataSocket::new(data::Kind::Udp(socket.clone())).map_err(fail)?;
         let mtu = QuicMtu { initial: 1200, discover_up_to: Some(1452) };
         Self::open(config, socket, Medium::Udp, data, mtu, UDP_MTU)
     }

@@ -3,19 +3,19 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use gdp_wire::{Header, LinkEntry, Name, forward};
 use tokio::sync::mpsc as async_mpsc;
 use zerocopy::FromBytes;
 
 use super::counters::Counters;
+use super::held::Held;
+use super::intake::{Intake, Writer};
 use super::supervisor::Event;
-use crate::identity::VerifyKey;
 use crate::port::{DataSocket, RecvBatch};
-use crate::seal::{DropReason, Message, Reader};
+use crate::seal::DropReason;
 
 /// How long the thread sleeps without a frame: messages that cannot complete any more are given up at this pace.
 const TICK: Duration = Duration::from_millis(100);
@@ -23,9 +23,6 @@ const TICK: Duration = Duration::from_millis(100);
 /// How often the same unknown source is asked about, and how many are remembered.
 const ASK_AGAIN: Duration = Duration::from_secs(1);
 const MAX_ASKED: usize = 256;
-
-/// Writers of one name that are believed at once.
-const MAX_WRITERS: usize = 256;
 
 /// What the rest of the node tells the thread.
 pub enum Command {
@@ -50,104 +47,6 @@ pub enum Command {
     Stop,
 }
 
-/// A writer whose right to a name was verified.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Writer {
-    pub entity: Name,
-    pub key: VerifyKey,
-    pub not_after: u64,
-}
-
-/// The thread's side of a subscription.
-pub struct Intake {
-    pub reader: Reader,
-    pub queue: async_mpsc::Sender<Message>,
-    pub queued_bytes: Arc<AtomicUsize>,
-    pub max_queued_bytes: usize,
-    /// What a writer signed this long before it became known here is taken for a recording.
-    pub max_age: Duration,
-    writers: HashMap<Name, u64>,
-    seen_drops: [u64; DropReason::COUNT],
-}
-
-impl Intake {
-    pub fn new(
-        reader: Reader,
-        queue: async_mpsc::Sender<Message>,
-        queued_bytes: Arc<AtomicUsize>,
-        max_queued_bytes: usize,
-        max_age: Duration,
-    ) -> Self {
-        Self {
-            reader,
-            queue,
-            queued_bytes,
-            max_queued_bytes,
-            max_age,
-            writers: HashMap::new(),
-            seen_drops: [0; DropReason::COUNT],
-        }
-    }
-
-    fn authorise(&mut self, writer: Writer) {
-        if self.writers.len() >= MAX_WRITERS && !self.writers.contains_key(&writer.entity) {
-            tracing::warn!(writer = %writer.entity, "more than {MAX_WRITERS} writers of one name; this one is not believed");
-            return;
-        }
-        if self.reader.authorise(writer.entity, writer.key).is_err() {
-            return;
-        }
-        // A writer that comes back keeps the floor and the replay windows it had.
-        if self.writers.insert(writer.entity, writer.not_after).is_none() {
-            let floor = unix_time().saturating_sub(self.max_age);
-            self.reader.refuse_before(&writer.entity, floor.as_nanos() as u64);
-        }
-    }
-
-    /// A writer is believed as long as its certificate holds, not as long as it is attached: forgetting it would forget
-    /// which of its messages were delivered.
-    fn expire(&mut self, now: u64) {
-        let unix = unix_time().as_secs();
-        let reader = &mut self.reader;
-        self.writers.retain(|writer, not_after| {
-            let holds = unix <= *not_after;
-            if !holds {
-                reader.revoke(writer);
-            }
-            holds
-        });
-        if reader.next_deadline().is_some_and(|deadline| deadline < now) {
-            reader.expire(now);
-        }
-    }
-
-    fn count_drops(&mut self, counters: &Counters) {
-        let drops = self.reader.drops();
-        if *drops != self.seen_drops {
-            for ((now, seen), count) in drops.iter().zip(&self.seen_drops).zip(&counters.dropped) {
-                count.add(now - seen);
-            }
-            self.seen_drops = *drops;
-        }
-    }
-
-    fn deliver(&mut self, message: Message, counters: &Counters) {
-        let length = message.body.len();
-        let queued = self.queued_bytes.fetch_add(length, Ordering::Relaxed);
-        match self.queue.try_reserve() {
-            Ok(place) if queued.saturating_add(length) <= self.max_queued_bytes => {
-                // Counted first: who has the message may look.
-                counters.messages_received.add(1);
-                place.send(message);
-            }
-            _ => {
-                self.queued_bytes.fetch_sub(length, Ordering::Relaxed);
-                counters.queue_full.add(1);
-            }
-        }
-    }
-}
-
 pub struct Receiver {
     pub commands: mpsc::Receiver<Command>,
     pub events: async_mpsc::UnboundedSender<Event>,
@@ -158,7 +57,7 @@ impl Receiver {
     /// Runs until it is told to stop, or nobody can tell it any more.
     pub fn run(self) {
         let mut state =
-            Intakes { intakes: HashMap::new(), asked: HashMap::new(), messages: Vec::new(), start: Instant::now() };
+            Intakes { intakes: HashMap::new(), held: Held::default(), asked: HashMap::new(), start: Instant::now() };
         let mut attached: Option<(Arc<DataSocket>, LinkEntry)> = None;
         let mut batch = None;
         let mut next_tick = Instant::now() + TICK;
@@ -172,7 +71,7 @@ impl Receiver {
                     Ok(Command::Attach { data, entry }) => attached = Some((data, entry)),
                     Ok(Command::Subscribe { name, intake }) => drop(state.intakes.insert(name, intake)),
                     Ok(Command::Unsubscribe { name }) => drop(state.intakes.remove(&name)),
-                    Ok(Command::Authorise { name, writers }) => state.authorise(&name, writers),
+                    Ok(Command::Authorise { name, writers }) => state.authorise(&name, writers, &self.counters),
                     Err(mpsc::TryRecvError::Empty) => break,
                     Ok(Command::Stop) | Err(mpsc::TryRecvError::Disconnected) => return,
                 }
@@ -208,17 +107,23 @@ impl Receiver {
 
 struct Intakes {
     intakes: HashMap<Name, Box<Intake>>,
+    /// Frames of sources that are being asked about.
+    held: Held,
     /// Unknown sources, and when they were last asked about.
     asked: HashMap<(Name, Name), Instant>,
-    messages: Vec<Message>,
     start: Instant,
 }
 
 impl Intakes {
-    fn authorise(&mut self, name: &Name, writers: Vec<Writer>) {
-        if let Some(intake) = self.intakes.get_mut(name) {
-            writers.into_iter().for_each(|writer| intake.authorise(writer));
+    fn authorise(&mut self, name: &Name, writers: Vec<Writer>, counters: &Counters) {
+        let Some(intake) = self.intakes.get_mut(name) else { return };
+        writers.into_iter().for_each(|writer| intake.authorise(writer));
+        let now = self.start.elapsed().as_nanos() as u64;
+        for frame in self.held.release(name, |source| intake.knows(source)) {
+            // Counted by the reader.
+            let _ = intake.push(now, frame.source, &frame.payload, counters);
         }
+        intake.count_drops(counters);
     }
 
     fn take(
@@ -245,14 +150,13 @@ impl Intakes {
                 continue;
             };
             let payload = &rest[..header.payload_len().into()];
-            if let Err(reason) = intake.reader.push(now, header.source, payload, &mut self.messages) {
-                any_dropped = true;
-                if reason == DropReason::UnknownWriter {
-                    ask_about(&mut self.asked, header.destination, header.source, events);
-                }
+            if intake.knows(&header.source) {
+                any_dropped |= intake.push(now, header.source, payload, counters).is_err();
+                continue;
             }
-            for message in self.messages.drain(..) {
-                intake.deliver(message, counters);
+            ask_about(&mut self.asked, header.destination, header.source, events);
+            if !self.held.hold(header.destination, header.source, payload) {
+                counters.dropped[DropReason::UnknownWriter as usize].add(1);
             }
         }
         if any_dropped {
@@ -266,11 +170,12 @@ impl Intakes {
             intake.expire(now);
             intake.count_drops(counters);
         }
+        counters.dropped[DropReason::UnknownWriter as usize].add(self.held.expire());
         self.asked.retain(|_, when| when.elapsed() < ASK_AGAIN);
     }
 }
 
-/// Has the supervisor find out whether `source` may write `name`. Its frames until then are lost.
+/// Has the supervisor find out whether `source` may write `name`.
 fn ask_about(
     asked: &mut HashMap<(Name, Name), Instant>,
     name: Name,
@@ -281,8 +186,4 @@ fn ask_about(
     if !recently && asked.len() < MAX_ASKED && events.send(Event::UnknownWriter { name }).is_ok() {
         asked.insert((name, source), Instant::now());
     }
-}
-
-fn unix_time() -> Duration {
-    SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default()
 }

@@ -12,7 +12,7 @@ use gdp_wire::Header;
 use zerocopy::IntoBytes;
 
 use super::LinkAddr;
-use super::sys::{self, RawAddr};
+use super::sys::{self, Event, RawAddr};
 use super::udp::SharedUdp;
 
 /// Most frames one system call receives or sends. Also what a veth ring of 256 takes without loss.
@@ -109,6 +109,7 @@ pub struct Sent {
 /// Where data frames of a port arrive and leave. Shared by threads; receiving is meant for one of them.
 pub struct DataSocket {
     kind: Kind,
+    wake: Event,
     lost: AtomicU64,
 }
 
@@ -118,8 +119,8 @@ pub(super) enum Kind {
 }
 
 impl DataSocket {
-    pub(super) fn new(kind: Kind) -> Self {
-        Self { kind, lost: AtomicU64::new(0) }
+    pub(super) fn new(kind: Kind) -> io::Result<Self> {
+        Ok(Self { kind, wake: Event::new()?, lost: AtomicU64::new(0) })
     }
 
     /// Receives what is there, up to [`BATCH`] frames, replacing what the batch held; 0 if there is nothing.
@@ -132,9 +133,14 @@ impl DataSocket {
         Ok(batch.count)
     }
 
-    /// Blocks until there is something to receive (`true`) or `timeout` is over.
+    /// Blocks until there is something to receive (`true`), [`Self::wake`] is called, or `timeout` is over.
     pub fn wait_readable(&self, timeout: Duration) -> io::Result<bool> {
-        sys::wait(self.as_fd(), libc::POLLIN, timeout)
+        sys::wait(self.as_fd(), libc::POLLIN, Some(&self.wake), timeout)
+    }
+
+    /// Ends the present or the next [`Self::wait_readable`], so that its thread looks at something else.
+    pub fn wake(&self) {
+        self.wake.set();
     }
 
     /// Sends frames in their order, [`BATCH`] to a system call. Blocks for a few milliseconds at most when the kernel has
@@ -303,7 +309,7 @@ impl<'a> Chunk<'a> {
                     Some(libc::EINTR) => {}
                     Some(libc::EAGAIN | libc::ENOBUFS) if !waited => {
                         waited = true;
-                        let _ = sys::wait(fd, libc::POLLOUT, SEND_PATIENCE);
+                        let _ = sys::wait(fd, libc::POLLOUT, None, SEND_PATIENCE);
                     }
                     // May be about the past: a socket tells once that its interface was down.
                     Some(libc::ENETDOWN) if !told => told = true,

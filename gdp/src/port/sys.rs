@@ -45,16 +45,24 @@ pub fn receive_drops(fd: BorrowedFd) -> u64 {
     if result == 0 { info[SK_MEMINFO_DROPS].into() } else { 0 }
 }
 
-/// Waits until the descriptor is ready for `events` (POLLIN, POLLOUT) or the time is over; tells which.
-pub fn wait(fd: BorrowedFd, events: i16, timeout: Duration) -> io::Result<bool> {
-    let mut poll = libc::pollfd { fd: fd.as_raw_fd(), events, revents: 0 };
+/// Waits until the descriptor is ready for `events` (POLLIN, POLLOUT), `wake` is set, or the time is over; tells whether
+/// the descriptor is ready. Clears `wake`.
+pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&Event>, timeout: Duration) -> io::Result<bool> {
+    let poll = |fd: BorrowedFd, events| libc::pollfd { fd: fd.as_raw_fd(), events, revents: 0 };
+    let mut polls = [poll(fd, events), poll(wake.map_or(fd, Event::fd), libc::POLLIN)];
+    let count = if wake.is_some() { 2 } else { 1 };
     let time = libc::timespec {
         tv_sec: timeout.as_secs().min(i32::MAX as u64) as libc::time_t,
         tv_nsec: timeout.subsec_nanos().into(),
     };
-    // SAFETY: one pollfd and one timespec, both alive during the call; no signal mask.
-    match check(unsafe { libc::ppoll(&mut poll, 1, &time, std::ptr::null()) }) {
-        Ok(ready) => Ok(ready > 0),
+    // SAFETY: `count` of two pollfds and one timespec, all alive during the call; no signal mask.
+    match check(unsafe { libc::ppoll(polls.as_mut_ptr(), count, &time, std::ptr::null()) }) {
+        Ok(_) => {
+            if let Some(wake) = wake.filter(|_| polls[1].revents != 0) {
+                wake.clear();
+            }
+            Ok(polls[0].revents != 0)
+        }
         Err(error) if error.kind() == io::ErrorKind::Interrupted => Ok(false),
         Err(error) => Err(error),
     }
