@@ -38,7 +38,8 @@ pub async fn run(
         () = &mut stop => return Ok(()),
     };
     let domain_id = config.domain_id.get();
-    let domain = Arc::new(Domain::join(domain_id)?);
+    let entity = node.name().to_string();
+    let domain = Arc::new(Domain::join(domain_id, &format!("gdp_proxy_{}", &entity[..8]))?);
     tracing::info!(entity = %node.name(), domain_id, "attached to the switch and in the DDS domain");
 
     let routes: Vec<_> = config

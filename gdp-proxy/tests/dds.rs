@@ -8,7 +8,7 @@ use gdp_proxy::ros2::{Domain, Durability, Qos, RawReader, RawSample, RawWriter, 
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn messages_of_any_type_cross_exactly_in_either_byte_order() {
-    let (here, there) = (Domain::join(domain_id()).unwrap(), Domain::join(domain_id()).unwrap());
+    let (here, there) = (join(), join());
     let (topic, kind) = (topic("exact"), kind());
     let mut writer = here.writer(&topic, &kind, latched()).unwrap();
     let learnt = within("the type is learnt", there.type_of(&topic)).await;
@@ -29,7 +29,7 @@ async fn messages_of_any_type_cross_exactly_in_either_byte_order() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_the_participant_wrote_itself_is_not_read_back() {
-    let (here, there) = (Domain::join(domain_id()).unwrap(), Domain::join(domain_id()).unwrap());
+    let (here, there) = (join(), join());
     let topic = topic("loop");
     let own_reader = here.reader(&topic, &kind(), latched()).unwrap();
     let mut own_writer = here.writer(&topic, &kind(), latched()).unwrap();
@@ -49,7 +49,7 @@ async fn what_the_participant_wrote_itself_is_not_read_back() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_best_effort_reader_is_served_by_a_reliable_writer() {
-    let (here, there) = (Domain::join(domain_id()).unwrap(), Domain::join(domain_id()).unwrap());
+    let (here, there) = (join(), join());
     let topic = topic("best_effort");
     let mut writer = here.writer(&topic, &kind(), Qos::default()).unwrap();
     let best_effort = Qos { reliability: gdp_proxy::ros2::Reliability::BestEffort, ..Qos::default() };
@@ -58,6 +58,32 @@ async fn a_best_effort_reader_is_served_by_a_reliable_writer() {
     assert_eq!(received, sample([0, 1, 0, 0], 64));
     here.leave().await;
     there.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn ros_tools_see_the_proxy_as_a_node() {
+    let context =
+        ros2_client::Context::with_options(ros2_client::ContextOptions::new().domain_id(domain_id())).unwrap();
+    let name = ros2_client::NodeName::new("/", "onlooker").unwrap();
+    let mut onlooker = context.new_node(name, ros2_client::NodeOptions::new().enable_rosout(false)).unwrap();
+    let spinner = tokio::spawn(onlooker.spinner().unwrap().spin());
+    let events = onlooker.status_receiver().unwrap();
+    let proxy = Domain::join(domain_id(), "gdp_proxy_seen").unwrap();
+    within("the node is announced", async {
+        loop {
+            let ros2_client::NodeEvent::ParticipantEntities(info) = events.recv().await.unwrap() else { continue };
+            if info.nodes().iter().any(|node| node.name() == "gdp_proxy_seen") {
+                return;
+            }
+        }
+    })
+    .await;
+    proxy.leave().await;
+    spinner.abort();
+}
+
+fn join() -> Domain {
+    Domain::join(domain_id(), "gdp_proxy_test").unwrap()
 }
 
 /// Volatile: what is written before the two have found each other is lost, so it is written again.
