@@ -3,11 +3,8 @@
 use std::path::PathBuf;
 
 #[derive(Debug, thiserror::Error)]
-#[error("no place for {what}: set {variable}, or name the file in the configuration")]
-pub struct NoFolder {
-    what: &'static str,
-    variable: &'static str,
-}
+#[error("no place for the daemon's key and socket: set HOME or XDG_STATE_HOME, or name the files in a configuration")]
+pub struct NoFolder;
 
 /// Whether this process may do what only root may.
 pub fn is_root() -> bool {
@@ -22,13 +19,19 @@ pub fn state() -> Result<PathBuf, NoFolder> {
     }
     let home = || absolute("HOME").map(|home| home.join(".local/state"));
     let base = absolute("XDG_STATE_HOME").or_else(home);
-    Ok(base.ok_or(NoFolder { what: "the daemon's key", variable: "XDG_STATE_HOME" })?.join("gdp"))
+    Ok(base.ok_or(NoFolder)?.join("gdp"))
 }
 
-/// The admin socket that daemon and commands meet at.
+/// The admin socket that daemon and commands meet at. Beside the keys for a user without a folder for sockets.
 pub fn admin_socket() -> Result<PathBuf, NoFolder> {
-    let base = if is_root() { Some("/run".into()) } else { absolute("XDG_RUNTIME_DIR") };
-    Ok(base.ok_or(NoFolder { what: "the admin socket", variable: "XDG_RUNTIME_DIR" })?.join("gdp/ctl.sock"))
+    if is_root() {
+        return Ok("/run/gdp/ctl.sock".into());
+    }
+    let folder = match absolute("XDG_RUNTIME_DIR") {
+        Some(base) => base.join("gdp"),
+        None => state()?,
+    };
+    Ok(folder.join("ctl.sock"))
 }
 
 /// A relative path in these variables is invalid and to be ignored (XDG base directory specification).

@@ -108,6 +108,24 @@ async fn a_second_subscriber_is_told_who_was_first() {
     assert!(error.to_string().contains(&papers.cloud.name().to_string()), "{error}");
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn uplinks_in_a_loop_lead_nowhere_and_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let chain = Chain::new(folder.path());
+    let mut end = chain.config(1);
+    end.uplink = Some(end.neighbours[0].place.clone());
+    let switches = [start(chain.config(0)).await.unwrap(), start(end).await.unwrap()];
+    for switch in &switches {
+        wait("the link", async || switch.status().await["uplink"]["connected"] == true).await;
+    }
+    let papers = Papers::new();
+    let mut config = NodeConfig::new(papers.robot.clone(), format!("udp://{}", chain.addrs[0]).parse().unwrap());
+    config.connect_timeout = Duration::from_millis(500);
+    let error = Node::connect(config).await.err().unwrap();
+    assert!(error.to_string().contains("no way to the RIB"), "{error}");
+    assert_eq!(switches[0].status().await["uplink"]["ready"], false);
+}
+
 /// A message sent again and again until it arrives: links and routes may just be coming back.
 async fn exchange(publisher: &mut gdp::node::Publisher, subscription: &mut Subscription, what: &str) {
     let deadline = Instant::now() + PATIENCE;

@@ -1,5 +1,6 @@
 //! `gdp-ctl serve`: runs the daemon until it is told to stop.
 
+use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
@@ -30,7 +31,13 @@ pub struct Options {
 
 pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     let level = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt().with_env_filter(level).with_writer(std::io::stderr).with_target(false).init();
+    let colours = std::io::stderr().is_terminal();
+    tracing_subscriber::fmt()
+        .with_env_filter(level)
+        .with_writer(std::io::stderr)
+        .with_target(false)
+        .with_ansi(colours)
+        .init();
     let mut config = match &options.config {
         Some(path) => Config::load(path)?,
         None => Config::embedded()?,

@@ -18,6 +18,9 @@ use crate::config::{Neighbour, Via};
 use crate::plane::{PlaneError, Planes};
 use crate::rib::{Effect, Limits, Now, Rib};
 
+/// Switches that reach the RIB through this one; a RIB takes fewer.
+const MAX_DOWNSTREAM: usize = 256;
+
 /// The daemon's state.
 pub struct Core {
     pub identity: Identity,
@@ -206,6 +209,12 @@ impl Core {
                     return refuse(
                         RefusalCode::Malformed,
                         "this switch's own report came back: the uplinks form a loop",
+                    );
+                }
+                if self.downstream.len() >= MAX_DOWNSTREAM && !self.downstream.contains_key(&reporter) {
+                    return refuse(
+                        RefusalCode::Limit,
+                        format!("{MAX_DOWNSTREAM} switches are behind this one already"),
                     );
                 }
                 self.downstream.insert(reporter, from.local_id());

@@ -95,6 +95,7 @@ async fn ask(handle: &Handle) -> Result<Vec<InterfaceInfo>, rtnetlink::Error> {
             }
         }
         if let (Some(ip), Some(mac)) = (ip, mac)
+            && !ip.is_multicast()
             && told < MAX_STATIONS
         {
             told += 1;

@@ -27,6 +27,10 @@ pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
         }
     };
     if let Some(replaced) = replaced {
+        tracing::warn!(
+            peer = %format_args!("{peer:#}"),
+            "replaced a live link of the same peer; if this goes on, two programs use the same key"
+        );
         replaced.close("replaced by a newer link");
     }
     let role = if switch { "switch" } else { "endpoint" };

@@ -153,11 +153,12 @@ impl Running {
     /// Tells peers, closes everything and takes the XDP programs off.
     pub async fn stop(self) {
         self.daemon.stopping.store(true, Ordering::Relaxed);
+        // First, so that nobody opens again what is closed here.
+        let mut tasks = std::mem::take(&mut *lock(&self.daemon.tasks));
+        tasks.shutdown().await;
         let mut ports: Vec<_> = std::mem::take(&mut *self.daemon.ports()).into_values().collect();
         ports.extend(self.udp);
         futures::future::join_all(ports.iter().map(|port| port.close("shutting down"))).await;
-        let mut tasks = std::mem::take(&mut *lock(&self.daemon.tasks));
-        tasks.shutdown().await;
         for interface in ports.iter().filter_map(|port| port.interface()) {
             self.daemon.core().planes.detach(interface.index);
         }

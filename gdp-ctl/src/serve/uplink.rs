@@ -5,12 +5,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::control::{Request, Response};
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::{Instant, sleep_until, timeout};
 
 use super::Daemon;
 
-/// Between attempts to report.
-const RETRY: Duration = Duration::from_millis(300);
+/// Between attempts to report: doubled from the first to the second.
+const RETRY: (Duration, Duration) = (Duration::from_millis(200), Duration::from_secs(5));
 
 /// The RIB's clock is looked at this often at least.
 const LONGEST_SLEEP: Duration = Duration::from_secs(10);
@@ -22,8 +22,11 @@ const SHORTEST_SLEEP: Duration = Duration::from_millis(10);
 pub async fn report(daemon: Arc<Daemon>) {
     loop {
         daemon.report.notified().await;
+        let mut wait = RETRY.0;
         while !report_once(&daemon).await {
-            sleep(RETRY).await;
+            // News, such as a new uplink, is worth another attempt at once.
+            let _ = timeout(wait, daemon.report.notified()).await;
+            wait = (wait * 2).min(RETRY.1);
         }
     }
 }
