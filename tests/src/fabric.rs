@@ -141,6 +141,13 @@ impl Fabric {
         Ok(self.status(i)?["counters"][counter].as_u64().unwrap_or(0))
     }
 
+    /// Data frames that switch `i` sent on without its daemon.
+    pub fn forwarded_in_kernel(&self, i: usize) -> Result<u64> {
+        let status = self.status(i)?;
+        let kernel = |counter| status["counters_by_plane"][counter]["kernel"].as_u64().unwrap_or(0);
+        Ok(kernel("forwarded") + kernel("delivered"))
+    }
+
     /// A `gdp-ctl` command against the daemon of switch `i`, as JSON.
     pub fn ctl(&self, i: usize, arguments: &[&str]) -> Result<Value> {
         let mut command = Command::new(self.tools.gdp_ctl()?);

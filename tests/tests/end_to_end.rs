@@ -58,17 +58,18 @@ fn a_megabyte_crosses_whole() -> Result<()> {
 fn a_killed_publisher_is_forgotten_everywhere_and_welcome_again() -> Result<()> {
     let mut fabric = started(FabricOptions::default())?;
     let last = fabric.switches.len() - 1;
-    let mut robot = fabric.robot.take().expect("started");
-    robot.kill()?;
-    for i in [0, last] {
-        fabric.wait_for_fib(i, false)?;
-    }
     let name = fabric.name.clone();
     let writers = |fabric: &Fabric| -> Result<usize> {
         let answer = fabric.ctl(last, &["query", &name])?;
         let records = answer["records"].as_array().into_iter().flatten();
         Ok(records.filter(|record| record["role"] == "writer").count())
     };
+    ensure!(writers(&fabric)? == 1);
+    let mut robot = fabric.robot.take().expect("started");
+    robot.kill()?;
+    for i in [0, last] {
+        fabric.wait_for_fib(i, false)?;
+    }
     wait_for("the RIB to forget the writer", PATIENCE, || Ok((writers(&fabric)? == 0).then_some(())))?;
 
     fabric.start_robot()?;
@@ -137,9 +138,10 @@ fn complete_and_intact(messages: &[Received], traffic: &Traffic) -> Result<()> {
 }
 
 fn kernel_forwards(fabric: &Fabric) -> Result<Vec<u64>> {
-    (0..fabric.switches.len()).map(|i| forwards(fabric, i)).collect()
+    (0..fabric.switches.len()).map(|i| fabric.forwarded_in_kernel(i)).collect()
 }
 
+/// Data frames that any plane of switch `i` sent on.
 fn forwards(fabric: &Fabric, i: usize) -> Result<u64> {
     Ok(fabric.counter(i, "forwarded")? + fabric.counter(i, "delivered")?)
 }

@@ -103,10 +103,16 @@ fn flipped_header_bits_are_refused_by_the_next_switch() -> Result<()> {
     let flips = |bytes: std::ops::Range<usize>| {
         (bytes.start * 8..bytes.end * 8).map(|bit| scene.flipped(bit)).collect::<Vec<_>>()
     };
-    // Flags, hop limit, egress set; counter; tag, egress bits and names.
+    // Flags, hop limit, egress set; reserved; counter, tag, egress bits and names.
     scene.refused_by_s2("drop_bad_tag", &flips(1..4))?;
+    scene.refused_by_s2("drop_bad_tag", &flips(7..8))?;
     scene.refused_by_s2("drop_bad_tag", &flips(12..HEADER))?;
     scene.refused_by_s2("drop_no_link", &flips(8..12))?;
+    // The payload's length: more than there is, or less than was tagged.
+    let (longer, shorter) =
+        flips(4..6).into_iter().partition::<Vec<_>, _>(|frame| payload_length(frame) > payload_length(&scene.frame));
+    scene.refused_by_s2("drop_truncated", &longer)?;
+    scene.refused_by_s2("drop_bad_tag", &shorter)?;
     // Header length; version and type, but for the lowest bit, which makes a control frame.
     scene.refused_by_s2("drop_unknown", &flips(6..7))?;
     scene.refused_by_s2("drop_unknown", &(1..8).map(|bit| scene.flipped(bit)).collect::<Vec<_>>())?;
@@ -148,6 +154,10 @@ fn forged_frames_are_refused_by_the_next_switch() -> Result<()> {
         .collect();
     scene.refused_by_s2("drop_bad_tag", &forged)?;
     scene.only_honest_messages_arrived()
+}
+
+fn payload_length(frame: &[u8]) -> u16 {
+    u16::from_be_bytes([frame[ETHERNET + 4], frame[ETHERNET + 5]])
 }
 
 /// The number under `key`, wherever it is.

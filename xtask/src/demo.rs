@@ -2,7 +2,9 @@
 //!
 //! Everything runs in network namespaces of its own, with real programs; nothing stays behind, Ctrl-C included.
 
-use std::collections::BTreeMap;
+mod route;
+
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -14,6 +16,7 @@ use gdp_tests::{netns, wait};
 use serde::Serialize;
 use serde_json::Value;
 
+use self::route::Hop;
 use crate::setup::{self, Part};
 use crate::workspace::{self, Profile};
 use crate::{build, peers as peer_programs};
@@ -47,8 +50,8 @@ struct Outcome {
     path: Vec<String>,
     /// Data frames that never left the kernel, per switch.
     forwarded_in_kernel: BTreeMap<String, u64>,
-    /// Per switch, as the daemon says it.
-    data_plane: BTreeMap<String, String>,
+    /// Of all switches, as the daemons say it; `mixed` if they differ.
+    data_plane: String,
     /// Words looked for in a captured frame, and those that were there (none).
     looked_for: Vec<String>,
     found: Vec<String>,
@@ -103,16 +106,19 @@ fn play(options: &Options, story: &Story) -> Result<Outcome> {
     let talks = Side { at: fabric.chain.robot(), vendor: Vendor::Cyclone, traffic: &traffic };
     let hears = Side { at: fabric.chain.cloud(), vendor: Vendor::FastDds, traffic: &traffic };
     let mut conversation = Conversation::start(&fabric.tools, talks, hears, fabric.folder())?;
-    let before = statuses(&fabric)?;
+    let before = in_kernel(&fabric)?;
     let eavesdropper = fabric.chain.wire_from_robot()?;
     conversation.open()?;
     let frame = eavesdropper.receive(Duration::from_secs(10), is_gdp_data).context("on the wire between s1 and s2")?;
     let received = watch(&mut conversation, Duration::from_secs(options.seconds), story)?;
-    let after = statuses(&fabric)?;
+    let after = in_kernel(&fabric)?;
+    let statuses = (0..fabric.switches.len()).map(|i| fabric.status(i)).collect::<Result<Vec<_>>>()?;
 
-    let outcome = outcome(&fabric, &traffic, &received, &frame, &before, &after)?;
-    story.route(&outcome);
-    story.counters(&outcome, &after);
+    let route = route::follow(&fabric)?;
+    let forwarded = before.iter().zip(&after).map(|(before, after)| after - before).collect::<Vec<_>>();
+    let outcome = outcome(&fabric, &traffic, &received, &frame, &route, &forwarded, &statuses);
+    story.route(&route);
+    story.counters(&outcome, &statuses);
     story.latency(&outcome);
     story.capture(&outcome, &frame);
     Ok(outcome)
@@ -137,8 +143,9 @@ fn watch(conversation: &mut Conversation, sending: Duration, story: &Story) -> R
     conversation.finish(Duration::from_secs(5), Duration::from_secs(5))
 }
 
-fn statuses(fabric: &Fabric) -> Result<Vec<Value>> {
-    (0..fabric.switches.len()).map(|i| fabric.status(i)).collect()
+/// Per switch, data frames forwarded without the daemon.
+fn in_kernel(fabric: &Fabric) -> Result<Vec<u64>> {
+    (0..fabric.switches.len()).map(|i| fabric.forwarded_in_kernel(i)).collect()
 }
 
 fn outcome(
@@ -146,46 +153,32 @@ fn outcome(
     traffic: &Traffic,
     received: &[Received],
     frame: &[u8],
-    before: &[Value],
-    after: &[Value],
-) -> Result<Outcome> {
+    route: &[Hop],
+    forwarded: &[u64],
+    statuses: &[Value],
+) -> Outcome {
     let mut sorted: Vec<Duration> = received.iter().map(|message| message.latency).collect();
     sorted.sort();
     let at = |percent| peers::percentile(&sorted, percent).as_nanos() as f64 / 1000.0;
-    let mut sequences: Vec<i64> = received.iter().filter(|m| m.intact).map(|m| m.sequence).collect();
-    sequences.sort();
-    sequences.dedup();
-    let arrived = sequences.len() as u64;
+    let arrived = received.iter().filter(|m| m.intact).map(|m| m.sequence).collect::<BTreeSet<_>>().len() as u64;
     let label = |i: usize| format!("s{}", i + 1);
-    let forwarded: BTreeMap<String, u64> =
-        (0..after.len()).map(|i| (label(i), in_kernel(&after[i]).saturating_sub(in_kernel(&before[i])))).collect();
-    let looked_for: Vec<String> =
-        [TOPIC, TYPE, TEXT, "chatter", "std_msgs", "String", "hello"].map(String::from).into();
-    let found = looked_for.iter().filter(|word| contains(frame, word.as_bytes())).cloned().collect();
-    Ok(Outcome {
+    let planes: Vec<String> = statuses.iter().map(|status| text(&status["data_plane"])).collect();
+    let words = [TOPIC, TYPE, TEXT, "chatter", "std_msgs", "String", "hello"];
+    Outcome {
         sent: traffic.count,
         received: arrived,
         lost: traffic.count - arrived,
         latency_us: Latency { p50: at(50.0), p90: at(90.0), p99: at(99.0), max: at(100.0) },
         name: fabric.name.clone(),
-        path: path(fabric)?,
-        forwarded_in_kernel: forwarded,
-        data_plane: (0..after.len()).map(|i| (label(i), text(&after[i]["data_plane"]))).collect(),
-        looked_for,
-        found,
-    })
-}
-
-/// Data frames that a switch sent on without its daemon.
-fn in_kernel(status: &Value) -> u64 {
-    let counters = &status["counters"];
-    ["forwarded", "delivered"].iter().filter_map(|name| counters[name].as_u64()).sum()
-}
-
-/// Follows the name from switch to switch, as their tables say.
-fn path(fabric: &Fabric) -> Result<Vec<String>> {
-    let switches = (1..=fabric.switches.len()).map(|i| format!("s{i}"));
-    Ok(["robot".to_owned()].into_iter().chain(switches).chain(["cloud".to_owned()]).collect())
+        path: route.iter().map(|hop| hop.node.clone()).collect(),
+        forwarded_in_kernel: forwarded.iter().enumerate().map(|(i, frames)| (label(i), *frames)).collect(),
+        data_plane: match planes.as_slice() {
+            [first, rest @ ..] if rest.iter().all(|plane| plane == first) => first.clone(),
+            _ => "mixed".into(),
+        },
+        looked_for: words.map(String::from).into(),
+        found: words.iter().filter(|word| contains(frame, word.as_bytes())).map(|word| word.to_string()).collect(),
+    }
 }
 
 fn contains(haystack: &[u8], needle: &[u8]) -> bool {
@@ -224,19 +217,22 @@ impl Story {
         ));
     }
 
-    fn route(&self, outcome: &Outcome) {
-        self.say(&format!("\nRoute: {}", outcome.path.join(" → ")));
+    fn route(&self, route: &[Hop]) {
+        self.say("\nRoute, as the switches' tables have it:");
+        for hop in route {
+            self.say(&format!("  {:<6} {}", hop.node, hop.what));
+        }
     }
 
     fn counters(&self, outcome: &Outcome, after: &[Value]) {
-        self.say("\nData frames forwarded, and what the kernel counted in all:");
+        self.say("\nData frames forwarded in the kernel, and all that each switch counted since it started:");
         for ((label, frames), status) in outcome.forwarded_in_kernel.iter().zip(after) {
             let counters = status["counters"].as_object().into_iter().flatten();
             let nonzero = counters.filter(|(_, value)| value.as_u64().is_some_and(|n| n > 0));
             let all: Vec<String> = nonzero.map(|(name, value)| format!("{name} {value}")).collect();
             self.say(&format!(
                 "  {label}  {:<10} {frames:>8} frames   ({})",
-                outcome.data_plane[label],
+                text(&status["data_plane"]),
                 all.join(", ")
             ));
         }
