@@ -59,8 +59,8 @@ async fn a_name_crosses_three_switches_and_outlives_the_loss_of_any_of_them() {
     let writer = papers.writer(chain.addrs[0]).await;
     let mut publisher = papers.publish(&writer).await;
     exchange(&mut publisher, &mut subscription, "at first").await;
-    let status = running[1].as_ref().unwrap().status().await;
-    assert!(status["counters"]["forwarded"].as_u64().unwrap() > 0, "{status}");
+    let middle = running[1].as_ref().unwrap();
+    wait("the frame to be counted", async || middle.status().await["counters"]["forwarded"].as_u64() > Some(0)).await;
     assert_eq!(fib_names(running[1].as_ref().unwrap()).await, 0, "a switch in transit holds no names");
 
     for (i, which) in ["the writer's switch", "the switch in the middle", "the RIB"].into_iter().enumerate() {
