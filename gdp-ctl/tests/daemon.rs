@@ -5,8 +5,11 @@ use std::net::{SocketAddr, UdpSocket};
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime};
 
-use gdp::cert::{AdCert, Mode, ReadGrant, issue};
-use gdp::node::{SubscribeOptions, Subscription};
+use gdp::cert::{AdCert, Advert, AdvertOp, Mode, ReadGrant, RtCert, Signed, issue};
+use gdp::control::{EntityRequest, Request, Response};
+use gdp::link::{Link, LinkIds};
+use gdp::node::{NodeError, Publisher, SubscribeOptions, Subscription};
+use gdp::port::{LinkAddr, Port, PortConfig};
 use gdp::seal::{Encoding, EpochKey};
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
 use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
@@ -77,20 +80,94 @@ async fn a_name_crosses_three_switches_and_outlives_the_loss_of_any_of_them() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_switch_that_is_not_listed_gets_no_link() {
+async fn a_writer_that_was_told_done_loses_nothing_on_switches_further_on() {
     let folder = tempfile::tempdir().unwrap();
     let chain = Chain::new(folder.path());
-    let mut unlisting = chain.config(2);
-    unlisting.neighbours.clear();
-    let (rib, other) = (start(unlisting).await.unwrap(), start(chain.config(1)).await.unwrap());
-    // One of the two may dial; whichever it is, the link does not stay. An endpoint afterwards is served as ever.
+    let mut running = Vec::new();
+    for i in 0..3 {
+        running.push(start(chain.config(i)).await.unwrap());
+    }
     let papers = Papers::new();
-    let node = papers.reader(chain.addrs[2]).await;
-    papers.subscribe(&node).await;
-    let status = rib.status().await;
-    let links = status["links"].as_array().unwrap();
-    assert!(links.iter().all(|link| link["role"] == "endpoint"), "{status}");
-    assert_eq!(other.status().await["uplink"]["ready"], false);
+    let reader = papers.reader(chain.addrs[2]).await;
+    let writer = papers.writer(chain.addrs[0]).await;
+    for i in 0..20u32 {
+        let papers = papers.with_another_name();
+        let mut subscription = papers.subscribe(&reader).await;
+        let mut publisher = papers.publish(&writer).await;
+        publisher.send(Encoding::Bytes, &i.to_be_bytes()).await.unwrap();
+        assert_eq!(next(&mut subscription).await.body[..], i.to_be_bytes());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_name_for_which_the_fib_has_no_room_is_refused_until_there_is_some() {
+    let folder = tempfile::tempdir().unwrap();
+    let chain = Chain::new(folder.path());
+    let switches = [
+        start(chain.config(0)).await.unwrap(),
+        start(Config { fib_capacity: 1, ..chain.config(1) }).await.unwrap(),
+        start(chain.config(2)).await.unwrap(),
+    ];
+    let (first, second) = (Papers::new(), Papers::new());
+    let mut nodes = Vec::new();
+    for papers in [&first, &second] {
+        nodes.push((papers.reader(chain.addrs[2]).await, papers.writer(chain.addrs[1]).await));
+    }
+    let _first = first.subscribe(&nodes[0].0).await;
+    let mut subscription = second.subscribe(&nodes[1].0).await;
+    let publisher = first.publish(&nodes[0].1).await;
+    let error = second.try_publish(&nodes[1].1).await.err().expect("a refusal").to_string();
+    assert!(error.contains("the FIB is full (1 names)") && error.contains("fib_capacity"), "{error}");
+    assert!(error.contains(&chain.names[1].to_string()), "says where: {error}");
+    wait("the refused name to be gone", async || switches[2].status().await["rib"]["names"] == 2).await;
+    assert_eq!(switches[1].status().await["errors"], serde_json::json!([]));
+
+    drop(publisher);
+    nodes[0].1.close().await;
+    wait("room", async || fib_names(&switches[1]).await == 0).await;
+    let mut publisher = second.publish(&nodes[1].1).await;
+    publisher.send(Encoding::Bytes, b"there is room").await.unwrap();
+    assert_eq!(next(&mut subscription).await.body[..], b"there is room"[..]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_certificate_until_the_end_of_time_does_not_stop_the_clock() {
+    let folder = tempfile::tempdir().unwrap();
+    let switch = start(config(folder.path(), "s1")).await.unwrap();
+    let papers = Papers::new();
+    let (_port, link) = papers.bare_link(&switch).await;
+    let claims = RtCert { entity: papers.robot.name(), switch: switch.name(), not_after: u64::MAX };
+    let rt_cert = issue(papers.robot.key(), &claims).unwrap();
+    let attached = link.request(&Request::Entity(EntityRequest::Attach { rt_cert })).await.unwrap();
+    assert!(matches!(attached, Response::Attached { .. }), "{attached:?}");
+    // The RIB's clock now sleeps for ever, or until there is something nearer.
+    let card = &papers.card;
+    let says = Advert {
+        op: AdvertOp::Publish,
+        name: card.name(),
+        entity: papers.robot.name(),
+        switch: switch.name(),
+        serial: 1,
+        lifetime: 1,
+    };
+    let advert = issue(papers.robot.key(), &says).unwrap();
+    let request = EntityRequest::Advertise { proof: card.proof(), ad_cert: papers.ad_cert(), advert };
+    let done = link.request(&Request::Entity(request)).await.unwrap();
+    assert!(matches!(done, Response::Done), "{done:?}");
+    assert_eq!(switch.status().await["rib"]["names"], 1);
+    wait("the name to end by itself", async || switch.status().await["rib"]["names"] == 0).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_switch_that_is_not_listed_gets_no_link() {
+    let folder = tempfile::tempdir().unwrap();
+    let switch = start(config(folder.path(), "s1")).await.unwrap();
+    let stranger = Identity::generate("switch").unwrap();
+    let port = Port::udp("127.0.0.1:0".parse().unwrap(), &PortConfig::switch(stranger, LinkIds::new())).unwrap();
+    let link = port.dial(LinkAddr::udp(switch.udp_addr().unwrap()), Some(switch.name())).await.unwrap();
+    let reason = link.closed().await;
+    assert!(reason.contains("is not listed in the neighbours"), "{reason}");
+    assert_eq!(switch.status().await["links"], serde_json::json!([]));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -127,7 +204,7 @@ async fn uplinks_in_a_loop_lead_nowhere_and_say_so() {
 }
 
 /// A message sent again and again until it arrives: links and routes may just be coming back.
-async fn exchange(publisher: &mut gdp::node::Publisher, subscription: &mut Subscription, what: &str) {
+async fn exchange(publisher: &mut Publisher, subscription: &mut Subscription, what: &str) {
     let deadline = Instant::now() + PATIENCE;
     loop {
         assert!(Instant::now() < deadline, "no message {what}");
@@ -235,7 +312,28 @@ impl Papers {
         connect(&self.cloud, at).await
     }
 
-    async fn publish(&self, node: &Node) -> gdp::node::Publisher {
+    /// The same two entities, with another name.
+    fn with_another_name(&self) -> Self {
+        let card = NameCard::create(self.owner.verify_key(), "topic", "/chatter", "T", None).unwrap();
+        Self { card, ..self.clone() }
+    }
+
+    /// The robot's link, not attached; and its port, which closes it when dropped.
+    async fn bare_link(&self, switch: &Running) -> (Port, Link) {
+        let port = Port::udp("127.0.0.1:0".parse().unwrap(), &PortConfig::endpoint(self.robot.clone())).unwrap();
+        let link = port.dial(LinkAddr::udp(switch.udp_addr().unwrap()), Some(switch.name())).await.unwrap();
+        (port, link)
+    }
+
+    async fn publish(&self, node: &Node) -> Publisher {
+        self.try_publish(node).await.unwrap()
+    }
+
+    async fn try_publish(&self, node: &Node) -> Result<Publisher, NodeError> {
+        node.publish(self.card.proof(), self.ad_cert(), &self.key).await
+    }
+
+    fn ad_cert(&self) -> Signed<AdCert> {
         let cert = AdCert {
             name: self.card.name(),
             entity: self.robot.name(),
@@ -244,15 +342,14 @@ impl Papers {
             not_before: 0,
             not_after: unix_now() + 3600,
         };
-        let cert = issue(&self.owner, &cert).unwrap();
-        node.publish(self.card.proof(), cert, &self.key).await.unwrap()
+        issue(&self.owner, &cert).unwrap()
     }
 
     async fn subscribe(&self, node: &Node) -> Subscription {
         node.subscribe(self.card.proof(), self.grant(), &self.key, SubscribeOptions::default()).await.unwrap()
     }
 
-    fn grant(&self) -> gdp::cert::Signed<ReadGrant> {
+    fn grant(&self) -> Signed<ReadGrant> {
         let grant = ReadGrant {
             name: self.card.name(),
             entity: self.cloud.name(),

@@ -167,6 +167,20 @@ impl Planes {
         }
     }
 
+    /// Lets go of everything.
+    pub fn detach_all(&mut self) {
+        self.stop_threads();
+        for ifindex in self.ports.keys().copied().collect::<Vec<_>>() {
+            self.detach(ifindex);
+        }
+        self.udp = None;
+    }
+
+    /// So that the threads end side by side.
+    fn stop_threads(&self) {
+        self.ports.values().map(|port| &port.forwarder).chain(&self.udp).for_each(Forwarder::stop);
+    }
+
     /// Takes over what arrives over UDP; always in userspace.
     pub fn attach_udp(&mut self, socket: Arc<DataSocket>) -> Result<(), PlaneError> {
         self.udp = None;
@@ -208,8 +222,12 @@ impl Planes {
         Ok(())
     }
 
-    /// Adds or replaces where a name leads. If the kernel's FIB is full, nothing is changed.
+    /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold the same number.
     pub fn set_route(&mut self, name: Name, entry: FibEntry) -> Result<(), PlaneError> {
+        let capacity = self.config.fib_capacity;
+        if !self.tables().has_room_for(&name, capacity as usize) {
+            return Err(UpdateError::FibFull { capacity }.into());
+        }
         let before = self.tables().set_route(name, entry);
         let Ok(kernel) = &mut self.kernel else { return Ok(()) };
         if let Err(error) = kernel.set_route(&name, entry) {
@@ -344,8 +362,7 @@ impl Planes {
 
 impl Drop for Planes {
     fn drop(&mut self) {
-        // So that the threads end side by side.
-        self.ports.values().map(|port| &port.forwarder).chain(&self.udp).for_each(Forwarder::stop);
+        self.stop_threads();
     }
 }
 

@@ -84,6 +84,11 @@ impl UserTables {
         self.links.iter().flatten()
     }
 
+    /// Whether a route can be set without there being more than `capacity`.
+    pub fn has_room_for(&self, name: &Name, capacity: usize) -> bool {
+        self.routes.len() < capacity || self.routes.contains_key(name)
+    }
+
     /// Returns the route the name had.
     pub fn set_route(&mut self, name: Name, entry: FibEntry) -> Option<FibEntry> {
         self.routes.insert(name, entry)

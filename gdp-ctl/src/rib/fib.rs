@@ -22,8 +22,26 @@ pub struct Fib {
     masks_dirty: bool,
     generation: u64,
     phase: Phase,
-    /// Generation of the push that has not been answered.
-    in_flight: Option<u64>,
+    /// The push that has not been answered.
+    in_flight: Option<InFlight>,
+    /// Why the data plane of the switch holds only part of what was pushed.
+    lacking: Option<String>,
+}
+
+#[derive(Debug)]
+struct InFlight {
+    generation: u64,
+    names: BTreeSet<[u8; 32]>,
+}
+
+/// What became of a push.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Pushed {
+    Done,
+    /// The switch follows, but its data plane has no room for all of it: why.
+    Partly(String),
+    /// Not carried out, or nobody knows.
+    Failed,
 }
 
 #[derive(Debug, PartialEq, Eq)]
@@ -45,6 +63,7 @@ impl Default for Fib {
             generation: 0,
             phase: Phase::Full { part: 0, after: None },
             in_flight: None,
+            lacking: None,
         }
     }
 }
@@ -111,19 +130,37 @@ impl Fib {
         };
         self.masks_dirty = false;
         self.generation += 1;
-        self.in_flight = Some(self.generation);
+        let names = set.iter().map(|route| &route.name).chain(&remove).map(|name| name.to_bytes()).collect();
+        self.in_flight = Some(InFlight { generation: self.generation, names });
         Some(FibPush { switch, generation: self.generation, extent, own_bit, reach, set, remove })
     }
 
-    /// The push of this generation was carried out, or was not: then the whole is sent, a little later.
-    pub fn answered(&mut self, now: Duration, generation: u64, done: bool) {
-        if self.in_flight != Some(generation) {
+    /// What became of the push of this generation. If it failed, the whole is sent, a little later.
+    pub fn answered(&mut self, now: Duration, generation: u64, outcome: Pushed) {
+        if self.in_flight.as_ref().is_none_or(|push| push.generation != generation) {
             return;
         }
         self.in_flight = None;
-        if !done {
-            self.phase = Phase::Failed { retry: now + RETRY };
+        match outcome {
+            Pushed::Done => self.lacking = None,
+            Pushed::Partly(reason) => self.lacking = Some(reason),
+            Pushed::Failed => self.phase = Phase::Failed { retry: now + RETRY },
         }
+    }
+
+    /// Whether the switch has answered what there is to say of this name; or has failed to, so that waiting is of no use.
+    pub fn is_settled(&self, name: &[u8; 32]) -> bool {
+        let sent = match &self.phase {
+            Phase::Failed { .. } => return true,
+            Phase::Following => true,
+            Phase::Full { after, .. } => after.is_some_and(|after| *name <= after),
+        };
+        sent && !self.dirty.contains(name) && self.in_flight.as_ref().is_none_or(|push| !push.names.contains(name))
+    }
+
+    /// Why the data plane of the switch has no room for more, as it last said.
+    pub fn lacking(&self) -> Option<&str> {
+        self.lacking.as_deref()
     }
 
     /// When to ask for the next push again, if nothing else happens.
@@ -178,13 +215,34 @@ mod tests {
         let push = fib.next(NOW, name(9), 0, vec![]).unwrap();
         fib.set(&name(2), Some(route(2, 1)));
         assert_eq!(fib.next(NOW, name(9), 0, vec![]), None);
-        fib.answered(NOW, push.generation + 1, true);
+        fib.answered(NOW, push.generation + 1, Pushed::Done);
         assert_eq!(fib.next(NOW, name(9), 0, vec![]), None, "an answer to something else");
-        fib.answered(NOW, push.generation, false);
+        fib.answered(NOW, push.generation, Pushed::Failed);
         assert_eq!(fib.next(NOW, name(9), 0, vec![]), None, "not at once");
         let retry = fib.retry_at().unwrap();
         let push = fib.next(retry, name(9), 0, vec![]).unwrap();
         assert_eq!((push.extent, push.set.len()), (Extent::Full { part: 0, last: true }, 2));
+    }
+
+    #[test]
+    fn a_name_is_settled_once_the_push_that_says_it_is_answered() {
+        let mut fib = Fib::default();
+        let key = |i| name(i).to_bytes();
+        (1..=NAMES_PER_PUSH as u64 + 1).for_each(|i| fib.set(&name(i), Some(route(i, 1))));
+        assert!(!fib.is_settled(&key(1)));
+        let push = fib.next(NOW, name(9), 0, vec![]).unwrap();
+        assert!(!fib.is_settled(&key(1)), "sent and not answered");
+        fib.answered(NOW, push.generation, Pushed::Done);
+        assert!(fib.is_settled(&key(1)) && !fib.is_settled(&key(NAMES_PER_PUSH as u64 + 1)), "of the first part only");
+        let push = fib.next(NOW, name(9), 0, vec![]).unwrap();
+        fib.set(&name(1), None);
+        fib.answered(NOW, push.generation, Pushed::Partly("full".into()));
+        assert_eq!(fib.lacking(), Some("full"));
+        assert!(fib.is_settled(&key(2)) && !fib.is_settled(&key(1)), "it changed again");
+        let push = fib.next(NOW, name(9), 0, vec![]).unwrap();
+        assert_eq!(push.extent, Extent::Delta, "a switch without room is not sent the whole again");
+        fib.answered(NOW, push.generation, Pushed::Done);
+        assert!(fib.is_settled(&key(1)) && fib.lacking().is_none());
     }
 
     #[test]
@@ -249,7 +307,7 @@ mod tests {
                 let swept = std::mem::take(&mut self.marked);
                 self.routes.retain(|name, _| !swept.contains(name));
             }
-            fib.answered(NOW, push.generation, true);
+            fib.answered(NOW, push.generation, Pushed::Done);
             true
         }
 

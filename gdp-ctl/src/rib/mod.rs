@@ -21,7 +21,7 @@ use gdp::name::NameProof;
 use gdp_wire::Name;
 
 use entities::{Attachment, Entities};
-use fib::Fib;
+use fib::{Fib, Pushed};
 use names::{Key, Names, Registration};
 use paths::Topology;
 
@@ -62,13 +62,11 @@ impl Default for Limits {
 pub enum Effect {
     /// To be answered with [`Rib::pushed`].
     Fib(FibPush),
+    /// To be answered with [`Rib::told`].
     Writers(WritersPush),
     /// The RIB holds no attachment of `entity` at `switch`: it must attach again. If the entity is the switch itself,
     /// the RIB does not know the switch: it must report in full.
-    Detach {
-        switch: Name,
-        entity: Name,
-    },
+    Detach { switch: Name, entity: Name },
 }
 
 /// The routing information base of one domain.
@@ -83,6 +81,8 @@ pub struct Rib {
     timers: Timers,
     /// Names with a reader whose writers changed.
     writers_changed: BTreeSet<Key>,
+    /// Names whose reader is being told; one message at a time, so that an older one never arrives last.
+    telling: BTreeSet<Key>,
     detached: BTreeSet<(Name, Name)>,
 }
 
@@ -116,6 +116,7 @@ impl Rib {
             names: Names::default(),
             timers: Timers::new(),
             writers_changed: BTreeSet::new(),
+            telling: BTreeSet::new(),
             detached: BTreeSet::new(),
         }
     }
@@ -185,27 +186,54 @@ impl Rib {
         retries.chain(self.timers.first().map(|(at, _)| *at)).min()
     }
 
-    /// Takes out what is to be sent now. Of each switch one FIB push is out at a time.
+    /// Takes out what is to be sent now. Of each switch one FIB push is out at a time, of each name one of its writers.
     pub fn effects(&mut self, now: Now) -> Vec<Effect> {
         let mut effects: Vec<_> = std::mem::take(&mut self.detached)
             .into_iter()
+            // It may have attached there in the meantime.
+            .filter(|(switch, entity)| self.entities.attachment(entity).is_none_or(|a| a.switch != *switch))
             .map(|(switch, entity)| Effect::Detach { switch, entity })
             .collect();
         for (name, switch) in &mut self.switches {
             let Some(bit) = self.topology.bit(name) else { continue };
             effects.extend(switch.fib.next(now.clock, *name, bit, self.topology.reach(name)).map(Effect::Fib));
         }
-        for key in std::mem::take(&mut self.writers_changed) {
-            effects.extend(self.names.writers_push(now.clock, &key).map(Effect::Writers));
+        let changed: Vec<Key> = self.writers_changed.difference(&self.telling).copied().collect();
+        for key in changed {
+            self.writers_changed.remove(&key);
+            if let Some(push) = self.names.writers_push(now.clock, &key) {
+                self.telling.insert(key);
+                effects.push(Effect::Writers(push));
+            }
         }
         effects
     }
 
-    /// The switch carried the FIB push of this generation out, or did not.
-    pub fn pushed(&mut self, now: Now, switch: &Name, generation: u64, done: bool) {
+    /// What became of the FIB push of this generation to the switch.
+    pub fn pushed(&mut self, now: Now, switch: &Name, generation: u64, outcome: Pushed) {
         if let Some(switch) = self.switches.get_mut(switch) {
-            switch.fib.answered(now.clock, generation, done);
+            switch.fib.answered(now.clock, generation, outcome);
         }
+    }
+
+    /// The reader of a name was told of its writers, or could not be: then it asks when it hears one it does not know.
+    pub fn told(&mut self, name: &Name) {
+        self.telling.remove(name.as_bytes());
+    }
+
+    /// Whether all switches that need a route for the name have answered that they hold it (or have failed to answer).
+    pub fn is_settled(&self, name: &Name) -> bool {
+        let settled = |switch| self.switches.get(switch).is_none_or(|s| s.fib.is_settled(name.as_bytes()));
+        self.names.routed(name.as_bytes()).all(settled)
+    }
+
+    /// To be asked once a statement is settled: takes it back if a switch has no room for the route it needs.
+    pub fn check_room(&mut self, name: &Name, entity: &Name, reads: bool) -> Result<(), Refusal> {
+        let lacking = |switch| self.switches.get(switch)?.fib.lacking();
+        let Some(reason) = self.names.routed(name.as_bytes()).find_map(lacking) else { return Ok(()) };
+        let refusal = Refusal::new(RefusalCode::Limit, reason);
+        self.unregister(name.to_bytes(), *entity, reads);
+        Err(refusal)
     }
 
     fn entity_request(
@@ -252,7 +280,7 @@ impl Rib {
                 let credential = Credential::Writer(ad_cert.clone());
                 let advert = advert.clone();
                 let registration =
-                    Registration { entity: *proof, switch: origin, credential, advert, ends, bound: here };
+                    Registration { entity: *proof, switch: origin, credential, advert, ends, bound: !by_tool };
                 self.register(statement.name, *name, speaker.entity, registration)?;
                 Ok(Response::Done)
             }
@@ -263,7 +291,7 @@ impl Rib {
                 let credential = Credential::Reader(grant.clone());
                 let advert = advert.clone();
                 let registration =
-                    Registration { entity: *proof, switch: origin, credential, advert, ends, bound: here };
+                    Registration { entity: *proof, switch: origin, credential, advert, ends, bound: !by_tool };
                 self.register(statement.name, *name, speaker.entity, registration)?;
                 Ok(self.names.writers(now.clock, &statement.name.to_bytes()))
             }
@@ -290,19 +318,25 @@ impl Rib {
         Ok(Speaker { entity, entity_key, switch, floor: self.entities.floor(&entity), now: now.unix })
     }
 
-    /// Attaching again at the same switch only renews: a lost link is told of by a detach.
+    /// Attaching again at the same switch only renews: a lost link is told of by a detach. Attaching elsewhere ends what
+    /// was; the old switch is told, in case its link is still up: the entity must not believe that it is attached there.
     fn attach(&mut self, speaker: &Speaker, ends: Duration) -> Result<(), Refusal> {
+        let limit = self.limits.attached_per_switch;
+        let full = |s: &Switch| s.attached.len() >= limit && !s.attached.contains(&speaker.entity);
+        if self.switches.get(&speaker.switch).is_some_and(full) {
+            return Err(limit_reached(format!("switch {} has {limit} attached entities", speaker.switch)));
+        }
         match self.entities.attachment(&speaker.entity) {
             Some(old) if old.switch == speaker.switch => {
                 self.timers.remove(&(old.ends, Timer::Attachment { entity: speaker.entity }));
             }
-            _ => self.end_attachment(&speaker.entity),
+            Some(old) => {
+                self.end_attachment(&speaker.entity);
+                self.detached.insert((old.switch, speaker.entity));
+            }
+            None => {}
         }
-        let limit = self.limits.attached_per_switch;
         let Some(switch) = self.switches.get_mut(&speaker.switch) else { return Ok(()) };
-        if switch.attached.len() >= limit && !switch.attached.contains(&speaker.entity) {
-            return Err(limit_reached(format!("switch {} has {limit} attached entities", speaker.switch)));
-        }
         let entity = self.entities.get_or_insert(speaker.entity, self.limits.entities, &mut self.timers)?;
         entity.attachment = Some(Attachment { switch: speaker.switch, ends });
         switch.attached.insert(speaker.entity);
@@ -327,7 +361,7 @@ impl Rib {
         let entity = self.entities.get_or_insert(speaker.entity, self.limits.entities, &mut self.timers)?;
         entity.floor = serial;
         // Once the certificate has ended the statement is refused for that, and the floor need not be known.
-        let end = now.clock.saturating_add(Duration::from_secs(not_after.saturating_sub(now.unix) + 1));
+        let end = now.clock.saturating_add(Duration::from_secs(not_after.saturating_sub(now.unix).saturating_add(1)));
         entity.remember_until = entity.remember_until.max(end);
         Ok(())
     }

@@ -153,6 +153,11 @@ impl Names {
         })
     }
 
+    /// Switches that a route for the name is for.
+    pub fn routed(&self, name: &Key) -> impl Iterator<Item = &Name> {
+        self.0.get(name).into_iter().flat_map(|topic| &topic.routed)
+    }
+
     pub fn is_read(&self, name: &Key) -> bool {
         self.0.get(name).is_some_and(|topic| topic.reader.is_some())
     }

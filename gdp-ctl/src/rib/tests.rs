@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use gdp::cert::{AdCert, Advert, AdvertOp, Mode, ReadGrant, RtCert, issue};
-use gdp::control::{EntityRequest, Extent, Record, RefusalCode, Response, Route};
+use gdp::control::{EntityRequest, Extent, FibPush, Record, RefusalCode, Response, Route};
 use gdp::identity::{Identity, SigningKey};
 use gdp::name::{Name, NamePrefix, NameProof};
 use gdp::{NameCard, control};
 
+use super::fib::Pushed;
 use super::{Effect, HOLD, Limits, Now, Rib};
 
 const UNIX: u64 = 1_800_000_000;
@@ -191,6 +192,66 @@ fn a_name_is_routed_from_its_writers_to_its_reader_and_only_then() {
 }
 
 #[test]
+fn a_reader_is_told_of_its_writers_in_order() {
+    let mut w = World::chain(2);
+    let (cloud, robot, late) = (w.attached("cloud", 1), w.attached("robot", 0), w.attached("late", 0));
+    w.subscribe(&cloud, 1, 1);
+    w.publish(&robot, 0, 1);
+    let told = |w: &mut World| {
+        let effects = w.rib.effects(w.now).into_iter();
+        effects
+            .filter_map(|e| if let Effect::Writers(push) = e { Some(push.records.len()) } else { None })
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(told(&mut w), [1]);
+    w.publish(&late, 0, 1);
+    assert!(told(&mut w).is_empty(), "not before the first is answered");
+    w.rib.told(&w.card.name());
+    assert_eq!(told(&mut w), [2]);
+}
+
+#[test]
+fn a_statement_is_settled_when_every_switch_concerned_holds_its_route() {
+    let mut w = World::chain(3);
+    let (robot, cloud) = (w.attached("robot", 0), w.attached("cloud", 2));
+    w.settle();
+    w.subscribe(&cloud, 2, 1);
+    assert!(w.rib.is_settled(&w.card.name()), "nobody writes it, so no switch needs a route");
+    w.publish(&robot, 0, 1);
+    assert!(!w.rib.is_settled(&w.card.name()));
+    for push in w.pushes() {
+        assert!(!w.rib.is_settled(&w.card.name()));
+        w.rib.pushed(w.now, &push.switch, push.generation, Pushed::Done);
+    }
+    assert!(w.rib.is_settled(&w.card.name()));
+    w.publish(&robot, 0, 2);
+    assert!(w.rib.is_settled(&w.card.name()), "a renewal changes no route");
+}
+
+#[test]
+fn a_statement_that_a_switch_has_no_room_for_is_taken_back() {
+    let mut w = World::chain(2);
+    let (robot, cloud) = (w.attached("robot", 0), w.attached("cloud", 1));
+    w.settle();
+    w.subscribe(&cloud, 1, 1);
+    w.publish(&robot, 0, 1);
+    for push in w.pushes() {
+        let full = push.switch == w.switch(1);
+        let outcome = if full { Pushed::Partly("the FIB is full".into()) } else { Pushed::Done };
+        w.rib.pushed(w.now, &push.switch, push.generation, outcome);
+    }
+    let name = w.card.name();
+    let refusal = w.rib.check_room(&name, &robot.name(), false).unwrap_err();
+    assert_eq!((refusal.code, refusal.reason.as_str()), (RefusalCode::Limit, "the FIB is full"));
+    assert_eq!(w.routes(), []);
+    w.settle();
+    w.publish(&robot, 0, 2);
+    w.settle();
+    w.rib.check_room(&name, &robot.name(), false).expect("there is room again");
+    assert_eq!(w.routes().len(), 2);
+}
+
+#[test]
 fn writer_and_reader_at_one_switch_share_a_route() {
     let mut w = World::chain(1);
     let (robot, cloud) = (w.attached("robot", 0), w.attached("cloud", 0));
@@ -238,6 +299,10 @@ fn what_lives_with_an_attachment_dies_with_it_and_serials_survive() {
     assert!(matches!(w.publish(&robot, 1, 42), Response::Done));
     assert!(matches!(w.attach(&robot, 0), Response::Attached { serial: 42 }), "it moves");
     assert_eq!(w.rib.name_count(), 0, "and leaves what it had at the other switch");
+    assert_eq!(w.detaches(), [(w.switch(1), robot.name())], "which is told, if it still has a link there");
+    assert!(matches!(w.attach(&robot, 1), Response::Attached { .. }));
+    assert!(matches!(w.attach(&robot, 0), Response::Attached { .. }));
+    assert_eq!(w.detaches(), [(w.switch(1), robot.name())], "only where it is not");
     w.detach(&robot, 1);
     assert!(matches!(w.publish(&robot, 0, 43), Response::Done), "a late detach of the old place does no harm");
 }
@@ -258,6 +323,12 @@ fn a_tools_statement_lives_for_its_lifetime() {
     assert_eq!(w.rib.name_count(), 1);
     w.pass(Duration::from_secs(1));
     assert_eq!(w.rib.name_count(), 0);
+
+    w.attach(&robot, 0);
+    parts.advert.serial = 2;
+    w.rib.request(w.now, origin, Some(&proof), true, &parts.advertise());
+    w.detach(&robot, 0);
+    assert_eq!(w.rib.name_count(), 1, "nor to one that was there when it was made");
 }
 
 #[test]
@@ -305,6 +376,14 @@ fn limits_are_refused_by_name() {
     expect_refused(&w.publish(&b, 0, 2), "names", RefusalCode::Limit, "3 names are known");
     w.detach(&a, 0);
     expect_refused(&w.attach(&c, 0), "entities", RefusalCode::Limit, "2 entities are known");
+}
+
+#[test]
+fn a_refused_move_leaves_the_attachment_where_it_was() {
+    let mut w = World::with(2, Limits { attached_per_switch: 1, ..Limits::default() });
+    let (_here, there) = (w.attached("here", 0), w.attached("there", 1));
+    expect_refused(&w.attach(&there, 0), "a full switch", RefusalCode::Limit, "1 attached entities");
+    assert!(matches!(w.publish(&there, 1, 1), Response::Done));
 }
 
 #[test]
@@ -585,13 +664,27 @@ impl World {
         self.switches.iter().enumerate().flat_map(of).collect()
     }
 
+    fn detaches(&mut self) -> Vec<(Name, Name)> {
+        let effects = self.rib.effects(self.now).into_iter();
+        effects
+            .filter_map(|e| if let Effect::Detach { switch, entity } = e { Some((switch, entity)) } else { None })
+            .collect()
+    }
+
     fn writers_told(&mut self) -> Vec<(Name, Name, usize)> {
         let effects = self.rib.effects(self.now);
         let told = effects.into_iter().filter_map(|e| match e {
-            Effect::Writers(push) => Some((push.switch, push.entity, push.records.len())),
+            Effect::Writers(push) => Some(push),
             _ => None,
         });
-        told.collect()
+        let told: Vec<_> = told.collect();
+        told.iter().for_each(|push| self.rib.told(&push.name));
+        told.into_iter().map(|push| (push.switch, push.entity, push.records.len())).collect()
+    }
+
+    fn pushes(&mut self) -> Vec<FibPush> {
+        let effects = self.rib.effects(self.now).into_iter();
+        effects.filter_map(|e| if let Effect::Fib(push) = e { Some(push) } else { None }).collect()
     }
 
     /// Carries pushes out until there are none; the FIBs of the switches are then what the RIB wants.
@@ -610,7 +703,7 @@ impl World {
                 (held.own_bit, held.reach) = (push.own_bit, push.reach);
                 held.routes.extend(push.set.iter().map(|r| (r.name, *r)));
                 held.routes.retain(|name, _| !push.remove.contains(name));
-                self.rib.pushed(self.now, &push.switch, push.generation, true);
+                self.rib.pushed(self.now, &push.switch, push.generation, Pushed::Done);
             }
         }
         for switch in &self.switches {

@@ -11,11 +11,12 @@ use gdp::link::{Link, Role};
 use gdp::name::NameProof;
 use gdp::port::LinkAddr;
 use gdp_wire::table::PORT_USERSPACE;
-use gdp_wire::{LinkEntry, Name};
+use gdp_wire::{FibEntry, LinkEntry, Name};
 
 use super::routes::{Change, Routes};
 use crate::config::{Neighbour, Via};
 use crate::plane::{PlaneError, Planes};
+use crate::rib::fib::Pushed;
 use crate::rib::{Effect, Limits, Now, Rib};
 
 /// Switches that reach the RIB through this one; a RIB takes fewer.
@@ -39,6 +40,8 @@ pub struct Core {
     pub downstream: HashMap<Name, u32>,
     /// Endpoints that the RIB has attached here.
     pub attached: HashSet<Name>,
+    /// Routes that the data plane refused, and why it refused the last.
+    unplaced: (BTreeMap<Name, FibEntry>, String),
     start: Instant,
 }
 
@@ -54,13 +57,30 @@ pub struct LinkState {
 pub struct Outgoing {
     pub link: Option<Link>,
     pub request: Request,
-    /// Of a FIB push by the RIB here: whose result the RIB wants to know.
-    pub push: Option<(Name, u64)>,
+    pub expects: Expects,
+}
+
+/// What the RIB here wants to know of the answer.
+pub enum Expects {
+    Nothing,
+    /// What became of its push of this generation to this switch.
+    Push(Name, u64),
+    /// That the reader of this name has been told of its writers.
+    Told(Name),
+}
+
+/// What an entity has stated: it publishes the name, or reads it.
+pub struct Statement {
+    pub name: Name,
+    pub entity: Name,
+    pub reads: bool,
 }
 
 /// What a request needs before it can be answered.
 pub enum Next {
     Answer(Response),
+    /// The RIB here has accepted the statement; switches are still to be given the routes that follow.
+    Settle(Response, Statement),
     /// Ask over this link, and pass the response on.
     Forward(Link, Request),
 }
@@ -86,6 +106,7 @@ impl Core {
             peers: HashMap::new(),
             downstream: HashMap::new(),
             attached: HashSet::new(),
+            unplaced: Default::default(),
             start: Instant::now(),
         }
     }
@@ -99,9 +120,9 @@ impl Core {
         Now { unix, clock: self.start.elapsed() }
     }
 
-    /// The moment at which [`Now::clock`] will be `clock`.
-    pub fn instant(&self, clock: std::time::Duration) -> Instant {
-        self.start + clock
+    /// The moment at which [`Now::clock`] will be `clock`; none for one so far off that no certificate should name it.
+    pub fn instant(&self, clock: std::time::Duration) -> Option<Instant> {
+        self.start.checked_add(clock)
     }
 
     /// The configured neighbour, if a switch may have a link where it came in.
@@ -121,7 +142,11 @@ impl Core {
     pub fn link_up(&mut self, link: &Link, via: Via) -> Result<Option<Link>, PlaneError> {
         let (id, peer) = (link.local_id(), link.peer().name);
         let (entry, to) = (link.entry(PORT_USERSPACE), link.addr());
-        self.planes.set_link(entry, to)?;
+        if let Err(error) = self.planes.set_link(entry, to) {
+            // A part of the planes may have taken it.
+            let _ = self.planes.remove_link(id);
+            return Err(error);
+        }
         let replaced = self.peers.insert(peer, id).and_then(|old| self.links.get(&old)).map(|old| old.link.clone());
         self.links.insert(id, LinkState { link: link.clone(), via, entry, to });
         let changes = self.routes.link_up(link.peer().role.into(), peer, id);
@@ -179,7 +204,7 @@ impl Core {
     pub fn entity_request(&mut self, entity: Option<&NameProof>, by_tool: bool, request: EntityRequest) -> Next {
         let (now, switch) = (self.now(), self.name());
         if let Some(rib) = &mut self.rib {
-            return Next::Answer(rib.request(now, switch, entity, by_tool, &request));
+            return ask(rib, now, switch, entity, by_tool, &request);
         }
         self.to_rib(Request::Relay { switch, entity: entity.copied(), by_tool, request })
     }
@@ -239,7 +264,7 @@ impl Core {
         let Some(rib) = &mut self.rib else { return self.to_rib(request) };
         Next::Answer(match request {
             Request::Relay { switch, entity, by_tool, request } => {
-                rib.request(now, switch, entity.as_ref(), by_tool, &request)
+                return ask(rib, now, switch, entity.as_ref(), by_tool, &request);
             }
             Request::Report { switch, neighbours, attached } => {
                 rib.report(now, &switch, &neighbours, attached.as_deref())
@@ -298,10 +323,20 @@ impl Core {
             Ok(changes) => {
                 tracing::debug!(generation = push.generation, changes = changes.len(), "FIB push");
                 self.carry_out(changes);
-                Response::Done
+                match self.unplaced() {
+                    None => Response::Done,
+                    // Other refusals make the RIB send the whole again.
+                    Some(reason) => Refusal::new(RefusalCode::Limit, reason).into(),
+                }
             }
             Err(error) => Refusal::new(RefusalCode::Malformed, error.to_string()).into(),
         }
+    }
+
+    /// What the data plane lacks of the FIB, and why.
+    pub fn unplaced(&self) -> Option<String> {
+        let (names, reason) = &self.unplaced;
+        (!names.is_empty()).then(|| format!("{} names have no route at switch {}: {reason}", names.len(), self.name()))
     }
 
     /// Takes out what the RIB here has to say; what is for this switch is done at once.
@@ -316,31 +351,47 @@ impl Core {
             }
             for effect in effects {
                 let own = self.name();
-                let (target, request, push) = match effect {
+                let (target, request, expects) = match effect {
                     Effect::Fib(push) if push.switch == own => {
-                        let done = matches!(self.push(&push), Response::Done);
+                        let outcome = outcome(self.push(&push));
                         if let Some(rib) = &mut self.rib {
-                            rib.pushed(now, &own, push.generation, done);
+                            rib.pushed(now, &own, push.generation, outcome);
                         }
                         continue;
                     }
                     Effect::Fib(push) => {
-                        let id = (push.switch, push.generation);
-                        (push.switch, Request::Fib(push), Some(id))
+                        let expects = Expects::Push(push.switch, push.generation);
+                        (push.switch, Request::Fib(push), expects)
                     }
-                    Effect::Writers(push) => (push.switch, Request::Writers(push), None),
+                    Effect::Writers(push) => {
+                        let expects = Expects::Told(push.name);
+                        (push.switch, Request::Writers(push), expects)
+                    }
                     Effect::Detach { switch, entity } if switch == own => {
                         self.told_to_detach(&entity);
                         continue;
                     }
-                    Effect::Detach { switch, entity } => (switch, Request::Detach { switch, entity }, None),
+                    Effect::Detach { switch, entity } => (switch, Request::Detach { switch, entity }, Expects::Nothing),
                 };
                 let link = match &request {
                     Request::Writers(push) if target == own => self.link_to(&push.entity),
                     _ => self.downstream.get(&target).and_then(|id| self.links.get(id)).map(|s| s.link.clone()),
                 };
-                outgoing.push(Outgoing { link, request, push });
+                outgoing.push(Outgoing { link, request, expects });
             }
+        }
+    }
+
+    /// Tells the RIB here what came of something it sent.
+    pub fn answered(&mut self, expects: Expects, response: Option<Response>) {
+        let now = self.now();
+        let Some(rib) = &mut self.rib else { return };
+        match expects {
+            Expects::Nothing => {}
+            Expects::Push(switch, generation) => {
+                rib.pushed(now, &switch, generation, response.map_or(Pushed::Failed, outcome));
+            }
+            Expects::Told(name) => rib.told(&name),
         }
     }
 
@@ -356,7 +407,7 @@ impl Core {
         }
     }
 
-    /// Carries changes out in the data planes. One that fails is logged and shows in what the planes hold.
+    /// Carries changes out in the data planes. Routes that find no room are kept, and placed when there is some.
     fn carry_out(&mut self, changes: Vec<Change>) {
         for change in changes {
             let result = match change {
@@ -369,18 +420,78 @@ impl Core {
                     None => Ok(()),
                 },
                 Change::NextHops(next_hops) => self.planes.set_next_hops(&next_hops),
-                Change::Set(name, entry) => self.planes.set_route(name, entry),
-                Change::Remove(name) => self.planes.remove_route(&name),
+                Change::Set(name, entry) => {
+                    self.unplaced.0.insert(name, entry);
+                    Ok(())
+                }
+                Change::Remove(name) => {
+                    self.unplaced.0.remove(&name);
+                    self.planes.remove_route(&name)
+                }
             };
             if let Err(error) = result {
                 tracing::error!(%error, "the data plane refused a change");
             }
         }
+        self.place();
     }
 
-    /// Endpoints by the link they are on.
+    /// Gives the data planes the routes they do not hold yet, as far as they take them.
+    fn place(&mut self) {
+        while let Some(route) = self.unplaced.0.first_entry() {
+            if let Err(error) = self.planes.set_route(*route.key(), *route.get()) {
+                self.unplaced.1 = error.to_string();
+                break;
+            }
+            route.remove();
+        }
+        if let Some(reason) = self.unplaced() {
+            tracing::error!("{reason}");
+        }
+    }
+
+    /// Peers by the link they are on.
     pub fn peers_by_link(&self) -> BTreeMap<u32, Name> {
         self.links.iter().map(|(id, state)| (*id, state.link.peer().name)).collect()
+    }
+}
+
+/// Puts an entity's request to the RIB.
+fn ask(
+    rib: &mut Rib,
+    now: Now,
+    switch: Name,
+    entity: Option<&NameProof>,
+    by_tool: bool,
+    request: &EntityRequest,
+) -> Next {
+    let response = rib.request(now, switch, entity, by_tool, request);
+    let stated = match request {
+        EntityRequest::Advertise { proof, .. } => Some((proof, false)),
+        EntityRequest::Subscribe { proof, .. } => Some((proof, true)),
+        _ => None,
+    };
+    let statement = stated.and_then(|(proof, reads)| {
+        let (name, entity) = (proof.name().ok()?, entity?.name().ok()?);
+        Some(Statement { name, entity, reads })
+    });
+    match statement {
+        Some(statement) if !matches!(response, Response::Refused(_)) && !rib.is_settled(&statement.name) => {
+            Next::Settle(response, statement)
+        }
+        _ => Next::Answer(response),
+    }
+}
+
+/// What a switch's answer to a FIB push says of it.
+fn outcome(response: Response) -> Pushed {
+    match response {
+        Response::Refused(refusal) if refusal.code == RefusalCode::Limit => Pushed::Partly(refusal.reason),
+        Response::Refused(refusal) => {
+            tracing::debug!(%refusal, "a switch refused a FIB push");
+            Pushed::Failed
+        }
+        _ => Pushed::Done,
     }
 }
 

@@ -1,13 +1,18 @@
 //! One task to a link: takes the peer's requests in, and tells the RIB when an endpoint's link is gone.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use gdp::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
 use gdp::link::{Link, Responder, Role};
+use tokio::time::timeout;
 
 use super::Daemon;
-use super::core::Next;
+use super::core::{Expects, Next, Statement};
 use crate::config::Via;
+
+/// How long an accepted statement waits for switches to take their routes.
+const SETTLE: Duration = Duration::from_secs(1);
 
 /// Takes a new link into service, or closes it if its peer may not have one here.
 pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
@@ -72,11 +77,15 @@ async fn serve_endpoint(daemon: Arc<Daemon>, link: Link) {
 
 async fn entity_request(daemon: &Arc<Daemon>, link: &Link, request: EntityRequest) -> Response {
     let attach = matches!(request, EntityRequest::Attach { .. });
-    let next = daemon.core().entity_request(Some(&link.peer().proof), false, request);
-    if attach {
-        // Before the answer, so that a report in the meantime does not leave it out.
-        daemon.core().attached.insert(link.peer().name);
-    }
+    let next = {
+        let mut core = daemon.core();
+        let next = core.entity_request(Some(&link.peer().proof), false, request);
+        if attach && !matches!(next, Next::Answer(Response::Refused(_))) {
+            // Before the answer, so that a report in the meantime does not leave it out.
+            core.attached.insert(link.peer().name);
+        }
+        next
+    };
     daemon.complete(next).await
 }
 
@@ -84,7 +93,7 @@ async fn entity_request(daemon: &Arc<Daemon>, link: &Link, request: EntityReques
 async fn serve_switch(daemon: Arc<Daemon>, link: Link) {
     while let Some((request, responder)) = link.accept_request().await {
         let (daemon, link) = (daemon.clone(), link.clone());
-        tokio::spawn(async move {
+        daemon.clone().spawn(async move {
             let response = switch_request(&daemon, &link, request).await;
             answer(responder, response).await;
         });
@@ -124,6 +133,10 @@ impl Daemon {
         self.send_effects();
         match next {
             Next::Answer(response) => response,
+            Next::Settle(response, statement) => match self.settled(&statement).await {
+                Ok(()) => response,
+                Err(refusal) => refusal.into(),
+            },
             Next::Forward(link, request) => match link.request(&request).await {
                 Ok(response) => response,
                 Err(error) => {
@@ -134,6 +147,34 @@ impl Daemon {
         }
     }
 
+    /// Waits until the switches hold the routes that follow from a statement, so that what its entity sends next is not
+    /// lost; but not for long on one that does not answer. Refuses the statement if one has no room.
+    async fn settled(self: &Arc<Self>, statement: &Statement) -> Result<(), Refusal> {
+        let settled = async {
+            loop {
+                let answered = self.answered.notified();
+                if self.core().rib.as_ref().is_none_or(|rib| rib.is_settled(&statement.name)) {
+                    return;
+                }
+                answered.await;
+            }
+        };
+        if timeout(SETTLE, settled).await.is_err() {
+            tracing::warn!(
+                name = %format_args!("{:#}", statement.name),
+                "a switch does not answer; what is sent to the name may be lost until it does"
+            );
+        }
+        let room = match &mut self.core().rib {
+            Some(rib) => rib.check_room(&statement.name, &statement.entity, statement.reads),
+            None => Ok(()),
+        };
+        if room.is_err() {
+            self.send_effects();
+        }
+        room
+    }
+
     /// Sends what the RIB here has to say after something changed in it.
     pub(super) fn send_effects(self: &Arc<Self>) {
         self.dispatch_effects();
@@ -142,30 +183,20 @@ impl Daemon {
 
     pub(super) fn dispatch_effects(self: &Arc<Self>) {
         let outgoing = self.core().rib_effects();
+        self.answered.notify_waiters();
         for message in outgoing {
             let daemon = self.clone();
-            tokio::spawn(async move {
-                let done = match message.link {
-                    Some(link) => match link.request(&message.request).await {
-                        Ok(Response::Refused(refusal)) => {
-                            tracing::debug!(%refusal, "a switch refused what the RIB sent");
-                            false
-                        }
-                        Ok(_) => true,
-                        Err(error) => {
-                            tracing::debug!(%error, "what the RIB sent was not answered");
-                            false
-                        }
-                    },
-                    None => false,
+            self.spawn(async move {
+                let response = match message.link {
+                    Some(link) => link
+                        .request(&message.request)
+                        .await
+                        .inspect_err(|error| tracing::debug!(%error, "what the RIB sent was not answered"))
+                        .ok(),
+                    None => None,
                 };
-                if let Some((switch, generation)) = message.push {
-                    let mut core = daemon.core();
-                    let now = core.now();
-                    if let Some(rib) = &mut core.rib {
-                        rib.pushed(now, &switch, generation, done);
-                    }
-                    drop(core);
+                if !matches!(message.expects, Expects::Nothing) {
+                    daemon.core().answered(message.expects, response);
                     daemon.send_effects();
                 }
             });

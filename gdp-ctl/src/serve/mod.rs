@@ -64,6 +64,8 @@ pub struct Daemon {
     lanes: Mutex<HashMap<Name, Arc<tokio::sync::Mutex<()>>>>,
     report: Notify,
     rib_changed: Notify,
+    /// Switches have answered the RIB here.
+    answered: Notify,
     stopping: AtomicBool,
     tasks: Mutex<JoinSet<()>>,
 }
@@ -101,6 +103,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         lanes: Mutex::default(),
         report: Notify::new(),
         rib_changed: Notify::new(),
+        answered: Notify::new(),
         stopping: AtomicBool::new(false),
         tasks: Mutex::default(),
     });
@@ -159,9 +162,7 @@ impl Running {
         let mut ports: Vec<_> = std::mem::take(&mut *self.daemon.ports()).into_values().collect();
         ports.extend(self.udp);
         futures::future::join_all(ports.iter().map(|port| port.close("shutting down"))).await;
-        for interface in ports.iter().filter_map(|port| port.interface()) {
-            self.daemon.core().planes.detach(interface.index);
-        }
+        self.daemon.core().planes.detach_all();
         drop(self.admin);
     }
 }
@@ -182,6 +183,9 @@ impl Daemon {
     /// Runs a task until it ends or the daemon does.
     fn spawn(&self, task: impl Future<Output = ()> + Send + 'static) {
         let mut tasks = lock(&self.tasks);
+        if self.is_stopping() {
+            return;
+        }
         while tasks.try_join_next().is_some() {}
         tasks.spawn(task);
     }

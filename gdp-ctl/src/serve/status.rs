@@ -53,6 +53,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         }
         Err(error) => errors.push(error.to_string()),
     }
+    errors.extend(core.unplaced());
     let (data_plane, reason) = summary(&report, udp_links);
     json!({
         "v": 1,

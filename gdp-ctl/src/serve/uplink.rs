@@ -92,7 +92,7 @@ pub async fn rib_clock(daemon: Arc<Daemon>) {
             let now = core.now();
             let Some(rib) = &mut core.rib else { return };
             rib.tick(now);
-            rib.next_tick().map(|clock| core.instant(clock))
+            rib.next_tick().and_then(|clock| core.instant(clock))
         };
         daemon.dispatch_effects();
         let latest = Instant::now() + LONGEST_SLEEP;
