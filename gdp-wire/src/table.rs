@@ -1,6 +1,8 @@
 //! What a data plane holds: the entries of its tables, laid out for BPF maps. Derived state; the control plane owns
 //! the truth and rewrites these at will. No implicit padding, no enums over bytes that anybody else writes.
 
+use core::fmt;
+
 use crate::Name;
 
 /// Links a switch can have at once; the low bits of a link id are the index of its entry.
@@ -25,8 +27,8 @@ pub enum LinkRole {
     Switch = 2,
 }
 
-/// One link: an authenticated adjacency with a neighbour.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// One link: an authenticated adjacency with a neighbour. Its `Debug` form leaves the keys out.
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
 #[repr(C)]
 pub struct LinkEntry {
     /// The id this switch gave the link; frames arrive with it. Never 0 for a live link.
@@ -49,6 +51,13 @@ pub struct LinkEntry {
     pub peer_mac: [u16; 3],
     /// Ours.
     pub local_mac: [u16; 3],
+}
+
+impl fmt::Debug for LinkEntry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { id, peer_id, role, port, rx_key: _, tx_key: _, reach, mtu, peer_mac: _, local_mac: _ } = self;
+        write!(f, "LinkEntry({id:#x} to {peer_id:#x}, role {role}, port {port}, reach {reach:#x}, mtu {mtu})")
+    }
 }
 
 /// Where a name leads from this switch.
@@ -116,4 +125,18 @@ mod pod {
     unsafe impl aya::Pod for super::SwitchConfig {}
     // SAFETY: four u64.
     unsafe impl aya::Pod for crate::Name {}
+}
+
+#[cfg(test)]
+mod tests {
+    use super::LinkEntry;
+
+    #[test]
+    fn nothing_prints_a_link_key() {
+        let entry = LinkEntry { id: 7, rx_key: [0x4242; 2], tx_key: [0x5353; 2], ..LinkEntry::default() };
+        let text = format!("{entry:?} {entry:#x?}");
+        for secret in ["4242", "5353", &0x4242.to_string(), &0x5353.to_string()] {
+            assert!(!text.contains(secret), "{text}");
+        }
+    }
 }
