@@ -115,7 +115,9 @@ impl Config {
 
     /// The same for a text; `path` is the file it would be in.
     pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
-        let mut config: Self = serde_saphyr::from_str(text)
+        // Errors quote no lines: the file given by mistake may be a private key.
+        let options = serde_saphyr::options! { with_snippet: false };
+        let mut config: Self = serde_saphyr::from_str_with_options(text, options)
             .map_err(|error| ConfigError::Syntax { path: path.into(), message: error.to_string() })?;
         config.check().map_err(|(key, reason)| ConfigError::Invalid { path: path.into(), key, reason })?;
         config.resolve(path.parent().unwrap_or(Path::new("")));
@@ -232,6 +234,15 @@ mod tests {
         for (text, expected) in cases {
             let refusal = parse(text).unwrap_err().to_string();
             assert!(refusal.starts_with("/etc/robot/robot.yaml: ") && refusal.contains(expected), "{text}\n{refusal}");
+        }
+    }
+
+    #[test]
+    fn a_secret_given_by_mistake_is_not_shown() {
+        let secret = "48d8213db8363f046333e2cf07e9829ee40dd8e94122a74f3d5e0e5b1d7aa5ca";
+        for text in [secret, &format!("-----BEGIN PRIVATE KEY-----\n{secret}\n-----END PRIVATE KEY-----\n")] {
+            let refusal = parse(text).unwrap_err().to_string();
+            assert!(refusal.contains("line 1") && !refusal.contains(&secret[..8]), "{refusal}");
         }
     }
 
