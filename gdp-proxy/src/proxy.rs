@@ -1,6 +1,7 @@
 //! Puts the halves together: joins the DDS domain, attaches to the switch, runs a route per topic, shows counters, and
 //! leaves both sides properly.
 
+use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -31,6 +32,9 @@ pub async fn run(
 ) -> Result<()> {
     if config.topics.is_empty() {
         tracing::warn!("no topics are configured, so nothing is exposed");
+    }
+    if let Some(file) = &stats {
+        file.probe().with_context(|| format!("{}: cannot be written", file.path().display()))?;
     }
     let mut stop = std::pin::pin!(stop);
     let node = tokio::select! {
@@ -76,14 +80,14 @@ pub async fn run(
     let ended = tokio::select! {
         () = stop => Ok(()),
         Some(ended) = running.join_next() => ended.context("a route panicked").flatten(),
-        error = show(stats.as_ref(), &shown) => Err(error),
+        never = show(stats.as_ref(), &shown) => match never {},
     };
 
     tracing::info!("leaving");
     stopping.send_replace(true);
     while running.join_next().await.is_some() {}
-    if let Some(file) = &stats {
-        file.replace(&shown()).with_context(|| file.path().display().to_string())?;
+    if let Some(Err(error)) = stats.map(|file| file.replace(&shown())) {
+        tracing::warn!(%error, "the last statistics could not be written");
     }
     node.close().await;
     if let Some(domain) = Arc::into_inner(domain) {
@@ -106,15 +110,21 @@ async fn connect(config: &Config, material: &Material) -> Result<Node> {
     }
 }
 
-/// Replaces the file once per period, for ever; without a file it does nothing, for ever. Returns why it could not.
-async fn show(file: Option<&StatsFile>, stats: impl Fn() -> Stats) -> anyhow::Error {
+/// Replaces the file once per period, for ever; without a file it does nothing, for ever. Topics are worth more than their
+/// statistics: a full disk stops only these, until it is mended.
+async fn show(file: Option<&StatsFile>, stats: impl Fn() -> Stats) -> Infallible {
     let Some(file) = file else { return std::future::pending().await };
     let mut ticks = tokio::time::interval(STATS_PERIOD);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut failing = false;
     loop {
         ticks.tick().await;
-        if let Err(error) = file.replace(&stats()) {
-            return anyhow!(error).context(format!("{}: cannot be written", file.path().display()));
+        let result = file.replace(&stats());
+        if let Err(error) = &result
+            && !failing
+        {
+            tracing::warn!("{}: cannot be written: {error}; trying again", file.path().display());
         }
+        failing = result.is_err();
     }
 }

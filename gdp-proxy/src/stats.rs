@@ -146,13 +146,23 @@ impl StatsFile {
         &self.0
     }
 
+    /// Whether the file can be made at all: a mistaken path is better said before anything depends on the proxy.
+    pub fn probe(&self) -> io::Result<()> {
+        std::fs::File::create(self.next())?;
+        std::fs::remove_file(self.next())
+    }
+
     pub fn replace(&self, stats: &Stats) -> io::Result<()> {
-        let mut next = self.0.clone().into_os_string();
-        next.push(".new");
         let mut text = serde_json::to_vec(stats)?;
         text.push(b'\n');
-        std::fs::File::create(&next)?.write_all(&text)?;
-        std::fs::rename(&next, &self.0)
+        std::fs::File::create(self.next())?.write_all(&text)?;
+        std::fs::rename(self.next(), &self.0)
+    }
+
+    fn next(&self) -> PathBuf {
+        let mut next = self.0.clone().into_os_string();
+        next.push(".new");
+        next.into()
     }
 }
 

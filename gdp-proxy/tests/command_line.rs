@@ -31,6 +31,14 @@ fn a_mistake_is_one_line_with_file_key_and_remedy() {
 }
 
 #[test]
+fn statistics_that_cannot_be_written_are_a_mistake_said_at_once() {
+    let output = Files::new().proxy(&["--stats", "/nonexistent/stats.json"]);
+    assert_eq!(output.status.code(), Some(1));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("/nonexistent/stats.json: cannot be written"), "{said}");
+}
+
+#[test]
 fn wrong_usage_is_exit_code_2() {
     let output = Command::new(env!("CARGO_BIN_EXE_gdp-proxy")).arg("--confg").output().unwrap();
     assert_eq!(output.status.code(), Some(2));
