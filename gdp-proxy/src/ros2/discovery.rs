@@ -16,7 +16,7 @@ use super::{TopicName, TypeName};
 pub(super) struct Discovery {
     /// The DDS types of the DDS topics that the proxy has endpoints for.
     expected: Mutex<HashMap<String, String>>,
-    writer_appeared: Notify,
+    something_happened: Notify,
 }
 
 impl Discovery {
@@ -29,7 +29,7 @@ impl Discovery {
     pub async fn type_of(&self, participant: &DomainParticipant, topic: &TopicName) -> TypeName {
         let dds_topic = topic.to_dds();
         loop {
-            let appeared = self.writer_appeared.notified();
+            let news = self.something_happened.notified();
             let writers = participant.discovered_writers();
             let foreign =
                 writers.iter().filter(|w| w.writer_proxy.remote_writer_guid.prefix != participant.guid().prefix);
@@ -40,25 +40,25 @@ impl Discovery {
                     Err(error) => tracing::warn!(%topic, "a publisher is ignored: {error}"),
                 }
             }
-            appeared.await;
+            news.await;
         }
     }
 
-    /// Follows what is discovered, for as long as the participant lives.
+    /// Follows what is discovered, for as long as the participant lives. A participant has one queue of events: whoever
+    /// else read it would take some of them away.
     pub async fn watch(self: Arc<Self>, participant: DomainParticipant) {
         let listener = participant.status_listener();
         let mut events = listener.as_async_status_stream();
         while let Some(event) = events.next().await {
             self.handle(&participant, event);
+            // Whatever it was: the queue is short, and the event that somebody waits for may have found it full.
+            self.something_happened.notify_waiters();
         }
     }
 
     fn handle(&self, participant: &DomainParticipant, event: Event) {
         match event {
-            Event::WriterDetected { writer } => {
-                self.compare("publisher", &writer);
-                self.writer_appeared.notify_waiters();
-            }
+            Event::WriterDetected { writer } => self.compare("publisher", &writer),
             Event::ReaderDetected { reader } => self.compare("subscriber", &reader),
             Event::RemoteWriterMatched { remote_writer, .. } if is_application(participant, remote_writer) => {
                 let topic = written_topic(participant, remote_writer);

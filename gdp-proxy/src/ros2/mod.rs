@@ -32,7 +32,7 @@ pub struct Domain {
     discovery: Arc<Discovery>,
     /// Announces the proxy to ROS tools (`ros2 node list`) as long as it lives.
     node: Node,
-    tasks: [JoinHandle<()>; 2],
+    watch: JoinHandle<()>,
 }
 
 /// What DDS refused to make.
@@ -58,9 +58,9 @@ impl Domain {
         let publisher = participant.create_publisher(&none).map_err(refused)?;
         let subscriber = participant.create_subscriber(&none).map_err(refused)?;
         let discovery = Arc::new(Discovery::default());
-        let (node, spin) = announce(&participant, node)?;
+        let node = announce(&participant, node)?;
         let watch = tokio::spawn(discovery.clone().watch(participant.clone()));
-        Ok(Self { participant, publisher, subscriber, discovery, node, tasks: [watch, spin] })
+        Ok(Self { participant, publisher, subscriber, discovery, node, watch })
     }
 
     /// The type of a topic, as soon as anyone else in the domain publishes it.
@@ -90,27 +90,21 @@ impl Domain {
     /// Says goodbye to the other participants, so that they do not wait for a lease to end. Readers and writers of the
     /// domain are of no use afterwards.
     pub async fn leave(self) {
-        // The tasks hold the participant as well; RustDDS leaves when the last owner does, and joins its threads then.
-        for task in self.tasks {
-            task.abort();
-            let _ = task.await;
-        }
+        // The task holds the participant as well; RustDDS leaves when the last owner does, and joins its threads then.
+        self.watch.abort();
+        let _ = self.watch.await;
         let rest = (self.node, self.publisher, self.subscriber, self.participant);
         let _ = tokio::task::spawn_blocking(move || drop(rest)).await;
     }
 }
 
-fn announce(participant: &DomainParticipant, node: &str) -> Result<(Node, JoinHandle<()>), RosError> {
+/// Tells ROS tools of the proxy. A node of ros2-client also has a spinner, which must not run here: it would take the
+/// participant's events away from [`Discovery`], and offer the node's parameters to everybody in the domain.
+/// Makes the node, which announces itself. It is not spun: its spinner and [`Discovery`] would each get a part of the
+/// participant's events, of which RustDDS has one queue.
+fn announce(participant: &DomainParticipant, node: &str) -> Result<Node, RosError> {
     let refused = |reason: String| RosError::Node { node: node.to_owned(), reason };
     let name = NodeName::new("/", node).map_err(|error| refused(error.to_string()))?;
     let context = Context::from_domain_participant(participant.clone()).map_err(|error| refused(error.to_string()))?;
-    let options = NodeOptions::new().enable_rosout(false);
-    let mut node = context.new_node(name, options).map_err(|error| refused(error.to_string()))?;
-    let spinner = node.spinner().map_err(|error| refused(error.to_string()))?;
-    let spin = tokio::spawn(async move {
-        if let Err(error) = spinner.spin().await {
-            tracing::warn!(%error, "ROS tools will not see this node");
-        }
-    });
-    Ok((node, spin))
+    context.new_node(name, NodeOptions::new().enable_rosout(false)).map_err(|error| refused(error.to_string()))
 }
