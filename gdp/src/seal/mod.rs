@@ -6,6 +6,7 @@
 //! means is theirs, too.
 
 mod assembly;
+mod drop_reason;
 mod epoch_key;
 mod merkle;
 mod reader;
@@ -14,8 +15,9 @@ mod window;
 mod wire;
 mod writer;
 
+pub use drop_reason::DropReason;
 pub use epoch_key::EpochKey;
-pub use reader::{DropReason, Limits, Message, Reader};
+pub use reader::{Limits, Message, Reader};
 pub use segments::Segments;
 pub use wire::{Encoding, MAX_BATCH, MIN_PAYLOAD};
 pub use writer::{SealError, Writer};

@@ -4,11 +4,10 @@
 //! What readers of a name can do to each other (they share the epoch key) is limited too: only a verified signature
 //! moves a replay window or lets a session displace another.
 
-use super::EpochKey;
 use super::assembly::Assembly;
-use super::merkle;
 use super::window::Window;
 use super::wire::{self, Encoding, HEADER_LEN, MessageHeader, Proof, SegmentHeader};
+use super::{DropReason, EpochKey, merkle};
 use crate::crypto::{Aead, Backend, CryptoError, TAG_LEN, Verifier};
 use crate::identity::VerifyKey;
 use crate::name::Name;
@@ -44,93 +43,6 @@ impl Default for Limits {
             deadline: Duration::from_secs(1),
             max_sessions: 8,
         }
-    }
-}
-
-/// Why a segment, or a whole message, was not delivered.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum DropReason {
-    /// The payload ends within a segment.
-    Truncated,
-    /// Another version, or header fields that do not fit each other.
-    BadHeader,
-    /// The message would be larger than the limit.
-    TooLarge,
-    /// No writer of this name, or not any more.
-    UnknownWriter,
-    /// Did not open under the session's key: changed, made up, or sealed for another name, writer, session or epoch.
-    Forged,
-    /// So far behind that nobody remembers whether it was delivered.
-    TooOld,
-    /// This segment is here already, or its message was delivered.
-    Duplicate,
-    /// Differs in shape from other segments of its message.
-    Inconsistent,
-    /// No memory left within the limits.
-    MemoryFull,
-    /// An incomplete message gave way to newer ones.
-    Evicted,
-    /// A message was not complete at its deadline.
-    Deadline,
-    /// The proof or the message header makes no sense.
-    BadMessage,
-    /// The writer did not sign this message.
-    BadSignature,
-    /// Signed before what the reader accepts from this writer.
-    Stale,
-    /// The cryptographic library failed.
-    Internal,
-}
-
-impl DropReason {
-    pub const COUNT: usize = Self::ALL.len();
-
-    pub const ALL: [Self; 15] = [
-        Self::Truncated,
-        Self::BadHeader,
-        Self::TooLarge,
-        Self::UnknownWriter,
-        Self::Forged,
-        Self::TooOld,
-        Self::Duplicate,
-        Self::Inconsistent,
-        Self::MemoryFull,
-        Self::Evicted,
-        Self::Deadline,
-        Self::BadMessage,
-        Self::BadSignature,
-        Self::Stale,
-        Self::Internal,
-    ];
-
-    /// The label of the metric.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Truncated => "truncated",
-            Self::BadHeader => "bad_header",
-            Self::TooLarge => "too_large",
-            Self::UnknownWriter => "unknown_writer",
-            Self::Forged => "forged",
-            Self::TooOld => "too_old",
-            Self::Duplicate => "duplicate",
-            Self::Inconsistent => "inconsistent",
-            Self::MemoryFull => "memory_full",
-            Self::Evicted => "evicted",
-            Self::Deadline => "deadline",
-            Self::BadMessage => "bad_message",
-            Self::BadSignature => "bad_signature",
-            Self::Stale => "stale",
-            Self::Internal => "internal",
-        }
-    }
-}
-
-impl std::error::Error for DropReason {}
-
-impl fmt::Display for DropReason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
     }
 }
 
