@@ -26,7 +26,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, SystemTime};
 
 use gdp_wire::Name;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{Notify, mpsc, watch};
 use tokio::task::JoinHandle;
 
 use self::counters::Counters;
@@ -134,6 +134,8 @@ struct State {
     status: watch::Sender<Status>,
     /// Everything the RIB is to know, stated again after each reconnection; and whether it was, on the present link.
     statements: Mutex<HashMap<(Name, Stated), (Statement, bool)>>,
+    /// Something that stands has to be stated again.
+    unstated: Notify,
     /// The highest serial used. Held while a statement is on its way, so that they arrive in their order.
     serial: tokio::sync::Mutex<u64>,
     commands: std::sync::mpsc::Sender<Command>,
@@ -165,6 +167,7 @@ impl Node {
             counters: counters.clone(),
             status: watch::Sender::new(Status::Down("connecting".into())),
             statements: Mutex::default(),
+            unstated: Notify::new(),
             serial: tokio::sync::Mutex::new(0),
             commands,
             events: events.clone(),
@@ -361,37 +364,22 @@ impl State {
     /// States one thing that stands to the RIB, unless that is done since the last [`Self::attach`].
     async fn state(&self, attachment: &Attachment, name: Name, stated: Stated) -> Result<(), NodeError> {
         let mut serial = self.serial.lock().await;
-        let mut learnt = false;
-        loop {
-            let Some((statement, false)) = lock(&self.statements).get(&(name, stated)).cloned() else { return Ok(()) };
-            let request = match statement {
-                Statement::Publish { proof, ad_cert } => {
-                    let advert = self.advert(attachment, AdvertOp::Publish, name, &mut serial)?;
-                    EntityRequest::Advertise { proof, ad_cert, advert }
-                }
-                Statement::Subscribe { proof, grant } => {
-                    let advert = self.advert(attachment, AdvertOp::Subscribe, name, &mut serial)?;
-                    EntityRequest::Subscribe { proof, grant, advert }
-                }
-            };
-            match ask(attachment, request).await {
-                // Something else spoke for this entity since it attached, such as a command-line tool.
-                Err(NodeError::Refused(refusal)) if refusal.code == RefusalCode::ReplayedSerial && !learnt => {
-                    learnt = true;
-                    self.attach_locked(attachment, &mut serial).await?;
-                }
-                Err(error) => return Err(error),
-                Ok(response) => {
-                    if let Response::Records { records, .. } = response {
-                        self.authorise(name, &records);
-                    }
-                    if let Some((_, done)) = lock(&self.statements).get_mut(&(name, stated)) {
-                        *done = true;
-                    }
-                    return Ok(());
-                }
-            }
+        let Some((statement, false)) = lock(&self.statements).get(&(name, stated)).cloned() else { return Ok(()) };
+        let op = match statement {
+            Statement::Publish { .. } => AdvertOp::Publish,
+            Statement::Subscribe { .. } => AdvertOp::Subscribe,
+        };
+        let response = self.ask_signed(attachment, &mut serial, op, name, |advert| match statement.clone() {
+            Statement::Publish { proof, ad_cert } => EntityRequest::Advertise { proof, ad_cert, advert },
+            Statement::Subscribe { proof, grant } => EntityRequest::Subscribe { proof, grant, advert },
+        });
+        if let Response::Records { records, .. } = response.await? {
+            self.authorise(name, &records);
         }
+        if let Some((_, done)) = lock(&self.statements).get_mut(&(name, stated)) {
+            *done = true;
+        }
+        Ok(())
     }
 
     /// States everything that stands; `false` if something was refused or did not get through, and should be tried again.
@@ -407,20 +395,19 @@ impl State {
         all
     }
 
-    /// Withdraws a name, and states again what else stands about it: a withdrawal is of everything.
+    /// Withdraws a name. What else stands about it goes with it, and is to be stated again.
     async fn state_withdrawal(&self, attachment: &Attachment, name: Name, stated: Stated) -> Result<(), NodeError> {
         let mut serial = self.serial.lock().await;
         if lock(&self.statements).contains_key(&(name, stated)) {
             return Ok(());
         }
-        let advert = self.advert(attachment, AdvertOp::Withdraw, name, &mut serial)?;
-        ask(attachment, EntityRequest::Withdraw { advert }).await?;
-        drop(serial);
+        let request = |advert| EntityRequest::Withdraw { advert };
+        self.ask_signed(attachment, &mut serial, AdvertOp::Withdraw, name, request).await?;
         for other in [Stated::Published, Stated::Subscribed] {
             if let Some((_, done)) = lock(&self.statements).get_mut(&(name, other)) {
                 *done = false;
+                self.unstated.notify_one();
             }
-            self.state(attachment, name, other).await?;
         }
         Ok(())
     }
@@ -454,6 +441,25 @@ impl State {
             .collect();
         if !writers.is_empty() {
             self.command(Command::Authorise { name, writers });
+        }
+    }
+
+    /// Asks with a statement of this entity, under the next serial; and once more under a higher one if something else spoke
+    /// for the entity since it attached, such as a command-line tool.
+    async fn ask_signed(
+        &self,
+        attachment: &Attachment,
+        serial: &mut u64,
+        op: AdvertOp,
+        name: Name,
+        request: impl Fn(Signed<Advert>) -> EntityRequest,
+    ) -> Result<Response, NodeError> {
+        match ask(attachment, request(self.advert(attachment, op, name, serial)?)).await {
+            Err(NodeError::Refused(refusal)) if refusal.code == RefusalCode::ReplayedSerial => {
+                self.attach_locked(attachment, serial).await?;
+                ask(attachment, request(self.advert(attachment, op, name, serial)?)).await
+            }
+            result => result,
         }
     }
 

@@ -10,7 +10,7 @@ use gdp_wire::table::PORT_USERSPACE;
 use gdp_wire::{Header, LinkEntry, Name};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
-use tokio::time::sleep;
+use tokio::time::{Instant, sleep, sleep_until};
 
 use super::receiver::Command;
 use super::{LinkTarget, NodeError, State, Stated, Status};
@@ -110,8 +110,9 @@ impl Supervisor {
             () = self.supervise(first, &mut events) => {}
             _ = stop.wait_for(|stop| *stop) => {}
         }
-        self.state.set_status(Status::Closed);
+        // In this order: the thread is woken through the link.
         self.state.command(Command::Stop);
+        self.state.set_status(Status::Closed);
         if let Some(port) = &self.port {
             port.close("the node was closed").await;
         }
@@ -234,18 +235,25 @@ impl Supervisor {
     }
 }
 
-/// States what stands, again when something was refused that time may mend, and in time before it runs out.
+/// States what stands, again when something was refused that time may mend or a withdrawal took it along, and in time
+/// before it runs out.
 async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
     let mut backoff = Backoff::new();
+    let mut renewal = Instant::now() + RENEWAL;
     loop {
-        if state.state_all(&attachment).await {
-            sleep(RENEWAL).await;
-            backoff = Backoff::new();
-            if let Err(error) = state.attach(&attachment).await {
-                tracing::warn!(%error, "could not renew the attachment");
-            }
-        } else {
+        if !state.state_all(&attachment).await {
             backoff.wait().await;
+            continue;
+        }
+        backoff = Backoff::new();
+        tokio::select! {
+            () = state.unstated.notified() => {}
+            () = sleep_until(renewal) => {
+                renewal = Instant::now() + RENEWAL;
+                if let Err(error) = state.attach(&attachment).await {
+                    tracing::warn!(%error, "could not renew the attachment");
+                }
+            }
         }
     }
 }
@@ -266,12 +274,22 @@ async fn answer(state: Arc<State>, request: Request, responder: Responder) {
 }
 
 async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
-    let result = match event {
-        Event::Withdraw { name, stated } => state.state_withdrawal(&attachment, name, stated).await,
-        Event::UnknownWriter { name } => state.learn_writers(&attachment, name).await,
-    };
-    if let Err(error) = result {
-        tracing::debug!(%error, "a request to the switch failed");
+    match event {
+        Event::Withdraw { name, stated } => {
+            let mut backoff = Backoff::new();
+            // With the link, the switch withdraws everything by itself.
+            while let Err(error) = state.state_withdrawal(&attachment, name, stated).await
+                && attachment.link.close_reason().is_none()
+            {
+                tracing::warn!(%name, %error, "could not be withdrawn; trying again");
+                backoff.wait().await;
+            }
+        }
+        Event::UnknownWriter { name } => {
+            if let Err(error) = state.learn_writers(&attachment, name).await {
+                tracing::debug!(%name, %error, "its writers could not be asked for");
+            }
+        }
     }
 }
 

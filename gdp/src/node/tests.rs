@@ -121,6 +121,23 @@ async fn dropped_handles_withdraw_and_a_closed_node_detaches() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_withdrawal_gets_through_in_the_end_and_takes_nothing_else_along() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/chatter");
+    let node = fabric.node("proxy").await;
+    let _subscription = owner.subscribe(&node).await.unwrap();
+    let publisher = owner.publish(&node).await.unwrap();
+    fabric.refuse(Some(RefusalCode::Unreachable));
+    let serial = fabric.serial(node.name());
+    drop(publisher);
+    eventually("the withdrawal was refused", || fabric.serial(node.name()) > serial).await;
+    assert_eq!(fabric.writers(owner.name()), 1);
+    fabric.refuse(None);
+    eventually("withdrawn", || fabric.writers(owner.name()) == 0).await;
+    eventually("subscribed again", || fabric.has_subscriber(owner.name())).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_node_that_is_dropped_lets_go_of_its_link() {
     let fabric = Fabric::start().await;
     let node = fabric.node("proxy").await;
@@ -136,8 +153,13 @@ async fn a_serial_that_somebody_else_used_is_learnt() {
     let fabric = Fabric::start().await;
     let node = fabric.node("proxy").await;
     fabric.set_serial(node.name(), 1000);
-    let _publisher = Owner::new("/chatter").publish(&node).await.unwrap();
+    let owner = Owner::new("/chatter");
+    let publisher = owner.publish(&node).await.unwrap();
     assert_eq!(fabric.serial(node.name()), 1001);
+    fabric.set_serial(node.name(), 2000);
+    drop(publisher);
+    eventually("withdrawn", || fabric.writers(owner.name()) == 0).await;
+    assert_eq!(fabric.serial(node.name()), 2001);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
