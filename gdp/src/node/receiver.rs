@@ -20,9 +20,8 @@ use crate::seal::DropReason;
 /// How long the thread sleeps without a frame: messages that cannot complete any more are given up at this pace.
 const TICK: Duration = Duration::from_millis(100);
 
-/// How often the same unknown source is asked about, and how many are remembered.
-const ASK_AGAIN: Duration = Duration::from_secs(1);
-const MAX_ASKED: usize = 256;
+/// How often the RIB is asked who writes a name, while frames come from sources that are not known to.
+const ASK_AGAIN: Duration = Duration::from_millis(250);
 
 /// What the rest of the node tells the thread.
 pub enum Command {
@@ -109,8 +108,8 @@ struct Intakes {
     intakes: HashMap<Name, Box<Intake>>,
     /// Frames of sources that are being asked about.
     held: Held,
-    /// Unknown sources, and when they were last asked about.
-    asked: HashMap<(Name, Name), Instant>,
+    /// When the writers of a subscribed name were last asked for.
+    asked: HashMap<Name, Instant>,
     start: Instant,
 }
 
@@ -154,7 +153,7 @@ impl Intakes {
                 any_dropped |= intake.push(now, header.source, payload, counters).is_err();
                 continue;
             }
-            ask_about(&mut self.asked, header.destination, header.source, events);
+            ask_about(&mut self.asked, header.destination, events);
             if !self.held.hold(header.destination, header.source, payload) {
                 counters.dropped[DropReason::UnknownWriter as usize].add(1);
             }
@@ -175,15 +174,45 @@ impl Intakes {
     }
 }
 
-/// Has the supervisor find out whether `source` may write `name`.
-fn ask_about(
-    asked: &mut HashMap<(Name, Name), Instant>,
-    name: Name,
-    source: Name,
-    events: &async_mpsc::UnboundedSender<Event>,
-) {
-    let recently = asked.get(&(name, source)).is_some_and(|when| when.elapsed() < ASK_AGAIN);
-    if !recently && asked.len() < MAX_ASKED && events.send(Event::UnknownWriter { name }).is_ok() {
-        asked.insert((name, source), Instant::now());
+/// Has the supervisor find out who writes `name`. The answer is about all its writers, so that no number of made-up sources
+/// causes more than one question at a time.
+fn ask_about(asked: &mut HashMap<Name, Instant>, name: Name, events: &async_mpsc::UnboundedSender<Event>) {
+    let recently = asked.get(&name).is_some_and(|when| when.elapsed() < ASK_AGAIN);
+    if !recently && events.send(Event::UnknownWriter { name }).is_ok() {
+        asked.insert(name, Instant::now());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::crypto::Backend;
+    use crate::port::LinkAddr;
+    use crate::seal::{EpochKey, Limits, Reader};
+    use zerocopy::IntoBytes;
+
+    #[test]
+    fn many_unknown_sources_cause_one_question() {
+        let name = Name::from_bytes([1; 32]);
+        let reader = Reader::new(name, &EpochKey::from_bytes([2; 32]), Backend::default(), Limits::default());
+        let intake = Intake::new(reader, async_mpsc::channel(1).0, Arc::default(), 1, Duration::ZERO);
+        let mut intakes = Intakes {
+            intakes: HashMap::from([(name, Box::new(intake))]),
+            held: Held::default(),
+            asked: HashMap::new(),
+            start: Instant::now(),
+        };
+        let (link, counters) = (LinkEntry::default(), Counters::default());
+        let (events, mut asked) = async_mpsc::unbounded_channel();
+        let mut batch = RecvBatch::new(1500);
+        for source in 0..50 {
+            let mut header = Header::data(name, Name::from_bytes([source; 32]), 0);
+            forward::stamp(&mut header, &link, 1);
+            assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
+        }
+        intakes.take(&mut batch, &link, &counters, &events);
+        assert!(matches!(asked.try_recv(), Ok(Event::UnknownWriter { name: about }) if about == name));
+        assert!(asked.try_recv().is_err());
+        assert!(counters.snapshot(0).drops.is_empty(), "the frames wait for the answer");
     }
 }

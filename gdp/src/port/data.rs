@@ -75,7 +75,7 @@ impl RecvBatch {
     }
 
     /// Takes a copy of a frame that came another way; `false` when the batch is full.
-    pub(super) fn push(&mut self, frame: &[u8], from: LinkAddr) -> bool {
+    pub(crate) fn push(&mut self, frame: &[u8], from: LinkAddr) -> bool {
         if self.count == BATCH {
             return false;
         }
