@@ -100,8 +100,6 @@ impl Domain {
 
 /// Tells ROS tools of the proxy. A node of ros2-client also has a spinner, which must not run here: it would take the
 /// participant's events away from [`Discovery`], and offer the node's parameters to everybody in the domain.
-/// Makes the node, which announces itself. It is not spun: its spinner and [`Discovery`] would each get a part of the
-/// participant's events, of which RustDDS has one queue.
 fn announce(participant: &DomainParticipant, node: &str) -> Result<Node, RosError> {
     let refused = |reason: String| RosError::Node { node: node.to_owned(), reason };
     let name = NodeName::new("/", node).map_err(|error| refused(error.to_string()))?;
