@@ -63,6 +63,8 @@ pub enum ClientError {
         "no daemon answers at {}: {source}; start one with `gdp-ctl serve`, or say where it is with --socket", path.display()
     )]
     NoDaemon { path: PathBuf, source: std::io::Error },
+    #[error("not allowed to use the daemon's socket {}; run this as the user who runs the daemon", .0.display())]
+    NotAllowed(PathBuf),
     #[error("the daemon went away: {0}")]
     Broken(std::io::Error),
     #[error("the daemon gave an answer that this program does not understand: {0}")]
@@ -78,7 +80,10 @@ pub struct Client {
 
 impl Client {
     pub fn connect(path: &Path) -> Result<Self, ClientError> {
-        let stream = UnixStream::connect(path).map_err(|source| ClientError::NoDaemon { path: path.into(), source })?;
+        let stream = UnixStream::connect(path).map_err(|source| match source.kind() {
+            std::io::ErrorKind::PermissionDenied => ClientError::NotAllowed(path.into()),
+            _ => ClientError::NoDaemon { path: path.into(), source },
+        })?;
         stream.set_read_timeout(Some(PATIENCE)).map_err(ClientError::Broken)?;
         stream.set_write_timeout(Some(PATIENCE)).map_err(ClientError::Broken)?;
         Ok(Self { stream: BufReader::new(stream) })

@@ -11,12 +11,10 @@ use gdp_wire::Name;
 use serde::{Deserialize, Deserializer};
 
 use crate::folders;
+use crate::plane::FIB_CAPACITY;
 
 /// A configuration is a page of text; more is a wrong file.
 const MAX_FILE: u64 = 256 * 1024;
-
-/// Entries of the kernel's FIB, unless configured.
-const FIB_CAPACITY: u32 = 1 << 16;
 
 /// What `gdp-ctl serve` runs with.
 #[derive(Clone, Debug)]
@@ -70,6 +68,17 @@ pub enum Via {
     /// On the segment of this interface; its address is discovered.
     Interface(String),
     Udp(SocketAddr),
+}
+
+impl Via {
+    /// Whether it is through the same interface, or both over UDP.
+    pub fn same_port(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Interface(a), Self::Interface(b)) => a == b,
+            (Self::Udp(_), Self::Udp(_)) => true,
+            _ => false,
+        }
+    }
 }
 
 impl fmt::Display for Via {
@@ -194,17 +203,15 @@ impl File {
         let invalid = |reason: String| Err(ParseError::Invalid(reason));
         let mut neighbours = Vec::new();
         for entry in self.neighbours {
-            let cost = entry.cost.unwrap_or(1);
-            if cost == 0 {
-                return invalid(format!("neighbours: cost of {} is 0; the least is 1", entry.switch));
-            }
-            let neighbour = Neighbour { place: entry.place("neighbours")?, cost };
+            let neighbour = entry.neighbour("neighbours")?;
             if neighbours.iter().any(|n: &Neighbour| n.place.switch == neighbour.place.switch) {
                 return invalid(format!("neighbours: {} is listed twice", neighbour.place.switch));
             }
             neighbours.push(neighbour);
         }
-        let uplink = self.uplink.map(|entry| entry.place("uplink")).transpose()?;
+        let uplink_cost = self.uplink.as_ref().and_then(|entry| entry.cost);
+        let uplink_neighbour = self.uplink.map(|entry| entry.neighbour("uplink")).transpose()?;
+        let uplink = uplink_neighbour.as_ref().map(|neighbour| neighbour.place.clone());
         let rib = self.rib.unwrap_or(uplink.is_none());
         match &uplink {
             Some(_) if rib => {
@@ -218,14 +225,23 @@ impl File {
             }
             _ => {}
         }
-        if let Some(uplink) = &uplink {
-            match neighbours.iter().find(|n| n.place.switch == uplink.switch) {
-                Some(listed) if listed.place != *uplink => {
-                    return invalid(format!("uplink: {} is another place in neighbours", uplink.switch));
+        if let Some(uplink) = uplink_neighbour {
+            let switch = uplink.place.switch;
+            match neighbours.iter().find(|n| n.place.switch == switch) {
+                Some(listed) if listed.place != uplink.place => {
+                    return invalid(format!("uplink: {switch} is another place in neighbours"));
+                }
+                Some(listed) if uplink_cost.is_some_and(|cost| cost != listed.cost) => {
+                    return invalid(format!("uplink: {switch} has another cost in neighbours; remove one of the two"));
                 }
                 Some(_) => {}
-                None => neighbours.push(Neighbour { place: uplink.clone(), cost: 1 }),
+                None => neighbours.push(uplink),
             }
+        }
+        if let (Udp::Off, Some(over_udp)) = (&self.udp, neighbours.iter().find(|n| matches!(n.place.via, Via::Udp(_))))
+        {
+            let switch = over_udp.place.switch;
+            return invalid(format!("udp: null turns UDP off, but the neighbour {switch} is reached over it"));
         }
         if let Some(interfaces) = &self.interfaces {
             for neighbour in &neighbours {
@@ -270,6 +286,14 @@ impl File {
 }
 
 impl PlaceEntry {
+    fn neighbour(self, key: &str) -> Result<Neighbour, ParseError> {
+        let cost = self.cost.unwrap_or(1);
+        if cost == 0 {
+            return Err(ParseError::Invalid(format!("{key}: cost of {} is 0; the least is 1", self.switch)));
+        }
+        Ok(Neighbour { place: self.place(key)?, cost })
+    }
+
     fn place(self, key: &str) -> Result<Place, ParseError> {
         let via = match (self.interface, self.udp) {
             (Some(name), None) => Via::Interface(name),
@@ -327,6 +351,8 @@ mod tests {
         assert_eq!(config.udp, Some("[::1]:5".parse().unwrap()));
         assert!(!config.rib);
         assert_eq!(config.neighbours.len(), 1, "the uplink is a neighbour");
+        let config = parse(&format!("uplink: {{interface: a, switch: {S}, cost: 7}}")).unwrap();
+        assert_eq!(config.neighbours[0].cost, 7);
     }
 
     #[test]
@@ -346,6 +372,12 @@ mod tests {
                 &format!("neighbours: [{{interface: a, switch: {S}}}]\nuplink: {{interface: b, switch: {S}}}"),
                 "another place",
             ),
+            (
+                &format!("neighbours: [{{interface: a, switch: {S}}}]\nuplink: {{interface: a, switch: {S}, cost: 3}}"),
+                "another cost",
+            ),
+            (&format!("uplink: {{interface: a, switch: {S}, cost: 0}}"), "the least is 1"),
+            (&format!("udp: null\nuplink: {{udp: '127.0.0.1:9', switch: {S}}}"), "turns UDP off"),
             ("fib_capacity: 0", "fib_capacity"),
         ] {
             let error = parse(text).expect_err(text);

@@ -81,6 +81,7 @@ fn what_goes_wrong_is_named_with_its_remedy() {
             assert!(error.contains(needle), "{arguments:?}: {error}");
         }
         assert!(output.stdout.is_empty(), "{arguments:?}: an error is not data");
+        assert!(error.matches("os error").count() <= 1, "{arguments:?}: says it twice: {error}");
     }
 }
 
@@ -119,6 +120,10 @@ fn a_name_is_advertised_queried_dumped_and_withdrawn() {
     let foreign = user.run(&["advertise", "chatter.card", "--key", "owner.pem", "--cert", "chatter.ad"]);
     assert_eq!(foreign.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&foreign.stderr).contains("wrong entity"), "{foreign:?}");
+
+    let other =
+        user.run(&["advertise", "chatter.card", "--key", "robot.pem", "--kind", "tool", "--cert", "chatter.ad"]);
+    assert!(String::from_utf8_lossy(&other.stderr).contains("add --kind proxy"), "{other:?}");
 
     user.json(&["withdraw", "chatter.card", "--key", "robot.pem"]);
     let again = user.run(&["withdraw", "chatter.card", "--key", "robot.pem"]);

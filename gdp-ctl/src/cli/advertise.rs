@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context as _, bail};
-use clap::Args;
+use anyhow::{Context as _, anyhow, bail};
+use clap::{Args, ValueEnum};
 use gdp::NameCard;
 use gdp::cert::{AdCert, Advert, AdvertOp, Mode, RtCert, Signed, issue};
 use gdp::control::{EntityRequest, Response};
@@ -12,11 +12,14 @@ use gdp::name::Name;
 use serde_json::json;
 
 use super::key::Kind;
-use super::{Context, cert, parse_seconds, unix_now};
+use super::{Context, cert, parse_seconds, unix_now, validity};
 use crate::admin::{Client, Request};
 
 /// What the switch is allowed to carry for a statement that a tool makes.
 const ROUTE_SECONDS: u64 = 300;
+
+/// The RIB's clock may be so much ahead, in seconds.
+const CLOCKS_DIFFER: u64 = 300;
 
 #[derive(Debug, Args)]
 pub struct Options {
@@ -90,7 +93,21 @@ impl Entity {
 /// The certificate of the file; without one, the owner allows itself.
 fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow::Result<Signed<AdCert>> {
     if let Some(file) = &options.cert {
-        return cert::load(file);
+        let cert: Signed<AdCert> = cert::load(file)?;
+        let meant = cert.claims_unverified().map_err(|error| anyhow!("{}: {error}", file.display()))?.entity;
+        let other = |kind: &&Kind| Identity::new(entity.key().clone(), kind.as_str()).name() == meant;
+        if meant != entity.name()
+            && let Some(kind) = Kind::value_variants().iter().find(other)
+        {
+            bail!(
+                "{} is for the key {} as a {}; add --kind {}",
+                file.display(),
+                options.entity.key.display(),
+                kind.as_str(),
+                kind.as_str()
+            );
+        }
+        return Ok(cert);
     }
     let key = entity.key();
     if key.verify_key() != *card.owner_key() {
@@ -103,14 +120,14 @@ fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow:
             entity.name()
         );
     }
-    let now = unix_now();
+    let (not_before, not_after) = validity(u64::from(options.lifetime) + CLOCKS_DIFFER);
     let claims = AdCert {
         name: card.name(),
         entity: entity.name(),
         mode: Mode::Unicast,
         scope: Vec::new(),
-        not_before: now - 300,
-        not_after: now + u64::from(options.lifetime) + 300,
+        not_before,
+        not_after,
     };
     Ok(issue(key, &claims)?)
 }

@@ -11,7 +11,7 @@ use gdp::{NameCard, VerifyKey};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::{Context, output, unix_now};
+use super::{Context, output, unix_now, validity};
 
 /// Certificates are text of at most this length; a longer file is something else.
 const MAX_FILE: u64 = 16 * 1024;
@@ -74,9 +74,6 @@ impl From<DeliveryMode> for Mode {
     }
 }
 
-/// A clock that is a little behind must not refuse what was just issued.
-const BACKDATED: u64 = 300;
-
 pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
         Command::Advertise { grant, mode, scope } => {
@@ -107,8 +104,8 @@ impl Grant {
                 card.owner_key()
             );
         }
-        let now = unix_now();
-        Ok((owner, card.name(), now - BACKDATED, now + self.days * 86400))
+        let (not_before, not_after) = validity(self.days * 86400);
+        Ok((owner, card.name(), not_before, not_after))
     }
 
     fn write<T: Claims>(&self, owner: &SigningKey, claims: &T, context: &Context) -> anyhow::Result<()> {

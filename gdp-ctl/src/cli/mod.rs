@@ -90,11 +90,20 @@ pub fn main() -> ExitCode {
     match run(cli.command, &context) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("gdp-ctl: {error:#}");
+            eprintln!("gdp-ctl: {}", chain(&error));
             let no_daemon = matches!(error.downcast_ref(), Some(ClientError::NoDaemon { .. }));
             ExitCode::from(if no_daemon { 3 } else { 1 })
         }
     }
+}
+
+/// An error with its causes, those that it does not name itself.
+fn chain(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |text, cause| match text.as_str() {
+        "" => cause,
+        said if said.contains(&cause) => text,
+        _ => format!("{text}: {cause}"),
+    })
 }
 
 fn run(command: Command, context: &Context) -> anyhow::Result<()> {
@@ -115,6 +124,13 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
 /// Seconds since 1970.
 fn unix_now() -> u64 {
     std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default().as_secs()
+}
+
+/// Beginning and end of what is issued now for so many seconds. A clock that is a little behind must not refuse it.
+fn validity(seconds: u64) -> (u64, u64) {
+    const BACKDATED: u64 = 300;
+    let now = unix_now();
+    (now.saturating_sub(BACKDATED), now.saturating_add(seconds))
 }
 
 /// `90s`, `15m`, `2h`, `7d`, or a bare number of seconds.

@@ -107,7 +107,7 @@ async fn serve(daemon: &Arc<Daemon>, stream: UnixStream) -> std::io::Result<()> 
                 Err(reason) => Reply::Error { code: "malformed".into(), reason },
             }
         };
-        writer.write_all(reply_line(&reply).as_bytes()).await?;
+        timeout(IDLE, writer.write_all(reply_line(&reply).as_bytes())).await??;
         if too_long {
             return Ok(());
         }

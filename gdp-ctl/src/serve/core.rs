@@ -7,10 +7,10 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use gdp::control::{EntityRequest, FibPush, Refusal, RefusalCode, Request, Response};
 use gdp::identity::Identity;
-use gdp::link::{Link, Role};
+use gdp::link::{Link, Peer, Role};
 use gdp::name::NameProof;
 use gdp::port::LinkAddr;
-use gdp_wire::table::PORT_USERSPACE;
+use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
 use gdp_wire::{FibEntry, LinkEntry, Name};
 
 use super::routes::{Change, Routes};
@@ -21,6 +21,9 @@ use crate::rib::{Effect, Limits, Now, Rib};
 
 /// Switches that reach the RIB through this one; a RIB takes fewer.
 const MAX_DOWNSTREAM: usize = 256;
+
+/// Links of endpoints. Anybody can make one, so some are left for switches.
+const MAX_ENDPOINTS: usize = (MAX_LINKS - EGRESS_SET_SIZE) as usize;
 
 /// The daemon's state.
 pub struct Core {
@@ -125,17 +128,28 @@ impl Core {
         self.start.checked_add(clock)
     }
 
-    /// The configured neighbour, if a switch may have a link where it came in.
-    pub fn admit(&self, switch: &Name, via: &Via) -> Result<(), String> {
+    /// Whether a peer may have a link where it came in; if not, why.
+    pub fn admit(&self, peer: &Peer, via: &Via) -> Result<(), String> {
+        let switch = &peer.name;
+        if *switch == self.name() {
+            return Err(format!("the peer has the key of this switch, {switch}: give each a key of its own"));
+        }
+        if peer.role == Role::Endpoint {
+            let endpoints = self.links.values().filter(|state| state.link.peer().role == Role::Endpoint).count();
+            return if endpoints < MAX_ENDPOINTS {
+                Ok(())
+            } else {
+                Err(format!("{MAX_ENDPOINTS} endpoints have links to this switch, the most it takes"))
+            };
+        }
         let Some(neighbour) = self.neighbours.iter().find(|n| n.place.switch == *switch) else {
             return Err(format!("switch {switch} is not listed in the neighbours of this one"));
         };
-        let same_place = match (&neighbour.place.via, via) {
-            (Via::Interface(configured), Via::Interface(actual)) => configured == actual,
-            (Via::Udp(_), Via::Udp(_)) => true,
-            _ => false,
-        };
-        if same_place { Ok(()) } else { Err(format!("switch {switch} is a neighbour elsewhere, not {via}")) }
+        if neighbour.place.via.same_port(via) {
+            Ok(())
+        } else {
+            Err(format!("switch {switch} is a neighbour elsewhere, not {via}"))
+        }
     }
 
     /// Takes a link into service. Returns the one to the same peer that it replaces.

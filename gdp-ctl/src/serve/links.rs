@@ -17,7 +17,7 @@ const SETTLE: Duration = Duration::from_secs(1);
 /// Takes a new link into service, or closes it if its peer may not have one here.
 pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     let (peer, switch) = (link.peer().name, link.peer().role == Role::Switch);
-    if switch && let Err(reason) = daemon.core().admit(&peer, &via) {
+    if let Err(reason) = daemon.core().admit(link.peer(), &via) {
         tracing::warn!(%reason, "refused a link");
         return link.close(&reason);
     }

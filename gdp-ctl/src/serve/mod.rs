@@ -162,6 +162,7 @@ impl Running {
         let mut ports: Vec<_> = std::mem::take(&mut *self.daemon.ports()).into_values().collect();
         ports.extend(self.udp);
         futures::future::join_all(ports.iter().map(|port| port.close("shutting down"))).await;
+        drop(ports);
         self.daemon.core().planes.detach_all();
         drop(self.admin);
     }

@@ -10,7 +10,7 @@ use gdp::link::LinkError;
 use gdp::port::{Interface, LinkAddr, Port};
 use gdp_wire::Name;
 use tokio::sync::watch;
-use tokio::time::{sleep, timeout};
+use tokio::time::{Instant, sleep, timeout};
 
 use super::{Daemon, StartError, interfaces, links};
 use crate::config::{Place, Via};
@@ -106,16 +106,11 @@ async fn look(changes: &mut watch::Receiver<()>) {
 
 async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
     let own = daemon.name;
-    let here = |place: &Place| match (&place.via, via) {
-        (Via::Interface(a), Via::Interface(b)) => a == b,
-        (Via::Udp(_), Via::Udp(_)) => true,
-        _ => false,
-    };
     // Of two neighbours the one with the smaller name dials.
     let to_dial: Vec<Place> = {
         let core = daemon.core();
         let near = core.neighbours.iter().map(|n| n.place.clone());
-        near.filter(|place| here(place) && own.as_bytes() < place.switch.as_bytes()).collect()
+        near.filter(|place| place.via.same_port(via) && own.as_bytes() < place.switch.as_bytes()).collect()
     };
     let dials = futures::future::join_all(to_dial.into_iter().map(|place| keep_link(daemon, port, place)));
     tokio::join!(accept(daemon, port, via), dials);
@@ -130,26 +125,38 @@ async fn accept(daemon: &Arc<Daemon>, port: &Port, via: &Via) {
     }
 }
 
-/// Makes the link to a neighbour, and again whenever it is lost.
+/// Makes the link to a neighbour, and again whenever it is lost. One that does not last, as when the neighbour does not want
+/// it, is not made again at once.
 async fn keep_link(daemon: &Arc<Daemon>, port: &Port, place: Place) {
-    let mut wait = BACKOFF.0;
+    let (mut wait, mut told) = (BACKOFF.0, String::new());
     loop {
         let existing = daemon.core().link_to(&place.switch);
-        if let Some(link) = existing {
-            link.closed().await;
-            // The link's own task takes it out of service.
-            sleep(BACKOFF.0).await;
-            wait = BACKOFF.0;
-            continue;
-        }
-        match dial(port, &place).await {
-            Ok(link) => links::take(daemon, link, place.via.clone()),
-            Err(error) => {
-                tracing::debug!(switch = %format_args!("{:#}", place.switch), via = %place.via, %error, "no link yet");
-                sleep(jittered(wait)).await;
-                wait = (wait * 2).min(BACKOFF.1);
+        let problem = match existing {
+            Some(link) => {
+                let up = Instant::now();
+                let reason = link.closed().await;
+                if up.elapsed() > BACKOFF.1 {
+                    wait = BACKOFF.0;
+                }
+                reason
             }
+            None => match dial(port, &place).await {
+                Ok(link) => {
+                    links::take(daemon, link, place.via.clone());
+                    if daemon.core().link_to(&place.switch).is_some() {
+                        continue;
+                    }
+                    "it was made, but not taken into service".to_owned()
+                }
+                Err(error) => error.to_string(),
+            },
+        };
+        if problem != told {
+            tracing::warn!(switch = %format_args!("{:#}", place.switch), via = %place.via, "no link: {problem}; trying on");
+            told = problem;
         }
+        sleep(jittered(wait)).await;
+        wait = (wait * 2).min(BACKOFF.1);
     }
 }
 
