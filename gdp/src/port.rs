@@ -220,7 +220,7 @@ impl Port {
                 if found.len() < MAX_ANSWERS && !found.contains(&answer) {
                     found.push(answer);
                 }
-                until = end.min(now + ANSWERS_SETTLE);
+                until = end.min(Instant::now() + ANSWERS_SETTLE);
             }
         }
     }
