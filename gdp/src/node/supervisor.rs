@@ -13,7 +13,8 @@ use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep, sleep_until};
 
 use super::receiver::Command;
-use super::{LinkTarget, NodeError, State, Stated, Status};
+use super::state::{self, State, Status};
+use super::{LinkTarget, NodeError, Stated};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
 use crate::link::{Link, LinkError, Responder, Role};
@@ -28,8 +29,8 @@ const MAX_CANDIDATES: usize = 8;
 /// Between attempts to get the link back, and to state what was refused: doubled from the first to the second.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
-/// How often certificates and statements with a lifetime of [`super::LIFETIME`] are renewed.
-const RENEWAL: Duration = Duration::from_secs(super::LIFETIME as u64 / 3);
+/// How often certificates and statements with a lifetime of [`state::LIFETIME`] are renewed.
+const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
 
 /// Largest frame sent, whatever the first link takes: a link further on may take no more. Bytes.
 const MAX_FRAME: u32 = 1500;
