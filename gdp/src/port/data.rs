@@ -1,5 +1,5 @@
-//! Data frames in and out of a port, in batches, without an allocation per frame. Called from the userspace plane of a
-//! switch and from an endpoint's receiving thread; what a frame means is not known here.
+//! Data frames in and out of a port, in batches; on Ethernet without an allocation per frame. Called from the userspace plane
+//! of a switch and from an endpoint's receiving thread; what a frame means is not known here.
 
 use std::io;
 use std::mem::{size_of, zeroed};
