@@ -173,6 +173,15 @@ impl KernelPlane {
         (0..).zip(next_hops).try_for_each(|(bit, link)| self.next_hop.set(bit, link, 0)).map_err(update("NEXT_HOP"))
     }
 
+    /// Where a name leads.
+    pub fn route(&self, name: &Name) -> Result<Option<FibEntry>, UpdateError> {
+        match self.fib.get(name, 0) {
+            Ok(entry) => Ok(Some(entry)),
+            Err(MapError::KeyNotFound | MapError::ElementNotFound) => Ok(None),
+            Err(error) => Err(update("FIB")(error)),
+        }
+    }
+
     /// What the kernel forwards by, read back from the map.
     pub fn routes(&self) -> Result<Vec<(Name, FibEntry)>, UpdateError> {
         self.fib.iter().collect::<Result<_, _>>().map_err(update("FIB"))

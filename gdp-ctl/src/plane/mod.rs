@@ -19,7 +19,7 @@ pub mod xdp_features;
 
 use std::collections::HashMap;
 use std::path::PathBuf;
-use std::sync::{Arc, PoisonError, RwLockWriteGuard};
+use std::sync::{Arc, PoisonError, RwLockReadGuard, RwLockWriteGuard};
 
 use aya::programs::xdp::XdpLinkId;
 use gdp::port::{DataSocket, Interface, LinkAddr};
@@ -225,7 +225,7 @@ impl Planes {
     /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold the same number.
     pub fn set_route(&mut self, name: Name, entry: FibEntry) -> Result<(), PlaneError> {
         let capacity = self.config.fib_capacity;
-        if !self.tables().has_room_for(&name, capacity as usize) {
+        if !self.read_tables().has_room_for(&name, capacity as usize) {
             return Err(UpdateError::FibFull { capacity }.into());
         }
         let before = self.tables().set_route(name, entry);
@@ -276,21 +276,43 @@ impl Planes {
         Ok(Counter::ALL.iter().zip(kernel.into_iter().zip(userspace)).map(|(c, (k, u))| (*c, k, u)).collect())
     }
 
-    /// What frames are forwarded by, in the order of names: read back from the kernel where XDP runs.
+    /// What frames are forwarded by: read back from the kernel where XDP runs.
     pub fn routes(&self) -> Result<Vec<(Name, FibEntry)>, PlaneError> {
-        let in_kernel = self.ports.values().any(|port| port.attached.is_some());
-        let mut routes = match &self.kernel {
-            Ok(kernel) if in_kernel => kernel.routes()?,
-            _ => self.tables().routes().map(|(name, entry)| (*name, *entry)).collect(),
-        };
-        routes.sort_by_key(|(name, _)| *name);
-        Ok(routes)
+        Ok(self.routes_behind(None, usize::MAX)?.0)
+    }
+
+    /// Of [`Self::routes`] at most `limit` behind `after`, in the order of their digits; and whether there are more.
+    pub fn routes_behind(
+        &self,
+        after: Option<Name>,
+        limit: usize,
+    ) -> Result<(Vec<(Name, FibEntry)>, bool), PlaneError> {
+        let behind = |name: &Name| after.is_none_or(|after| name.as_bytes() > after.as_bytes());
+        let mut routes: Vec<_> =
+            self.read_tables().routes().filter(|(name, _)| behind(name)).map(|(name, entry)| (*name, *entry)).collect();
+        let order = |a: &(Name, FibEntry), b: &(Name, FibEntry)| a.0.as_bytes().cmp(b.0.as_bytes());
+        let more = routes.len() > limit;
+        if more {
+            routes.select_nth_unstable_by(limit, order);
+            routes.truncate(limit);
+        }
+        routes.sort_unstable_by(order);
+        match &self.kernel {
+            Ok(kernel) if self.ports.values().any(|port| port.attached.is_some()) => {
+                let mut held = Vec::with_capacity(routes.len());
+                for (name, _) in routes {
+                    held.extend(kernel.route(&name)?.map(|entry| (name, entry)));
+                }
+                Ok((held, more))
+            }
+            _ => Ok((routes, more)),
+        }
     }
 
     /// Looks again which interfaces take redirected frames (a veth does depending on its peer), and moves the links on them
     /// to the plane that can send. Cheap; for the daemon to call now and then, and after changes to interfaces.
     pub fn refresh(&mut self) -> Result<(), PlaneError> {
-        let links: Vec<_> = self.tables().links().copied().collect();
+        let links: Vec<_> = self.read_tables().links().copied().collect();
         for (entry, to) in links {
             if self.port_for(to) != entry.port {
                 self.set_link(entry, to)?;
@@ -355,6 +377,10 @@ impl Planes {
         only_generic || asked.unwrap_or(true)
     }
 
+    fn read_tables(&self) -> RwLockReadGuard<'_, UserTables> {
+        self.shared.tables.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn tables(&self) -> RwLockWriteGuard<'_, UserTables> {
         self.shared.tables.write().unwrap_or_else(PoisonError::into_inner)
     }
@@ -372,4 +398,32 @@ const NO_REDIRECT: &str = "; frames leave here through the userspace plane, beca
 fn load(config: &PlaneConfig) -> Result<KernelPlane, LoadError> {
     let object = object::find(config.ebpf_object.as_deref()).map_err(LoadError::NoObject)?;
     KernelPlane::load(&object, config.fib_capacity)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn routes_are_paged_in_the_order_of_their_digits_and_bounded() {
+        let config = PlaneConfig { wanted: Wanted::Userspace, fib_capacity: 5, ..PlaneConfig::default() };
+        let mut planes = Planes::open(config).unwrap();
+        let name = |i: u8| Name::from_bytes(std::array::from_fn(|at| if at == 0 { i } else { 255 - i }));
+        for i in [3, 1, 5, 2, 4] {
+            planes.set_route(name(i), FibEntry::default()).unwrap();
+        }
+        let error = planes.set_route(name(6), FibEntry::default()).unwrap_err().to_string();
+        assert!(error.contains("the FIB is full (5 names)"), "{error}");
+        planes.set_route(name(5), FibEntry { local_link: 7, ..FibEntry::default() }).expect("it is there already");
+
+        let page = |after: Option<u8>, limit| {
+            let (page, more) = planes.routes_behind(after.map(name), limit).unwrap();
+            (page.iter().map(|(name, _)| name.as_bytes()[0]).collect::<Vec<_>>(), more)
+        };
+        assert_eq!(page(None, 2), (vec![1, 2], true));
+        assert_eq!(page(Some(2), 2), (vec![3, 4], true));
+        assert_eq!(page(Some(4), 2), (vec![5], false));
+        assert_eq!(page(None, 5), (vec![1, 2, 3, 4, 5], false));
+        assert_eq!(page(Some(5), 2), (vec![], false));
+    }
 }

@@ -97,13 +97,9 @@ fn summary(report: &[crate::plane::InterfacePlane], udp_links: usize) -> (&'stat
 /// One page of `gdp-ctl fib dump`: at most `limit` names behind `after`, and whether there are more.
 pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, String> {
     let core = daemon.core();
-    let mut routes = core.planes.routes().map_err(|error| error.to_string())?;
-    routes.sort_by_key(|(name, _)| *name.as_bytes());
-    let from = after.map_or(0, |after| routes.partition_point(|(name, _)| name.as_bytes() <= after.as_bytes()));
+    let (routes, more) = core.planes.routes_behind(after, limit).map_err(|error| error.to_string())?;
     let peers = core.peers_by_link();
-    let page: Vec<Value> =
-        routes[from..].iter().take(limit).map(|(name, entry)| route(&core, &peers, name, entry)).collect();
-    let more = routes.len() - from > page.len();
+    let page: Vec<Value> = routes.iter().map(|(name, entry)| route(&core, &peers, name, entry)).collect();
     Ok(json!({"routes": page, "more": more}))
 }
 
