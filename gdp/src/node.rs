@@ -73,6 +73,8 @@ pub enum NodeError {
     Link(#[from] LinkError),
     #[error("no answer from {wanted} on interface {interface}; is it running there, and is the cable plugged in?")]
     NoAnswer { interface: String, wanted: String },
+    #[error("host {host} has no address: {source}; check the name, and that the network is up")]
+    NoAddress { host: String, source: std::io::Error },
     #[error("who answered on the segment is not the switch that it says: {0}")]
     NoSwitch(Box<NodeError>),
     #[error("the peer at {0} is no switch")]

@@ -212,14 +212,9 @@ impl Supervisor {
                 Ok((port, answers.into_iter().map(|(to, name)| (to, Some(name))).collect()))
             }
             LinkTarget::Udp { host, port: number } => {
-                let what = || format!("host {host}");
-                let mut found = tokio::net::lookup_host((host.as_str(), *number))
-                    .await
-                    .map_err(|source| LinkError::Io { what: what(), source })?;
-                let to = found.next().ok_or_else(|| LinkError::Io {
-                    what: what(),
-                    source: std::io::ErrorKind::AddrNotAvailable.into(),
-                })?;
+                let no_address = |source| NodeError::NoAddress { host: host.clone(), source };
+                let mut found = tokio::net::lookup_host((host.as_str(), *number)).await.map_err(no_address)?;
+                let to = found.next().ok_or_else(|| no_address(std::io::ErrorKind::AddrNotAvailable.into()))?;
                 let same = |port: &Arc<Port>| port.udp_addr().is_some_and(|open| open.is_ipv4() == to.is_ipv4());
                 let port = match self.port.take().filter(same) {
                     Some(port) => port,
@@ -299,7 +294,7 @@ fn worth_another_attempt(error: &NodeError) -> bool {
     match error {
         NodeError::Link(LinkError::Io { .. } | LinkError::WrongPeer { .. }) | NodeError::NotASwitch(_) => false,
         NodeError::Refused(refusal) => refusal.code == RefusalCode::Unreachable,
-        NodeError::Link(_) | NodeError::NoAnswer { .. } | NodeError::NoSwitch(_) => true,
+        NodeError::Link(_) | NodeError::NoAnswer { .. } | NodeError::NoAddress { .. } | NodeError::NoSwitch(_) => true,
         _ => false,
     }
 }
@@ -324,5 +319,20 @@ struct AbortOnDrop(JoinHandle<()>);
 impl Drop for AbortOnDrop {
     fn drop(&mut self) {
         self.0.abort();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{Error, ErrorKind};
+
+    #[test]
+    fn a_robot_that_has_no_network_yet_tries_again() {
+        let host = "edge.local".to_owned();
+        let unresolved = NodeError::NoAddress { host, source: ErrorKind::NotFound.into() };
+        let interface = LinkError::Io { what: "interface r0".into(), source: Error::from_raw_os_error(libc::ENODEV) };
+        assert!(worth_another_attempt(&unresolved));
+        assert!(!worth_another_attempt(&interface.into()), "more likely a misspelt name");
     }
 }
