@@ -137,7 +137,10 @@ impl Config {
         let file: File = if text.trim().is_empty() {
             File::default()
         } else {
-            serde_saphyr::from_str(text).map_err(|error| ParseError::Invalid(error.to_string()))?
+            // A snippet would put the text into the log, and the file may be a key, given by mistake.
+            let options = serde_saphyr::options! { with_snippet: false };
+            serde_saphyr::from_str_with_options(text, options)
+                .map_err(|error| ParseError::Invalid(error.to_string()))?
         };
         file.check(folder)
     }
@@ -353,6 +356,14 @@ mod tests {
         assert_eq!(config.neighbours.len(), 1, "the uplink is a neighbour");
         let config = parse(&format!("uplink: {{interface: a, switch: {S}, cost: 7}}")).unwrap();
         assert_eq!(config.neighbours[0].cost, 7);
+    }
+
+    #[test]
+    fn a_secret_given_by_mistake_is_not_repeated() {
+        for text in ["-----BEGIN PRIVATE KEY-----\nc2VjcmV0\n", "identity: [c2VjcmV0", "c2VjcmV0"] {
+            let error = parse(text).expect_err(text);
+            assert!(!error.contains("c2VjcmV0"), "{error}");
+        }
     }
 
     #[test]

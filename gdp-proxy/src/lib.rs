@@ -11,3 +11,4 @@ pub mod proxy;
 pub mod ros2;
 pub mod route;
 pub mod stats;
+pub mod timing;

@@ -5,7 +5,7 @@ use std::convert::Infallible;
 use std::fmt::Display;
 use std::pin::pin;
 use std::sync::{Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use gdp::cert::{AdCert, ReadGrant, Signed};
 use gdp::node::{NodeError, Publisher, SubscribeOptions};
@@ -16,7 +16,7 @@ use crate::backlog::Backlog;
 use crate::config::{Direction, TopicConfig};
 use crate::material::{Permission, TopicMaterial};
 use crate::ros2::{
-    Domain, Qos, RawReader, RawSample, RawWriter, RosError, TopicName, TypeName, Unreadable, WriteError,
+    Arrived, Domain, Qos, RawReader, RawSample, RawWriter, RosError, TopicName, TypeName, Unreadable, WriteError,
 };
 use crate::stats::{Drop, RouteCounters, RouteStats};
 
@@ -143,6 +143,7 @@ impl Route {
                 self.keep(reader.recv().await, &mut backlog);
                 continue;
             };
+            let began = Instant::now();
             let mut sending = pin!(publisher.send(Encoding::Cdr, &message));
             // RustDDS holds few messages and drops more without a word: they are taken over while the fabric is busy.
             let sent = loop {
@@ -153,16 +154,22 @@ impl Route {
                 }
             };
             match sent {
-                Ok(_) => self.counters.passed(message.len()),
+                Ok(_) => {
+                    self.counters.handling.record(began.elapsed());
+                    self.counters.passed(message.len());
+                }
                 Err(NodeError::Closed) => return Err(RouteError::NodeClosed),
                 Err(error) => self.drop(Drop::SendFailed, error),
             }
         }
     }
 
-    fn keep(&self, arrived: Result<RawSample, Unreadable>, backlog: &mut Backlog) {
+    fn keep(&self, arrived: Result<Arrived, Unreadable>, backlog: &mut Backlog) {
         match arrived {
-            Ok(sample) => {
+            Ok(Arrived { sample, written_ns }) => {
+                if let Some(written_ns) = written_ns {
+                    self.counters.arrival.record_since(written_ns);
+                }
                 for _ in 0..backlog.push(sample.bytes) {
                     self.drop(Drop::QueueFull, "the fabric takes messages more slowly than they come");
                 }
@@ -178,12 +185,16 @@ impl Route {
         if message.encoding != Encoding::Cdr {
             return self.drop(Drop::WrongEncoding, format_args!("{:?}, not CDR", message.encoding));
         }
-        let bytes = message.body.len();
+        self.counters.arrival.record_since(message.timestamp_ns);
+        let (bytes, began) = (message.body.len(), Instant::now());
         let Some(sample) = RawSample::parse(message.body) else {
             return self.drop(Drop::Malformed, "not a CDR encapsulation");
         };
         match writer.write(sample, message.timestamp_ns).await {
-            Ok(()) => self.counters.passed(bytes),
+            Ok(()) => {
+                self.counters.handling.record(began.elapsed());
+                self.counters.passed(bytes);
+            }
             Err(error @ WriteError::Stalled) => self.drop(Drop::Stalled, error),
             Err(error @ WriteError::Failed(_)) => self.drop(Drop::WriteFailed, error),
         }

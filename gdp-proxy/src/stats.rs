@@ -11,6 +11,7 @@ use gdp::node::NodeCounters;
 use serde::Serialize;
 
 use crate::config::Direction;
+use crate::timing::{Percentiles, Timing};
 
 /// Why a message did not cross. What the fabric drops is in the node's counters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,6 +66,10 @@ pub struct RouteCounters {
     messages: AtomicU64,
     bytes: AtomicU64,
     drops: [AtomicU64; Drop::ALL.len()],
+    /// Until the proxy has a message: `out` since the ROS node wrote it, `in` since the other proxy sealed it.
+    pub arrival: Timing,
+    /// `out`: to seal, sign and send it; `in`: to write it into DDS.
+    pub handling: Timing,
 }
 
 impl RouteCounters {
@@ -103,6 +108,16 @@ pub struct RouteStats {
     pub messages: u64,
     pub bytes: u64,
     pub drops: BTreeMap<&'static str, u64>,
+    pub latency_us: StageLatency,
+}
+
+/// Where the time goes, in microseconds; null before the first message.
+#[derive(Serialize)]
+pub struct StageLatency {
+    /// See [`RouteCounters::arrival`]. By the clocks of both machines, so as true as they agree.
+    pub arrival: Option<Percentiles>,
+    /// See [`RouteCounters::handling`].
+    pub handling: Option<Percentiles>,
 }
 
 impl RouteStats {
@@ -115,7 +130,9 @@ impl RouteStats {
         counters: &RouteCounters,
     ) -> Self {
         let (messages, bytes) = (counters.messages(), counters.bytes.load(Relaxed));
-        Self { topic, kind, status, direction, name, messages, bytes, drops: counters.drops() }
+        let latency_us =
+            StageLatency { arrival: counters.arrival.percentiles(), handling: counters.handling.percentiles() };
+        Self { topic, kind, status, direction, name, messages, bytes, drops: counters.drops(), latency_us }
     }
 }
 

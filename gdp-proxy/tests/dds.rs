@@ -20,7 +20,8 @@ async fn messages_of_any_type_cross_exactly_in_either_byte_order() {
             let sent = sample(header, size);
             writer.write(sent.clone(), 1_700_000_000_000_000_000).await.unwrap();
             let received = within("a message crosses", reader.recv()).await.unwrap();
-            assert!(received == sent, "{header:?} {size}");
+            assert_eq!(received.written_ns.map(|ns| ns / 1000), Some(1_700_000_000_000_000));
+            assert!(received.sample == sent, "{header:?} {size}");
         }
     }
     here.leave().await;
@@ -38,11 +39,11 @@ async fn what_the_participant_wrote_itself_is_not_read_back() {
 
     own_writer.write(sample([0, 1, 0, 0], 16), 0).await.unwrap();
     let crossed = within("another participant reads it", other_reader.recv()).await.unwrap();
-    assert_eq!(crossed, sample([0, 1, 0, 0], 16));
+    assert_eq!(crossed.sample, sample([0, 1, 0, 0], 16));
     // Whatever comes first to our own reader is the other's: its message is longer, ours was written before it.
     other_writer.write(sample([0, 1, 0, 0], 32), 0).await.unwrap();
     let read = within("the other's message is read", own_reader.recv()).await.unwrap();
-    assert_eq!(read, sample([0, 1, 0, 0], 32));
+    assert_eq!(read.sample, sample([0, 1, 0, 0], 32));
     here.leave().await;
     there.leave().await;
 }
@@ -91,7 +92,7 @@ async fn until_received(writer: &mut RawWriter, reader: &RawReader) -> RawSample
     loop {
         writer.write(sample([0, 1, 0, 0], 64), 0).await.unwrap();
         if let Ok(received) = tokio::time::timeout(Duration::from_millis(20), reader.recv()).await {
-            return received.unwrap();
+            return received.unwrap().sample;
         }
     }
 }

@@ -10,7 +10,7 @@ mod raw;
 
 pub use names::{NameError, TopicName, TypeName};
 pub use qos::{Depth, Durability, Qos, Reliability};
-pub use raw::{ENCAPSULATION, RawReader, RawSample, RawWriter, Representation, Unreadable, WriteError};
+pub use raw::{Arrived, ENCAPSULATION, RawReader, RawSample, RawWriter, Representation, Unreadable, WriteError};
 
 use std::sync::Arc;
 

@@ -3,6 +3,7 @@
 
 use std::convert::Infallible;
 use std::future::poll_fn;
+use std::pin::pin;
 use std::task::Poll;
 use std::time::Duration;
 
@@ -25,6 +26,13 @@ pub struct RawSample {
     pub representation: Representation,
     /// Encapsulation header and body. DDS vendors pad the body to a multiple of four.
     pub bytes: Bytes,
+}
+
+/// A message as it came from DDS.
+pub struct Arrived {
+    pub sample: RawSample,
+    /// When its writer wrote it, on the writer's clock, in nanoseconds since 1970.
+    pub written_ns: Option<u64>,
 }
 
 /// The encodings that ROS 2 uses: XCDR version 1, either byte order.
@@ -71,7 +79,7 @@ impl RawReader {
     }
 
     /// The next message. Wakes when it arrives, without polling; may be cancelled without losing one.
-    pub async fn recv(&self) -> Result<RawSample, Unreadable> {
+    pub async fn recv(&self) -> Result<Arrived, Unreadable> {
         poll_fn(|context| {
             if let Some(taken) = self.take() {
                 return Poll::Ready(taken);
@@ -83,12 +91,15 @@ impl RawReader {
         .await
     }
 
-    fn take(&self) -> Option<Result<RawSample, Unreadable>> {
+    fn take(&self) -> Option<Result<Arrived, Unreadable>> {
         loop {
             match self.reader.try_take_one() {
                 Ok(None) => return None,
                 Ok(Some(change)) if self.is_own(change.writer_guid()) => {}
-                Ok(Some(change)) => return Some(Ok(change.into_value())),
+                Ok(Some(change)) => {
+                    let written_ns = change.source_timestamp().map(nanoseconds);
+                    return Some(Ok(Arrived { sample: change.into_value(), written_ns }));
+                }
                 Err(ReadError::UnknownKey { .. }) => {}
                 Err(error) => return Some(Err(Unreadable(error.to_string()))),
             }
@@ -145,6 +156,11 @@ impl RawWriter {
                 other => WriteError::Failed(other.to_string()),
             })
         };
+        let mut write = pin!(write);
+        // Nearly always done at once; to set a timer would wake the runtime's thread for every message.
+        if let Poll::Ready(written) = poll_fn(|context| Poll::Ready(write.as_mut().poll(context))).await {
+            return written;
+        }
         tokio::time::timeout(WRITE_DEADLINE, write).await.unwrap_or(Err(WriteError::Stalled))
     }
 
@@ -167,6 +183,11 @@ fn timestamp(ns: u64) -> Timestamp {
         Ok(seconds) => Timestamp::from_ticks((u64::from(seconds) << 32) + (nanos << 32) / 1_000_000_000),
         Err(_) => Timestamp::now(),
     }
+}
+
+fn nanoseconds(timestamp: Timestamp) -> u64 {
+    let ticks = timestamp.to_ticks();
+    (ticks >> 32) * 1_000_000_000 + (((ticks & 0xffff_ffff) * 1_000_000_000) >> 32)
 }
 
 /// Takes bytes out of RustDDS, which hands them over without their encapsulation header.
@@ -253,8 +274,7 @@ mod tests {
     #[test]
     fn source_timestamps_keep_their_value() {
         let ns = 1_700_000_000_123_456_789;
-        let ticks = timestamp(ns).to_ticks();
-        let back = (ticks >> 32) * 1_000_000_000 + (((ticks & 0xffff_ffff) * 1_000_000_000) >> 32);
+        let back = nanoseconds(timestamp(ns));
         assert!(ns - back <= 1, "{back}");
         assert!(timestamp(u64::MAX) < Timestamp::INFINITE, "a time after 2106 is not passed on");
     }

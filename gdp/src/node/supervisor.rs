@@ -18,7 +18,7 @@ use super::{LinkTarget, NodeError, Stated};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
 use crate::link::{Link, LinkError, Responder, Role};
-use crate::port::{DataSocket, Interface, LinkAddr, Port, PortConfig};
+use crate::port::{DataSocket, Interface, LinkAddr, Port, PortConfig, UDP_MTU};
 
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -32,8 +32,8 @@ const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::fro
 /// How often certificates and statements with a lifetime of [`state::LIFETIME`] are renewed.
 const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
 
-/// Largest frame sent, whatever the first link takes: a link further on may take no more. Bytes.
-const MAX_FRAME: u32 = 1500;
+/// Largest frame sent, whatever the first link takes, until path MTUs are learnt: a link further on may be over UDP. Bytes.
+const MAX_FRAME: u32 = UDP_MTU;
 
 /// What the rest of the node tells the supervisor.
 pub enum Event {

@@ -5,8 +5,14 @@
 //!  site  talker ─lo─ listener                                                   (no network: what DDS itself takes)
 //!  ip    talker ──────────────── r1 ── r2 ── r3 ─────────────────── listener     (kernel IPv4, in clear)
 //! ```
+//!
+//! Everything is measured twice: on the machine as it is, and with its processors kept awake by threads that run only when
+//! nothing else wants to. The difference is what it costs to wake a sleeping processor, once at each hand-over from one
+//! thread to the next: much, on virtual machines, and nothing that any of these programs does.
 
+use std::collections::BTreeMap;
 use std::path::Path;
+use std::process::Command;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
@@ -14,6 +20,7 @@ use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::netns::{self, Namespace};
 use gdp_tests::peers::{self, Conversation, Received, Side, Traffic, Vendor};
+use gdp_tests::process::Process;
 use gdp_tests::{Tools, wait};
 use serde::Serialize;
 
@@ -51,11 +58,22 @@ enum Route {
 #[derive(Serialize)]
 struct Row {
     route: Route,
+    /// Whether the processors were kept awake.
+    awake: bool,
     bytes: usize,
     rate: f64,
     sent: u64,
     received: u64,
     latency_us: Latency,
+    /// Medians of the stages, for what crosses the fabric, as its proxies count them.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    stages_us: BTreeMap<&'static str, f64>,
+}
+
+/// What one conversation showed.
+struct Measured {
+    received: Vec<Received>,
+    stages: BTreeMap<&'static str, f64>,
 }
 
 #[derive(Serialize)]
@@ -81,17 +99,20 @@ pub fn run(options: Options) -> Result<()> {
     netns::sweep()?;
     let tools = workspace::tools(Profile::Release);
     let mut rows = Vec::new();
-    for (bytes, rate) in LOADS {
-        // A megabyte ten times a second: fewer messages, or nobody waits for the end.
-        let count = if bytes > 100_000 { options.count.div_ceil(3) } else { options.count };
-        let mut samples = vec![Vec::<Received>::new(); routes.len()];
-        for _ in 0..options.rounds {
-            for (route, all) in routes.iter().zip(&mut samples) {
-                all.extend(measure(&tools, *route, bytes, rate, count)?);
+    for awake in [false, true] {
+        let _awake = awake.then(keep_awake).transpose()?;
+        for (bytes, rate) in LOADS {
+            // A megabyte ten times a second: fewer messages, or nobody waits for the end.
+            let count = if bytes > 100_000 { options.count.div_ceil(3) } else { options.count };
+            let mut samples: Vec<Vec<Measured>> = routes.iter().map(|_| Vec::new()).collect();
+            for _ in 0..options.rounds {
+                for (route, all) in routes.iter().zip(&mut samples) {
+                    all.push(measure(&tools, *route, bytes, rate, count)?);
+                }
             }
+            let sent = count * u64::from(options.rounds);
+            rows.extend(routes.iter().zip(samples).map(|(route, all)| row(*route, awake, bytes, rate, sent, all)));
         }
-        let sent = count * u64::from(options.rounds);
-        rows.extend(routes.iter().zip(&samples).map(|(route, all)| row(*route, bytes, rate, sent, all)));
     }
     if options.json {
         println!("{}", serde_json::json!({ "bench": "latency", "switches": 3, "rows": rows }));
@@ -101,15 +122,18 @@ pub fn run(options: Options) -> Result<()> {
     Ok(())
 }
 
-fn measure(tools: &Tools, route: Route, bytes: usize, rate: f64, count: u64) -> Result<Vec<Received>> {
+fn measure(tools: &Tools, route: Route, bytes: usize, rate: f64, count: u64) -> Result<Measured> {
     eprintln!("{count} messages of {bytes} B over {}", name(route));
+    let plain = |received| Measured { received, stages: BTreeMap::new() };
     let traffic = Traffic { count, rate, size: bytes, ..Default::default() };
     match route {
         Route::Gdp => {
             let mut fabric = Fabric::start(tools.clone(), FabricOptions::default())?;
             fabric.start_proxies()?;
             let (robot, cloud) = (fabric.chain.robot(), fabric.chain.cloud());
-            converse(tools, [(robot, &traffic), (cloud, &traffic)], fabric.folder())
+            let received = converse(tools, [(robot, &traffic), (cloud, &traffic)], fabric.folder())?;
+            let stages = stages(&fabric, received.len() as u64)?;
+            Ok(Measured { received, stages })
         }
         Route::Ip => {
             let chain = Chain::build(ChainOptions::default())?;
@@ -119,13 +143,13 @@ fn measure(tools: &Tools, route: Route, bytes: usize, rate: f64, count: u64) -> 
             let talks = Traffic { peer: Some(cloud), ..traffic.clone() };
             let hears = Traffic { peer: Some(robot), ..traffic };
             let folder = logs()?;
-            converse(tools, [(chain.robot(), &talks), (chain.cloud(), &hears)], folder.path())
+            converse(tools, [(chain.robot(), &talks), (chain.cloud(), &hears)], folder.path()).map(plain)
         }
         Route::Site => {
             let site = Namespace::create("site")?;
             site.enable_loopback_multicast()?;
             let folder = logs()?;
-            converse(tools, [(&site, &traffic), (&site, &traffic)], folder.path())
+            converse(tools, [(&site, &traffic), (&site, &traffic)], folder.path()).map(plain)
         }
     }
 }
@@ -139,17 +163,50 @@ fn converse(tools: &Tools, ends: [(&Namespace, &Traffic); 2], folder: &Path) -> 
     both.finish(Duration::from_secs_f64(talks.count as f64 / talks.rate), Duration::from_secs(10))
 }
 
+/// The stages of the way, once both proxies have written down what they carried.
+fn stages(fabric: &Fabric, received: u64) -> Result<BTreeMap<&'static str, f64>> {
+    let topic = |end: &str| fabric.proxy_stats(end)["topics"][0].clone();
+    wait::wait_for("both proxies' statistics", Duration::from_secs(5), || {
+        let carried = |end: &str| topic(end)["messages"].as_u64().unwrap_or(0);
+        Ok((carried("robot") >= received && carried("cloud") >= received).then_some(()))
+    })?;
+    let median = |end: &str, stage: &str| topic(end)["latency_us"][stage]["p50"].as_f64();
+    let stages = [
+        ("1 talker to proxy, by DDS", median("robot", "arrival")),
+        ("2 of 3: seal, sign, send", median("robot", "handling")),
+        ("3 proxy to proxy", median("cloud", "arrival")),
+        ("4 into DDS", median("cloud", "handling")),
+    ];
+    // RustDDS knows no timestamp of samples that came in fragments.
+    Ok(stages.into_iter().filter_map(|(stage, p50)| Some((stage, p50?))).collect())
+}
+
+/// Processes of the lowest priority that keep every processor from going to sleep, as long as they live.
+fn keep_awake() -> Result<Vec<Process>> {
+    let folder = std::env::temp_dir();
+    let spin = |i| {
+        let mut command = Command::new("chrt");
+        command.args(["--idle", "0", "sh", "-c", "while :; do :; done"]);
+        Process::spawn(&format!("awake-{i}"), command, &folder)
+    };
+    (0..std::thread::available_parallelism()?.get()).map(spin).collect()
+}
+
 fn logs() -> Result<tempfile::TempDir> {
     Ok(tempfile::Builder::new().prefix("gdp-bench-").tempdir()?)
 }
 
-fn row(route: Route, bytes: usize, rate: f64, sent: u64, all: &[Received]) -> Row {
-    let mut sorted: Vec<Duration> = all.iter().map(|m| m.latency).collect();
+fn row(route: Route, awake: bool, bytes: usize, rate: f64, sent: u64, all: Vec<Measured>) -> Row {
+    let mut sorted: Vec<Duration> = all.iter().flat_map(|m| &m.received).map(|m| m.latency).collect();
+    let received = sorted.len() as u64;
     sorted.sort();
     let at = |percent| micros(peers::percentile(&sorted, percent));
     let mean = sorted.iter().map(|d| micros(*d)).sum::<f64>() / sorted.len().max(1) as f64;
     let latency_us = Latency { mean, p50: at(50.0), p90: at(90.0), p99: at(99.0), max: at(100.0) };
-    Row { route, bytes, rate, sent, received: all.len() as u64, latency_us }
+    // Of the round in the middle.
+    let mut stages: Vec<_> = all.into_iter().map(|m| m.stages).collect();
+    let stages_us = stages.swap_remove(stages.len() / 2);
+    Row { route, awake, bytes, rate, sent, received, latency_us, stages_us }
 }
 
 fn micros(duration: Duration) -> f64 {
@@ -165,23 +222,29 @@ fn name(route: Route) -> &'static str {
 }
 
 fn print_table(rows: &[Row]) {
-    println!("One-way latency, Cyclone DDS -> Fast DDS, in microseconds\n");
-    println!(
-        "{:<34} {:>8} {:>5} {:>11} {:>8} {:>8} {:>8} {:>8}",
-        "path", "bytes", "Hz", "recv/sent", "mean", "p50", "p99", "max"
-    );
-    for row in rows {
-        let l = &row.latency_us;
-        let got = format!("{}/{}", row.received, row.sent);
+    println!("One-way latency, Cyclone DDS -> Fast DDS, in microseconds");
+    for awake in [false, true] {
+        println!("\n{}", if awake { "processors kept awake" } else { "machine as it is" });
         println!(
-            "{:<34} {:>8} {:>5} {got:>11} {:>8.0} {:>8.0} {:>8.0} {:>8.0}",
-            name(row.route),
-            row.bytes,
-            row.rate,
-            l.mean,
-            l.p50,
-            l.p99,
-            l.max
+            "{:<34} {:>8} {:>5} {:>11} {:>8} {:>8} {:>8} {:>8}",
+            "path", "bytes", "Hz", "recv/sent", "mean", "p50", "p99", "max"
         );
+        for row in rows.iter().filter(|row| row.awake == awake) {
+            let l = &row.latency_us;
+            let got = format!("{}/{}", row.received, row.sent);
+            println!(
+                "{:<34} {:>8} {:>5} {got:>11} {:>8.0} {:>8.0} {:>8.0} {:>8.0}",
+                name(row.route),
+                row.bytes,
+                row.rate,
+                l.mean,
+                l.p50,
+                l.p99,
+                l.max
+            );
+            for (stage, p50) in &row.stages_us {
+                println!("  {stage:<66} {p50:>8.0}");
+            }
+        }
     }
 }

@@ -1,0 +1,74 @@
+//! How long a stage of a message's way takes: percentiles of the latest messages, for the statistics.
+
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use serde::Serialize;
+
+/// How many messages the percentiles speak of.
+const LATEST: usize = 1024;
+
+/// The latest durations of one stage. A lock is taken once a message.
+#[derive(Default)]
+pub struct Timing(Mutex<Ring>);
+
+#[derive(Default)]
+struct Ring {
+    /// Microseconds.
+    latest: Vec<u32>,
+    next: usize,
+}
+
+/// In microseconds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Percentiles {
+    pub p50: u32,
+    pub p99: u32,
+}
+
+impl Timing {
+    pub fn record(&self, took: Duration) {
+        let micros = u32::try_from(took.as_micros()).unwrap_or(u32::MAX);
+        let mut ring = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let at = ring.next;
+        match ring.latest.get_mut(at) {
+            Some(oldest) => *oldest = micros,
+            None => ring.latest.push(micros),
+        }
+        ring.next = (at + 1) % LATEST;
+    }
+
+    /// Records what has passed since a time on another machine's clock, as far as the two agree.
+    pub fn record_since(&self, unix_ns: u64) {
+        self.record(Duration::from_nanos(unix_now_ns().saturating_sub(unix_ns)));
+    }
+
+    /// `None` before the first message.
+    pub fn percentiles(&self) -> Option<Percentiles> {
+        let mut sorted = self.0.lock().unwrap_or_else(PoisonError::into_inner).latest.clone();
+        sorted.sort_unstable();
+        let at =
+            |percent: usize| sorted.get((sorted.len() * percent / 100).min(sorted.len().saturating_sub(1))).copied();
+        Some(Percentiles { p50: at(50)?, p99: at(99)? })
+    }
+}
+
+fn unix_now_ns() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_nanos() as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_of_the_latest() {
+        let timing = Timing::default();
+        assert_eq!(timing.percentiles(), None);
+        (0..LATEST).for_each(|_| timing.record(Duration::from_secs(1)));
+        (1..=LATEST as u64).for_each(|i| timing.record(Duration::from_micros(i)));
+        assert_eq!(timing.percentiles(), Some(Percentiles { p50: 513, p99: 1014 }));
+        timing.record(Duration::MAX);
+        timing.record_since(u64::MAX);
+    }
+}
