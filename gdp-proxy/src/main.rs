@@ -67,8 +67,9 @@ fn run(arguments: Arguments) -> Result<()> {
 }
 
 fn log_to_stderr() {
-    // RustDDS reports ordinary events as information, one line a message.
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,rustdds=warn"));
+    // RustDDS reports ordinary events as information, one line a message, and dumps its state into warnings.
+    let quiet = "info,rustdds=warn,rustdds::rtps=error,ros2_client=error";
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(quiet));
     let colours = std::io::stderr().is_terminal();
     tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
 }
