@@ -60,6 +60,17 @@ fn no_message_is_lost_when_a_daemon_is_killed_and_another_takes_over() -> Result
     .with_context(|| fabric.report())?;
     traffic.wait_for_more(500, PATIENCE)?;
     ensure!(fabric.switches[0].process.stderr().contains("took over"), "{}", fabric.report());
+    traffic.nothing_is_missing()?;
+
+    // Once more while the first is still held, and before anybody notices.
+    fabric.switches[0].process.kill()?;
+    fabric.start_again(0)?;
+    wait_for("both nodes to have made their links anew", RECOVERY, || {
+        fabric.switches[0].process.check_alive()?;
+        Ok((traffic.links_made() == 6 && traffic.links_down() == 0).then_some(()))
+    })
+    .with_context(|| fabric.report())?;
+    traffic.wait_for_more(500, PATIENCE)?;
     let sent = traffic.stop_sending();
     traffic.wait_for_total(sent, PATIENCE).with_context(|| format!("{}\n{}", traffic.summary(), fabric.report()))?;
     traffic.nothing_is_missing()?;

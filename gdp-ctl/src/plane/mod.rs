@@ -124,7 +124,7 @@ pub struct Left {
     pub routes: Vec<(Name, FibEntry)>,
     pub next_hops: [u32; EGRESS_SET_SIZE as usize],
     /// Ports by interface.
-    ports: HashMap<u32, u32>,
+    pub ports: HashMap<u32, u32>,
 }
 
 /// An interface that frames come and go by.
