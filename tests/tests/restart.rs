@@ -21,6 +21,7 @@ use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
 use gdp_tests::netns::Namespace;
+use gdp_tests::process::Process;
 use gdp_tests::wait::wait_for;
 
 /// Between two messages.
@@ -102,6 +103,26 @@ fn a_stopped_daemon_leaves_nothing_and_a_killed_one_can_be_cleared_away() -> Res
     let detached = fabric.xdp("detach")?;
     ensure!(detached["detached"].as_array().map(Vec::len) == Some(1), "{detached}");
     wait_for("the programs to go", PATIENCE, || Ok((!shown(&fabric)?.contains("xdp")).then_some(())))?;
+    Ok(())
+}
+
+#[test]
+fn a_daemon_that_is_to_be_kept_leaves_the_kernel_to_its_successor() -> Result<()> {
+    let mut fabric = pinned_fabric()?;
+    fabric.switches[0].process.stop(PATIENCE)?;
+    let mut command = fabric.chain.switches()[0].command(fabric.tools.gdp_ctl()?)?;
+    command.args(["serve", "--keep", "--config"]).arg(fabric.folder().join("s1.yaml"));
+    command.env("GDP_EBPF_OBJECT", fabric.tools.ebpf_object()?);
+    let mut kept = Process::spawn("kept", command, fabric.folder())?;
+    wait_for("the daemon to answer", PATIENCE, || Ok(fabric.status(0).ok())).with_context(|| kept.report())?;
+    ensure!(kept.stop(PATIENCE)?.success(), "{}", kept.report());
+    let stats = &fabric.xdp("stats")?["switches"][0];
+    ensure!(stats["daemon"] == false && stats["programs"].as_array().map(Vec::len) == Some(2), "{stats}");
+
+    fabric.start_again(0)?;
+    wait_for("the daemon to answer", PATIENCE, || Ok(fabric.status(0).ok())).with_context(|| fabric.report())?;
+    let reason = fabric.status(0)?["data_plane_reason"].to_string();
+    ensure!(reason.contains("taken over"), "{reason}");
     Ok(())
 }
 
