@@ -12,6 +12,7 @@ use serde::{Deserialize, Deserializer};
 
 use crate::folders;
 use crate::plane::FIB_CAPACITY;
+use crate::plane::pins::BPFFS;
 
 /// A configuration is a page of text; more is a wrong file.
 const MAX_FILE: u64 = 256 * 1024;
@@ -34,6 +35,8 @@ pub struct Config {
     pub neighbours: Vec<Neighbour>,
     pub ebpf_object: Option<PathBuf>,
     pub fib_capacity: u32,
+    /// The BPF file system in which XDP outlives the daemon; `None`: it ends with it.
+    pub bpffs: Option<PathBuf>,
 }
 
 /// Which data plane the user wants.
@@ -115,6 +118,7 @@ impl Config {
             neighbours: Vec::new(),
             ebpf_object: None,
             fib_capacity: FIB_CAPACITY,
+            bpffs: default_bpffs(),
         })
     }
 
@@ -135,7 +139,7 @@ impl Config {
 
     fn parse(text: &str, folder: &Path) -> Result<Self, ParseError> {
         let file: File = if text.trim().is_empty() {
-            File::default()
+            File { bpffs: default_bpffs(), ..File::default() }
         } else {
             // A snippet would put the text into the log, and the file may be a key, given by mistake.
             let options = serde_saphyr::options! { with_snippet: false };
@@ -172,6 +176,9 @@ struct File {
     neighbours: Vec<PlaceEntry>,
     ebpf_object: Option<PathBuf>,
     fib_capacity: Option<u32>,
+    /// `null` turns it off.
+    #[serde(default = "default_bpffs")]
+    bpffs: Option<PathBuf>,
 }
 
 /// Absent is not the same as `null`, which turns UDP off.
@@ -284,6 +291,7 @@ impl File {
             neighbours,
             ebpf_object: self.ebpf_object.map(here),
             fib_capacity,
+            bpffs: self.bpffs.map(here),
         })
     }
 }
@@ -309,6 +317,10 @@ impl PlaceEntry {
         };
         Ok(Place { switch: self.switch, via })
     }
+}
+
+fn default_bpffs() -> Option<PathBuf> {
+    Some(BPFFS.into())
 }
 
 fn default_udp() -> SocketAddr {
@@ -349,6 +361,7 @@ mod tests {
             let config = parse(text).unwrap();
             assert!(config.rib && config.interfaces.is_none() && config.neighbours.is_empty(), "{text:?}");
             assert_eq!(config.udp, Some(default_udp()));
+            assert_eq!(config.bpffs.as_deref(), Some(Path::new("/sys/fs/bpf")));
         }
         let config = parse(&format!("udp: '[::1]:5'\nuplink: {{udp: '127.0.0.1:9', switch: {S}}}")).unwrap();
         assert_eq!(config.udp, Some("[::1]:5".parse().unwrap()));
@@ -356,6 +369,7 @@ mod tests {
         assert_eq!(config.neighbours.len(), 1, "the uplink is a neighbour");
         let config = parse(&format!("uplink: {{interface: a, switch: {S}, cost: 7}}")).unwrap();
         assert_eq!(config.neighbours[0].cost, 7);
+        assert_eq!(parse("bpffs: null").unwrap().bpffs, None);
     }
 
     #[test]

@@ -248,6 +248,7 @@ fn config(folder: &Path, label: &str) -> Config {
         identity: folder.join(format!("{label}.pem")),
         socket: folder.join(format!("{label}.sock")),
         interfaces: Some(Vec::new()),
+        bpffs: None,
         udp: Some("127.0.0.1:0".parse().unwrap()),
         data_plane: DataPlane::Userspace,
         rib: true,

@@ -42,6 +42,10 @@ pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 /// From a request to its response.
 pub const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 
+/// Silence is no proof that nothing forwards: the daemon of a switch may have died and its kernel not. So after a link was
+/// lost by silence, its keys and routes stay in use on both sides until a new link is up, and for this long at most.
+pub const HOLD: Duration = Duration::from_secs(60);
+
 /// Requests a peer can have open at once.
 pub(crate) const MAX_STREAMS: u32 = 32;
 
@@ -211,6 +215,12 @@ impl Link {
     /// Why the link is closed, if it is.
     pub fn close_reason(&self) -> Option<String> {
         self.0.connection.close_reason().map(|error| close_reason(&error))
+    }
+
+    /// Whether the link was lost without a word from the peer. Then what forwards its frames may go on; see [`HOLD`].
+    pub fn fell_silent(&self) -> bool {
+        use quinn::ConnectionError::{Reset, TimedOut};
+        matches!(self.0.connection.close_reason(), Some(TimedOut | Reset))
     }
 
     /// Closes the link; the peer is told why.

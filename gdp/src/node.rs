@@ -217,7 +217,7 @@ impl Node {
     /// What became of frames and messages so far.
     pub fn counters(&self) -> NodeCounters {
         let state = &self.0.state;
-        let socket_drops = state.attached_now().map_or(0, |attachment| attachment.data.receive_drops());
+        let socket_drops = state.sending_on().map_or(0, |attachment| attachment.data.receive_drops());
         state.counters.snapshot(socket_drops)
     }
 

@@ -26,6 +26,8 @@ pub struct FabricOptions {
     pub best_effort: bool,
     pub transient_local: bool,
     pub depth: u32,
+    /// Whether what is in the kernel outlives the daemons; in a BPF file system of the fabric's own.
+    pub pinned: bool,
 }
 
 impl Default for FabricOptions {
@@ -36,6 +38,7 @@ impl Default for FabricOptions {
             best_effort: false,
             transient_local: false,
             depth: 10,
+            pinned: false,
         }
     }
 }
@@ -43,6 +46,9 @@ impl Default for FabricOptions {
 /// The topic that crosses the fabric.
 pub const TOPIC: &str = "/chatter";
 pub const TYPE: &str = "std_msgs/msg/String";
+
+/// Where a fabric's BPF file system is in its folder.
+const BPFFS: &str = "bpf";
 
 /// A running fabric. Dropping it ends the programs, then removes the namespaces and files.
 pub struct Fabric {
@@ -53,6 +59,7 @@ pub struct Fabric {
     pub chain: Chain,
     pub tools: Tools,
     options: FabricOptions,
+    _bpffs: Option<Mounted>,
     files: tempfile::TempDir,
     /// The topic's name, 64 hex digits.
     pub name: String,
@@ -77,16 +84,36 @@ impl Fabric {
         let authority = Authority { tools: &tools, folder: files.path() };
         let names = authority.switches(options.chain.switches)?;
         let name = authority.topic()?;
+        let bpffs = options.pinned.then(|| Mounted(files.path().join(BPFFS)));
         let switches = names
             .iter()
             .enumerate()
             .map(|(i, name)| start_switch(&tools, &chain, files.path(), &names, i, name, &options))
             .collect::<Result<Vec<_>>>()?;
-        let mut fabric = Self { robot: None, cloud: None, switches, chain, tools, options, files, name };
+        let mut fabric = Self { robot: None, cloud: None, switches, chain, tools, options, _bpffs: bpffs, files, name };
         for i in 0..fabric.switches.len() {
             fabric.wait_for_status(i, "its neighbours", |status| links(status) >= neighbours(names.len(), i))?;
         }
         Ok(fabric)
+    }
+
+    /// Starts the daemon of switch `i` again, which has ended.
+    pub fn start_again(&mut self, i: usize) -> Result<()> {
+        let names: Vec<String> = self.switches.iter().map(|switch| switch.name.clone()).collect();
+        let folder = self.files.path();
+        self.switches[i] = start_switch(&self.tools, &self.chain, folder, &names, i, &names[i], &self.options)?;
+        Ok(())
+    }
+
+    /// The BPF file system of a fabric that is pinned. The first daemon mounts it.
+    pub fn bpffs(&self) -> PathBuf {
+        self.files.path().join(BPFFS)
+    }
+
+    /// `gdp-ctl xdp …` on this fabric's BPF file system, as JSON; an error if it exits with another status than 0.
+    pub fn xdp(&self, verb: &str) -> Result<Value> {
+        let mut command = Command::new(self.tools.gdp_ctl()?);
+        parse(&execute(command.args(["xdp", verb, "-j", "--bpffs"]).arg(self.bpffs()))?)
     }
 
     /// Both proxies, and every switch on the path holding what the name needs.
@@ -234,6 +261,7 @@ fn start_switch(
         "interfaces": ["l0", "r0"],
         "udp": null,
         "data_plane": options.data_plane,
+        "bpffs": options.pinned.then(|| folder.join(BPFFS)),
         "rib": i == last,
         "neighbours": left.iter().chain(&right).collect::<Vec<_>>(),
     });
@@ -246,6 +274,16 @@ fn start_switch(
     command.args(["serve", "--config"]).arg(path).env("GDP_EBPF_OBJECT", tools.ebpf_object()?);
     let process = Process::spawn(&label, command, folder)?;
     Ok(Switch { name: name.to_owned(), process, socket })
+}
+
+/// A file system that is unmounted, and with it all that is pinned there.
+struct Mounted(PathBuf);
+
+impl Drop for Mounted {
+    fn drop(&mut self) {
+        // Not mounted, if no daemon came so far.
+        let _ = execute(Command::new("umount").arg("--lazy").arg(&self.0));
+    }
 }
 
 /// Keys, names and certificates, made with the command line.

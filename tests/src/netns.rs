@@ -67,9 +67,12 @@ impl Namespace {
 
     /// Moves the calling thread into this namespace until the guard is dropped.
     pub fn enter(&self) -> Result<Entered> {
-        let before = File::open("/proc/thread-self/ns/net").context("cannot open the present namespace")?;
-        set(&self.open()?).with_context(|| format!("cannot enter {} (root?)", self.name))?;
-        Ok(Entered { before, _stays_on_its_thread: PhantomData })
+        self.door()?.enter()
+    }
+
+    /// The way in for another thread.
+    pub fn door(&self) -> Result<Door> {
+        Ok(Door { namespace: self.open()?, name: self.name.clone() })
     }
 
     fn open(&self) -> Result<File> {
@@ -83,6 +86,21 @@ impl Drop for Namespace {
         if let Err(error) = ip(&["netns", "del", &self.name]) {
             eprintln!("{error:#}");
         }
+    }
+}
+
+/// A way into a namespace that can be handed to a thread.
+pub struct Door {
+    namespace: File,
+    name: String,
+}
+
+impl Door {
+    /// Moves the calling thread into the namespace until the guard is dropped.
+    pub fn enter(&self) -> Result<Entered> {
+        let before = File::open("/proc/thread-self/ns/net").context("cannot open the present namespace")?;
+        set(&self.namespace).with_context(|| format!("cannot enter {} (root?)", self.name))?;
+        Ok(Entered { before, _stays_on_its_thread: PhantomData })
     }
 }
 

@@ -10,6 +10,7 @@ mod output;
 mod query;
 mod serve;
 mod status;
+mod xdp;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -65,6 +66,9 @@ enum Command {
     /// What the RIB knows.
     #[command(subcommand)]
     Rib(dump::RibCommand),
+    /// What forwards in the kernel, with or without a daemon.
+    #[command(subcommand)]
+    Xdp(xdp::Command),
 }
 
 /// What every command may need.
@@ -118,6 +122,7 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Cert(command) => cert::run(command, context),
         Command::Fib(command) => dump::fib(&command, context),
         Command::Rib(command) => dump::rib(&command, context),
+        Command::Xdp(command) => xdp::run(&command, context),
     }
 }
 

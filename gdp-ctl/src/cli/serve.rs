@@ -27,6 +27,9 @@ pub struct Options {
     /// The eBPF object, instead of the configured or installed one.
     #[arg(long, value_name = "FILE")]
     ebpf_object: Option<PathBuf>,
+    /// When told to stop, end without a word and leave the kernel forwarding, for a successor to take over: for upgrades.
+    #[arg(long)]
+    keep: bool,
 }
 
 pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
@@ -59,6 +62,10 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
         tokio::select! {
             _ = terminate.recv() => tracing::info!("SIGTERM: shutting down"),
             _ = interrupt.recv() => tracing::info!("SIGINT: shutting down"),
+        }
+        if options.keep && running.outlives() {
+            tracing::info!("the kernel forwards on; start the next daemon soon, or run `gdp-ctl xdp detach`");
+            std::process::exit(0);
         }
         running.stop().await;
         Ok(())

@@ -4,6 +4,8 @@ use aya::EbpfError;
 use aya::maps::MapError;
 use aya::programs::ProgramError;
 
+use super::kernel::AttachError;
+
 /// Why the object could not be loaded.
 pub fn load(error: &EbpfError) -> String {
     match errno_of(error) {
@@ -28,7 +30,7 @@ pub fn program(error: &ProgramError) -> String {
 }
 
 /// Why the program could not be attached to an interface.
-pub fn attach(error: &ProgramError) -> String {
+pub fn attach(error: &AttachError) -> String {
     match errno_of(error) {
         Some(libc::EBUSY | libc::EEXIST) => {
             "another XDP program is attached (`ip link show` names it; `ip link set DEV xdp off` removes one that `ip` attached)".into()
@@ -45,7 +47,7 @@ pub fn attach(error: &ProgramError) -> String {
 }
 
 /// Whether attaching failed because somebody else's program is there: then generic mode is no way out.
-pub fn is_occupied(error: &ProgramError) -> bool {
+pub fn is_occupied(error: &AttachError) -> bool {
     matches!(errno_of(error), Some(libc::EBUSY | libc::EEXIST))
 }
 
@@ -65,6 +67,9 @@ fn errno_of(error: &(dyn std::error::Error + 'static)) -> Option<i32> {
         }
         if let Some(ProgramError::SyscallError(call)) = error.downcast_ref() {
             return call.io_error.raw_os_error();
+        }
+        if let Some(AttachError::Program(program)) = error.downcast_ref() {
+            return errno_of(program);
         }
         if let Some(EbpfError::MapError(map)) = error.downcast_ref() {
             return errno_of(map);

@@ -1,10 +1,13 @@
 //! The kernel plane: loads the XDP object, attaches it, and writes its maps. Knows BPF, nothing of sockets or links'
 //! meaning. Called by [`super::Planes`], by the kernel tests and by `bench forward`.
 
+use std::collections::HashMap as Table;
 use std::path::{Path, PathBuf};
 
 use aya::maps::{Array, DevMap, HashMap, MapData, MapError, PerCpuArray};
-use aya::programs::xdp::{XdpLinkId, XdpMode};
+use aya::pin::PinError;
+use aya::programs::links::{FdLink, LinkError, PinnedLink};
+use aya::programs::xdp::{XdpLink, XdpLinkId, XdpMode};
 use aya::programs::{ProgramError, TestRun, TestRunOptions, Xdp};
 use aya::{Ebpf, EbpfError, EbpfLoader};
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_PORTS, link_index};
@@ -12,6 +15,7 @@ use gdp_wire::{Counter, FibEntry, LinkEntry, Name, SwitchConfig};
 
 use super::explain;
 use super::kernel_version::KernelVersion;
+use super::pins::{Pins, PinsError};
 use super::tx_counters::TxCounters;
 
 /// The oldest kernel the programs are meant for.
@@ -36,6 +40,25 @@ pub enum LoadError {
     Map { path: PathBuf, map: &'static str, source: MapError },
     #[error("cannot map the link counters into memory: {0}")]
     Counters(std::io::Error),
+    #[error("{}: {source}", path.display())]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{}: {source}", path.display())]
+    Parse { path: PathBuf, source: aya_obj::ParseError },
+    #[error(transparent)]
+    Pins(#[from] PinsError),
+}
+
+/// The program was not put on an interface, or not taken off.
+#[derive(Debug, thiserror::Error)]
+pub enum AttachError {
+    #[error(transparent)]
+    Program(#[from] ProgramError),
+    #[error("the program cannot be made to outlive the daemon: {0}")]
+    Pin(#[from] PinError),
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    #[error("{}: {source}", path.display())]
+    Unpin { path: PathBuf, source: std::io::Error },
 }
 
 /// A write to a BPF map was refused.
@@ -58,6 +81,26 @@ pub enum Mode {
     Generic,
 }
 
+impl Mode {
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Native => "native",
+            Self::Generic => "generic",
+        }
+    }
+}
+
+/// What a daemon found in the kernel that an earlier one left there.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Adopted {
+    pub config: SwitchConfig,
+    pub links: Vec<LinkEntry>,
+    pub routes: Vec<(Name, FibEntry)>,
+    pub next_hops: [u32; EGRESS_SET_SIZE as usize],
+    /// Interfaces by port.
+    pub ports: Vec<(u32, u32)>,
+}
+
 /// The action an XDP program returned in [`KernelPlane::test_run`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
@@ -67,9 +110,13 @@ pub enum Action {
     Other(u32),
 }
 
-/// The loaded programs and their maps. Dropping it detaches them.
+/// The loaded programs and their maps. Dropping it detaches them, unless they are pinned: then the kernel forwards on until
+/// [`Self::unpin`], or a successor.
 pub struct KernelPlane {
     ebpf: Ebpf,
+    pins: Option<Pins>,
+    /// By interface.
+    attached: Table<u32, (XdpLinkId, Mode)>,
     program: &'static str,
     capacity: u32,
     links: Array<MapData, LinkEntry>,
@@ -84,13 +131,40 @@ pub struct KernelPlane {
 impl KernelPlane {
     /// Loads the object and has the kernel verify the switch; attaches nothing. `capacity`: names the FIB can hold.
     pub fn load(path: &Path, capacity: u32) -> Result<Self, LoadError> {
+        Self::load_pinned(path, capacity, None)
+    }
+
+    /// As [`Self::load`], with the maps that an earlier daemon has pinned, as they are, if their layout is the one that the
+    /// object wants; those that are missing are made and pinned.
+    pub fn load_pinned(path: &Path, capacity: u32, pins: Option<Pins>) -> Result<Self, LoadError> {
         let version = KernelVersion::running();
         if version < FLOOR {
             return Err(LoadError::OldKernel(version));
         }
         let object = |source| LoadError::Object { path: path.into(), source: Box::new(source) };
-        let mut ebpf = EbpfLoader::new().map_max_entries("FIB", capacity).load_file(path).map_err(object)?;
+        let mut loader = EbpfLoader::new();
+        loader.map_max_entries("FIB", capacity);
+        let fresh = pins.as_ref().is_none_or(|pins| !pins.any());
+        let to_pin = pins.as_ref().map_or(Ok(Vec::new()), |pins| maps_to_pin(path, capacity, pins))?;
+        for name in &to_pin {
+            if let Some(pins) = &pins {
+                loader.map_pin_path(name, pins.map(name));
+            }
+        }
+        let loaded =
+            loader.load_file(path).map_err(object).and_then(|ebpf| Self::finish(path, version, capacity, ebpf));
+        match (loaded, pins) {
+            (Ok(plane), pins) => Ok(Self { pins, ..plane }),
+            (Err(error), pins) => {
+                if let Some(pins) = pins.filter(|_| fresh) {
+                    let _ = pins.remove();
+                }
+                Err(error)
+            }
+        }
+    }
 
+    fn finish(path: &Path, version: KernelVersion, capacity: u32, mut ebpf: Ebpf) -> Result<Self, LoadError> {
         let program = if version >= FRAGS { "gdp_switch" } else { "gdp_switch_linear" };
         switch(&mut ebpf, program)
             .ok_or(LoadError::Mismatch { path: path.into(), what: "program", name: program })?
@@ -110,20 +184,95 @@ impl KernelPlane {
             counters: maps.take("COUNTERS")?,
             tx_counters: TxCounters::map(tx).map_err(LoadError::Counters)?,
             ebpf,
+            pins: None,
+            attached: Table::new(),
         })
     }
 
+    /// What an earlier daemon left in the pinned maps; `None` if none did.
+    pub fn adopted(&self) -> Result<Option<Adopted>, UpdateError> {
+        let config = self.config.get(&0, 0).map_err(update("CONFIG"))?;
+        // Written before anything else, and the ethertype is never 0.
+        if self.pins.is_none() || config.ethertype == 0 {
+            return Ok(None);
+        }
+        let mut next_hops = [0; EGRESS_SET_SIZE as usize];
+        for (bit, link) in (0..).zip(&mut next_hops) {
+            *link = self.next_hop.get(&bit, 0).map_err(update("NEXT_HOP"))?;
+        }
+        let links: Vec<LinkEntry> = self.links.iter().collect::<Result<_, _>>().map_err(update("LINKS"))?;
+        let ports = (0..MAX_PORTS).filter_map(|port| Some((port, self.ports.get(port, 0).ok()?.if_index)));
+        Ok(Some(Adopted {
+            config,
+            links: links.into_iter().filter(|link| link.id != 0).collect(),
+            routes: self.routes()?,
+            next_hops,
+            ports: ports.filter(|(_, ifindex)| *ifindex != 0).collect(),
+        }))
+    }
+
     /// Attaches the switch to an interface of this network namespace.
-    pub fn attach(&mut self, ifindex: u32, mode: Mode) -> Result<XdpLinkId, ProgramError> {
-        let mode = match mode {
+    pub fn attach(&mut self, ifindex: u32, mode: Mode) -> Result<(), AttachError> {
+        let xdp_mode = match mode {
             Mode::Native => XdpMode::Driver,
             Mode::Generic => XdpMode::Skb,
         };
-        self.switch().attach_to_if_index(ifindex, mode)
+        let mut link = self.switch().attach_to_if_index(ifindex, xdp_mode)?;
+        if let Some(pin) = self.pins.as_ref().map(|pins| pins.link(ifindex, mode)) {
+            let taken = FdLink::try_from(self.switch().take_link(link)?)?;
+            let pinned = taken.pin(pin)?;
+            link = self.switch().attach_to_link(XdpLink::try_from(FdLink::from(pinned))?)?;
+        }
+        self.attached.insert(ifindex, (link, mode));
+        Ok(())
     }
 
-    pub fn detach(&mut self, link: XdpLinkId) -> Result<(), ProgramError> {
-        self.switch().detach(link)
+    /// Has the program that an earlier daemon left on an interface replaced by this one's, between two packets. `None` if there
+    /// is none there.
+    pub fn take_over(&mut self, ifindex: u32) -> Result<Option<Mode>, AttachError> {
+        let left = self.pins.iter().flat_map(Pins::links).find(|(at, _)| *at == ifindex);
+        let Some((pin, mode)) = self.pins.as_ref().zip(left).map(|(pins, (_, mode))| (pins.link(ifindex, mode), mode))
+        else {
+            return Ok(None);
+        };
+        let pinned = FdLink::from(PinnedLink::from_pin(&pin)?);
+        match self.switch().attach_to_link(XdpLink::try_from(pinned)?) {
+            Ok(link) => {
+                self.attached.insert(ifindex, (link, mode));
+                Ok(Some(mode))
+            }
+            // The interface was deleted, and this one has inherited its number.
+            Err(ProgramError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::ENOLINK) => {
+                unpin(&pin)?;
+                Ok(None)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Takes the program off an interface. Nothing happens if there is none.
+    pub fn detach(&mut self, ifindex: u32) -> Result<(), AttachError> {
+        let Some((link, mode)) = self.attached.remove(&ifindex) else { return Ok(()) };
+        let pin = self.pins.as_ref().map(|pins| pins.link(ifindex, mode));
+        self.switch().detach(link)?;
+        pin.map_or(Ok(()), |pin| unpin(&pin))
+    }
+
+    /// Takes off what an earlier daemon left on interfaces that this one has not taken over.
+    pub fn drop_left_over(&mut self) -> Result<(), AttachError> {
+        let Some(pins) = &self.pins else { return Ok(()) };
+        let left = pins.links().into_iter().filter(|(ifindex, _)| !self.attached.contains_key(ifindex));
+        left.into_iter().try_for_each(|(ifindex, mode)| unpin(&pins.link(ifindex, mode)))
+    }
+
+    /// From now on everything ends with this process.
+    pub fn unpin(&mut self) -> Result<(), PinsError> {
+        self.pins.take().map_or(Ok(()), |pins| pins.remove())
+    }
+
+    /// Whether the kernel forwards on without this process.
+    pub fn is_pinned(&self) -> bool {
+        self.pins.is_some()
     }
 
     /// Makes `port` lead to an interface of this network namespace.
@@ -244,6 +393,48 @@ impl Maps<'_> {
         let found = found.ok_or_else(|| LoadError::Mismatch { path: path(), what: "map", name: map })?;
         T::try_from(found).map_err(|source| LoadError::Map { path: path(), map, source })
     }
+}
+
+/// What the pinned maps of a switch hold and count.
+pub struct PinnedStats {
+    pub links: usize,
+    pub names: usize,
+    pub counters: Vec<(Counter, u64)>,
+}
+
+/// Reads the maps in a folder of pins of this version. A daemon may be at work on them.
+pub fn pinned_stats(folder: &Path) -> Result<PinnedStats, MapError> {
+    let open = |name: &str| MapData::from_pin(folder.join(name));
+    let counters: PerCpuArray<_, u64> = PerCpuArray::try_from(aya::maps::Map::PerCpuArray(open("COUNTERS")?))?;
+    let links: Array<_, LinkEntry> = Array::try_from(aya::maps::Map::Array(open("LINKS")?))?;
+    let fib: HashMap<_, Name, FibEntry> = HashMap::try_from(aya::maps::Map::HashMap(open("FIB")?))?;
+    let counted = (0..).zip(Counter::ALL).map(|(index, counter)| Ok((*counter, counters.get(&index, 0)?.iter().sum())));
+    Ok(PinnedStats {
+        links: links.iter().filter(|link| link.as_ref().is_ok_and(|link| link.id != 0)).count(),
+        names: fib.keys().filter(Result::is_ok).count(),
+        counters: counted.collect::<Result<_, MapError>>()?,
+    })
+}
+
+/// The names of the object's maps, after a comparison with those of them that are pinned.
+fn maps_to_pin(path: &Path, capacity: u32, pins: &Pins) -> Result<Vec<String>, LoadError> {
+    let bytes = std::fs::read(path).map_err(|source| LoadError::Read { path: path.into(), source })?;
+    let object = aya_obj::Object::parse(&bytes).map_err(|source| LoadError::Parse { path: path.into(), source })?;
+    let mut names = Vec::new();
+    for (name, map) in object.maps {
+        // Data sections belong to the program, not to the switch.
+        if name.starts_with('.') {
+            continue;
+        }
+        let max_entries = if name == "FIB" { capacity } else { map.max_entries() };
+        pins.check(&name, &map, max_entries)?;
+        names.push(name);
+    }
+    Ok(names)
+}
+
+fn unpin(pin: &Path) -> Result<(), AttachError> {
+    std::fs::remove_file(pin).map_err(|source| AttachError::Unpin { path: pin.into(), source })
 }
 
 fn switch<'a>(ebpf: &'a mut Ebpf, program: &str) -> Option<&'a mut Xdp> {

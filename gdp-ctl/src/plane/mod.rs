@@ -7,12 +7,14 @@
 //! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`], [`explain`] and [`xdp_features`] serve it
 //! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
 //! - [`tx_counters`]: what the two planes share
+//! - [`pins`]: what stays in the kernel when the daemon dies
 
 pub mod explain;
 pub mod forwarder;
 pub mod kernel;
 pub mod kernel_version;
 pub mod object;
+pub mod pins;
 pub mod tx_counters;
 pub mod userspace;
 pub mod xdp_features;
@@ -21,13 +23,13 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLockReadGuard, RwLockWriteGuard};
 
-use aya::programs::xdp::XdpLinkId;
 use gdp::port::{DataSocket, Interface, LinkAddr};
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_PORTS, PORT_USERSPACE};
 use gdp_wire::{Counter, FibEntry, LinkEntry, Name, SwitchConfig};
 
 use forwarder::{Forwarder, Medium, Shared};
-use kernel::{KernelPlane, LoadError, Mode, UpdateError};
+use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
+use pins::{Pins, PinsError};
 use tx_counters::TxCounters;
 use userspace::UserTables;
 use xdp_features::XdpFeatures;
@@ -60,12 +62,21 @@ pub struct PlaneConfig {
     pub fib_capacity: u32,
     /// Of GDP frames.
     pub ethertype: u16,
+    /// Where the kernel keeps what is to outlive the daemon, if anything is.
+    pub pins: Option<PinPlace>,
+}
+
+/// A place for the pins of a switch.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PinPlace {
+    pub bpffs: PathBuf,
+    pub switch: Name,
 }
 
 impl Default for PlaneConfig {
     fn default() -> Self {
         let ethertype = gdp_wire::ETHERTYPE;
-        Self { wanted: Wanted::Auto, ebpf_object: None, fib_capacity: FIB_CAPACITY, ethertype }
+        Self { wanted: Wanted::Auto, ebpf_object: None, fib_capacity: FIB_CAPACITY, ethertype, pins: None }
     }
 }
 
@@ -86,12 +97,15 @@ pub enum PlaneError {
     #[error("`data_plane: xdp` was asked for: {0}")]
     Load(#[from] LoadError),
     #[error(transparent)]
+    Pins(#[from] PinsError),
+    #[error(transparent)]
     Update(#[from] UpdateError),
     #[error("{interface}: cannot start a thread: {source}")]
     Thread { interface: String, source: std::io::Error },
 }
 
-/// All planes of a daemon. Dropping it detaches the XDP programs and ends the threads.
+/// All planes of a daemon. Dropping it detaches the XDP programs and ends the threads; but what was taken over from an earlier
+/// daemon stays in the kernel as long as that has not been brought to an end.
 pub struct Planes {
     config: PlaneConfig,
     kernel: Result<KernelPlane, String>,
@@ -100,13 +114,24 @@ pub struct Planes {
     own_bit: u64,
     ports: HashMap<u32, Port>,
     udp: Option<Forwarder>,
+    left: Option<Left>,
+}
+
+/// What an earlier daemon left in the kernel, and nobody has confirmed or removed yet.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Left {
+    pub links: Vec<LinkEntry>,
+    pub routes: Vec<(Name, FibEntry)>,
+    pub next_hops: [u32; EGRESS_SET_SIZE as usize],
+    /// Ports by interface.
+    pub ports: HashMap<u32, u32>,
 }
 
 /// An interface that frames come and go by.
 struct Port {
     /// Its key in the device map; `None` without a kernel plane.
     number: Option<u32>,
-    attached: Option<(XdpLinkId, Mode)>,
+    attached: Option<Mode>,
     interface: String,
     /// Why it got this plane.
     reason: String,
@@ -119,8 +144,16 @@ impl Planes {
         let kernel = match config.wanted {
             Wanted::Userspace => Err("`data_plane: userspace` was asked for".to_owned()),
             Wanted::Xdp => Ok(load(&config)?),
-            Wanted::Auto => load(&config).map_err(|error| error.to_string()),
+            Wanted::Auto => match load(&config) {
+                // Something forwards, and it is not for this daemon to end it.
+                Err(LoadError::Pins(error)) => return Err(error.into()),
+                loaded => loaded.map_err(|error| error.to_string()),
+            },
         };
+        if kernel.is_err() {
+            clear_left_over(&config)?;
+        }
+        let adopted = kernel.as_ref().map_or(Ok(None), KernelPlane::adopted)?;
         let tx_counters = kernel.as_ref().map_or_else(|_| TxCounters::new(), |kernel| kernel.tx_counters().clone());
         let mut planes = Self {
             config,
@@ -131,9 +164,33 @@ impl Planes {
             own_bit: 0,
             ports: HashMap::new(),
             udp: None,
+            left: None,
         };
-        planes.set_own_bit(0)?;
+        match adopted {
+            Some(adopted) => planes.adopt(adopted)?,
+            None => planes.set_own_bit(0)?,
+        }
         Ok(planes)
+    }
+
+    /// What an earlier daemon left and this one has taken over: it is in the tables, and stays until it is replaced, removed,
+    /// or [`Self::end_adoption`].
+    pub fn left(&self) -> Option<&Left> {
+        self.left.as_ref()
+    }
+
+    /// From now on nothing is here because an earlier daemon left it, but for links and routes: those are the caller's.
+    pub fn end_adoption(&mut self) -> Result<(), PlaneError> {
+        let Some(left) = self.left.take() else { return Ok(()) };
+        if let Ok(kernel) = &mut self.kernel {
+            for (_, number) in left.ports.iter().filter(|(ifindex, _)| !self.ports.contains_key(ifindex)) {
+                kernel.clear_port(*number)?;
+            }
+            if let Err(error) = kernel.drop_left_over() {
+                tracing::warn!(%error, "a program of an earlier daemon stays on an interface");
+            }
+        }
+        self.refresh()
     }
 
     /// Takes over what arrives on an interface (of the calling thread's network namespace) by the best plane there is.
@@ -156,8 +213,8 @@ impl Planes {
     /// Lets go of an interface; what arrives there is no longer forwarded. An unknown one is no error.
     pub fn detach(&mut self, ifindex: u32) {
         let Some(port) = self.ports.remove(&ifindex) else { return };
-        if let (Some((link, _)), Ok(kernel)) = (port.attached, &mut self.kernel)
-            && let Err(error) = kernel.detach(link)
+        if let Ok(kernel) = &mut self.kernel
+            && let Err(error) = kernel.detach(ifindex)
         {
             // As when the interface was deleted.
             tracing::debug!(interface = port.interface, %error, "the XDP program was already gone");
@@ -165,15 +222,29 @@ impl Planes {
         if let (Some(number), Ok(kernel)) = (port.number, &mut self.kernel) {
             let _ = kernel.clear_port(number);
         }
+        if let Some(left) = &mut self.left {
+            left.ports.remove(&ifindex);
+        }
     }
 
-    /// Lets go of everything.
+    /// Lets go of everything; nothing stays in the kernel.
     pub fn detach_all(&mut self) {
         self.stop_threads();
         for ifindex in self.ports.keys().copied().collect::<Vec<_>>() {
             self.detach(ifindex);
         }
         self.udp = None;
+        self.left = None;
+        if let Ok(kernel) = &mut self.kernel
+            && let Err(error) = kernel.unpin()
+        {
+            tracing::warn!(%error, "something stays in the kernel; `gdp-ctl xdp detach` removes it");
+        }
+    }
+
+    /// Whether the kernel forwards on when this process dies.
+    pub fn outlives(&self) -> bool {
+        self.kernel.as_ref().is_ok_and(KernelPlane::is_pinned)
     }
 
     /// So that the threads end side by side.
@@ -323,8 +394,8 @@ impl Planes {
 
     fn report_of(&self, ifindex: u32, port: &Port) -> InterfacePlane {
         let kind = match &port.attached {
-            Some((_, Mode::Native)) => "xdp-native",
-            Some((_, Mode::Generic)) => "xdp-generic",
+            Some(Mode::Native) => "xdp-native",
+            Some(Mode::Generic) => "xdp-generic",
             None => "userspace",
         };
         let leaves_in_kernel = port.attached.is_none() || self.kernel_can_send_to(ifindex);
@@ -332,13 +403,20 @@ impl Planes {
         InterfacePlane { interface: port.interface.clone(), kind, reason }
     }
 
-    fn attach_program(&mut self, interface: &Interface) -> (Option<(XdpLinkId, Mode)>, String) {
+    fn attach_program(&mut self, interface: &Interface) -> (Option<Mode>, String) {
         let kernel = match &mut self.kernel {
             Ok(kernel) => kernel,
             Err(reason) => return (None, reason.clone()),
         };
+        match kernel.take_over(interface.index) {
+            Ok(Some(mode)) => return (Some(mode), "taken over from the daemon before this one".into()),
+            Ok(None) => {}
+            Err(error) => {
+                tracing::warn!(interface = interface.name, %error, "the program of an earlier daemon cannot be replaced in place");
+            }
+        }
         let native = match kernel.attach(interface.index, Mode::Native) {
-            Ok(link) => return (Some((link, Mode::Native)), "the driver supports it".into()),
+            Ok(()) => return (Some(Mode::Native), "the driver supports it".into()),
             Err(error) => error,
         };
         let why = explain::attach(&native);
@@ -346,7 +424,7 @@ impl Planes {
             return (None, why);
         }
         match kernel.attach(interface.index, Mode::Generic) {
-            Ok(link) => (Some((link, Mode::Generic)), format!("no native XDP: {why}")),
+            Ok(()) => (Some(Mode::Generic), format!("no native XDP: {why}")),
             Err(generic) => (None, format!("no native XDP: {why}; no generic XDP: {}", explain::attach(&generic))),
         }
     }
@@ -354,7 +432,15 @@ impl Planes {
     /// Gives an interface a key in the device map.
     fn make_port(&mut self, ifindex: u32) -> Result<Option<u32>, PlaneError> {
         let Ok(kernel) = &mut self.kernel else { return Ok(None) };
-        let taken = |number| self.ports.values().any(|port| port.number == Some(number));
+        let left = self.left.as_ref().map(|left| &left.ports);
+        if let Some(number) = left.and_then(|left| left.get(&ifindex)) {
+            // Links from before lead there.
+            return Ok(Some(*number));
+        }
+        let taken = |number| {
+            self.ports.values().any(|port| port.number == Some(number))
+                || left.is_some_and(|left| left.values().any(|other| *other == number))
+        };
         let Some(number) = (0..MAX_PORTS).find(|number| !taken(*number)) else {
             // What leaves here goes through the userspace plane.
             return Ok(None);
@@ -366,15 +452,51 @@ impl Planes {
     /// The port by which the kernel can send to `to`, or [`PORT_USERSPACE`].
     fn port_for(&self, to: LinkAddr) -> u32 {
         let LinkAddr::Ethernet { ifindex, .. } = to else { return PORT_USERSPACE };
-        let number = self.ports.get(&ifindex).and_then(|port| port.number);
-        number.filter(|_| self.kernel_can_send_to(ifindex)).unwrap_or(PORT_USERSPACE)
+        let Some(port) = self.ports.get(&ifindex) else {
+            // Not taken over yet, perhaps.
+            let left = self.left.as_ref().and_then(|left| left.ports.get(&ifindex));
+            return left.copied().unwrap_or(PORT_USERSPACE);
+        };
+        port.number.filter(|_| self.kernel_can_send_to(ifindex)).unwrap_or(PORT_USERSPACE)
     }
 
     fn kernel_can_send_to(&self, ifindex: u32) -> bool {
         // What generic XDP redirects are ordinary packets, which every interface takes.
-        let only_generic = self.ports.values().all(|port| !matches!(port.attached, Some((_, Mode::Native))));
+        let only_generic = self.ports.values().all(|port| port.attached != Some(Mode::Native));
         let asked = self.features.as_ref().and_then(|features| features.takes_redirects(ifindex).ok());
         only_generic || asked.unwrap_or(true)
+    }
+
+    fn adopt(&mut self, adopted: Adopted) -> Result<(), PlaneError> {
+        let Adopted { config, links, routes, next_hops, ports } = adopted;
+        self.own_bit = config.own_bit;
+        let interfaces: HashMap<u32, u32> = ports.iter().copied().collect();
+        let mut left =
+            Left { links: Vec::new(), routes, next_hops, ports: ports.into_iter().map(|(p, i)| (i, p)).collect() };
+        for entry in links {
+            match interfaces.get(&entry.port) {
+                Some(ifindex) => {
+                    let to = LinkAddr::Ethernet { ifindex: *ifindex, mac: mac_bytes(entry.peer_mac) };
+                    self.tables().set_link(entry, to);
+                    left.links.push(entry);
+                }
+                // Only the daemon that died knew where it leads.
+                None => {
+                    if let Ok(kernel) = &mut self.kernel {
+                        kernel.remove_link(entry.id)?;
+                    }
+                }
+            }
+        }
+        let mut tables = self.tables();
+        tables.set_own_bit(config.own_bit);
+        tables.set_next_hops(&next_hops);
+        for (name, entry) in &left.routes {
+            tables.set_route(*name, *entry);
+        }
+        drop(tables);
+        self.left = Some(left);
+        Ok(())
     }
 
     fn read_tables(&self) -> RwLockReadGuard<'_, UserTables> {
@@ -389,7 +511,15 @@ impl Planes {
 impl Drop for Planes {
     fn drop(&mut self) {
         self.stop_threads();
+        if self.left.is_none() && !std::thread::panicking() {
+            self.detach_all();
+        }
     }
+}
+
+fn mac_bytes(words: [u16; 3]) -> [u8; 6] {
+    let [a, b, c] = words.map(u16::to_ne_bytes);
+    [a[0], a[1], b[0], b[1], c[0], c[1]]
 }
 
 const NO_REDIRECT: &str = "; frames leave here through the userspace plane, because the interface takes no redirected frames (a \
@@ -397,7 +527,31 @@ const NO_REDIRECT: &str = "; frames leave here through the userspace plane, beca
 
 fn load(config: &PlaneConfig) -> Result<KernelPlane, LoadError> {
     let object = object::find(config.ebpf_object.as_deref()).map_err(LoadError::NoObject)?;
-    KernelPlane::load(&object, config.fib_capacity)
+    let pins = match &config.pins {
+        Some(place) => match Pins::open(&place.bpffs, &place.switch) {
+            Err(error) if error.is_bearable() => {
+                tracing::warn!("forwarding ends with this daemon: {error}");
+                None
+            }
+            pins => Some(pins?),
+        },
+        None => None,
+    };
+    KernelPlane::load_pinned(&object, config.fib_capacity, pins)
+}
+
+/// A daemon that does without XDP must not have an earlier one's program forward beside it.
+fn clear_left_over(config: &PlaneConfig) -> Result<(), PlaneError> {
+    let Some(place) = &config.pins else { return Ok(()) };
+    if pins::find(&place.bpffs)?.is_empty() {
+        return Ok(());
+    }
+    let pins = Pins::open(&place.bpffs, &place.switch)?;
+    if pins.any() {
+        tracing::warn!("XDP is not used any more: removing what an earlier daemon left in the kernel");
+        pins.remove()?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -7,12 +7,13 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use gdp::control::{EntityRequest, FibPush, Refusal, RefusalCode, Request, Response};
 use gdp::identity::Identity;
-use gdp::link::{Link, Peer, Role};
+use gdp::link::{Link, LinkIds, Peer, Role};
 use gdp::name::NameProof;
 use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
 use gdp_wire::{FibEntry, LinkEntry, Name};
 
+use super::hold::{Hold, NextHops};
 use super::routes::{Change, Routes};
 use crate::config::{Neighbour, Via};
 use crate::plane::{PlaneError, Planes};
@@ -45,6 +46,8 @@ pub struct Core {
     pub attached: HashSet<Name>,
     /// Routes that the data plane refused, and why it refused the last.
     unplaced: (BTreeMap<Name, FibEntry>, String),
+    /// What an earlier daemon left, and the next hops that are known since.
+    hold: (Hold, NextHops),
     start: Instant,
 }
 
@@ -110,12 +113,40 @@ impl Core {
             downstream: HashMap::new(),
             attached: HashSet::new(),
             unplaced: Default::default(),
+            hold: (Hold::default(), [0; EGRESS_SET_SIZE as usize]),
             start: Instant::now(),
         }
     }
 
     pub fn name(&self) -> Name {
         self.identity.name()
+    }
+
+    /// Keeps what an earlier daemon left in the data planes, until peers and RIB have replaced it, for a while.
+    pub fn take_over(&mut self, ids: &LinkIds) {
+        let Some(left) = self.planes.left() else { return };
+        self.hold.0 = Hold::new(left, ids, Instant::now());
+        let (links, routes) = self.hold.0.len();
+        tracing::info!(links, routes, "took over from a daemon that ended without being stopped; its links are held");
+    }
+
+    /// Removes what is left from before once its time is over.
+    pub fn end_hold(&mut self, now: Instant) {
+        let Some((links, routes)) = self.hold.0.expire(now) else { return };
+        tracing::info!(
+            links = links.len(),
+            routes = routes.len(),
+            "nothing is held any longer from the daemon before this one"
+        );
+        let known = self.hold.1;
+        let mut results = vec![self.planes.set_next_hops(&known)];
+        results.extend(routes.iter().map(|name| self.planes.remove_route(name)));
+        results.extend(links.iter().map(|id| self.planes.remove_link(*id)));
+        results.push(self.planes.end_adoption());
+        for error in results.into_iter().filter_map(Result::err) {
+            tracing::error!(%error, "the data plane keeps something of the daemon before this one");
+        }
+        self.place();
     }
 
     pub fn now(&self) -> Now {
@@ -433,14 +464,21 @@ impl Core {
                     }
                     None => Ok(()),
                 },
-                Change::NextHops(next_hops) => self.planes.set_next_hops(&next_hops),
+                Change::NextHops(next_hops) => {
+                    self.hold.1 = *next_hops;
+                    self.planes.set_next_hops(&self.hold.0.next_hops(&next_hops))
+                }
                 Change::Set(name, entry) => {
+                    let entry = self.hold.0.set(&name, entry, self.routes.awaits(&name));
                     self.unplaced.0.insert(name, entry);
                     Ok(())
                 }
                 Change::Remove(name) => {
                     self.unplaced.0.remove(&name);
-                    self.planes.remove_route(&name)
+                    match self.hold.0.remove(&name, self.routes.awaits(&name)) {
+                        true => self.planes.remove_route(&name),
+                        false => Ok(()),
+                    }
                 }
             };
             if let Err(error) = result {

@@ -3,6 +3,7 @@
 
 pub mod admin;
 pub mod core;
+mod hold;
 pub mod interfaces;
 mod links;
 mod ports;
@@ -28,7 +29,7 @@ use tokio::task::JoinSet;
 use self::core::Core;
 use crate::config::{Config, DataPlane};
 use crate::folders;
-use crate::plane::{PlaneConfig, PlaneError, Planes, Wanted};
+use crate::plane::{PinPlace, PlaneConfig, PlaneError, Planes, Wanted};
 
 /// How often the addresses of peers are looked at: QUIC moves without saying so.
 const FOLLOW: Duration = Duration::from_millis(500);
@@ -92,13 +93,17 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         wanted,
         ebpf_object: config.ebpf_object.clone(),
         fib_capacity: config.fib_capacity,
+        pins: config.bpffs.clone().map(|bpffs| PinPlace { bpffs, switch: identity.name() }),
         ..PlaneConfig::default()
     })?;
     let uplink = config.uplink.as_ref().map(|place| place.switch);
+    let link_ids = LinkIds::new();
+    let mut core = Core::new(identity.clone(), config.neighbours.clone(), uplink, config.rib, planes);
+    core.take_over(&link_ids);
     let daemon = Arc::new(Daemon {
         name: identity.name(),
-        port_config: PortConfig::switch(identity.clone(), LinkIds::new()),
-        core: Mutex::new(Core::new(identity, config.neighbours.clone(), uplink, config.rib, planes)),
+        port_config: PortConfig::switch(identity, link_ids),
+        core: Mutex::new(core),
         ports: Mutex::default(),
         lanes: Mutex::default(),
         report: Notify::new(),
@@ -151,6 +156,11 @@ impl Running {
     /// What `gdp-ctl status` shows.
     pub async fn status(&self) -> serde_json::Value {
         status::status(&self.daemon).await
+    }
+
+    /// Whether the kernel forwards on if this process ends without [`Self::stop`].
+    pub fn outlives(&self) -> bool {
+        self.daemon.core().planes.outlives()
     }
 
     /// Tells peers, closes everything and takes the XDP programs off.
@@ -223,7 +233,9 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 async fn follow_addresses(daemon: Arc<Daemon>) {
     loop {
         tokio::time::sleep(FOLLOW).await;
-        daemon.core().follow_addresses();
+        let mut core = daemon.core();
+        core.follow_addresses();
+        core.end_hold(std::time::Instant::now());
     }
 }
 

@@ -110,6 +110,12 @@ impl Routes {
         }
     }
 
+    /// Whether the name is to be delivered to an endpoint here that has no link.
+    pub fn awaits(&self, name: &Name) -> bool {
+        let local = self.routes.get(name).and_then(|route| route.local);
+        local.is_some_and(|endpoint| !self.endpoints.contains_key(&endpoint))
+    }
+
     /// Index of this switch's own egress bit, once the RIB has told it.
     pub fn own_bit(&self) -> Option<u8> {
         self.own_bit

@@ -36,6 +36,14 @@ impl LinkIds {
         Some(LinkId { id: high | index as u32, ids: self.clone() })
     }
 
+    /// Takes an id that is in use already, such as one a data plane holds from before a restart; `None` if its index is taken.
+    pub fn reserve(&self, id: u32) -> Option<LinkId> {
+        let mut table = self.lock();
+        table.used.resize(MAX_LINKS as usize, false);
+        let used = &mut table.used[gdp_wire::table::link_index(id) as usize];
+        (!std::mem::replace(used, true)).then(|| LinkId { id, ids: self.clone() })
+    }
+
     fn lock(&self) -> MutexGuard<'_, Table> {
         self.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
@@ -75,5 +83,16 @@ mod tests {
         assert!(ids.allocate().is_none());
         drop(held);
         assert!(ids.allocate().is_some());
+    }
+
+    #[test]
+    fn a_reserved_index_is_not_given_out() {
+        let ids = LinkIds::new();
+        let reserved = ids.reserve(0x1400).expect("nothing is in use");
+        assert!(ids.reserve(0x2400).is_none(), "the same index");
+        let others: Vec<_> = std::iter::from_fn(|| ids.allocate()).collect();
+        assert_eq!(others.len(), MAX_LINKS as usize - 1);
+        drop(reserved);
+        assert!(ids.reserve(0x2400).is_some());
     }
 }

@@ -30,7 +30,8 @@ impl Publisher {
     }
 
     /// Seals and sends one message, best effort: `Ok` says that the kernel took all its frames, not that they arrive.
-    /// Returns the sequence number. While the link to the switch is lost this fails at once, and nothing is kept.
+    /// Returns the sequence number. While the link to the switch is lost this fails at once, and nothing is kept; but a
+    /// switch that only fell silent may forward on, so for a while ([`crate::link::HOLD`]) frames are sent on to it.
     pub async fn send(&mut self, encoding: Encoding, body: &[u8]) -> Result<u64, NodeError> {
         let result = self.try_send(encoding, body).await;
         let counters = &self.node.state.counters;
@@ -43,7 +44,7 @@ impl Publisher {
     }
 
     async fn try_send(&mut self, encoding: Encoding, body: &[u8]) -> Result<u64, NodeError> {
-        let attachment = self.node.state.attached_now()?;
+        let attachment = self.node.state.sending_on()?;
         let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         let sequence = self.writer.next_sequence();
         self.writer.seal(now.as_nanos() as u64, encoding, body, attachment.max_payload(), &mut self.segments)?;

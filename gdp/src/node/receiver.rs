@@ -29,6 +29,8 @@ pub enum Command {
     Attach {
         data: Arc<DataSocket>,
         entry: LinkEntry,
+        /// A link that this one replaces, and until when the switch may still send on it.
+        held: Option<(LinkEntry, Instant)>,
     },
     Subscribe {
         name: Name,
@@ -57,7 +59,7 @@ impl Receiver {
     pub fn run(self) {
         let mut state =
             Intakes { intakes: HashMap::new(), held: Held::default(), asked: HashMap::new(), start: Instant::now() };
-        let mut attached: Option<(Arc<DataSocket>, LinkEntry)> = None;
+        let mut attached: Option<(Arc<DataSocket>, Links)> = None;
         let mut batch = None;
         let mut next_tick = Instant::now() + TICK;
         loop {
@@ -67,7 +69,12 @@ impl Receiver {
                     None => self.commands.recv().map_err(|_| mpsc::TryRecvError::Disconnected),
                 };
                 match command {
-                    Ok(Command::Attach { data, entry }) => attached = Some((data, entry)),
+                    Ok(Command::Attach { data, entry, held }) => {
+                        let earlier = attached.take().filter(|_| held.is_some()).map(|(_, links)| links.held);
+                        let mut links = Links { current: entry, held: earlier.unwrap_or_default() };
+                        links.held.extend(held);
+                        attached = Some((data, links));
+                    }
                     Ok(Command::Subscribe { name, intake }) => drop(state.intakes.insert(name, intake)),
                     Ok(Command::Unsubscribe { name }) => drop(state.intakes.remove(&name)),
                     Ok(Command::Authorise { name, writers }) => state.authorise(&name, writers, &self.counters),
@@ -75,7 +82,8 @@ impl Receiver {
                     Ok(Command::Stop) | Err(mpsc::TryRecvError::Disconnected) => return,
                 }
             }
-            let Some((data, entry)) = &attached else { continue };
+            let Some((data, links)) = &mut attached else { continue };
+            let entry = &links.current;
             // The largest frame the link may carry, or the socket would not be able to tell that one is too large.
             let batch = batch.get_or_insert_with(|| RecvBatch::new(entry.mtu as usize));
             if batch.largest() < entry.mtu as usize {
@@ -88,7 +96,7 @@ impl Receiver {
                         continue;
                     }
                 }
-                Ok(_) => state.take(batch, entry, &self.counters, &self.events),
+                Ok(_) => state.take(batch, links, &self.counters, &self.events),
                 Err(error) => {
                     // The link is about to be lost as well; the next one brings its socket.
                     tracing::debug!(%error, "the data socket failed");
@@ -98,9 +106,25 @@ impl Receiver {
             }
             if Instant::now() >= next_tick {
                 next_tick = Instant::now() + TICK;
+                links.held.retain(|(_, until)| Instant::now() < *until);
                 state.tick(&self.counters);
             }
         }
+    }
+}
+
+/// The links that frames may come on.
+struct Links {
+    current: LinkEntry,
+    /// Those that fell silent, and until when each is kept. A few: one is added each time the switch comes back.
+    held: Vec<(LinkEntry, Instant)>,
+}
+
+impl Links {
+    /// The link a frame says it is on; the current one for a frame that is on none, to be refused by it.
+    fn of(&self, header: &Header) -> &LinkEntry {
+        let held = self.held.iter().map(|(entry, _)| entry).find(|entry| entry.id == header.link_id());
+        held.unwrap_or(&self.current)
     }
 }
 
@@ -128,7 +152,7 @@ impl Intakes {
     fn take(
         &mut self,
         batch: &mut RecvBatch,
-        link: &LinkEntry,
+        links: &Links,
         counters: &Counters,
         events: &async_mpsc::UnboundedSender<Event>,
     ) {
@@ -140,7 +164,7 @@ impl Intakes {
                 counters.refused[gdp_wire::Counter::Truncated as usize].add(1);
                 continue;
             };
-            if let Err(counter) = forward::accept(header, frame.len(), link) {
+            if let Err(counter) = forward::accept(header, frame.len(), links.of(header)) {
                 counters.refused[counter as usize].add(1);
                 continue;
             }
@@ -203,6 +227,7 @@ mod tests {
             start: Instant::now(),
         };
         let (link, counters) = (LinkEntry::default(), Counters::default());
+        let links = Links { current: link, held: Vec::new() };
         let (events, mut asked) = async_mpsc::unbounded_channel();
         let mut batch = RecvBatch::new(1500);
         for source in 0..50 {
@@ -210,7 +235,7 @@ mod tests {
             forward::stamp(&mut header, &link, 1);
             assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
         }
-        intakes.take(&mut batch, &link, &counters, &events);
+        intakes.take(&mut batch, &links, &counters, &events);
         assert!(matches!(asked.try_recv(), Ok(Event::UnknownWriter { name: about }) if about == name));
         assert!(asked.try_recv().is_err());
         assert!(counters.snapshot(0).drops.is_empty(), "the frames wait for the answer");

@@ -42,6 +42,9 @@ pub struct State {
 #[derive(Clone)]
 pub enum Status {
     Down(String),
+    /// The switch fell silent, for this reason. Its kernel may forward on, so frames still go out on the link; nothing can
+    /// be asked over it.
+    Held(Arc<Attachment>, String),
     Up(Arc<Attachment>),
     Closed,
 }
@@ -80,7 +83,7 @@ impl State {
     pub fn command(&self, command: Command) {
         // The thread ends only once this node is closed.
         let _ = self.commands.send(command);
-        if let Ok(attachment) = self.attached_now() {
+        if let Ok(attachment) = self.sending_on() {
             attachment.data.wake();
         }
     }
@@ -89,15 +92,23 @@ impl State {
     pub fn attached_now(&self) -> Result<Arc<Attachment>, NodeError> {
         match &*self.status.borrow() {
             Status::Up(attachment) => Ok(attachment.clone()),
-            Status::Down(reason) => Err(NodeError::Detached(reason.clone())),
+            Status::Down(reason) | Status::Held(_, reason) => Err(NodeError::Detached(reason.clone())),
             Status::Closed => Err(NodeError::Closed),
         }
+    }
+
+    /// The link that frames go out on: the one that is up, or for a while the one that fell silent.
+    pub fn sending_on(&self) -> Result<Arc<Attachment>, NodeError> {
+        if let Status::Held(attachment, _) = &*self.status.borrow() {
+            return Ok(attachment.clone());
+        }
+        self.attached_now()
     }
 
     /// The link, waiting for it a while.
     pub async fn attached(&self) -> Result<Arc<Attachment>, NodeError> {
         let mut status = self.status.subscribe();
-        let settled = status.wait_for(|status| !matches!(status, Status::Down(_)));
+        let settled = status.wait_for(|status| !matches!(status, Status::Down(_) | Status::Held(..)));
         let _ = tokio::time::timeout(LINK_PATIENCE, settled).await;
         self.attached_now()
     }

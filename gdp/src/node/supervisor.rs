@@ -17,7 +17,7 @@ use super::state::{self, State, Status};
 use super::{LinkTarget, NodeError, Stated};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
-use crate::link::{Link, LinkError, Responder, Role};
+use crate::link::{HOLD, Link, LinkError, Responder, Role};
 use crate::port::{DataSocket, Interface, LinkAddr, Port, PortConfig, UDP_MTU};
 
 /// How long a switch may take to answer discovery.
@@ -66,6 +66,19 @@ impl Attachment {
     }
 }
 
+/// A link whose switch fell silent, still in use until then.
+struct Held {
+    attachment: Arc<Attachment>,
+    until: Instant,
+}
+
+fn lost(held: Option<&Held>, reason: String) -> Status {
+    match held {
+        Some(held) => Status::Held(held.attachment.clone(), reason),
+        None => Status::Down(reason),
+    }
+}
+
 pub struct Supervisor {
     state: Arc<State>,
     target: LinkTarget,
@@ -85,7 +98,7 @@ impl Supervisor {
         let mut backoff = Backoff::new();
         let attempts = async {
             loop {
-                match self.attempt().await {
+                match self.attempt(None).await {
                     Err(error) if worth_another_attempt(&error) => {
                         self.state.set_status(Status::Down(error.to_string()));
                         backoff.wait().await;
@@ -122,17 +135,19 @@ impl Supervisor {
     async fn supervise(&mut self, first: Arc<Attachment>, events: &mut mpsc::UnboundedReceiver<Event>) {
         let mut attachment = first;
         loop {
-            let reason = self.serve(attachment, events).await;
+            let reason = self.serve(attachment.clone(), events).await;
             tracing::warn!(switch = %self.target, %reason, "lost the link to the switch");
-            self.state.set_status(Status::Down(reason));
+            let mut held = attachment.link.fell_silent().then(|| Held { attachment, until: Instant::now() + HOLD });
+            self.state.set_status(lost(held.as_ref(), reason));
             let mut backoff = Backoff::new();
             attachment = loop {
                 backoff.wait().await;
-                match self.attempt().await {
+                match self.attempt(held.as_ref()).await {
                     Ok(attachment) => break attachment,
                     Err(error) => {
                         tracing::debug!(switch = %self.target, %error, "no link to the switch");
-                        self.state.set_status(Status::Down(error.to_string()));
+                        held = held.filter(|held| Instant::now() < held.until);
+                        self.state.set_status(lost(held.as_ref(), error.to_string()));
                     }
                 }
             };
@@ -157,13 +172,15 @@ impl Supervisor {
         }
     }
 
-    async fn attempt(&mut self) -> Result<Arc<Attachment>, NodeError> {
+    /// Makes a link and attaches. Frames on the link that is held are taken for as long as the switch may send them.
+    async fn attempt(&mut self, held: Option<&Held>) -> Result<Arc<Attachment>, NodeError> {
         let (port, candidates) = self.locate().await?;
         let link = self.dial_first(&port, &candidates).await?;
         let attachment = Arc::new(Attachment::new(link, &port));
         self.state.attach(&attachment).await?;
         self.state.counters.links.add(1);
-        self.state.command(Command::Attach { data: attachment.data.clone(), entry: attachment.entry });
+        let held = held.map(|held| (held.attachment.entry, held.until.into_std()));
+        self.state.command(Command::Attach { data: attachment.data.clone(), entry: attachment.entry, held });
         self.state.set_status(Status::Up(attachment.clone()));
         Ok(attachment)
     }

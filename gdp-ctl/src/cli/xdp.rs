@@ -1,0 +1,125 @@
+//! `gdp-ctl xdp stats` and `xdp detach`: what daemons have left in the kernel, running ones or not. Works without a daemon, as
+//! root; reads and removes the pinned files itself.
+
+use std::path::PathBuf;
+
+use anyhow::{Context as _, bail};
+use clap::{Args, Subcommand};
+use gdp_wire::table::ABI;
+use serde_json::{Map, Value, json};
+
+use super::Context;
+use super::output::table;
+use crate::plane::kernel;
+use crate::plane::pins::{self, BPFFS, Found, Pins, PinsError};
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Print what the XDP programs count and hold.
+    Stats(Options),
+    /// Take the XDP programs off and free their maps, where no daemon runs. A daemon that is stopped does so itself.
+    Detach(Options),
+}
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// Only the switch whose name begins so.
+    #[arg(value_name = "SWITCH")]
+    switch: Option<String>,
+    /// The daemon's BPF file system.
+    #[arg(long, value_name = "PATH", default_value = BPFFS)]
+    bpffs: PathBuf,
+}
+
+pub fn run(command: &Command, context: &Context) -> anyhow::Result<()> {
+    match command {
+        Command::Stats(options) => stats(options, context),
+        Command::Detach(options) => detach(options, context),
+    }
+}
+
+fn stats(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let switches = options.find()?.iter().map(describe).collect::<anyhow::Result<Vec<_>>>()?;
+    context.output.print(json!({"switches": switches}), || match switches.as_slice() {
+        [] => "nothing of GDP is in the kernel".to_owned(),
+        all => all.iter().map(print).collect::<Vec<_>>().join("\n\n"),
+    })
+}
+
+fn detach(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let (mut detached, mut running) = (Vec::new(), Vec::new());
+    for found in options.find()? {
+        match Pins::of(&found) {
+            Ok(pins) => {
+                pins.remove()?;
+                detached.push(found.folder.display().to_string());
+            }
+            Err(PinsError::InUse(folder)) => running.push(folder.display().to_string()),
+            Err(error) => return Err(error.into()),
+        }
+    }
+    context.output.print(json!({"detached": detached, "running": running}), || match detached.as_slice() {
+        [] => "nothing to detach".to_owned(),
+        folders => folders.iter().map(|folder| format!("detached {folder}")).collect::<Vec<_>>().join("\n"),
+    })?;
+    if !running.is_empty() {
+        bail!("a daemon runs with {}: stop it, which detaches it as well", running.join(", "));
+    }
+    Ok(())
+}
+
+impl Options {
+    fn find(&self) -> anyhow::Result<Vec<Found>> {
+        let found = pins::find(&self.bpffs).context("cannot look for what daemons left")?;
+        let wanted = self.switch.as_deref().unwrap_or_default();
+        // Of the name only the first digits are known.
+        Ok(found.into_iter().filter(|f| f.switch.starts_with(wanted) || wanted.starts_with(&f.switch)).collect())
+    }
+}
+
+fn describe(found: &Found) -> anyhow::Result<Value> {
+    let programs = found.links().into_iter().map(|(ifindex, mode)| json!({"ifindex": ifindex, "mode": mode.as_str()}));
+    let mut value = json!({
+        "switch": found.switch,
+        "namespace": found.namespace,
+        "abi": found.abi,
+        "folder": found.folder,
+        "programs": programs.collect::<Vec<_>>(),
+        "daemon": matches!(Pins::of(found), Err(PinsError::InUse(_))),
+    });
+    // What the maps of another version mean is not known here.
+    if found.abi == ABI {
+        let stats = kernel::pinned_stats(&found.folder)
+            .with_context(|| format!("cannot read the maps in {}", found.folder.display()))?;
+        value["links"] = stats.links.into();
+        value["names"] = stats.names.into();
+        let counters = stats.counters.iter().map(|(counter, count)| (counter.as_str().to_owned(), (*count).into()));
+        value["counters"] = Value::Object(counters.collect::<Map<_, _>>());
+    }
+    Ok(value)
+}
+
+fn print(switch: &Value) -> String {
+    let text = |key: &str| switch[key].as_str().unwrap_or_default().to_owned();
+    let programs = switch["programs"].as_array().into_iter().flatten();
+    let programs: Vec<_> =
+        programs.map(|p| format!("{} ({})", p["ifindex"], p["mode"].as_str().unwrap_or_default())).collect();
+    let daemon = if switch["daemon"] == true { "running" } else { "none: forwards by what the last one left" };
+    let mut out = format!(
+        "switch      {}…, network namespace {}\nfolder      {}\ndaemon      {daemon}\ninterfaces  {}\n",
+        text("switch"),
+        switch["namespace"],
+        text("folder"),
+        programs.join(", ")
+    );
+    let Some(counters) = switch["counters"].as_object() else {
+        return out + &format!("maps        of version {}, this program reads {ABI}", switch["abi"]);
+    };
+    out += &format!("holds       {} links, {} names\n", switch["links"], switch["names"]);
+    let rows: Vec<_> = counters
+        .iter()
+        .filter(|(_, count)| **count != 0)
+        .map(|(name, count)| [name.clone(), count.to_string()])
+        .collect();
+    out + &table(["frames", "kernel"], &rows)
+}

@@ -1,0 +1,293 @@
+//! What outlives a daemon: the BPF maps and XDP links of a switch, as files of a BPF file system:
+//!
+//! ```text
+//!  BPFFS/gdp/v1/75e1….-4026531840/LINKS, FIB, …      the maps, by name
+//!             │ │      │          /xdp-7-native       the program on interface 7
+//!             │ │      └ network namespace
+//!             │ └ switch, 16 digits
+//!             └ version of the maps (gdp_wire::table::ABI)
+//! ```
+//!
+//! Who has locked the folder owns the switch: a daemon for its life, `gdp-ctl xdp detach` for a moment. The kernel lets go of
+//! the lock with the process, however that ends. Only files and their layout are known here; [`super::kernel`] writes the
+//! maps. Called by it, by [`super::Planes`] and by the command line.
+
+use std::ffi::CString;
+use std::fs::{self, File};
+use std::io;
+use std::os::fd::AsRawFd;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+use std::path::{Path, PathBuf};
+
+use aya::maps::{MapError, MapInfo};
+use gdp_wire::Name;
+use gdp_wire::table::ABI;
+
+use super::kernel::Mode;
+
+/// Where the BPF file system is, unless configured otherwise.
+pub const BPFFS: &str = "/sys/fs/bpf";
+
+/// Ours in it.
+const FOLDER: &str = "gdp";
+
+/// Why a switch's pins cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum PinsError {
+    #[error("no BPF file system at {}: {reason}", path.display())]
+    NoBpffs { path: PathBuf, reason: String },
+    #[error("{}: {source}", path.display())]
+    Io { path: PathBuf, source: io::Error },
+    #[error("another daemon runs this switch in this network namespace (it has locked {}); stop it first", .0.display())]
+    InUse(PathBuf),
+    #[error(
+        "the kernel still forwards by what a daemon of another version left at {}; `gdp-ctl xdp detach` removes it, and frames stop until a daemon runs again",
+        .0.display()
+    )]
+    OtherAbi(PathBuf),
+    #[error(
+        "{}: its {what} is {found}, and this daemon needs {wanted}; `gdp-ctl xdp detach` removes what the last daemon left, and frames stop until one runs again",
+        path.display()
+    )]
+    Layout { path: PathBuf, what: &'static str, found: u32, wanted: u32 },
+    #[error("{}: {source}", path.display())]
+    Map { path: PathBuf, source: MapError },
+}
+
+impl PinsError {
+    /// Whether a daemon can do without, but for not surviving a restart. Otherwise something else forwards already.
+    pub fn is_bearable(&self) -> bool {
+        matches!(self, Self::NoBpffs { .. } | Self::Io { .. })
+    }
+}
+
+/// The pins of one switch, locked.
+#[derive(Debug)]
+pub struct Pins {
+    folder: PathBuf,
+    _lock: File,
+}
+
+/// A folder of pins, whoever's.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Found {
+    pub folder: PathBuf,
+    /// The version of the maps in it.
+    pub abi: u32,
+    /// First digits of the switch's name.
+    pub switch: String,
+    /// Inode number of the network namespace.
+    pub namespace: u64,
+}
+
+impl Pins {
+    /// The pins of `switch` in the calling thread's network namespace, whether or not there are any yet. Mounts the file
+    /// system if it is missing.
+    pub fn open(bpffs: &Path, switch: &Name) -> Result<Self, PinsError> {
+        mount(bpffs)?;
+        let namespace = fs::metadata("/proc/thread-self/ns/net")
+            .map_err(|source| PinsError::Io { path: "/proc/thread-self/ns/net".into(), source })?
+            .ino();
+        let digits = &switch.to_string()[..16];
+        let foreign = find(bpffs)?
+            .into_iter()
+            .find(|found| (found.switch.as_str(), found.namespace) == (digits, namespace) && found.abi != ABI);
+        if let Some(foreign) = foreign {
+            return Err(PinsError::OtherAbi(foreign.folder));
+        }
+        let folder = bpffs.join(FOLDER).join(format!("v{ABI}")).join(format!("{digits}-{namespace}"));
+        fs::DirBuilder::new().recursive(true).mode(0o700).create(&folder).map_err(io_at(&folder))?;
+        Self::lock(folder)
+    }
+
+    /// What was found, to look after it in its daemon's place.
+    pub fn of(found: &Found) -> Result<Self, PinsError> {
+        Self::lock(found.folder.clone())
+    }
+
+    fn lock(folder: PathBuf) -> Result<Self, PinsError> {
+        let file = File::open(&folder).map_err(io_at(&folder))?;
+        // SAFETY: the descriptor is open.
+        match unsafe { libc::flock(file.as_raw_fd(), libc::LOCK_EX | libc::LOCK_NB) } {
+            0 => Ok(Self { folder, _lock: file }),
+            _ => match io::Error::last_os_error() {
+                error if error.raw_os_error() == Some(libc::EWOULDBLOCK) => Err(PinsError::InUse(folder)),
+                source => Err(PinsError::Io { path: folder, source }),
+            },
+        }
+    }
+
+    pub fn map(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    pub fn link(&self, ifindex: u32, mode: Mode) -> PathBuf {
+        self.folder.join(format!("xdp-{ifindex}-{}", mode.as_str()))
+    }
+
+    /// The interfaces that a program was put on, and how.
+    pub fn links(&self) -> Vec<(u32, Mode)> {
+        links(&self.folder)
+    }
+
+    /// Whether an earlier daemon has left maps.
+    pub fn any(&self) -> bool {
+        !entries(&self.folder).is_empty()
+    }
+
+    /// Compares a map that is there with what `wanted` says; one that is not there agrees.
+    pub fn check(&self, name: &str, wanted: &aya_obj::Map, max_entries: u32) -> Result<(), PinsError> {
+        // Device maps get it from the kernel.
+        const READ_ONLY_FOR_PROGRAMS: u32 = 1 << 7;
+        let path = self.map(name);
+        if !path.exists() {
+            return Ok(());
+        }
+        let broken = |source| PinsError::Map { path: path.clone(), source };
+        let info = MapInfo::from_pin(&path).map_err(broken)?;
+        let map_type = info.map_type().map_err(broken)? as u32;
+        let facts = [
+            ("type", map_type, wanted.map_type()),
+            ("key size", info.key_size(), wanted.key_size()),
+            ("value size", info.value_size(), wanted.value_size()),
+            ("capacity", info.max_entries(), max_entries),
+            ("set of flags", info.map_flags() & !READ_ONLY_FOR_PROGRAMS, wanted.map_flags() & !READ_ONLY_FOR_PROGRAMS),
+        ];
+        match facts.into_iter().find(|(_, found, wanted)| found != wanted) {
+            Some((what, found, wanted)) => Err(PinsError::Layout { path, what, found, wanted }),
+            None => Ok(()),
+        }
+    }
+
+    /// Removes everything: programs that nobody else holds are detached, maps freed.
+    pub fn remove(&self) -> Result<(), PinsError> {
+        let mut entries = entries(&self.folder);
+        // Programs first: none shall run on half of its maps' pins.
+        entries.sort_by_key(|path| link_of(path).is_none());
+        entries.iter().try_for_each(|path| fs::remove_file(path).map_err(io_at(path)))?;
+        fs::remove_dir(&self.folder).map_err(io_at(&self.folder))
+    }
+}
+
+impl Found {
+    pub fn links(&self) -> Vec<(u32, Mode)> {
+        links(&self.folder)
+    }
+}
+
+/// All pins there are, of any version, in a fixed order. None if there is no such file system.
+pub fn find(bpffs: &Path) -> Result<Vec<Found>, PinsError> {
+    let mut found = Vec::new();
+    for version in entries(&bpffs.join(FOLDER)) {
+        let Some(abi) = file_name(&version).strip_prefix('v').and_then(|abi| abi.parse().ok()) else { continue };
+        for folder in entries(&version) {
+            let name = file_name(&folder);
+            let Some((switch, namespace)) = name.split_once('-') else { continue };
+            let Ok(namespace) = namespace.parse() else { continue };
+            // What a daemon could not remove because it was in use by nobody is of no interest.
+            if !entries(&folder).is_empty() {
+                found.push(Found { switch: switch.to_owned(), folder: folder.clone(), abi, namespace });
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// Sees to it that there is a BPF file system.
+fn mount(at: &Path) -> Result<(), PinsError> {
+    let missing = |reason: String| PinsError::NoBpffs { path: at.into(), reason };
+    let path = CString::new(at.as_os_str().as_bytes()).map_err(|_| missing("no path has a NUL in it".into()))?;
+    if is_bpffs(&path) {
+        return Ok(());
+    }
+    if !entries(at).is_empty() {
+        return Err(missing("there is something else; name another folder as `bpffs`".into()));
+    }
+    fs::DirBuilder::new().recursive(true).mode(0o700).create(at).map_err(|error| missing(error.to_string()))?;
+    // SAFETY: four C strings that live as long as the call; the file system takes its options as one.
+    let result = unsafe {
+        libc::mount(c"bpf".as_ptr(), path.as_ptr(), c"bpf".as_ptr(), libc::MS_NOSUID, c"mode=0700".as_ptr().cast())
+    };
+    match result {
+        0 => Ok(()),
+        _ => Err(missing(format!(
+            "it cannot be mounted: {}; `mount -t bpf bpf {}` as root does it",
+            io::Error::last_os_error(),
+            at.display()
+        ))),
+    }
+}
+
+fn is_bpffs(path: &CString) -> bool {
+    // SAFETY: zero is a valid value of this structure of integers.
+    let mut found: libc::statfs = unsafe { std::mem::zeroed() };
+    // SAFETY: a C string and a structure that both outlive the call.
+    let result = unsafe { libc::statfs(path.as_ptr(), &raw mut found) };
+    result == 0 && found.f_type as u64 == libc::BPF_FS_MAGIC as u64
+}
+
+fn links(folder: &Path) -> Vec<(u32, Mode)> {
+    entries(folder).iter().filter_map(|path| link_of(path)).collect()
+}
+
+fn link_of(path: &Path) -> Option<(u32, Mode)> {
+    let (ifindex, mode) = file_name(path).strip_prefix("xdp-")?.split_once('-')?;
+    let mode = [Mode::Native, Mode::Generic].into_iter().find(|m| m.as_str() == mode)?;
+    Some((ifindex.parse().ok()?, mode))
+}
+
+/// What is in a folder, sorted; nothing, if there is no such folder.
+fn entries(folder: &Path) -> Vec<PathBuf> {
+    let mut paths: Vec<_> = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+    paths.sort();
+    paths
+}
+
+fn file_name(path: &Path) -> &str {
+    path.file_name().and_then(|name| name.to_str()).unwrap_or_default()
+}
+
+fn io_at(path: &Path) -> impl Fn(io::Error) -> PinsError {
+    move |source| PinsError::Io { path: path.into(), source }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_told_apart_by_name() {
+        let of = |name: &str| link_of(Path::new(name));
+        assert_eq!(of("/x/xdp-7-native"), Some((7, Mode::Native)));
+        assert_eq!(of("/x/xdp-12-generic"), Some((12, Mode::Generic)));
+        for other in ["LINKS", "xdp-7", "xdp-7-fast", "xdp--native"] {
+            assert_eq!(of(other), None, "{other}");
+        }
+    }
+
+    #[test]
+    fn a_switch_has_one_owner_at_a_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = folder.path().join("gdp/v1/75e1000000000000-4026531840");
+        fs::create_dir_all(&place).unwrap();
+        assert_eq!(find(folder.path()).unwrap(), [], "an empty folder is nothing");
+        fs::write(place.join("xdp-3-native"), []).unwrap();
+        fs::write(place.join("FIB"), []).unwrap();
+        let found = find(folder.path()).unwrap();
+        assert_eq!((found[0].switch.as_str(), found[0].abi, found[0].namespace), ("75e1000000000000", 1, 4026531840));
+        assert_eq!(found[0].links(), [(3, Mode::Native)]);
+        let pins = Pins::of(&found[0]).unwrap();
+        assert!(matches!(Pins::of(&found[0]), Err(PinsError::InUse(_))));
+        pins.remove().unwrap();
+        assert!(!place.exists());
+    }
+
+    #[test]
+    fn a_folder_with_something_in_it_is_not_mounted_over() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("file"), []).unwrap();
+        let error = Pins::open(folder.path(), &Name::default()).unwrap_err();
+        assert!(error.is_bearable() && error.to_string().contains("something else"), "{error}");
+    }
+}

@@ -1,0 +1,332 @@
+//! A daemon is killed under traffic, and another one takes its place. Two nodes of the SDK over one switch:
+//!
+//! ```text
+//!  robot r0 ──── l0 s1 r0 ──── l0 cloud
+//!  publishes     killed         subscribes
+//! ```
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, ensure};
+use gdp::cert::{Claims, Signed};
+use gdp::link::IDLE_TIMEOUT;
+use gdp::node::SubscribeOptions;
+use gdp::seal::{Encoding, EpochKey};
+use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
+use gdp_tests::Tools;
+use gdp_tests::chain::ChainOptions;
+use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
+use gdp_tests::netns::Namespace;
+use gdp_tests::process::Process;
+use gdp_tests::wait::wait_for;
+
+/// Between two messages.
+const PACE: Duration = Duration::from_millis(1);
+
+/// What nodes have time for to notice that the switch is silent, and to make their links anew.
+const RECOVERY: Duration = Duration::from_secs(40);
+
+#[test]
+fn no_message_is_lost_when_a_daemon_is_killed_and_another_takes_over() -> Result<()> {
+    let mut fabric = pinned_fabric()?;
+    let traffic = Traffic::start(&fabric)?;
+    traffic.wait_for_more(500, PATIENCE).with_context(|| fabric.report())?;
+    fabric.switches[0].process.kill()?;
+    let killed = Instant::now();
+
+    // Without a daemon: until both nodes have noticed, and longer.
+    wait_for("both nodes to miss the switch", RECOVERY, || Ok((traffic.links_down() == 2).then_some(())))?;
+    ensure!(killed.elapsed() > IDLE_TIMEOUT / 2);
+    traffic.wait_for_more(1000, PATIENCE).context("frames stopped while there was no daemon")?;
+    traffic.nothing_is_missing()?;
+    let stats = &fabric.xdp("stats")?["switches"][0];
+    ensure!(stats["daemon"] == false && stats["links"] == 2 && stats["names"] == 1, "{stats}");
+    ensure!(stats["counters"]["delivered"].as_u64().is_some_and(|delivered| delivered > 1500), "{stats}");
+
+    fabric.start_again(0)?;
+    wait_for("both nodes to have made their links anew", RECOVERY, || {
+        fabric.switches[0].process.check_alive()?;
+        Ok((traffic.links_made() == 4 && traffic.links_down() == 0).then_some(()))
+    })
+    .with_context(|| fabric.report())?;
+    traffic.wait_for_more(500, PATIENCE)?;
+    wait_for("the name to lead to the new link", PATIENCE, || {
+        let (status, routes) = (fabric.status(0)?, fabric.ctl(0, &["fib", "dump"])?);
+        Ok((status["rib"]["names"] == 1 && routes["routes"][0]["local"].is_string()).then_some(()))
+    })
+    .with_context(|| fabric.report())?;
+    traffic.wait_for_more(500, PATIENCE)?;
+    ensure!(fabric.switches[0].process.stderr().contains("took over"), "{}", fabric.report());
+    traffic.nothing_is_missing()?;
+
+    // Once more while the first is still held, and before anybody notices.
+    fabric.switches[0].process.kill()?;
+    fabric.start_again(0)?;
+    wait_for("both nodes to have made their links anew", RECOVERY, || {
+        fabric.switches[0].process.check_alive()?;
+        Ok((traffic.links_made() == 6 && traffic.links_down() == 0).then_some(()))
+    })
+    .with_context(|| fabric.report())?;
+    traffic.wait_for_more(500, PATIENCE)?;
+    let sent = traffic.stop_sending();
+    traffic.wait_for_total(sent, PATIENCE).with_context(|| format!("{}\n{}", traffic.summary(), fabric.report()))?;
+    traffic.nothing_is_missing()?;
+    ensure!(
+        fabric.counter(0, "drop_no_route")? == 0 && fabric.counter(0, "drop_no_link")? == 0,
+        "{}",
+        fabric.status(0)?
+    );
+    Ok(())
+}
+
+#[test]
+fn a_stopped_daemon_leaves_nothing_and_a_killed_one_can_be_cleared_away() -> Result<()> {
+    let mut fabric = pinned_fabric()?;
+    let shown = |fabric: &Fabric| fabric.chain.switches()[0].ip(&["-o", "link", "show", "l0"]);
+    ensure!(shown(&fabric)?.contains("xdp"));
+    let refused = fabric.xdp("detach").err().context("a daemon runs")?.to_string();
+    ensure!(refused.contains("a daemon runs"), "{refused}");
+    ensure!(fabric.xdp("stats")?["switches"][0]["daemon"] == true);
+
+    fabric.switches[0].process.stop(PATIENCE)?;
+    ensure!(!shown(&fabric)?.contains("xdp"), "a stop takes the programs off");
+    ensure!(fabric.xdp("stats")?["switches"] == serde_json::json!([]));
+
+    fabric.start_again(0)?;
+    wait_for("the daemon to answer", PATIENCE, || Ok(fabric.status(0).ok()))?;
+    fabric.switches[0].process.kill()?;
+    ensure!(shown(&fabric)?.contains("xdp"), "a crash leaves them");
+    let detached = fabric.xdp("detach")?;
+    ensure!(detached["detached"].as_array().map(Vec::len) == Some(1), "{detached}");
+    wait_for("the programs to go", PATIENCE, || Ok((!shown(&fabric)?.contains("xdp")).then_some(())))?;
+    Ok(())
+}
+
+#[test]
+fn a_daemon_that_is_to_be_kept_leaves_the_kernel_to_its_successor() -> Result<()> {
+    let mut fabric = pinned_fabric()?;
+    fabric.switches[0].process.stop(PATIENCE)?;
+    let mut command = fabric.chain.switches()[0].command(fabric.tools.gdp_ctl()?)?;
+    command.args(["serve", "--keep", "--config"]).arg(fabric.folder().join("s1.yaml"));
+    command.env("GDP_EBPF_OBJECT", fabric.tools.ebpf_object()?);
+    let mut kept = Process::spawn("kept", command, fabric.folder())?;
+    wait_for("the daemon to answer", PATIENCE, || Ok(fabric.status(0).ok())).with_context(|| kept.report())?;
+    ensure!(kept.stop(PATIENCE)?.success(), "{}", kept.report());
+    let stats = &fabric.xdp("stats")?["switches"][0];
+    ensure!(stats["daemon"] == false && stats["programs"].as_array().map(Vec::len) == Some(2), "{stats}");
+
+    fabric.start_again(0)?;
+    wait_for("the daemon to answer", PATIENCE, || Ok(fabric.status(0).ok())).with_context(|| fabric.report())?;
+    let reason = fabric.status(0)?["data_plane_reason"].to_string();
+    ensure!(reason.contains("taken over"), "{reason}");
+    Ok(())
+}
+
+#[test]
+fn maps_of_another_layout_or_version_are_refused_with_the_remedy() -> Result<()> {
+    let mut fabric = pinned_fabric()?;
+    let config = fabric.folder().join("s1.yaml");
+    let text = std::fs::read_to_string(&config)?;
+    fabric.switches[0].process.kill()?;
+    let mut changed: serde_json::Value = serde_json::from_str(&text)?;
+    changed["fib_capacity"] = 1000.into();
+    let run = |fabric: &mut Fabric| -> Result<String> {
+        let mut command = fabric.chain.switches()[0].command(fabric.tools.gdp_ctl()?)?;
+        command.args(["serve", "--config"]).arg(&config).env("GDP_EBPF_OBJECT", fabric.tools.ebpf_object()?);
+        let output = command.output()?;
+        ensure!(output.status.code() == Some(1), "{output:?}");
+        Ok(String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    std::fs::write(&config, changed.to_string())?;
+    let refused = run(&mut fabric)?;
+    ensure!(refused.contains("capacity is 65536") && refused.contains("needs 1000"), "{refused}");
+    ensure!(refused.contains("gdp-ctl xdp detach"), "{refused}");
+
+    // As if another build had left it.
+    std::fs::write(&config, &text)?;
+    let root = fabric.bpffs().join("gdp");
+    std::fs::rename(root.join("v1"), root.join("v0"))?;
+    let refused = run(&mut fabric)?;
+    ensure!(refused.contains("another version") && refused.contains("gdp-ctl xdp detach"), "{refused}");
+    ensure!(fabric.xdp("detach")?["detached"].as_array().map(Vec::len) == Some(1));
+    fabric.start_again(0)?;
+    wait_for("the daemon to answer", PATIENCE, || Ok(fabric.status(0).ok())).with_context(|| fabric.report())?;
+    Ok(())
+}
+
+fn pinned_fabric() -> Result<Fabric> {
+    let chain = ChainOptions { switches: 1, ..Default::default() };
+    let options = FabricOptions { chain, pinned: true, ..Default::default() };
+    let mut fabric = Fabric::start(Tools::beside_this_test()?, options)?;
+    fabric.switches[0].process.check_alive()?;
+    Ok(fabric)
+}
+
+/// Numbered messages from the robot to the cloud.
+struct Traffic {
+    shared: Arc<Shared>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+#[derive(Default)]
+struct Shared {
+    stop_sending: AtomicBool,
+    stop: AtomicBool,
+    sent: AtomicU64,
+    /// Messages that could not be sent, and why.
+    unsent: Mutex<Vec<String>>,
+    received: Mutex<Vec<u64>>,
+    nodes: Mutex<[Option<Node>; 2]>,
+    failure: Mutex<Option<String>>,
+}
+
+impl Traffic {
+    fn start(fabric: &Fabric) -> Result<Self> {
+        let shared = Arc::new(Shared::default());
+        let mut traffic = Self { shared, threads: Vec::new() };
+        traffic.spawn(fabric.chain.cloud(), fabric.folder(), |shared, folder| async move {
+            let node = connect(&folder.join("cloud.pem"), "l0").await?;
+            let (card, key) =
+                (NameCard::load(&folder.join("chatter.card"))?, EpochKey::load(&folder.join("chatter.key"))?);
+            let grant = signed(&folder.join("chatter.grant"))?;
+            let options = SubscribeOptions { queue: 1 << 16, ..Default::default() };
+            let mut subscription = node.subscribe(card.proof(), grant, &key, options).await?;
+            shared.nodes()[1] = Some(node);
+            while !shared.stop.load(Ordering::Relaxed) {
+                if let Ok(Some(message)) = tokio::time::timeout(Duration::from_millis(50), subscription.recv()).await {
+                    let number = u64::from_be_bytes(message.body[..].try_into()?);
+                    shared.received.lock().expect("no panic").push(number);
+                }
+            }
+            Ok(())
+        })?;
+        wait_for("the subscription", PATIENCE, || {
+            traffic.check()?;
+            Ok(traffic.shared.nodes()[1].is_some().then_some(()))
+        })?;
+        traffic.spawn(fabric.chain.robot(), fabric.folder(), |shared, folder| async move {
+            let node = connect(&folder.join("robot.pem"), "r0").await?;
+            let (card, key) =
+                (NameCard::load(&folder.join("chatter.card"))?, EpochKey::load(&folder.join("chatter.key"))?);
+            let mut publisher = node.publish(card.proof(), signed(&folder.join("chatter.ad"))?, &key).await?;
+            shared.nodes()[0] = Some(node);
+            let mut pace = tokio::time::interval(PACE);
+            while !shared.stop_sending.load(Ordering::Relaxed) {
+                pace.tick().await;
+                let number = shared.sent.load(Ordering::Relaxed);
+                match publisher.send(Encoding::Bytes, &number.to_be_bytes()).await {
+                    Ok(_) => drop(shared.sent.fetch_add(1, Ordering::Relaxed)),
+                    Err(error) => shared.unsent.lock().expect("no panic").push(error.to_string()),
+                }
+            }
+            while !shared.stop.load(Ordering::Relaxed) {
+                pace.tick().await;
+            }
+            Ok(())
+        })?;
+        Ok(traffic)
+    }
+
+    /// A node of its own runtime, in a namespace: namespaces belong to threads.
+    fn spawn<F: Future<Output = Result<()>>>(
+        &mut self,
+        at: &Namespace,
+        folder: &Path,
+        run: impl FnOnce(Arc<Shared>, std::path::PathBuf) -> F + Send + 'static,
+    ) -> Result<()> {
+        let (shared, folder, door) = (self.shared.clone(), folder.to_owned(), at.door()?);
+        self.threads.push(std::thread::spawn(move || {
+            let ended = door.enter().and_then(|_inside| {
+                let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+                runtime.block_on(run(shared.clone(), folder))
+            });
+            if let Err(error) = ended {
+                *shared.failure.lock().expect("no panic") = Some(format!("{error:#}"));
+            }
+        }));
+        Ok(())
+    }
+
+    fn wait_for_more(&self, more: usize, limit: Duration) -> Result<()> {
+        self.wait_for_total((self.received() + more) as u64, limit)
+    }
+
+    fn wait_for_total(&self, total: u64, limit: Duration) -> Result<()> {
+        wait_for(&format!("message {total}"), limit, || {
+            self.check()?;
+            Ok((self.received() as u64 >= total).then_some(()))
+        })
+    }
+
+    fn received(&self) -> usize {
+        self.shared.received.lock().expect("no panic").len()
+    }
+
+    /// How many have been sent.
+    fn stop_sending(&self) -> u64 {
+        self.shared.stop_sending.store(true, Ordering::Relaxed);
+        // One may be on its way; it is counted once it is sent, and then nothing follows.
+        let mut before = u64::MAX;
+        let settled = wait_for("the last message", PATIENCE, || {
+            let sent = self.shared.sent.load(Ordering::Relaxed);
+            Ok((std::mem::replace(&mut before, sent) == sent).then_some(sent))
+        });
+        settled.expect("it ends")
+    }
+
+    fn links_made(&self) -> u64 {
+        self.shared.nodes().iter().flatten().map(|node| node.counters().links).sum()
+    }
+
+    fn links_down(&self) -> usize {
+        self.shared.nodes().iter().flatten().filter(|node| node.switch().is_err()).count()
+    }
+
+    fn nothing_is_missing(&self) -> Result<()> {
+        let unsent = self.shared.unsent.lock().expect("no panic");
+        ensure!(unsent.is_empty(), "{} messages could not be sent: {:?}", unsent.len(), unsent.first());
+        let received = self.shared.received.lock().expect("no panic");
+        let gap = received.iter().enumerate().find(|(i, number)| *i as u64 != **number);
+        ensure!(gap.is_none(), "not each once and in order: place {gap:?} of {}", received.len());
+        Ok(())
+    }
+
+    fn summary(&self) -> String {
+        let counters: Vec<_> = self.shared.nodes().iter().flatten().map(Node::counters).collect();
+        format!("sent {}, received {}: {counters:?}", self.shared.sent.load(Ordering::Relaxed), self.received())
+    }
+
+    fn check(&self) -> Result<()> {
+        match &*self.shared.failure.lock().expect("no panic") {
+            Some(failure) => anyhow::bail!("a node failed: {failure}"),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Shared {
+    fn nodes(&self) -> std::sync::MutexGuard<'_, [Option<Node>; 2]> {
+        self.nodes.lock().expect("no panic")
+    }
+}
+
+impl Drop for Traffic {
+    fn drop(&mut self) {
+        self.shared.stop_sending.store(true, Ordering::Relaxed);
+        self.shared.stop.store(true, Ordering::Relaxed);
+        self.threads.drain(..).for_each(|thread| drop(thread.join()));
+    }
+}
+
+async fn connect(key: &Path, interface: &str) -> Result<Node> {
+    let identity = Identity::new(SigningKey::load(key)?, "proxy");
+    Ok(Node::connect(NodeConfig::new(identity, format!("eth://{interface}").parse()?)).await?)
+}
+
+fn signed<T: Claims>(path: &Path) -> Result<Signed<T>> {
+    Ok(Signed::from_pem(&std::fs::read_to_string(path)?)?)
+}
