@@ -3,7 +3,7 @@
 
 use core::fmt;
 
-use crate::Name;
+use crate::{Name, replay};
 
 /// Links a switch can have at once; the low bits of a link id are the index of its entry.
 pub const MAX_LINKS: u32 = 1024;
@@ -51,12 +51,17 @@ pub struct LinkEntry {
     pub peer_mac: [u16; 3],
     /// Ours.
     pub local_mac: [u16; 3],
+    /// The neighbour's name. An endpoint's frames must have it as their source.
+    pub peer: Name,
 }
 
 impl fmt::Debug for LinkEntry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { id, peer_id, role, port, rx_key: _, tx_key: _, reach, mtu, peer_mac: _, local_mac: _ } = self;
-        write!(f, "LinkEntry({id:#x} to {peer_id:#x}, role {role}, port {port}, reach {reach:#x}, mtu {mtu})")
+        let Self { id, peer_id, role, port, rx_key: _, tx_key: _, reach, mtu, peer_mac: _, local_mac: _, peer } = self;
+        write!(
+            f,
+            "LinkEntry({id:#x} to {peer_id:#x} of {peer:#}, role {role}, port {port}, reach {reach:#x}, mtu {mtu})"
+        )
     }
 }
 
@@ -70,6 +75,21 @@ pub struct FibEntry {
     pub local_link: u32,
     /// The egress set that `egress_bits` speaks of.
     pub egress_set: u32,
+    /// Link id of a local endpoint that may send to the name, or 0.
+    pub writer_link: u32,
+    /// Not 0 if other local endpoints may, too: each has a [`Permit`].
+    pub more_writers: u32,
+}
+
+/// That an endpoint may send to a name, where that is not in the name's [`FibEntry`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[repr(C)]
+pub struct Permit {
+    pub name: Name,
+    /// Id of the endpoint's link.
+    pub link: u32,
+    /// Zero.
+    pub reserved: u32,
 }
 
 /// What a switch knows of itself.
@@ -98,8 +118,14 @@ pub trait Tables {
     /// This switch's own egress bit.
     fn own_bit(&self) -> u64;
 
+    /// Whether this link has a [`Permit`] for a name. Asked only where the name's entry says that there are some.
+    fn is_permitted(&self, link: &LinkEntry, name: &Name) -> bool;
+
+    /// What frames have arrived on this link, shared by all planes that take frames from it.
+    fn window(&self, link: &LinkEntry) -> Option<impl replay::Words>;
+
     /// The count for a frame that leaves by this link: 1 for the first.
-    fn next_counter(&self, link: &LinkEntry) -> u32;
+    fn next_count(&self, link: &LinkEntry) -> u64;
 }
 
 /// Index of the entry of link `id`.
@@ -109,8 +135,11 @@ pub const fn link_index(id: u32) -> u32 {
 }
 
 const _: () = {
-    assert!(size_of::<LinkEntry>() == 72 && align_of::<LinkEntry>() == 8);
-    assert!(size_of::<FibEntry>() == 16 && align_of::<FibEntry>() == 8);
+    // Two cache lines.
+    assert!(size_of::<LinkEntry>() == 104 && align_of::<LinkEntry>() == 8);
+    // With its name and a generation, one.
+    assert!(size_of::<FibEntry>() == 24 && align_of::<FibEntry>() == 8);
+    assert!(size_of::<Permit>() == 40 && align_of::<Permit>() == 8);
     assert!(size_of::<SwitchConfig>() == 16 && align_of::<SwitchConfig>() == 8);
     assert!(MAX_LINKS.is_power_of_two());
 };
@@ -123,6 +152,8 @@ mod pod {
     unsafe impl aya::Pod for super::FibEntry {}
     // SAFETY: as above.
     unsafe impl aya::Pod for super::SwitchConfig {}
+    // SAFETY: as above.
+    unsafe impl aya::Pod for super::Permit {}
     // SAFETY: four u64.
     unsafe impl aya::Pod for crate::Name {}
 }

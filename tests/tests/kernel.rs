@@ -2,19 +2,19 @@
 
 use anyhow::{Context, Result, ensure};
 use gdp_ctl::plane::kernel::{Action, KernelPlane, LoadError, UpdateError};
-use gdp_ctl::plane::tx_counters::TxCounters;
+use gdp_ctl::plane::link_memory::LinkMemory;
 use gdp_ctl::plane::userspace::{Outcome, UserTables, handle};
 use gdp_tests::Tools;
 use gdp_tests::frames::Frame;
 use gdp_tests::frames::fixtures::{self, Bytes, Expected, Fixtures, Switch, Verdict};
-use gdp_wire::{Counter, FibEntry, LinkEntry, Name};
+use gdp_wire::{Counter, FibEntry, LinkEntry, Name, replay};
 
 #[test]
 fn every_fixture_through_the_kernel() -> Result<()> {
     let Fixtures { switch, cases, .. } = fixtures::read();
     let mut plane = kernel_plane(&switch)?;
     for case in &cases {
-        reset(plane.tx_counters(), &switch);
+        reset(plane.link_memory(), &switch);
         let got = run(&mut plane, &case.frame.bytes()).with_context(|| case.name.clone())?;
         ensure!(got == case.kernel, "{}:\n     got {got:?}\nexpected {:?}", case.name, case.kernel);
     }
@@ -30,8 +30,8 @@ fn every_fixture_through_the_userspace_plane() -> Result<()> {
             // Its sockets are bound to the ethertype.
             continue;
         }
-        let (tables, tx_counters) = user_tables(&switch);
-        reset(&tx_counters, &switch);
+        let (tables, link_memory) = user_tables(&switch);
+        reset(&link_memory, &switch);
         let got = run_userspace(&tables, &switch, &case.frame.bytes());
         ensure!(got == *expected, "{}:\n     got {got:?}\nexpected {expected:?}", case.name);
     }
@@ -43,13 +43,13 @@ fn every_fixture_through_the_userspace_plane() -> Result<()> {
 fn random_frames_get_the_same_verdict_from_both_planes() -> Result<()> {
     let Fixtures { switch, .. } = fixtures::read();
     let mut kernel = kernel_plane(&switch)?;
-    let (tables, tx_counters) = user_tables(&switch);
+    let (tables, link_memory) = user_tables(&switch);
     let mut random = Random(0x9e37_79b9_7f4a_7c15);
     let mut seen = [0u32; Counter::COUNT];
     for round in 0..20_000 {
         let frame = random_frame(&mut random, &switch);
-        reset(kernel.tx_counters(), &switch);
-        reset(&tx_counters, &switch);
+        reset(kernel.link_memory(), &switch);
+        reset(&link_memory, &switch);
         let got = run(&mut kernel, &frame)?;
         let counter = Counter::ALL.iter().position(|c| c.as_str() == got.counter).context("a counter")?;
         seen[counter] += 1;
@@ -77,8 +77,8 @@ fn the_map_is_the_fib() -> Result<()> {
         routes.sort_by_key(|(name, _)| *name);
         routes
     };
-    ensure!(sorted(plane.routes()?) == sorted(switch.routes().collect()));
-    let (name, _) = switch.routes().next().context("a route")?;
+    ensure!(sorted(plane.routes()?) == sorted(switch.routes().map(|(name, entry, _)| (name, entry)).collect()));
+    let (name, ..) = switch.routes().next().context("a route")?;
     plane.remove_route(&name)?;
     plane.remove_route(&name)?;
     ensure!(plane.routes()?.iter().all(|(present, _)| *present != name), "removed, and removing again is no error");
@@ -118,29 +118,36 @@ fn kernel_plane(switch: &Switch) -> Result<KernelPlane> {
     (0..6).try_for_each(|port| plane.set_port(port, LOOPBACK))?;
     plane.set_config(switch.config())?;
     switch.links().try_for_each(|link| plane.set_link(&link))?;
-    switch.routes().try_for_each(|(name, entry)| plane.set_route(&name, entry))?;
+    for (name, entry, permitted) in switch.routes() {
+        permitted.iter().try_for_each(|link| plane.permit(&name, *link))?;
+        plane.set_route(&name, entry)?;
+    }
     plane.set_next_hops(&switch.next_hops())?;
     Ok(plane)
 }
 
-fn user_tables(switch: &Switch) -> (UserTables, TxCounters) {
-    let tx_counters = TxCounters::new();
-    let mut tables = UserTables::new(tx_counters.clone());
+fn user_tables(switch: &Switch) -> (UserTables, LinkMemory) {
+    let link_memory = LinkMemory::new();
+    let mut tables = UserTables::new(link_memory.clone());
     for link in switch.links() {
         // Only to be told apart.
         let to = gdp::port::LinkAddr::Ethernet { ifindex: link.port, mac: [0; 6] };
         tables.set_link(link, to);
     }
-    for (name, entry) in switch.routes() {
-        tables.set_route(name, entry);
+    for (name, entry, permitted) in switch.routes() {
+        tables.set_route(name, entry, permitted);
     }
     tables.set_next_hops(&switch.next_hops());
     tables.set_own_bit(switch.config().own_bit);
-    (tables, tx_counters)
+    (tables, link_memory)
 }
 
-fn reset(tx_counters: &TxCounters, switch: &Switch) {
-    switch.links.iter().for_each(|link| tx_counters.set(link.id, link.tx_counter.into()));
+fn reset(memory: &LinkMemory, switch: &Switch) {
+    for link in &switch.links {
+        memory.begin(link.id);
+        memory.set_count(link.id, link.tx_counter);
+        link.taken.iter().for_each(|count| assert!(replay::take(memory.window(link.id), *count)));
+    }
 }
 
 /// What the kernel does with a frame: the action, and exactly one counter.
@@ -192,7 +199,11 @@ fn random_frame(random: &mut Random, switch: &Switch) -> Vec<u8> {
     let mut frame = Frame {
         link_id: link.id,
         key: fixtures::key(&link.rx_key),
-        link_counter: random.next() as u32,
+        link_counter: match link.taken[..] {
+            [] => random.next() as u32 as u64,
+            // Around those, some of them.
+            _ => random.one_of(&link.taken) + random.below(3) as u64,
+        },
         hop_limit: random.one_of(&[0, 1, 2, 3, 64, 64, 64, 255]),
         egress_set: random.one_of(&[0, 0, 3, 255]),
         egress_bits: match random.below(5) {
@@ -202,7 +213,10 @@ fn random_frame(random: &mut Random, switch: &Switch) -> Vec<u8> {
             _ => 1 << random.below(12),
         },
         destination: fixtures::array(&route.name),
-        source: std::array::from_fn(|_| random.next() as u8),
+        source: match random.below(16) {
+            0 => std::array::from_fn(|_| random.next() as u8),
+            _ => fixtures::array(&link.peer),
+        },
         payload: vec![random.next() as u8; random.one_of(&[0, 1, 64, 500, 505, 1404, 1405, 1500])],
         padding: random.one_of(&[0, 0, 0, 1, 30]),
         ..Frame::default()

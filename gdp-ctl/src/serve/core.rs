@@ -44,7 +44,7 @@ pub struct Core {
     /// Endpoints that the RIB has attached here.
     pub attached: HashSet<Name>,
     /// Routes that the data plane refused, and why it refused the last.
-    unplaced: (BTreeMap<Name, FibEntry>, String),
+    unplaced: (BTreeMap<Name, (FibEntry, Vec<u32>)>, String),
     start: Instant,
 }
 
@@ -434,8 +434,8 @@ impl Core {
                     None => Ok(()),
                 },
                 Change::NextHops(next_hops) => self.planes.set_next_hops(&next_hops),
-                Change::Set(name, entry) => {
-                    self.unplaced.0.insert(name, entry);
+                Change::Set(name, entry, permitted) => {
+                    self.unplaced.0.insert(name, (entry, permitted));
                     Ok(())
                 }
                 Change::Remove(name) => {
@@ -453,7 +453,8 @@ impl Core {
     /// Gives the data planes the routes they do not hold yet, as far as they take them.
     fn place(&mut self) {
         while let Some(route) = self.unplaced.0.first_entry() {
-            if let Err(error) = self.planes.set_route(*route.key(), *route.get()) {
+            let (entry, permitted) = route.get();
+            if let Err(error) = self.planes.set_route(*route.key(), *entry, permitted) {
                 self.unplaced.1 = error.to_string();
                 break;
             }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
+use gdp_wire::replay::{self, Window};
 use gdp_wire::{Header, LinkEntry, Name, forward};
 use tokio::sync::mpsc as async_mpsc;
 use zerocopy::FromBytes;
@@ -25,7 +26,7 @@ const ASK_AGAIN: Duration = Duration::from_millis(250);
 
 /// What the rest of the node tells the thread.
 pub enum Command {
-    /// Frames now come from this socket, on this link.
+    /// Frames now come from this socket, on this link, which is new.
     Attach {
         data: Arc<DataSocket>,
         entry: LinkEntry,
@@ -57,7 +58,7 @@ impl Receiver {
     pub fn run(self) {
         let mut state =
             Intakes { intakes: HashMap::new(), held: Held::default(), asked: HashMap::new(), start: Instant::now() };
-        let mut attached: Option<(Arc<DataSocket>, LinkEntry)> = None;
+        let mut attached: Option<(Arc<DataSocket>, Ingress)> = None;
         let mut batch = None;
         let mut next_tick = Instant::now() + TICK;
         loop {
@@ -67,7 +68,7 @@ impl Receiver {
                     None => self.commands.recv().map_err(|_| mpsc::TryRecvError::Disconnected),
                 };
                 match command {
-                    Ok(Command::Attach { data, entry }) => attached = Some((data, entry)),
+                    Ok(Command::Attach { data, entry }) => attached = Some((data, Ingress::new(entry))),
                     Ok(Command::Subscribe { name, intake }) => drop(state.intakes.insert(name, intake)),
                     Ok(Command::Unsubscribe { name }) => drop(state.intakes.remove(&name)),
                     Ok(Command::Authorise { name, writers }) => state.authorise(&name, writers, &self.counters),
@@ -75,11 +76,11 @@ impl Receiver {
                     Ok(Command::Stop) | Err(mpsc::TryRecvError::Disconnected) => return,
                 }
             }
-            let Some((data, entry)) = &attached else { continue };
+            let Some((data, link)) = &attached else { continue };
             // The largest frame the link may carry, or the socket would not be able to tell that one is too large.
-            let batch = batch.get_or_insert_with(|| RecvBatch::new(entry.mtu as usize));
-            if batch.largest() < entry.mtu as usize {
-                *batch = RecvBatch::new(entry.mtu as usize);
+            let batch = batch.get_or_insert_with(|| RecvBatch::new(link.entry.mtu as usize));
+            if batch.largest() < link.entry.mtu as usize {
+                *batch = RecvBatch::new(link.entry.mtu as usize);
             }
             match data.try_recv_batch(batch) {
                 Ok(0) => {
@@ -88,7 +89,7 @@ impl Receiver {
                         continue;
                     }
                 }
-                Ok(_) => state.take(batch, entry, &self.counters, &self.events),
+                Ok(_) => state.take(batch, link, &self.counters, &self.events),
                 Err(error) => {
                     // The link is about to be lost as well; the next one brings its socket.
                     tracing::debug!(%error, "the data socket failed");
@@ -101,6 +102,18 @@ impl Receiver {
                 state.tick(&self.counters);
             }
         }
+    }
+}
+
+/// The link that frames come from, and which of them came.
+struct Ingress {
+    entry: LinkEntry,
+    window: Box<Window>,
+}
+
+impl Ingress {
+    fn new(entry: LinkEntry) -> Self {
+        Self { entry, window: Box::new(replay::empty()) }
     }
 }
 
@@ -128,7 +141,7 @@ impl Intakes {
     fn take(
         &mut self,
         batch: &mut RecvBatch,
-        link: &LinkEntry,
+        link: &Ingress,
         counters: &Counters,
         events: &async_mpsc::UnboundedSender<Event>,
     ) {
@@ -140,7 +153,7 @@ impl Intakes {
                 counters.refused[gdp_wire::Counter::Truncated as usize].add(1);
                 continue;
             };
-            if let Err(counter) = forward::accept(header, frame.len(), link) {
+            if let Err(counter) = forward::accept(header, frame.len(), &link.entry, &*link.window) {
                 counters.refused[counter as usize].add(1);
                 continue;
             }
@@ -202,12 +215,12 @@ mod tests {
             asked: HashMap::new(),
             start: Instant::now(),
         };
-        let (link, counters) = (LinkEntry::default(), Counters::default());
+        let (link, counters) = (Ingress::new(LinkEntry::default()), Counters::default());
         let (events, mut asked) = async_mpsc::unbounded_channel();
         let mut batch = RecvBatch::new(1500);
         for source in 0..50 {
             let mut header = Header::data(name, Name::from_bytes([source; 32]), 0);
-            forward::stamp(&mut header, &link, 1);
+            forward::stamp(&mut header, &link.entry, source.into());
             assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
         }
         intakes.take(&mut batch, &link, &counters, &events);
