@@ -1,5 +1,7 @@
 //! The XDP switch under `BPF_PROG_TEST_RUN`: the real program in the real kernel, one frame at a time, no interfaces.
 
+use std::sync::Barrier;
+
 use anyhow::{Context, Result, ensure};
 use gdp_ctl::plane::kernel::{Action, KernelPlane, LoadError, UpdateError};
 use gdp_ctl::plane::link_memory::LinkMemory;
@@ -69,6 +71,65 @@ fn random_frames_get_the_same_verdict_from_both_planes() -> Result<()> {
     Ok(())
 }
 
+/// Frames of one link may come to the kernel and to the userspace plane at once. Both are given the same frames, in opposite
+/// order; each must be sent on by one of them.
+#[test]
+fn frames_that_come_to_both_planes_at_once_are_taken_once() -> Result<()> {
+    const ROUNDS: usize = 300;
+    const FRAMES: usize = 64;
+    let Fixtures { switch, .. } = fixtures::read();
+    let mut kernel = kernel_plane(&switch)?;
+    let (link, route) = (&switch.links[0], &switch.routes[0]);
+    ensure!(route.writers.contains(&link.id), "{} may not send to {}", link.label, route.label);
+    let tables = user_tables_with(&switch, kernel.link_memory().clone());
+    kernel.link_memory().begin(link.id);
+    let frames: Vec<Vec<u8>> = (1..=ROUNDS * FRAMES)
+        .map(|count| Frame {
+            link_id: link.id,
+            key: fixtures::key(&link.rx_key),
+            link_counter: count as u64,
+            destination: fixtures::array(&route.name),
+            source: fixtures::array(&link.peer),
+            ..Frame::default()
+        })
+        .map(|frame| frame.bytes())
+        .collect();
+
+    let together = Barrier::new(2);
+    let (in_kernel, in_userspace) = std::thread::scope(|scope| {
+        let in_userspace = scope.spawn(|| {
+            let mut sent = Vec::new();
+            for round in frames.chunks(FRAMES) {
+                together.wait();
+                sent.extend(round.iter().rev().map(|frame| {
+                    let outcome = handle(&mut frame[14..].to_vec(), &tables);
+                    (matches!(outcome, Outcome::Send { .. }), outcome)
+                }));
+                let start = sent.len() - round.len();
+                sent[start..].reverse();
+            }
+            sent
+        });
+        let mut in_kernel = Vec::new();
+        for round in frames.chunks(FRAMES) {
+            together.wait();
+            // An error must not leave the other thread waiting.
+            in_kernel.extend(round.iter().map(|frame| kernel.test_run(frame).map(|(action, _)| action)));
+        }
+        (in_kernel, in_userspace.join().expect("no panic"))
+    });
+
+    let mut won = [0, 0];
+    for (frame, (kernel, (by_userspace, outcome))) in in_kernel.into_iter().zip(in_userspace).enumerate() {
+        let by_kernel = kernel? == Action::Redirect;
+        ensure!(by_kernel != by_userspace, "frame {frame}: sent by the kernel: {by_kernel}; userspace: {outcome:?}");
+        ensure!(by_userspace || outcome == Outcome::Drop(Counter::Replayed), "frame {frame}: {outcome:?}");
+        won[usize::from(by_userspace)] += 1;
+    }
+    ensure!(won.iter().all(|won| *won > 100), "the planes hardly met: {won:?}");
+    Ok(())
+}
+
 #[test]
 fn the_map_is_the_fib() -> Result<()> {
     let Fixtures { switch, .. } = fixtures::read();
@@ -128,7 +189,11 @@ fn kernel_plane(switch: &Switch) -> Result<KernelPlane> {
 
 fn user_tables(switch: &Switch) -> (UserTables, LinkMemory) {
     let link_memory = LinkMemory::new();
-    let mut tables = UserTables::new(link_memory.clone());
+    (user_tables_with(switch, link_memory.clone()), link_memory)
+}
+
+fn user_tables_with(switch: &Switch, link_memory: LinkMemory) -> UserTables {
+    let mut tables = UserTables::new(link_memory);
     for link in switch.links() {
         // Only to be told apart.
         let to = gdp::port::LinkAddr::Ethernet { ifindex: link.port, mac: [0; 6] };
@@ -139,7 +204,7 @@ fn user_tables(switch: &Switch) -> (UserTables, LinkMemory) {
     }
     tables.set_next_hops(&switch.next_hops());
     tables.set_own_bit(switch.config().own_bit);
-    (tables, link_memory)
+    tables
 }
 
 fn reset(memory: &LinkMemory, switch: &Switch) {
