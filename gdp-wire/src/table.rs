@@ -135,7 +135,7 @@ pub const fn link_index(id: u32) -> u32 {
 }
 
 const _: () = {
-    // Two cache lines.
+    // No more than two cache lines.
     assert!(size_of::<LinkEntry>() == 104 && align_of::<LinkEntry>() == 8);
     // With its name and a generation, one.
     assert!(size_of::<FibEntry>() == 24 && align_of::<FibEntry>() == 8);

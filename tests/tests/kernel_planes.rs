@@ -135,6 +135,51 @@ fn the_planes_share_the_window_of_a_link() -> Result<()> {
     Ok(())
 }
 
+#[test]
+fn permission_comes_and_goes_in_the_kernel() -> Result<()> {
+    let site = Site::build(1500)?;
+    let mut switch = site.switch(Wanted::Xdp)?;
+    let [first, second] = [left_link(), LinkEntry { id: 0x1003, rx_key: [9, 10], ..left_link() }];
+    let at = switch.address_of_left()?;
+    switch.planes.set_link(second, at)?;
+    let route = |writer_link, more_writers| FibEntry {
+        egress_bits: OWN_BIT,
+        local_link: right_link().id,
+        writer_link,
+        more_writers,
+        ..FibEntry::default()
+    };
+    let (mut delivered, mut refused) = (0, 0);
+    for (entry, permitted, may) in [
+        (route(first.id, 0), &[][..], [true, false]),
+        (route(first.id, 1), &[second.id], [true, true]),
+        (route(second.id, 1), &[first.id], [true, true]),
+        (route(second.id, 0), &[], [false, true]),
+        (route(0, 1), &[first.id, second.id, 0x1004], [true, true]),
+        (route(0, 1), &[0x1004], [false, false]),
+        (route(0, 0), &[], [false, false]),
+    ] {
+        switch.planes.set_route(TOPIC, entry, permitted)?;
+        let mut writers = switch.planes.writers(&TOPIC);
+        writers.retain(|link| *link != 0x1004);
+        ensure!(writers.len() == may.iter().filter(|may| **may).count(), "{writers:x?}");
+        for (link, may) in [first, second].into_iter().zip(may) {
+            site.send(&Frame { link_id: link.id, key: link.rx_key, ..site.next_frame(200) })?;
+            *(if may { &mut delivered } else { &mut refused }) += 1;
+            wait_for(&format!("{delivered} delivered, {refused} refused at {entry:?}"), SOON, || {
+                let counts = (switch.count(Counter::Delivered)?, switch.count(Counter::NotPermitted)?);
+                Ok((counts == ((delivered, 0), (refused, 0))).then_some(()))
+            })?;
+        }
+    }
+    switch.planes.remove_route(&TOPIC)?;
+    switch.planes.set_route(TOPIC, route(0, 1), &[])?;
+    site.send(&Frame { link_id: first.id, key: first.rx_key, ..site.next_frame(200) })?;
+    wait_for("a permit to go with its name", SOON, || {
+        Ok((switch.count(Counter::NotPermitted)? == (refused + 1, 0)).then_some(()))
+    })
+}
+
 /// A bridge has no native XDP and takes no redirected frames, but those of generic XDP are ordinary packets.
 #[test]
 fn without_native_xdp_generic_is_next() -> Result<()> {

@@ -204,17 +204,11 @@ mod tests {
     use crate::seal::{EpochKey, Limits, Reader};
     use zerocopy::IntoBytes;
 
+    const NAME: Name = Name::from_bytes([1; 32]);
+
     #[test]
     fn many_unknown_sources_cause_one_question() {
-        let name = Name::from_bytes([1; 32]);
-        let reader = Reader::new(name, &EpochKey::from_bytes([2; 32]), Backend::default(), Limits::default());
-        let intake = Intake::new(reader, async_mpsc::channel(1).0, Arc::default(), 1, Duration::ZERO);
-        let mut intakes = Intakes {
-            intakes: HashMap::from([(name, Box::new(intake))]),
-            held: Held::default(),
-            asked: HashMap::new(),
-            start: Instant::now(),
-        };
+        let (name, mut intakes) = (NAME, subscribed());
         let (link, counters) = (Ingress::new(LinkEntry::default()), Counters::default());
         let (events, mut asked) = async_mpsc::unbounded_channel();
         let mut batch = RecvBatch::new(1500);
@@ -227,5 +221,37 @@ mod tests {
         assert!(matches!(asked.try_recv(), Ok(Event::UnknownWriter { name: about }) if about == name));
         assert!(asked.try_recv().is_err());
         assert!(counters.snapshot(0).drops.is_empty(), "the frames wait for the answer");
+    }
+
+    #[test]
+    fn a_frame_that_comes_again_on_its_link_is_refused() {
+        let mut intakes = subscribed();
+        let (entry, counters) = (LinkEntry::default(), Counters::default());
+        let (events, _asked) = async_mpsc::unbounded_channel();
+        let mut take = |link: &Ingress, counts: &[u64]| {
+            let mut batch = RecvBatch::new(1500);
+            for count in counts {
+                let mut header = Header::data(NAME, Name::from_bytes([9; 32]), 0);
+                forward::stamp(&mut header, &entry, *count);
+                assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
+            }
+            intakes.take(&mut batch, link, &counters, &events);
+            counters.refused[gdp_wire::Counter::Replayed as usize].get()
+        };
+        let link = Ingress::new(entry);
+        assert_eq!(take(&link, &[1, 3, 2, 1]), 1);
+        assert_eq!(take(&link, &[4, 3, 2]), 3, "in another batch");
+        assert_eq!(take(&Ingress::new(entry), &[1, 2]), 3, "a new link counts anew");
+    }
+
+    fn subscribed() -> Intakes {
+        let reader = Reader::new(NAME, &EpochKey::from_bytes([2; 32]), Backend::default(), Limits::default());
+        let intake = Intake::new(reader, async_mpsc::channel(1).0, Arc::default(), 1, Duration::ZERO);
+        Intakes {
+            intakes: HashMap::from([(NAME, Box::new(intake))]),
+            held: Held::default(),
+            asked: HashMap::new(),
+            start: Instant::now(),
+        }
     }
 }
