@@ -9,12 +9,14 @@ use gdp::cert::{AdCert, Advert, AdvertOp, Mode, ReadGrant, RtCert, Signed, issue
 use gdp::control::{EntityRequest, Request, Response};
 use gdp::link::{Link, LinkIds};
 use gdp::node::{NodeError, Publisher, SubscribeOptions, Subscription};
-use gdp::port::{LinkAddr, Port, PortConfig};
+use gdp::port::{LinkAddr, OutFrame, Port, PortConfig};
 use gdp::seal::{Encoding, EpochKey};
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
 use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
 use gdp_ctl::serve::{Running, start};
-use gdp_wire::Name;
+use gdp_wire::table::PORT_USERSPACE;
+use gdp_wire::{Header, Name, forward};
+use zerocopy::IntoBytes;
 
 const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -177,6 +179,43 @@ async fn a_switch_that_is_not_listed_gets_no_link_nor_does_a_copy_of_this_one() 
         wait(needle, refused).await;
     }
     assert_eq!(switch.status().await["links"], serde_json::json!([]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn writers_of_a_name_may_send_to_it_and_nobody_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let switch = start(config(folder.path(), "s1")).await.unwrap();
+    let at = switch.udp_addr().unwrap();
+    let first = Papers::new();
+    let second = Papers { robot: Identity::generate("proxy").unwrap(), ..first.clone() };
+    let stranger = Papers { robot: Identity::generate("proxy").unwrap(), ..first.clone() };
+
+    let reader = first.reader(at).await;
+    let mut subscription = first.subscribe(&reader).await;
+    let nodes = [first.writer(at).await, second.writer(at).await];
+    let mut publishers = [first.publish(&nodes[0]).await, second.publish(&nodes[1]).await];
+    for (publisher, papers) in publishers.iter_mut().zip([&first, &second]) {
+        publisher.send(Encoding::Bytes, b"both").await.unwrap();
+        assert_eq!(next(&mut subscription).await.writer, papers.robot.name());
+    }
+
+    let (port, link) = stranger.bare_link(&switch).await;
+    let (topic, own) = (first.card.name(), stranger.robot.name());
+    for (count, (reason, source)) in (1..).zip([("drop_not_permitted", own), ("drop_source", first.robot.name())]) {
+        let mut header = Header::data(topic, source, 0);
+        forward::stamp(&mut header, &link.entry(PORT_USERSPACE), count);
+        let frame = OutFrame { to: link.addr(), head: header.as_bytes(), body: &[] };
+        assert_eq!(port.data().send_batch([frame; 2]).sent, 2);
+        let counted = async || {
+            let counters = switch.status().await["counters"].clone();
+            (&counters[reason], &counters["drop_replayed"]) == (&1.into(), &count.into())
+        };
+        wait(reason, counted).await;
+    }
+
+    drop(publishers);
+    wait("the name to be gone", async || fib_names(&switch).await == 0).await;
+    switch.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,16 +1,22 @@
 //! Generator and sink of `cargo xtask bench forward`. The generator runs under `BPF_PROG_TEST_RUN` with live frames: the
 //! kernel hands it frames, it sends them by an interface, as long as not too many are under way. The sink sits on the
 //! interface where they should arrive.
+//!
+//! Toward a switch the generator is an endpoint, which counts and tags each frame; that is work of its own for each frame, beside
+//! what is measured.
 #![cfg_attr(target_arch = "bpf", no_std, no_main)]
 
 use aya_ebpf::bindings::xdp_action::{XDP_ABORTED, XDP_DROP, XDP_PASS};
 use aya_ebpf::macros::{map, xdp};
 use aya_ebpf::maps::{Array, DevMap};
 use aya_ebpf::programs::XdpContext;
+use gdp_wire::{Header, LinkEntry, forward};
 
 /// What forwarding changes lies in the first 48 bytes: Ethernet and all of a GDP header before the destination name, or
 /// Ethernet, IPv4 and UDP.
 const CHANGED_WORDS: usize = 6;
+
+const ETHERNET_LEN: usize = 14;
 
 /// Frames under way at most. Less than a veth's ring of 256 would hold back the planes that work in batches; more than the
 /// receive buffer of a packet socket takes would lose frames.
@@ -28,6 +34,15 @@ static OUT: DevMap = DevMap::with_max_entries(1, 0);
 #[map]
 static SENT: Array<u64> = Array::with_max_entries(1, 0);
 
+/// Entry 0: the link that frames leave by; one with id 0 if they are no GDP frames. Written by user space while the generator
+/// does not run.
+#[map]
+static LINK: Array<LinkEntry> = Array::with_max_entries(1, 0);
+
+/// Entry 0: frames sent on the link. Written by the generator only, and never begun again.
+#[map]
+static LINK_COUNT: Array<u64> = Array::with_max_entries(1, 0);
+
 /// Entry 0: frames that arrived. Written by the sink: its interface has one queue, so it runs on one CPU at a time.
 #[map]
 static ARRIVED: Array<u64> = Array::with_max_entries(1, 0);
@@ -38,6 +53,7 @@ pub fn generate(context: XdpContext) -> u32 {
     let (Some(template), Some(sent), Some(arrived)) = (TEMPLATE.get(0), SENT.get_ptr_mut(0), ARRIVED.get_ptr(0)) else {
         return XDP_ABORTED;
     };
+    let (Some(link), Some(link_count)) = (LINK.get(0), LINK_COUNT.get_ptr_mut(0)) else { return XDP_ABORTED };
     // SAFETY: elements of the maps; what another CPU writes meanwhile is read once.
     let (count, done) = unsafe { (*sent, arrived.read_volatile()) };
     if count.wrapping_sub(done) >= WINDOW || start + CHANGED_WORDS * 8 > end {
@@ -49,6 +65,15 @@ pub fn generate(context: XdpContext) -> u32 {
         // SAFETY: within the bounds checked above.
         unsafe { *(start as *mut u64).add(i) = template[i] };
         i += 1;
+    }
+    let at = start + ETHERNET_LEN;
+    if link.id != 0 && at + Header::LEN <= end {
+        // SAFETY: within the bounds just checked; for the alignment see `packet`.
+        let header = unsafe { &mut *(at as *mut Header) };
+        // SAFETY: an element of the map that only this program writes.
+        let link_count = unsafe { &mut *link_count };
+        *link_count += 1;
+        forward::stamp(header, link, *link_count);
     }
     // SAFETY: an element of the map that only this program writes.
     unsafe { *sent = count + 1 };

@@ -26,10 +26,10 @@ pub fn get(id: u32) -> Option<&'static LinkEntry> {
 }
 
 #[inline(always)]
-pub fn next_counter(link: &LinkEntry) -> u32 {
+pub fn next_count(link: &LinkEntry) -> u64 {
     match TX_COUNTERS.get_ptr_mut(link_index(link.id)) {
         // SAFETY: a live, aligned element of the map, only ever accessed atomically.
-        Some(slot) => unsafe { fetch_add(slot, 1) as u32 }.wrapping_add(1),
+        Some(slot) => unsafe { fetch_add(slot, 1) }.wrapping_add(1),
         None => 0,
     }
 }

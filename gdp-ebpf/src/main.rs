@@ -15,6 +15,7 @@ mod links;
 mod packet;
 mod ports;
 mod tables;
+mod windows;
 
 use aya_ebpf::bindings::xdp_action::{XDP_DROP, XDP_PASS, XDP_REDIRECT};
 use aya_ebpf::macros::xdp;

@@ -1,9 +1,10 @@
 //! The BPF maps as the tables that the forwarding decision asks.
 
+use gdp_wire::replay::Words;
 use gdp_wire::table::Tables;
 use gdp_wire::{FibEntry, LinkEntry, Name};
 
-use crate::{config, fib, links};
+use crate::{config, fib, links, windows};
 
 pub struct Maps;
 
@@ -29,7 +30,17 @@ impl Tables for Maps {
     }
 
     #[inline(always)]
-    fn next_counter(&self, link: &LinkEntry) -> u32 {
-        links::next_counter(link)
+    fn is_permitted(&self, link: &LinkEntry, name: &Name) -> bool {
+        fib::is_permitted(link, name)
+    }
+
+    #[inline(always)]
+    fn window(&self, link: &LinkEntry) -> Option<impl Words> {
+        windows::get(link)
+    }
+
+    #[inline(always)]
+    fn next_count(&self, link: &LinkEntry) -> u64 {
+        links::next_count(link)
     }
 }

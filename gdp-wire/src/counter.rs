@@ -39,10 +39,16 @@ counters! {
     NoLink = "drop_no_link",
     /// Dropped: the hop tag was not made with the link's key.
     BadTag = "drop_bad_tag",
+    /// Dropped: a frame with this link counter was taken before, or the counter is too old to say.
+    Replayed = "drop_replayed",
     /// Dropped: the hop limit is used up.
     HopLimit = "drop_hop_limit",
+    /// Dropped: an endpoint sent it in the name of another source.
+    Source = "drop_source",
     /// Dropped: the name is not in the FIB, or the FIB has no link for it here.
     NoRoute = "drop_no_route",
+    /// Dropped: an endpoint sent it to a name that it does not publish.
+    NotPermitted = "drop_not_permitted",
     /// Dropped: no live neighbour leads to the egress switch, or the frame names none.
     NoEgress = "drop_no_egress",
     /// Dropped: needs more than one copy, which this data plane does not make.

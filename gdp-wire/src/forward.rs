@@ -3,8 +3,9 @@
 //! its own bit and looks the name up for its local link.
 
 use crate::header::FrameType;
+use crate::replay::{self, Words};
 use crate::siphash::siphash24;
-use crate::table::{EGRESS_SET_SIZE, LinkRole, PORT_USERSPACE, Tables};
+use crate::table::{ANY_WRITER, EGRESS_SET_SIZE, LinkRole, PORT_USERSPACE, Tables};
 use crate::{Counter, Header, LinkEntry};
 
 /// What a data plane must do with a frame.
@@ -49,52 +50,91 @@ pub enum Plane {
 /// for the next link. If the verdict is not [`Verdict::Send`], the header is unchanged.
 #[inline(always)]
 pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, tables: &'t T, plane: Plane) -> Verdict<'t> {
-    match route(header, available, tables) {
+    let (ingress, window, count) = match arrival(header, available, tables) {
+        Ok(arrival) => arrival,
+        Err(counter) => return Verdict::Drop(counter),
+    };
+    let route = route(header, available, ingress, tables);
+    if let Ok((link, ..)) = &route
+        && plane == Plane::Kernel
+        && link.port == PORT_USERSPACE
+    {
+        // Whose window is the same: were the frame taken here, it would be refused there.
+        return Verdict::Slow;
+    }
+    if !replay::take(&window, count) {
+        return Verdict::Drop(Counter::Replayed);
+    }
+    match route {
         Ok((link, bits, set, counter)) => {
-            if plane == Plane::Kernel && link.port == PORT_USERSPACE {
-                return Verdict::Slow;
-            }
             header.hop_limit -= 1;
             header.egress_set = set;
             header.set_egress_bits(bits);
-            stamp(header, link, tables.next_counter(link));
+            stamp(header, link, tables.next_count(link));
             Verdict::Send(link, counter)
         }
         Err(counter) => Verdict::Drop(counter),
     }
 }
 
-/// Checks a data frame as an endpoint receives it on `link`: its form, and that the neighbour sent it.
-pub fn accept(header: &Header, available: usize, link: &LinkEntry) -> Result<(), Counter> {
+/// Takes a data frame as an endpoint receives it on `link`: checks its form, that the neighbour sent it, and that it was not
+/// taken before.
+pub fn accept(header: &Header, available: usize, link: &LinkEntry, window: &impl Words) -> Result<(), Counter> {
     well_formed(header, available)?;
     if header.link_id() != link.id {
         return Err(Counter::NoLink);
     }
-    authentic(header, link)
+    let count = authentic(header, link, window)?;
+    if replay::take(window, count) { Ok(()) } else { Err(Counter::Replayed) }
 }
 
-/// Writes the fields that belong to `link` into a frame that leaves by it, and the hop tag over the whole.
+/// Writes the fields that belong to `link` into a frame that leaves by it, and the hop tag over the whole. `count`: frames
+/// sent on the link, with this one.
 #[inline(always)]
-pub fn stamp(header: &mut Header, link: &LinkEntry, counter: u32) {
+pub fn stamp(header: &mut Header, link: &LinkEntry, count: u64) {
     header.set_link_id(link.peer_id);
-    header.set_link_counter(counter);
-    header.set_tag(siphash24(link.tx_key, &header.tagged_words()));
+    header.set_link_counter(count as u32);
+    header.set_tag(siphash24(link.tx_key, &header.tagged_words(count)));
+}
+
+/// The link a frame came in on, its replay window and the frame's count, if it is well-formed, authentic and not known.
+#[inline(always)]
+fn arrival<'t, T: Tables>(
+    header: &Header,
+    available: usize,
+    tables: &'t T,
+) -> Result<(&'t LinkEntry, impl Words + use<'t, T>, u64), Counter> {
+    well_formed(header, available)?;
+    let link = tables.link(header.link_id()).ok_or(Counter::NoLink)?;
+    let window = tables.window(link).ok_or(Counter::NoLink)?;
+    let count = authentic(header, link, &window)?;
+    if replay::is_fresh(&window, count) { Ok((link, window, count)) } else { Err(Counter::Replayed) }
 }
 
 type Route<'t> = (&'t LinkEntry, u64, u8, Counter);
 
 #[inline(always)]
-fn route<'t, T: Tables>(header: &Header, available: usize, tables: &'t T) -> Result<Route<'t>, Counter> {
-    well_formed(header, available)?;
-    let ingress = tables.link(header.link_id()).ok_or(Counter::NoLink)?;
-    authentic(header, ingress)?;
+fn route<'t, T: Tables>(
+    header: &Header,
+    available: usize,
+    ingress: &LinkEntry,
+    tables: &'t T,
+) -> Result<Route<'t>, Counter> {
     if header.hop_limit <= 1 {
         return Err(Counter::HopLimit);
     }
 
     let from_edge = ingress.role == LinkRole::Endpoint as u32;
     let (bits, set) = if from_edge {
+        if !header.source.is(&ingress.peer) {
+            return Err(Counter::Source);
+        }
         let entry = tables.route(&header.destination).ok_or(Counter::NoRoute)?;
+        let listed = entry.writer_link == ingress.id || entry.writer_link == ANY_WRITER;
+        let others_may = entry.more_writers != 0;
+        if !listed && !(others_may && tables.is_permitted(ingress, &header.destination)) {
+            return Err(Counter::NotPermitted);
+        }
         (entry.egress_bits, entry.egress_set as u8)
     } else {
         (header.egress_bits(), header.egress_set)
@@ -140,9 +180,12 @@ fn well_formed(header: &Header, available: usize) -> Result<(), Counter> {
     Ok(())
 }
 
+/// The frame's count on its link, if the neighbour made the tag.
 #[inline(always)]
-fn authentic(header: &Header, link: &LinkEntry) -> Result<(), Counter> {
-    if siphash24(link.rx_key, &header.tagged_words()) == header.tag() { Ok(()) } else { Err(Counter::BadTag) }
+fn authentic(header: &Header, link: &LinkEntry, window: &impl Words) -> Result<u64, Counter> {
+    let count = replay::whole(window, header.link_counter());
+    let tag = siphash24(link.rx_key, &header.tagged_words(count));
+    if tag == header.tag() { Ok(count) } else { Err(Counter::BadTag) }
 }
 
 /// Index of the lowest set bit of a value that is not zero.

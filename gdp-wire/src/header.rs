@@ -103,7 +103,7 @@ impl Header {
         self.link_id = id.to_be();
     }
 
-    /// The sender's count of frames on this link.
+    /// The low 32 bits of the sender's count of frames on this link; see [`crate::replay`] for the others.
     #[inline(always)]
     pub fn link_counter(&self) -> u32 {
         u32::from_be(self.link_counter)
@@ -136,13 +136,15 @@ impl Header {
         self.tag = tag.to_be();
     }
 
-    /// The eleven little-endian words the hop tag covers: the whole header but the tag itself.
+    /// The eleven little-endian words the hop tag covers: the whole header but the tag itself, and the high 32 bits of the
+    /// link's count. These are not in the header; they go on top of the link id, which is the same in all frames under a key.
     #[inline(always)]
-    pub(crate) fn tagged_words(&self) -> [u64; 11] {
+    pub(crate) fn tagged_words(&self, count: u64) -> [u64; 11] {
         let this = (&raw const *self).cast::<u64>();
         // SAFETY: `Header` is 96 bytes of plain data with the alignment of u64, so it holds twelve words.
         let word = |i: usize| u64::from_le(unsafe { this.add(i).read() });
-        [word(0), word(1), word(3), word(4), word(5), word(6), word(7), word(8), word(9), word(10), word(11)]
+        let link = word(1) ^ u64::from(((count >> 32) as u32).swap_bytes());
+        [word(0), link, word(3), word(4), word(5), word(6), word(7), word(8), word(9), word(10), word(11)]
     }
 }
 

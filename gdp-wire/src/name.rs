@@ -33,6 +33,13 @@ impl Name {
         unsafe { &*(&raw const self.0).cast::<[u8; 32]>() }
     }
 
+    /// Whether both are the same. As `==`, which the BPF compiler makes a function call of.
+    #[inline(always)]
+    pub const fn is(&self, other: &Self) -> bool {
+        let ([a, b, c, d], [e, f, g, h]) = (self.0, other.0);
+        (a ^ e) | (b ^ f) | (c ^ g) | (d ^ h) == 0
+    }
+
     /// Four machine words of the name, as they lie in memory: for hashing and comparing, never for arithmetic.
     #[inline(always)]
     pub const fn words(&self) -> &[u64; 4] {

@@ -3,7 +3,7 @@
 
 use core::fmt;
 
-use crate::Name;
+use crate::{Name, replay};
 
 /// The version of everything a data plane keeps in memory that outlives a daemon: the maps, and what their entries mean. To
 /// be raised with every change of meaning; of sizes as well, though a daemon compares those itself.
@@ -20,6 +20,10 @@ pub const MAX_PORTS: u32 = 64;
 
 /// `LinkEntry::port` of a link that the kernel cannot redirect to: the userspace plane sends on it.
 pub const PORT_USERSPACE: u32 = u32::MAX;
+
+/// `FibEntry::writer_link` where any endpoint may send to the name, as its own source: while what a daemon left that is no more
+/// is held, which knew its writers by links that are being made anew.
+pub const ANY_WRITER: u32 = u32::MAX;
 
 /// Who is at the other end of a link. Stored as its number in [`LinkEntry::role`]; 0 is a free entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,12 +59,17 @@ pub struct LinkEntry {
     pub peer_mac: [u16; 3],
     /// Ours.
     pub local_mac: [u16; 3],
+    /// The neighbour's name. An endpoint's frames must have it as their source.
+    pub peer: Name,
 }
 
 impl fmt::Debug for LinkEntry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { id, peer_id, role, port, rx_key: _, tx_key: _, reach, mtu, peer_mac: _, local_mac: _ } = self;
-        write!(f, "LinkEntry({id:#x} to {peer_id:#x}, role {role}, port {port}, reach {reach:#x}, mtu {mtu})")
+        let Self { id, peer_id, role, port, rx_key: _, tx_key: _, reach, mtu, peer_mac: _, local_mac: _, peer } = self;
+        write!(
+            f,
+            "LinkEntry({id:#x} to {peer_id:#x} of {peer:#}, role {role}, port {port}, reach {reach:#x}, mtu {mtu})"
+        )
     }
 }
 
@@ -74,6 +83,21 @@ pub struct FibEntry {
     pub local_link: u32,
     /// The egress set that `egress_bits` speaks of.
     pub egress_set: u32,
+    /// Link id of a local endpoint that may send to the name, or 0, or [`ANY_WRITER`].
+    pub writer_link: u32,
+    /// Not 0 if other local endpoints may, too: each has a [`Permit`].
+    pub more_writers: u32,
+}
+
+/// That an endpoint may send to a name, where that is not in the name's [`FibEntry`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[repr(C)]
+pub struct Permit {
+    pub name: Name,
+    /// Id of the endpoint's link.
+    pub link: u32,
+    /// Zero.
+    pub reserved: u32,
 }
 
 /// What a switch knows of itself.
@@ -102,8 +126,14 @@ pub trait Tables {
     /// This switch's own egress bit.
     fn own_bit(&self) -> u64;
 
+    /// Whether this link has a [`Permit`] for a name. Asked only where the name's entry says that there are some.
+    fn is_permitted(&self, link: &LinkEntry, name: &Name) -> bool;
+
+    /// What frames have arrived on this link, shared by all planes that take frames from it.
+    fn window(&self, link: &LinkEntry) -> Option<impl replay::Words>;
+
     /// The count for a frame that leaves by this link: 1 for the first.
-    fn next_counter(&self, link: &LinkEntry) -> u32;
+    fn next_count(&self, link: &LinkEntry) -> u64;
 }
 
 /// Index of the entry of link `id`.
@@ -113,8 +143,11 @@ pub const fn link_index(id: u32) -> u32 {
 }
 
 const _: () = {
-    assert!(size_of::<LinkEntry>() == 72 && align_of::<LinkEntry>() == 8);
-    assert!(size_of::<FibEntry>() == 16 && align_of::<FibEntry>() == 8);
+    // No more than two cache lines.
+    assert!(size_of::<LinkEntry>() == 104 && align_of::<LinkEntry>() == 8);
+    // With its name and a generation, one.
+    assert!(size_of::<FibEntry>() == 24 && align_of::<FibEntry>() == 8);
+    assert!(size_of::<Permit>() == 40 && align_of::<Permit>() == 8);
     assert!(size_of::<SwitchConfig>() == 16 && align_of::<SwitchConfig>() == 8);
     assert!(MAX_LINKS.is_power_of_two());
 };
@@ -127,6 +160,8 @@ mod pod {
     unsafe impl aya::Pod for super::FibEntry {}
     // SAFETY: as above.
     unsafe impl aya::Pod for super::SwitchConfig {}
+    // SAFETY: as above.
+    unsafe impl aya::Pod for super::Permit {}
     // SAFETY: four u64.
     unsafe impl aya::Pod for crate::Name {}
 }

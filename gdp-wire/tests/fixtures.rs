@@ -63,6 +63,7 @@ const UDP: u32 = 0xa1b2_0405;
 const JUMBO: u32 = 0xa1b2_0406;
 const NARROW: u32 = 0xa1b2_0407;
 const UNPLUGGED: u32 = 0xa1b2_07ff;
+const OLD: u32 = 0xa1b2_0409;
 
 const OWN_BIT: u32 = 2;
 const OWN: u64 = 1 << OWN_BIT;
@@ -76,6 +77,8 @@ const OWN: u64 = 1 << OWN_BIT;
 ///                 |
 ///               JUMBO — bit 5   NARROW — bit 6   UNPLUGGED — bit 7
 /// ```
+///
+/// `old` is a switch whose link has seen more than 2³² frames.
 fn switch() -> Switch {
     Switch {
         ethertype: 0x88b5,
@@ -89,9 +92,11 @@ fn switch() -> Switch {
             neighbour("jumbo", JUMBO, 4, &[5], 9000),
             neighbour("narrow", NARROW, 5, &[6], 600),
             neighbour("unplugged", UNPLUGGED, 63, &[7], 1500),
+            Link { taken: OLD_TAKEN.to_vec(), ..neighbour("old", OLD, 2, &[], 1500) },
         ],
         routes: vec![
-            route("far", &[3], 0, 0),
+            Route { writers: vec![ROBOT, UDP, CLOUD ^ 0x8000_0000], ..route("far", &[3], 0, 0) },
+            Route { writers: vec![], ..route("read only", &[3], 0, 0) },
             route("far in set 3", &[3], 3, 0),
             route("last bit", &[63], 0, 0),
             route("two behind one neighbour", &[3, 4], 0, 0),
@@ -115,7 +120,7 @@ fn switch() -> Switch {
 }
 
 fn cases() -> Vec<Case> {
-    [forwarding(), delivery(), refusals(), links(), sizes(), tags(), other_frames()].concat()
+    [forwarding(), delivery(), refusals(), permission(), links(), replays(), sizes(), tags(), other_frames()].concat()
 }
 
 fn forwarding() -> Vec<Case> {
@@ -131,6 +136,7 @@ fn forwarding() -> Vec<Case> {
     let limit_2 = from(WEST).bits(1 << 3).with(|f| f.hop_limit = 2);
     let limit_255 = from(WEST).bits(1 << 3).with(|f| f.hop_limit = 255);
     let count = from(WEST).bits(1 << 3).with(|f| f.link_counter = 0xffff_ffff);
+    let wrapped = from(ROBOT).to("last bit").with(|f| f.link_counter = 0x8000_0000);
     let empty = from(WEST).bits(1 << 3).with(|f| f.payload.clear());
     vec![
         far.case("an endpoint's frame is stamped with the egress bits of its name", sends(&far, EAST, 1 << 3)),
@@ -145,6 +151,7 @@ fn forwarding() -> Vec<Case> {
         limit_2.case("hop limit 2 leaves with 1", sends(&limit_2, EAST, 1 << 3)),
         limit_255.case("hop limit 255 leaves with 254", sends(&limit_255, EAST, 1 << 3)),
         count.case("any link counter comes in", sends(&count, EAST, 1 << 3)),
+        wrapped.case("also one as far from what was seen as the low half can tell", sends(&wrapped, EAST, 1 << 63)),
         empty.case("no payload", sends(&empty, EAST, 1 << 3)),
     ]
 }
@@ -195,6 +202,71 @@ fn refusals() -> Vec<Case> {
             userspace: Some(sends(&unplugged, UNPLUGGED, 1 << 7).into()),
             ..unplugged.case("a port without an interface", drop("drop_redirect_failed"))
         },
+    ]
+}
+
+/// An endpoint sends in its own name, and to what it publishes.
+fn permission() -> Vec<Case> {
+    let own = |id| name(&link(id).label);
+    let second = from(UDP).to("far");
+    let transit = from(WEST).bits(1 << 3).with(|f| f.source = own(ROBOT));
+    let to_reader = from(EAST).bits(OWN).to("here").with(|f| f.source = own(ROBOT));
+    let mut cases = vec![
+        second.case("the second of two that publish a name", sends(&second, EAST, 1 << 3)),
+        from(CLOUD).to("far").case("a name that two others publish", drop("drop_not_permitted")),
+        from(CLOUD).to("last bit").case("a name that another publishes", drop("drop_not_permitted")),
+        from(CLOUD).to("here").case("a name that it reads", drop("drop_not_permitted")),
+        from(ROBOT).to("read only").case("a name that nobody here publishes", drop("drop_not_permitted")),
+        from(ROBOT).to("far").with(|f| f.source = own(CLOUD)).case("as another endpoint", drop("drop_source")),
+        from(ROBOT).to("far").with(|f| f.source = own(WEST)).case("as a switch", drop("drop_source")),
+        from(ROBOT).to("far").with(|f| f.source = [0; 32]).case("as nobody", drop("drop_source")),
+        from(CLOUD)
+            .to("unheard of")
+            .with(|f| f.source = own(ROBOT))
+            .case("the source is looked at before the name", drop("drop_source")),
+        transit.case("a switch vouches for what endpoints beyond it sent", sends(&transit, EAST, 1 << 3)),
+        to_reader.case("also where it is delivered", delivers(&to_reader, CLOUD)),
+    ];
+    for byte in [0, 7, 8, 31] {
+        let altered = from(ROBOT).to("far").with(|f| f.source[byte] ^= 0x10);
+        cases.push(altered.case(&format!("byte {byte} of the source differs"), drop("drop_source")));
+    }
+    cases
+}
+
+/// What has arrived on the link [`OLD`]: around its 2³²nd frame.
+const OLD_TAKEN: [u64; 7] =
+    [(1 << 32) - 16, (1 << 32) - 2, (1 << 32) - 1, 1 << 32, (1 << 32) + 1, (1 << 32) + 3, (1 << 32) + 20];
+
+/// Frames on the link [`OLD`].
+fn replays() -> Vec<Case> {
+    let counted = |count: u64| from(OLD).bits(1 << 3).with(|f| f.link_counter = count);
+    let fresh = |name: &str, count| {
+        let sent = counted(count);
+        sent.case(name, sends(&sent, EAST, 1 << 3))
+    };
+    let replayed = |name: &str, count| counted(count).case(name, drop("drop_replayed"));
+    let unfolded = |sent: Sent, high: u64| sent.with(|f| f.link_counter ^= high << 32);
+    vec![
+        replayed("the last one again", (1 << 32) + 3),
+        replayed("one before", (1 << 32) + 1),
+        replayed("from before the counter wrapped", (1 << 32) - 1),
+        replayed("the first of that block", (1 << 32) - 16),
+        fresh("late, and not seen", (1 << 32) + 2),
+        fresh("late, from before the counter wrapped", (1 << 32) - 3),
+        fresh("the next one", (1 << 32) + 4),
+        fresh("the last of a block", (1 << 32) + 15),
+        replayed("the same place in the ring, one round earlier", (1 << 32) - 4096 + 5),
+        replayed("one round earlier at the other end of the block", (1 << 32) - 4096 + 16),
+        fresh("and one round later", (1 << 32) + 4096 + 5),
+        unfolded(counted((1 << 32) + 4), 1).case("recorded 2³² frames ago", drop("drop_bad_tag")),
+        unfolded(counted((1 << 32) + 4), 3).case("of 2³² frames to come", drop("drop_bad_tag")),
+        counted((1 << 32) + 3)
+            .with(|f| f.tag = Some(0))
+            .case("a counter that was taken does not tell without a tag", drop("drop_bad_tag")),
+        counted((1 << 32) + 3)
+            .with(|f| f.hop_limit = 1)
+            .case("that it is known comes before what else is wrong", drop("drop_replayed")),
     ]
 }
 
@@ -317,7 +389,8 @@ struct Sent {
 
 fn from(id: u32) -> Sent {
     let (key, _) = keys(id);
-    let (destination, source) = (name("unheard of"), name("writer"));
+    let (destination, label) = (name("unheard of"), link(id).label);
+    let source = if link(id).role == Role::Endpoint { name(&label) } else { name("writer") };
     Sent { frame: Frame { link_id: id, link_counter: 7, key, destination, source, ..Frame::default() } }
 }
 
@@ -357,7 +430,7 @@ fn sends(sent: &Sent, by: u32, bits: u64) -> Forwarded {
         hop_limit: sent.frame.hop_limit - 1,
         egress_bits: bits,
         link_id: link.peer_id,
-        link_counter: link.tx_counter.wrapping_add(1),
+        link_counter: link.tx_counter + 1,
         key: fixtures::key(&link.tx_key),
         ..sent.frame.clone()
     })
@@ -419,12 +492,15 @@ fn neighbour(label: &str, id: u32, port: u32, reach: &[u32], mtu: u32) -> Link {
         peer_mac: format!("02:00:00:00:{index:02x}:01"),
         local_mac: format!("02:00:00:00:{index:02x}:02"),
         // One of them wraps around.
-        tx_counter: if id == EAST { u32::MAX } else { 0x0102_0300 + u32::from(index) },
+        peer: fixtures::hex(&name(label)),
+        tx_counter: if id == EAST { u32::MAX.into() } else { 0x0102_0300 + u64::from(index) },
+        taken: vec![],
     }
 }
 
 fn route(label: &str, egress: &[u32], egress_set: u8, local_link: u32) -> Route {
-    Route { label: label.into(), name: fixtures::hex(&name(label)), egress: egress.to_vec(), egress_set, local_link }
+    let (label, name, egress) = (label.to_owned(), fixtures::hex(&name(label)), egress.to_vec());
+    Route { label, name, egress, egress_set, local_link, writers: vec![ROBOT] }
 }
 
 /// Any 32 bytes that differ for each label.

@@ -7,7 +7,7 @@ mod frames;
 
 use frames::Frame;
 use frames::fixtures::{array, hex, key, unhex};
-use gdp_wire::{ControlHeader, Counter, Header, LinkEntry, Name, forward};
+use gdp_wire::{ControlHeader, Counter, Header, LinkEntry, Name, forward, replay};
 use serde::{Deserialize, Serialize};
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -66,8 +66,10 @@ fn data_headers_are_read_as_the_vectors_say() {
 
         let link = LinkEntry { id: vector.link_id, rx_key: key(&vector.key), ..LinkEntry::default() };
         let length = Header::LEN + usize::from(vector.payload_length);
-        assert_eq!(forward::accept(&header, length, &link), Ok(()));
-        assert_eq!(forward::accept(&header, length - 1, &link), Err(Counter::Truncated));
+        let window = replay::empty();
+        assert_eq!(forward::accept(&header, length - 1, &link, &window), Err(Counter::Truncated));
+        assert_eq!(forward::accept(&header, length, &link, &window), Ok(()));
+        assert_eq!(forward::accept(&header, length, &link, &window), Err(Counter::Replayed));
     }
 }
 
@@ -80,7 +82,7 @@ fn data_headers_are_written_as_the_vectors_say() {
         header.reserved = vector.reserved;
         header.set_egress_bits(u64::from_be_bytes(array(&vector.egress_bits)));
         let link = LinkEntry { peer_id: vector.link_id, tx_key: key(&vector.key), ..LinkEntry::default() };
-        forward::stamp(&mut header, &link, vector.link_counter);
+        forward::stamp(&mut header, &link, vector.link_counter.into());
         assert_eq!(hex(header.as_bytes()), vector.header);
     }
 }
@@ -159,7 +161,7 @@ fn data_vector(key: &str, frame: Frame) -> Data {
         payload_length: frame.payload.len() as u16,
         reserved: frame.reserved,
         link_id: frame.link_id,
-        link_counter: frame.link_counter,
+        link_counter: frame.link_counter as u32,
         tag: hex(&header[16..24]),
         egress_bits: hex(&frame.egress_bits.to_be_bytes()),
         destination: hex(&frame.destination),

@@ -224,13 +224,15 @@ pub enum Extent {
 }
 
 /// Where a name leads, in names: the switch translates entities and neighbours to its links.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Route {
     pub name: Name,
     /// Egress switches that want the name; for switches with a writer of it. 0 elsewhere.
     pub egress_bits: u64,
     /// The local endpoint that takes the name, at its egress switch.
     pub local: Option<Name>,
+    /// The local endpoints that may send to the name: those that publish it through this switch.
+    pub writers: Vec<Name>,
 }
 
 /// The writers of a name, all of them, to be verified by the subscriber that is told.
@@ -298,7 +300,7 @@ mod tests {
             extent: Extent::Full { part: 0, last: true },
             own_bit: 63,
             reach: vec![(Name::from_bytes([2; 32]), u64::MAX)],
-            set: vec![Route { name: Name::from_bytes([3; 32]), egress_bits: 1 << 63, local: None }],
+            set: vec![Route { name: Name::from_bytes([3; 32]), egress_bits: 1 << 63, local: None, writers: vec![] }],
             remove: vec![Name::from_bytes([4; 32])],
         };
         let bytes = encode(&Request::Fib(push.clone())).unwrap();

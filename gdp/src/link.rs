@@ -194,6 +194,7 @@ impl Link {
             mtu: inner.mtu,
             peer_mac,
             local_mac,
+            peer: inner.peer.name,
         }
     }
 

@@ -85,6 +85,19 @@ impl Chain {
         PacketSocket::open(self.wire()?, WIRE_RIGHT)
     }
 
+    /// Lets nothing through the wire any more, or everything again.
+    pub fn cut_wire(&self, cut: bool) -> Result<()> {
+        let isolated = if cut { "on" } else { "off" };
+        [WIRE_LEFT, WIRE_RIGHT].into_iter().try_for_each(|port| {
+            self.wire()?.ip(&["link", "set", port, "type", "bridge_slave", "isolated", isolated]).map(drop)
+        })
+    }
+
+    /// The namespace that the wire is in, and an interface in it that reaches both ends of the wire.
+    pub fn on_the_wire(&self) -> Result<(&Namespace, &'static str)> {
+        Ok((self.wire()?, WIRE))
+    }
+
     /// Gives every interface an address (`10.9.LINK.1` left, `.2` right) and makes the switches plain IP routers.
     pub fn become_ip_routers(&self) -> Result<()> {
         let last = self.nodes.len() - 1;
@@ -121,16 +134,17 @@ impl Chain {
     }
 }
 
+const WIRE: &str = "br0";
 const WIRE_LEFT: &str = "w0";
 const WIRE_RIGHT: &str = "w1";
 
 fn bridge(wire: &Namespace, left: &End, right: &End, mtu: u32) -> Result<()> {
-    wire.ip(&["link", "add", "br0", "type", "bridge", "mcast_snooping", "0", "stp_state", "0", "forward_delay", "0"])?;
+    wire.ip(&["link", "add", WIRE, "type", "bridge", "mcast_snooping", "0", "stp_state", "0", "forward_delay", "0"])?;
     for (end, interface, number) in [(left, WIRE_LEFT, 3), (right, WIRE_RIGHT, 4)] {
         veth(end, &End { namespace: wire, interface, mac: mac(0xff, number) }, mtu)?;
-        wire.ip(&["link", "set", interface, "master", "br0"])?;
+        wire.ip(&["link", "set", interface, "master", WIRE])?;
     }
-    wire.ip(&["link", "set", "br0", "up"])?;
+    wire.ip(&["link", "set", WIRE, "up"])?;
     Ok(())
 }
 

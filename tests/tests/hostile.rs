@@ -1,20 +1,30 @@
-//! An attacker on the cable between s1 and s2 replays, cuts, flips and invents frames. None of it reaches ROS, and every
-//! frame is counted under a reason.
+//! An attacker on a cable replays, cuts, flips and invents frames, or has a key and a link of its own and sends what it may
+//! not. None of it reaches ROS, and every frame is counted under a reason.
+
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
+use gdp::identity::Identity;
+use gdp::link::Link;
+use gdp::port::{OutFrame, Port, PortConfig};
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
-use gdp_tests::packet::{ETHERNET, PacketSocket, is_gdp_data};
-use gdp_tests::peers::{self, Conversation, Side, Traffic, Vendor};
+use gdp_tests::packet::{ETHERNET, GDP_ETHERTYPE, PacketSocket, is_gdp_data};
+use gdp_tests::peers::{self, Conversation, Received, Side, Traffic, Vendor};
 use gdp_tests::wait::wait_for;
+use gdp_wire::table::PORT_USERSPACE;
+use gdp_wire::{Header, Name, forward};
 use serde_json::Value;
+use tokio::runtime::Runtime;
+use zerocopy::IntoBytes;
 
 /// Bytes of the GDP header.
 const HEADER: usize = 96;
 
-/// Index of the switch that the attacker's frames reach first.
+/// Indices of the switches that an attacker's frames reach first: between s1 and s2, and beside the robot.
 const S2: usize = 1;
+const S1: usize = 0;
 
 struct Scene {
     fabric: Fabric,
@@ -48,12 +58,26 @@ impl Scene {
         self.wait_for_count(reason, before + frames.len() as u64, |fabric| fabric.counter(S2, reason))
     }
 
-    /// Sends frames whose header is good; the reader at the far end must refuse each, under `reason`.
-    fn refused_by_reader(&self, reason: &str, frames: &[Vec<u8>]) -> Result<()> {
-        let count = |fabric: &Fabric| Ok(sum_of(&fabric.proxy_stats("cloud")["node"], reason));
-        let before = count(&self.fabric)?;
-        self.send(frames)?;
-        self.wait_for_count(reason, before + frames.len() as u64, count)
+    /// Cuts the cable and hands on what comes, until `count` data frames have gone on toward the cloud as `alter` leaves them.
+    fn hand_on(&self, count: usize, mut alter: impl FnMut(usize, &mut Vec<u8>)) -> Result<()> {
+        const TURN: Duration = Duration::from_millis(2);
+        let (from_robot, from_cloud) = (self.fabric.chain.wire_from_robot()?, &self.attacker);
+        self.fabric.chain.cut_wire(true)?;
+        let (mut altered, deadline) = (0, Instant::now() + PATIENCE);
+        while altered < count {
+            ensure!(Instant::now() < deadline, "only {altered} data frames came");
+            if let Ok(mut frame) = from_robot.receive(TURN, is_gdp) {
+                if is_gdp_data(&frame) {
+                    alter(altered, &mut frame);
+                    altered += 1;
+                }
+                from_cloud.send(&frame)?;
+            }
+            if let Ok(frame) = from_cloud.receive(TURN, is_gdp) {
+                from_robot.send(&frame)?;
+            }
+        }
+        self.fabric.chain.cut_wire(false)
     }
 
     fn send(&self, frames: &[Vec<u8>]) -> Result<()> {
@@ -71,15 +95,23 @@ impl Scene {
     }
 
     /// Honest messages still arrive, and nothing else has: every number once, in order, content as written.
-    fn only_honest_messages_arrived(mut self) -> Result<()> {
+    fn only_honest_messages_arrived(self) -> Result<()> {
+        let messages = self.no_dishonest_message_arrived()?;
+        let numbers: Vec<i64> = messages.iter().map(|message| message.sequence).collect();
+        ensure!(numbers == (0..numbers.len() as i64).collect::<Vec<_>>(), "not each once and in order: {numbers:?}");
+        Ok(())
+    }
+
+    /// Some honest messages may be missing.
+    fn no_dishonest_message_arrived(mut self) -> Result<Vec<Received>> {
         let so_far = peers::received(&self.conversation.listener).len();
         let messages = self.conversation.listener.wait_until("ten more messages", PATIENCE, |p| {
             Some(peers::received(p)).filter(|messages| messages.len() >= so_far + 10)
         })?;
         ensure!(messages.iter().all(|message| message.intact), "a damaged message reached ROS: {messages:?}");
-        let numbers: Vec<i64> = messages.iter().map(|message| message.sequence).collect();
-        ensure!(numbers == (0..numbers.len() as i64).collect::<Vec<_>>(), "not each once and in order: {numbers:?}");
-        Ok(())
+        let ordered = messages.is_sorted_by(|a, b| a.sequence < b.sequence);
+        ensure!(ordered, "not each at most once and in order: {messages:?}");
+        Ok(messages)
     }
 
     fn flipped(&self, bit: usize) -> Vec<u8> {
@@ -90,10 +122,105 @@ impl Scene {
 }
 
 #[test]
-fn replayed_frames_are_refused_by_the_reader() -> Result<()> {
+fn replayed_frames_are_refused_by_the_next_switch() -> Result<()> {
     let scene = Scene::set()?;
-    scene.refused_by_reader("seal_duplicate", &vec![scene.frame.clone(); 20])?;
+    scene.refused_by_s2("drop_replayed", &vec![scene.frame.clone(); 20])?;
+    ensure!(sum_of(&scene.fabric.proxy_stats("cloud")["node"], "seal_duplicate") == 0, "a frame came twice");
     scene.only_honest_messages_arrived()
+}
+
+/// The link is found by the id in the frame, and its key fits no other.
+#[test]
+fn frames_moved_to_another_link_are_refused_by_the_next_switch() -> Result<()> {
+    let scene = Scene::set()?;
+    let links = scene.fabric.status(S2)?["links"].clone();
+    let ids: Vec<u32> =
+        links.as_array().into_iter().flatten().filter_map(|l| l["id"].as_u64()).map(|id| id as u32).collect();
+    ensure!(ids.len() == 2, "{links}");
+    let own = u32::from_be_bytes(scene.frame[ETHERNET + 8..ETHERNET + 12].try_into()?);
+    let other = ids.iter().find(|id| **id != own).context("another link")?;
+    let mut moved = scene.frame.clone();
+    moved[ETHERNET + 8..ETHERNET + 12].copy_from_slice(&other.to_be_bytes());
+    scene.refused_by_s2("drop_bad_tag", &vec![moved; 20])?;
+    scene.only_honest_messages_arrived()
+}
+
+/// Somebody with a key, whom the switch gives a link as it would anybody; on the cable between robot and s1.
+#[test]
+fn an_endpoint_sends_only_in_its_own_name_and_to_what_it_publishes() -> Result<()> {
+    let chain = ChainOptions { wire: Some(0), ..Default::default() };
+    let mut fabric = Fabric::start(Tools::beside_this_test()?, FabricOptions { chain, ..Default::default() })?;
+    fabric.start_proxies()?;
+    let links = fabric.status(S1)?["links"].clone();
+    let robot = links.as_array().into_iter().flatten().find(|link| link["role"] == "endpoint").context("the robot")?;
+    let robot = name(robot["peer"].as_str().context("its name")?)?;
+    let mut stranger = Stranger::attach(&fabric)?;
+    let (topic, own) = (name(&fabric.name)?, stranger.name);
+    let elsewhere = Name::from_bytes([0x77; 32]);
+    for (reason, destination, source) in [
+        ("drop_source", topic, robot),
+        ("drop_source", topic, elsewhere),
+        ("drop_source", elsewhere, robot),
+        ("drop_not_permitted", topic, own),
+        ("drop_no_route", elsewhere, own),
+    ] {
+        let count = |fabric: &Fabric| -> Result<u64> {
+            Ok(fabric.status(S1)?["counters_by_plane"][reason]["kernel"].as_u64().unwrap_or(0))
+        };
+        let before = count(&fabric)?;
+        stranger.send(destination, source, 20)?;
+        wait_for(&format!("20 frames to be counted as {reason}"), PATIENCE, || {
+            Ok((count(&fabric)? >= before + 20).then_some(()))
+        })
+        .with_context(|| fabric.status(S1).unwrap_or_default()["counters"].to_string())?;
+        ensure!(count(&fabric)? == before + 20, "{reason} was counted more often");
+    }
+    let sent_on = fabric.counter(S1, "forwarded")? + fabric.counter(S1, "delivered")?;
+    ensure!(sent_on == 0, "s1 sent {sent_on} frames on");
+    Ok(())
+}
+
+fn name(text: &str) -> Result<Name> {
+    text.parse().map_err(|error| anyhow::anyhow!("{text}: {error}"))
+}
+
+/// An endpoint of its own making.
+struct Stranger {
+    // Order is the order of the end.
+    link: Link,
+    port: Port,
+    _runtime: Runtime,
+    name: Name,
+    sent: u64,
+}
+
+impl Stranger {
+    fn attach(fabric: &Fabric) -> Result<Self> {
+        let (namespace, interface) = fabric.chain.on_the_wire()?;
+        let _inside = namespace.enter()?;
+        let identity = Identity::generate("proxy")?;
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+        let (port, link) = runtime.block_on(async {
+            let port = Port::ethernet(interface, &PortConfig::endpoint(identity.clone()))?;
+            let found = port.discover(Some(name(&fabric.switches[S1].name)?), PATIENCE).await;
+            let (to, name) = found.first().context("no answer of s1")?;
+            let link = port.dial(*to, Some(*name)).await?;
+            anyhow::Ok((port, link))
+        })?;
+        Ok(Self { link, port, _runtime: runtime, name: identity.name(), sent: 0 })
+    }
+
+    /// Frames that are right in all but what they say.
+    fn send(&mut self, destination: Name, source: Name, count: usize) -> Result<()> {
+        for _ in 0..count {
+            self.sent += 1;
+            let mut header = Header::data(destination, source, 0);
+            forward::stamp(&mut header, &self.link.entry(PORT_USERSPACE), self.sent);
+            let frame = OutFrame { to: self.link.addr(), head: header.as_bytes(), body: &[] };
+            ensure!(self.port.data().send_batch([frame]).sent == 1, "not sent");
+        }
+        Ok(())
+    }
 }
 
 /// Every bit that the hop tag covers, the tag's own included; link id and lengths are found wrong before the tag is.
@@ -123,13 +250,16 @@ fn flipped_header_bits_are_refused_by_the_next_switch() -> Result<()> {
 #[test]
 fn flipped_payload_bits_are_refused_by_the_reader() -> Result<()> {
     let scene = Scene::set()?;
-    let payload = (HEADER * 8..(scene.frame.len() - ETHERNET) * 8).step_by(7);
-    let frames: Vec<_> = payload.map(|bit| scene.flipped(bit)).collect();
+    const ALTERED: usize = 20;
     let refused = |fabric: &Fabric| Ok(all_drops(&fabric.proxy_stats("cloud")["node"]));
     let before = refused(&scene.fabric)?;
-    scene.send(&frames)?;
-    scene.wait_for_count("all drops of the reader", before + frames.len() as u64, refused)?;
-    scene.only_honest_messages_arrived()
+    scene.hand_on(ALTERED, |n, frame| {
+        let bits = (frame.len() - ETHERNET - HEADER) * 8;
+        let bit = n * bits / ALTERED + n % 8;
+        frame[ETHERNET + HEADER + bit / 8] ^= 1 << (bit % 8);
+    })?;
+    scene.wait_for_count("all drops of the reader", before + ALTERED as u64, refused)?;
+    scene.no_dishonest_message_arrived().map(drop)
 }
 
 #[test]
@@ -154,6 +284,10 @@ fn forged_frames_are_refused_by_the_next_switch() -> Result<()> {
         .collect();
     scene.refused_by_s2("drop_bad_tag", &forged)?;
     scene.only_honest_messages_arrived()
+}
+
+fn is_gdp(frame: &[u8]) -> bool {
+    frame.len() > ETHERNET && frame[12..14] == GDP_ETHERTYPE.to_be_bytes()
 }
 
 fn payload_length(frame: &[u8]) -> u16 {

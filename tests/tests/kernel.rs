@@ -1,20 +1,22 @@
 //! The XDP switch under `BPF_PROG_TEST_RUN`: the real program in the real kernel, one frame at a time, no interfaces.
 
+use std::sync::Barrier;
+
 use anyhow::{Context, Result, ensure};
 use gdp_ctl::plane::kernel::{Action, KernelPlane, LoadError, UpdateError};
-use gdp_ctl::plane::tx_counters::TxCounters;
+use gdp_ctl::plane::link_memory::LinkMemory;
 use gdp_ctl::plane::userspace::{Outcome, UserTables, handle};
 use gdp_tests::Tools;
 use gdp_tests::frames::Frame;
 use gdp_tests::frames::fixtures::{self, Bytes, Expected, Fixtures, Switch, Verdict};
-use gdp_wire::{Counter, FibEntry, LinkEntry, Name};
+use gdp_wire::{Counter, FibEntry, LinkEntry, Name, replay};
 
 #[test]
 fn every_fixture_through_the_kernel() -> Result<()> {
     let Fixtures { switch, cases, .. } = fixtures::read();
     let mut plane = kernel_plane(&switch)?;
     for case in &cases {
-        reset(plane.tx_counters(), &switch);
+        reset(plane.link_memory(), &switch);
         let got = run(&mut plane, &case.frame.bytes()).with_context(|| case.name.clone())?;
         ensure!(got == case.kernel, "{}:\n     got {got:?}\nexpected {:?}", case.name, case.kernel);
     }
@@ -30,26 +32,26 @@ fn every_fixture_through_the_userspace_plane() -> Result<()> {
             // Its sockets are bound to the ethertype.
             continue;
         }
-        let (tables, tx_counters) = user_tables(&switch);
-        reset(&tx_counters, &switch);
+        let (tables, link_memory) = user_tables(&switch);
+        reset(&link_memory, &switch);
         let got = run_userspace(&tables, &switch, &case.frame.bytes());
         ensure!(got == *expected, "{}:\n     got {got:?}\nexpected {expected:?}", case.name);
     }
     Ok(())
 }
 
-/// Frames that are nearly right in many ways must meet the same fate in both planes.
+/// Frames that are nearly right in many ways must meet the same fate in both planes, also when they come again.
 #[test]
 fn random_frames_get_the_same_verdict_from_both_planes() -> Result<()> {
     let Fixtures { switch, .. } = fixtures::read();
     let mut kernel = kernel_plane(&switch)?;
-    let (tables, tx_counters) = user_tables(&switch);
+    let (tables, link_memory) = user_tables(&switch);
     let mut random = Random(0x9e37_79b9_7f4a_7c15);
     let mut seen = [0u32; Counter::COUNT];
     for round in 0..20_000 {
         let frame = random_frame(&mut random, &switch);
-        reset(kernel.tx_counters(), &switch);
-        reset(&tx_counters, &switch);
+        reset(kernel.link_memory(), &switch);
+        reset(&link_memory, &switch);
         let got = run(&mut kernel, &frame)?;
         let counter = Counter::ALL.iter().position(|c| c.as_str() == got.counter).context("a counter")?;
         seen[counter] += 1;
@@ -62,10 +64,76 @@ fn random_frames_get_the_same_verdict_from_both_planes() -> Result<()> {
         };
         let shown = fixtures::hex(&frame[..frame.len().min(128)]);
         ensure!(same, "round {round}: kernel {got:?}\nuserspace {userspace:?}\nframe {shown}");
+        if matches!(Counter::ALL[counter], Counter::Foreign | Counter::Slow) {
+            continue;
+        }
+        let again = (run(&mut kernel, &frame)?, run_userspace(&tables, &switch, &frame));
+        ensure!(again.0 == again.1, "round {round}, again: {again:?}\nframe {shown}");
+        let replayed = again.0.counter == Counter::Replayed.as_str();
+        ensure!(replayed || userspace.verdict != Verdict::Send, "round {round}, again: {again:?}\nframe {shown}");
     }
     for (counter, seen) in Counter::ALL.iter().zip(seen) {
         ensure!(seen > 20, "the random frames reached {counter:?} only {seen} times");
     }
+    Ok(())
+}
+
+/// Frames of one link may come to the kernel and to the userspace plane at once. Both are given the same frames, in opposite
+/// order; each must be sent on by one of them.
+#[test]
+fn frames_that_come_to_both_planes_at_once_are_taken_once() -> Result<()> {
+    const ROUNDS: usize = 1000;
+    const FRAMES: usize = 64;
+    let Fixtures { switch, .. } = fixtures::read();
+    let mut kernel = kernel_plane(&switch)?;
+    let (link, route) = (&switch.links[0], &switch.routes[0]);
+    ensure!(route.writers.contains(&link.id), "{} may not send to {}", link.label, route.label);
+    let tables = user_tables_with(&switch, kernel.link_memory().clone());
+    kernel.link_memory().begin(link.id);
+    let frames: Vec<Vec<u8>> = (1..=ROUNDS * FRAMES)
+        .map(|count| Frame {
+            link_id: link.id,
+            key: fixtures::key(&link.rx_key),
+            link_counter: count as u64,
+            destination: fixtures::array(&route.name),
+            source: fixtures::array(&link.peer),
+            ..Frame::default()
+        })
+        .map(|frame| frame.bytes())
+        .collect();
+
+    let together = Barrier::new(2);
+    let (in_kernel, in_userspace) = std::thread::scope(|scope| {
+        let in_userspace = scope.spawn(|| {
+            let mut sent = Vec::new();
+            for round in frames.chunks(FRAMES) {
+                together.wait();
+                sent.extend(round.iter().rev().map(|frame| {
+                    let outcome = handle(&mut frame[14..].to_vec(), &tables);
+                    (matches!(outcome, Outcome::Send { .. }), outcome)
+                }));
+                let start = sent.len() - round.len();
+                sent[start..].reverse();
+            }
+            sent
+        });
+        let mut in_kernel = Vec::new();
+        for round in frames.chunks(FRAMES) {
+            together.wait();
+            // An error must not leave the other thread waiting.
+            in_kernel.extend(round.iter().map(|frame| kernel.test_run(frame).map(|(action, _)| action)));
+        }
+        (in_kernel, in_userspace.join().expect("no panic"))
+    });
+
+    let mut won = [0, 0];
+    for (frame, (kernel, (by_userspace, outcome))) in in_kernel.into_iter().zip(in_userspace).enumerate() {
+        let by_kernel = kernel? == Action::Redirect;
+        ensure!(by_kernel != by_userspace, "frame {frame}: sent by the kernel: {by_kernel}; userspace: {outcome:?}");
+        ensure!(by_userspace || outcome == Outcome::Drop(Counter::Replayed), "frame {frame}: {outcome:?}");
+        won[usize::from(by_userspace)] += 1;
+    }
+    ensure!(won.iter().all(|won| *won > 100), "the planes hardly met: {won:?}");
     Ok(())
 }
 
@@ -77,8 +145,8 @@ fn the_map_is_the_fib() -> Result<()> {
         routes.sort_by_key(|(name, _)| *name);
         routes
     };
-    ensure!(sorted(plane.routes()?) == sorted(switch.routes().collect()));
-    let (name, _) = switch.routes().next().context("a route")?;
+    ensure!(sorted(plane.routes()?) == sorted(switch.routes().map(|(name, entry, _)| (name, entry)).collect()));
+    let (name, ..) = switch.routes().next().context("a route")?;
     plane.remove_route(&name)?;
     plane.remove_route(&name)?;
     ensure!(plane.routes()?.iter().all(|(present, _)| *present != name), "removed, and removing again is no error");
@@ -118,29 +186,40 @@ fn kernel_plane(switch: &Switch) -> Result<KernelPlane> {
     (0..6).try_for_each(|port| plane.set_port(port, LOOPBACK))?;
     plane.set_config(switch.config())?;
     switch.links().try_for_each(|link| plane.set_link(&link))?;
-    switch.routes().try_for_each(|(name, entry)| plane.set_route(&name, entry))?;
+    for (name, entry, permitted) in switch.routes() {
+        permitted.iter().try_for_each(|link| plane.permit(&name, *link))?;
+        plane.set_route(&name, entry)?;
+    }
     plane.set_next_hops(&switch.next_hops())?;
     Ok(plane)
 }
 
-fn user_tables(switch: &Switch) -> (UserTables, TxCounters) {
-    let tx_counters = TxCounters::new();
-    let mut tables = UserTables::new(tx_counters.clone());
+fn user_tables(switch: &Switch) -> (UserTables, LinkMemory) {
+    let link_memory = LinkMemory::new();
+    (user_tables_with(switch, link_memory.clone()), link_memory)
+}
+
+fn user_tables_with(switch: &Switch, link_memory: LinkMemory) -> UserTables {
+    let mut tables = UserTables::new(link_memory);
     for link in switch.links() {
         // Only to be told apart.
         let to = gdp::port::LinkAddr::Ethernet { ifindex: link.port, mac: [0; 6] };
         tables.set_link(link, to);
     }
-    for (name, entry) in switch.routes() {
-        tables.set_route(name, entry);
+    for (name, entry, permitted) in switch.routes() {
+        tables.set_route(name, entry, permitted);
     }
     tables.set_next_hops(&switch.next_hops());
     tables.set_own_bit(switch.config().own_bit);
-    (tables, tx_counters)
+    tables
 }
 
-fn reset(tx_counters: &TxCounters, switch: &Switch) {
-    switch.links.iter().for_each(|link| tx_counters.set(link.id, link.tx_counter.into()));
+fn reset(memory: &LinkMemory, switch: &Switch) {
+    for link in &switch.links {
+        memory.begin(link.id);
+        memory.set_count(link.id, link.tx_counter);
+        link.taken.iter().for_each(|count| assert!(replay::take(memory.window(link.id), *count)));
+    }
 }
 
 /// What the kernel does with a frame: the action, and exactly one counter.
@@ -192,7 +271,11 @@ fn random_frame(random: &mut Random, switch: &Switch) -> Vec<u8> {
     let mut frame = Frame {
         link_id: link.id,
         key: fixtures::key(&link.rx_key),
-        link_counter: random.next() as u32,
+        link_counter: match link.taken[..] {
+            [] => random.next() as u32 as u64,
+            // Around those, some of them.
+            _ => random.one_of(&link.taken) + random.below(3) as u64,
+        },
         hop_limit: random.one_of(&[0, 1, 2, 3, 64, 64, 64, 255]),
         egress_set: random.one_of(&[0, 0, 3, 255]),
         egress_bits: match random.below(5) {
@@ -202,7 +285,10 @@ fn random_frame(random: &mut Random, switch: &Switch) -> Vec<u8> {
             _ => 1 << random.below(12),
         },
         destination: fixtures::array(&route.name),
-        source: std::array::from_fn(|_| random.next() as u8),
+        source: match random.below(16) {
+            0 => std::array::from_fn(|_| random.next() as u8),
+            _ => fixtures::array(&link.peer),
+        },
         payload: vec![random.next() as u8; random.one_of(&[0, 1, 64, 500, 505, 1404, 1405, 1500])],
         padding: random.one_of(&[0, 0, 0, 1, 30]),
         ..Frame::default()

@@ -4,6 +4,7 @@
 //!   left:e0 ──── l0:switch:r0 ──── e0:right
 //! ```
 
+use std::cell::Cell;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
@@ -15,6 +16,7 @@ use gdp_tests::Tools;
 use gdp_tests::frames::Frame;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
+use gdp_tests::wait::wait_for;
 use gdp_wire::{Counter, FibEntry, LinkEntry, LinkRole, Name};
 
 const SOON: Duration = Duration::from_secs(10);
@@ -96,6 +98,88 @@ fn the_planes_share_the_counter_of_a_link() -> Result<()> {
     Ok(())
 }
 
+/// A frame that one plane took is known to the other.
+#[test]
+fn the_planes_share_the_window_of_a_link() -> Result<()> {
+    let site = Site::build(1500)?;
+    gro(&site.right, "off")?;
+    let mut switch = site.switch(Wanted::Auto)?;
+    let (in_userspace, in_kernel) = (site.next_frame(200), site.next_frame(200));
+    let counted = |switch: &Switch, counter, count: (u64, u64)| -> Result<()> {
+        wait_for(&format!("{counter:?} to be {count:?}"), SOON, || Ok((switch.count(counter)? == count).then_some(())))
+    };
+    site.send(&in_userspace)?;
+    counted(&switch, Counter::Delivered, (0, 1))?;
+    site.send(&in_userspace)?;
+    counted(&switch, Counter::Replayed, (1, 0))?;
+
+    gro(&site.right, "on")?;
+    switch.planes.refresh()?;
+    site.send(&in_kernel)?;
+    counted(&switch, Counter::Delivered, (1, 1))?;
+    [&in_kernel, &in_userspace].into_iter().try_for_each(|frame| site.send(frame))?;
+    counted(&switch, Counter::Replayed, (3, 0))?;
+
+    gro(&site.right, "off")?;
+    switch.planes.refresh()?;
+    [&in_kernel, &in_userspace].into_iter().try_for_each(|frame| site.send(frame))?;
+    counted(&switch, Counter::Replayed, (5, 0))?;
+    counted(&switch, Counter::Delivered, (1, 1))?;
+
+    // The link stays the same when what it reaches changes.
+    let reach = LinkEntry { reach: 1 << 9, ..left_link() };
+    let at = switch.address_of_left()?;
+    switch.planes.set_link(reach, at)?;
+    site.send(&in_kernel)?;
+    counted(&switch, Counter::Replayed, (6, 0))?;
+    Ok(())
+}
+
+#[test]
+fn permission_comes_and_goes_in_the_kernel() -> Result<()> {
+    let site = Site::build(1500)?;
+    let mut switch = site.switch(Wanted::Xdp)?;
+    let [first, second] = [left_link(), LinkEntry { id: 0x1003, rx_key: [9, 10], ..left_link() }];
+    let at = switch.address_of_left()?;
+    switch.planes.set_link(second, at)?;
+    let route = |writer_link, more_writers| FibEntry {
+        egress_bits: OWN_BIT,
+        local_link: right_link().id,
+        writer_link,
+        more_writers,
+        ..FibEntry::default()
+    };
+    let (mut delivered, mut refused) = (0, 0);
+    for (entry, permitted, may) in [
+        (route(first.id, 0), &[][..], [true, false]),
+        (route(first.id, 1), &[second.id], [true, true]),
+        (route(second.id, 1), &[first.id], [true, true]),
+        (route(second.id, 0), &[], [false, true]),
+        (route(0, 1), &[first.id, second.id, 0x1004], [true, true]),
+        (route(0, 1), &[0x1004], [false, false]),
+        (route(0, 0), &[], [false, false]),
+    ] {
+        switch.planes.set_route(TOPIC, entry, permitted)?;
+        let mut writers = switch.planes.writers(&TOPIC);
+        writers.retain(|link| *link != 0x1004);
+        ensure!(writers.len() == may.iter().filter(|may| **may).count(), "{writers:x?}");
+        for (link, may) in [first, second].into_iter().zip(may) {
+            site.send(&Frame { link_id: link.id, key: link.rx_key, ..site.next_frame(200) })?;
+            *(if may { &mut delivered } else { &mut refused }) += 1;
+            wait_for(&format!("{delivered} delivered, {refused} refused at {entry:?}"), SOON, || {
+                let counts = (switch.count(Counter::Delivered)?, switch.count(Counter::NotPermitted)?);
+                Ok((counts == ((delivered, 0), (refused, 0))).then_some(()))
+            })?;
+        }
+    }
+    switch.planes.remove_route(&TOPIC)?;
+    switch.planes.set_route(TOPIC, route(0, 1), &[])?;
+    site.send(&Frame { link_id: first.id, key: first.rx_key, ..site.next_frame(200) })?;
+    wait_for("a permit to go with its name", SOON, || {
+        Ok((switch.count(Counter::NotPermitted)? == (refused + 1, 0)).then_some(()))
+    })
+}
+
 /// A bridge has no native XDP and takes no redirected frames, but those of generic XDP are ordinary packets.
 #[test]
 fn without_native_xdp_generic_is_next() -> Result<()> {
@@ -168,12 +252,14 @@ struct Site {
     left: Namespace,
     switch: Namespace,
     right: Namespace,
+    /// Frames sent from left.
+    sent: Cell<u64>,
 }
 
 impl Site {
     fn build(mtu: u32) -> Result<Self> {
         let [left, switch, right] = ["left", "switch", "right"].map(Namespace::create);
-        let site = Self { left: left?, switch: switch?, right: right? };
+        let site = Self { left: left?, switch: switch?, right: right?, sent: Cell::new(0) };
         let end = |namespace, interface, mac| End { namespace, interface, mac };
         veth(&end(&site.left, "e0", LEFT_MAC), &end(&site.switch, "l0", L0_MAC), mtu)?;
         veth(&end(&site.switch, "r0", R0_MAC), &end(&site.right, "e0", RIGHT_MAC), mtu)?;
@@ -204,28 +290,20 @@ impl Site {
         switch.planes.set_own_bit(OWN_BIT)?;
         switch.planes.set_link(left_link(), LinkAddr::Ethernet { ifindex: left, mac: LEFT_MAC })?;
         switch.planes.set_link(right_link(), LinkAddr::Ethernet { ifindex: right, mac: RIGHT_MAC })?;
-        let here = FibEntry { egress_bits: OWN_BIT, local_link: right_link().id, egress_set: 0 };
-        switch.planes.set_route(TOPIC, here)?;
+        let (local_link, writer_link) = (right_link().id, left_link().id);
+        let here = FibEntry { egress_bits: OWN_BIT, local_link, writer_link, ..FibEntry::default() };
+        switch.planes.set_route(TOPIC, here, &[])?;
         ensure!(switch.planes.routes()? == [(TOPIC, here)]);
         Ok(switch)
     }
 
     /// Sends a frame of `length` bytes from left; what arrives on the right must be what the switch should make of it.
     fn send_through(&self, length: usize) -> Result<Vec<u8>> {
-        let from = PacketSocket::open(&self.left, "e0")?;
         let to = PacketSocket::open(&self.right, "e0")?;
-        let frame = Frame {
-            to_mac: L0_MAC,
-            from_mac: LEFT_MAC,
-            link_id: left_link().id,
-            key: left_link().rx_key,
-            destination: TOPIC.to_bytes(),
-            payload: vec![0x5a; length - 96],
-            ..Frame::default()
-        };
-        from.send(&frame.bytes())?;
+        let frame = self.next_frame(length);
+        self.send(&frame)?;
         let crossed = to.receive(SOON, gdp_tests::packet::is_gdp_data)?;
-        let link_counter = u32::from_be_bytes([crossed[26], crossed[27], crossed[28], crossed[29]]);
+        let link_counter = u32::from_be_bytes([crossed[26], crossed[27], crossed[28], crossed[29]]).into();
         let expected = Frame {
             to_mac: RIGHT_MAC,
             from_mac: R0_MAC,
@@ -237,6 +315,25 @@ impl Site {
         };
         ensure!(crossed == expected.bytes(), "{crossed:02x?}");
         Ok(crossed)
+    }
+
+    /// A frame of `length` bytes as left sends it next.
+    fn next_frame(&self, length: usize) -> Frame {
+        self.sent.update(|sent| sent + 1);
+        Frame {
+            to_mac: L0_MAC,
+            from_mac: LEFT_MAC,
+            link_id: left_link().id,
+            link_counter: self.sent.get(),
+            key: left_link().rx_key,
+            destination: TOPIC.to_bytes(),
+            payload: vec![0x5a; length - 96],
+            ..Frame::default()
+        }
+    }
+
+    fn send(&self, frame: &Frame) -> Result<()> {
+        PacketSocket::open(&self.left, "e0")?.send(&frame.bytes())
     }
 }
 
@@ -261,12 +358,20 @@ impl Switch {
         Ok(())
     }
 
+    fn address_of_left(&self) -> Result<LinkAddr> {
+        let ifindex = self.ports[0].interface().context("an interface")?.index;
+        Ok(LinkAddr::Ethernet { ifindex, mac: LEFT_MAC })
+    }
+
+    /// What the kernel and the userspace plane counted.
+    fn count(&self, wanted: Counter) -> Result<(u64, u64)> {
+        let counted = self.planes.counters()?.into_iter().find(|(counter, ..)| *counter == wanted);
+        counted.map(|(_, kernel, userspace)| (kernel, userspace)).context("all counters")
+    }
+
     /// What the kernel and the userspace plane counted; waits until the latter has come to it.
     fn counted(&self, wanted: Counter) -> Result<(u64, u64)> {
-        gdp_tests::wait::wait_for("a frame to be counted", SOON, || {
-            let counters = self.planes.counters()?;
-            Ok(counters.into_iter().find(|(c, k, u)| *c == wanted && k + u > 0).map(|(_, k, u)| (k, u)))
-        })
+        wait_for("a frame to be counted", SOON, || Ok(Some(self.count(wanted)?).filter(|count| *count != (0, 0))))
     }
 }
 

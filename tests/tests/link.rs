@@ -12,7 +12,7 @@ use gdp::Identity;
 use gdp::link::{Link, LinkError, LinkIds, Role};
 use gdp::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
 use gdp_tests::netns::{End, Namespace, veth};
-use gdp_wire::{Header, forward};
+use gdp_wire::{Header, forward, replay};
 use zerocopy::{FromBytes, IntoBytes};
 
 const SWITCH_MAC: [u8; 6] = [2, 0, 0, 0, 0, 2];
@@ -143,11 +143,11 @@ async fn link(endpoint: &Port, switch: &Port, to: LinkAddr) -> Result<(Link, Lin
 
 /// Sends `count` frames one way, in one call, and expects all of them, whole and in order.
 fn exchange(from: &Port, out: &Link, to: &Port, input: &Link, payload: &[u8], count: u32) {
-    let (egress, ingress) = (out.entry(0), input.entry(0));
+    let (egress, ingress, window) = (out.entry(0), input.entry(0), replay::empty());
     let headers: Vec<Header> = (0..count)
         .map(|i| {
             let mut header = Header::data(out.peer().name, input.peer().name, payload.len() as u16);
-            forward::stamp(&mut header, &egress, i);
+            forward::stamp(&mut header, &egress, i.into());
             header
         })
         .collect();
@@ -161,7 +161,7 @@ fn exchange(from: &Port, out: &Link, to: &Port, input: &Link, payload: &[u8], co
         to.data().try_recv_batch(&mut batch).expect("a socket");
         for (frame, _) in batch.frames() {
             let (header, rest) = Header::ref_from_prefix(frame).expect("a header");
-            assert_eq!(forward::accept(header, frame.len(), &ingress), Ok(()));
+            assert_eq!(forward::accept(header, frame.len(), &ingress, &window), Ok(()));
             assert_eq!((header.link_counter(), &rest[..payload.len()]), (received, payload));
             received += 1;
         }

@@ -37,10 +37,11 @@ pub fn fib(command: &FibCommand, context: &Context) -> anyhow::Result<()> {
             .map(|route| {
                 let toward: Vec<_> = route["toward"].as_array().into_iter().flatten().map(short).collect();
                 let bits = route["egress_bits"].as_str().unwrap_or_default().to_owned();
-                [short(&route["name"]), bits, toward.join(" "), short(&route["local"])]
+                let writers: Vec<_> = route["writers"].as_array().into_iter().flatten().map(short).collect();
+                [short(&route["name"]), bits, toward.join(" "), short(&route["local"]), writers.join(" ")]
             })
             .collect();
-        table(["name", "egress bits", "toward", "local endpoint"], &rows)
+        table(["name", "egress bits", "toward", "local reader", "local writers"], &rows)
     })
 }
 

@@ -10,13 +10,14 @@ use aya::programs::links::{FdLink, LinkError, PinnedLink};
 use aya::programs::xdp::{XdpLink, XdpLinkId, XdpMode};
 use aya::programs::{ProgramError, TestRun, TestRunOptions, Xdp};
 use aya::{Ebpf, EbpfError, EbpfLoader};
+use gdp_wire::replay::WORDS;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_PORTS, link_index};
-use gdp_wire::{Counter, FibEntry, LinkEntry, Name, SwitchConfig};
+use gdp_wire::{Counter, FibEntry, LinkEntry, Name, Permit, SwitchConfig};
 
 use super::explain;
 use super::kernel_version::KernelVersion;
+use super::link_memory::LinkMemory;
 use super::pins::{Pins, PinsError};
-use super::tx_counters::TxCounters;
 
 /// The oldest kernel the programs are meant for.
 pub const FLOOR: KernelVersion = KernelVersion(5, 15);
@@ -38,8 +39,8 @@ pub enum LoadError {
     Program { path: PathBuf, source: Box<ProgramError> },
     #[error("{}: map `{map}`: {source}", path.display())]
     Map { path: PathBuf, map: &'static str, source: MapError },
-    #[error("cannot map the link counters into memory: {0}")]
-    Counters(std::io::Error),
+    #[error("cannot map the counts and windows of links into memory: {0}")]
+    LinkMemory(std::io::Error),
     #[error("{}: {source}", path.display())]
     Read { path: PathBuf, source: std::io::Error },
     #[error("{}: {source}", path.display())]
@@ -66,6 +67,10 @@ pub enum AttachError {
 pub enum UpdateError {
     #[error("the FIB is full ({capacity} names): set `fib_capacity` higher")]
     FibFull { capacity: u32 },
+    #[error(
+        "the FIB is full ({capacity} second and further writers of a name at one switch): set `fib_capacity` higher"
+    )]
+    PermitsFull { capacity: u32 },
     #[error("port {port} is not below {MAX_PORTS}: XDP runs on at most that many interfaces")]
     NoSuchPort { port: u32 },
     #[error("port {port} cannot lead to interface {ifindex}: {source}")]
@@ -121,11 +126,12 @@ pub struct KernelPlane {
     capacity: u32,
     links: Array<MapData, LinkEntry>,
     fib: HashMap<MapData, Name, FibEntry>,
+    permits: HashMap<MapData, Permit, u32>,
     next_hop: Array<MapData, u32>,
     config: Array<MapData, SwitchConfig>,
     ports: DevMap<MapData>,
     counters: PerCpuArray<MapData, u64>,
-    tx_counters: TxCounters,
+    link_memory: LinkMemory,
 }
 
 impl KernelPlane {
@@ -143,7 +149,7 @@ impl KernelPlane {
         }
         let object = |source| LoadError::Object { path: path.into(), source: Box::new(source) };
         let mut loader = EbpfLoader::new();
-        loader.map_max_entries("FIB", capacity);
+        loader.map_max_entries("FIB", capacity).map_max_entries("PERMITS", capacity);
         let fresh = pins.as_ref().is_none_or(|pins| !pins.any());
         let to_pin = pins.as_ref().map_or(Ok(Vec::new()), |pins| maps_to_pin(path, capacity, pins))?;
         for name in &to_pin {
@@ -172,17 +178,19 @@ impl KernelPlane {
             .map_err(|source| LoadError::Program { path: path.into(), source: Box::new(source) })?;
 
         let mut maps = Maps { ebpf: &mut ebpf, path };
-        let tx: Array<MapData, u64> = maps.take("TX_COUNTERS")?;
+        let tx_counters: Array<MapData, u64> = maps.take("TX_COUNTERS")?;
+        let windows: Array<MapData, [u64; WORDS]> = maps.take("WINDOWS")?;
         Ok(Self {
             program,
             capacity,
             links: maps.take("LINKS")?,
             fib: maps.take("FIB")?,
+            permits: maps.take("PERMITS")?,
             next_hop: maps.take("NEXT_HOP")?,
             config: maps.take("CONFIG")?,
             ports: maps.take("PORTS")?,
             counters: maps.take("COUNTERS")?,
-            tx_counters: TxCounters::map(tx).map_err(LoadError::Counters)?,
+            link_memory: LinkMemory::map(&tx_counters, &windows).map_err(LoadError::LinkMemory)?,
             ebpf,
             pins: None,
             attached: Table::new(),
@@ -302,20 +310,33 @@ impl KernelPlane {
 
     pub fn set_route(&mut self, name: &Name, entry: FibEntry) -> Result<(), UpdateError> {
         match self.fib.insert(name, entry, 0) {
-            Err(MapError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::E2BIG) => {
-                Err(UpdateError::FibFull { capacity: self.capacity })
-            }
+            Err(error) if is_full(&error) => Err(UpdateError::FibFull { capacity: self.capacity }),
             result => result.map_err(update("FIB")),
         }
     }
 
     /// Removing a name that is not there is no error.
     pub fn remove_route(&mut self, name: &Name) -> Result<(), UpdateError> {
-        match self.fib.remove(name) {
-            Err(MapError::KeyNotFound | MapError::ElementNotFound) => Ok(()),
-            Err(MapError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::ENOENT) => Ok(()),
-            result => result.map_err(update("FIB")),
+        removed(self.fib.remove(name)).map_err(update("FIB"))
+    }
+
+    /// Lets a link send to a name whose entry has `more_writers`.
+    pub fn permit(&mut self, name: &Name, link: u32) -> Result<(), UpdateError> {
+        match self.permits.insert(Permit { name: *name, link, reserved: 0 }, 0, 0) {
+            Err(error) if is_full(&error) => Err(UpdateError::PermitsFull { capacity: self.capacity }),
+            result => result.map_err(update("PERMITS")),
         }
+    }
+
+    /// Takes back every permission.
+    pub fn forbid_all(&mut self) -> Result<(), UpdateError> {
+        let permits: Vec<Permit> = self.permits.keys().collect::<Result<_, _>>().map_err(update("PERMITS"))?;
+        permits.iter().try_for_each(|permit| removed(self.permits.remove(permit))).map_err(update("PERMITS"))
+    }
+
+    /// Takes back what [`Self::permit`] did; if it did not, that is no error.
+    pub fn forbid(&mut self, name: &Name, link: u32) -> Result<(), UpdateError> {
+        removed(self.permits.remove(&Permit { name: *name, link, reserved: 0 })).map_err(update("PERMITS"))
     }
 
     pub fn set_next_hops(&mut self, next_hops: &[u32; EGRESS_SET_SIZE as usize]) -> Result<(), UpdateError> {
@@ -345,9 +366,9 @@ impl KernelPlane {
         Ok(sums)
     }
 
-    /// The links' transmit counters, shared with whoever else sends on them.
-    pub fn tx_counters(&self) -> &TxCounters {
-        &self.tx_counters
+    /// The counts and windows of the links, shared with whoever else sends and receives on them.
+    pub fn link_memory(&self) -> &LinkMemory {
+        &self.link_memory
     }
 
     /// Runs the switch over one Ethernet frame without an interface; the action, and the frame as it left it.
@@ -426,7 +447,7 @@ fn maps_to_pin(path: &Path, capacity: u32, pins: &Pins) -> Result<Vec<String>, L
         if name.starts_with('.') {
             continue;
         }
-        let max_entries = if name == "FIB" { capacity } else { map.max_entries() };
+        let max_entries = if matches!(name.as_str(), "FIB" | "PERMITS") { capacity } else { map.max_entries() };
         pins.check(&name, &map, max_entries)?;
         names.push(name);
     }
@@ -439,6 +460,19 @@ fn unpin(pin: &Path) -> Result<(), AttachError> {
 
 fn switch<'a>(ebpf: &'a mut Ebpf, program: &str) -> Option<&'a mut Xdp> {
     ebpf.program_mut(program)?.try_into().ok()
+}
+
+fn is_full(error: &MapError) -> bool {
+    matches!(error, MapError::SyscallError(error) if error.io_error.raw_os_error() == Some(libc::E2BIG))
+}
+
+/// That there was nothing to remove is no error.
+fn removed(result: Result<(), MapError>) -> Result<(), MapError> {
+    match result {
+        Err(MapError::KeyNotFound | MapError::ElementNotFound) => Ok(()),
+        Err(MapError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::ENOENT) => Ok(()),
+        result => result,
+    }
 }
 
 fn update(map: &'static str) -> impl Fn(MapError) -> UpdateError {

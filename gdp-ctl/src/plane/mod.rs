@@ -6,16 +6,16 @@
 //!
 //! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`], [`explain`] and [`xdp_features`] serve it
 //! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
-//! - [`tx_counters`]: what the two planes share
+//! - [`link_memory`]: what the two planes share
 //! - [`pins`]: what stays in the kernel when the daemon dies
 
 pub mod explain;
 pub mod forwarder;
 pub mod kernel;
 pub mod kernel_version;
+pub mod link_memory;
 pub mod object;
 pub mod pins;
-pub mod tx_counters;
 pub mod userspace;
 pub mod xdp_features;
 
@@ -24,13 +24,13 @@ use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLockReadGuard, RwLockWriteGuard};
 
 use gdp::port::{DataSocket, Interface, LinkAddr};
-use gdp_wire::table::{EGRESS_SET_SIZE, MAX_PORTS, PORT_USERSPACE};
+use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, MAX_PORTS, PORT_USERSPACE, Tables};
 use gdp_wire::{Counter, FibEntry, LinkEntry, Name, SwitchConfig};
 
 use forwarder::{Forwarder, Medium, Shared};
 use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
+use link_memory::LinkMemory;
 use pins::{Pins, PinsError};
-use tx_counters::TxCounters;
 use userspace::UserTables;
 use xdp_features::XdpFeatures;
 
@@ -111,6 +111,7 @@ pub struct Planes {
     kernel: Result<KernelPlane, String>,
     features: Option<XdpFeatures>,
     shared: Arc<Shared>,
+    link_memory: LinkMemory,
     own_bit: u64,
     ports: HashMap<u32, Port>,
     udp: Option<Forwarder>,
@@ -154,13 +155,14 @@ impl Planes {
             clear_left_over(&config)?;
         }
         let adopted = kernel.as_ref().map_or(Ok(None), KernelPlane::adopted)?;
-        let tx_counters = kernel.as_ref().map_or_else(|_| TxCounters::new(), |kernel| kernel.tx_counters().clone());
+        let link_memory = kernel.as_ref().map_or_else(|_| LinkMemory::new(), |kernel| kernel.link_memory().clone());
         let mut planes = Self {
             config,
             kernel,
             // Kernels before 6.3 cannot be asked; there it is assumed that native XDP comes with redirection.
             features: XdpFeatures::open().ok(),
-            shared: Arc::new(Shared::new(UserTables::new(tx_counters))),
+            shared: Arc::new(Shared::new(UserTables::new(link_memory.clone()))),
+            link_memory,
             own_bit: 0,
             ports: HashMap::new(),
             udp: None,
@@ -271,12 +273,12 @@ impl Planes {
     /// Adds or replaces a link; frames of it are sent to `to`. `entry.port` is filled in here.
     pub fn set_link(&mut self, mut entry: LinkEntry, to: LinkAddr) -> Result<(), PlaneError> {
         entry.port = self.port_for(to);
-        let before = self.tables().set_link(entry, to);
-        if before.is_none_or(|before| before.id != entry.id)
-            && let Ok(kernel) = &self.kernel
-        {
-            kernel.tx_counters().set(entry.id, 0);
+        let mut tables = self.tables();
+        if tables.link(entry.id).is_none() {
+            self.link_memory.begin(entry.id);
         }
+        tables.set_link(entry, to);
+        drop(tables);
         if let Ok(kernel) = &mut self.kernel {
             kernel.set_link(&entry)?;
         }
@@ -294,21 +296,28 @@ impl Planes {
     }
 
     /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold the same number.
-    pub fn set_route(&mut self, name: Name, entry: FibEntry) -> Result<(), PlaneError> {
+    /// `permitted`: links that may send to the name besides `entry.writer_link`; if any, `entry.more_writers` says so.
+    pub fn set_route(&mut self, name: Name, entry: FibEntry, permitted: &[u32]) -> Result<(), PlaneError> {
         let capacity = self.config.fib_capacity;
         if !self.read_tables().has_room_for(&name, capacity as usize) {
             return Err(UpdateError::FibFull { capacity }.into());
         }
-        let before = self.tables().set_route(name, entry);
+        let before = self.tables().set_route(name, entry, permitted);
         let Ok(kernel) = &mut self.kernel else { return Ok(()) };
-        if let Err(error) = kernel.set_route(&name, entry) {
-            match before {
-                Some(before) => self.tables().set_route(name, before),
-                None => self.tables().remove_route(&name),
-            };
-            return Err(error.into());
+        let held = before.as_ref().map_or(&[][..], |(_, permitted)| permitted);
+        let (come, gone) = (without(permitted, held), without(held, permitted));
+        let set = come.iter().try_for_each(|link| kernel.permit(&name, *link));
+        match set.and_then(|()| kernel.set_route(&name, entry)) {
+            Ok(()) => Ok(gone.iter().try_for_each(|link| kernel.forbid(&name, *link))?),
+            Err(error) => {
+                let undone = come.iter().try_for_each(|link| kernel.forbid(&name, *link));
+                match before {
+                    Some((before, permitted)) => self.tables().set_route(name, before, &permitted),
+                    None => self.tables().remove_route(&name),
+                };
+                Err(undone.err().unwrap_or(error).into())
+            }
         }
-        Ok(())
     }
 
     /// An unknown name is no error.
@@ -316,8 +325,18 @@ impl Planes {
         if let Ok(kernel) = &mut self.kernel {
             kernel.remove_route(name)?;
         }
-        self.tables().remove_route(name);
+        let before = self.tables().remove_route(name);
+        if let (Ok(kernel), Some((_, permitted))) = (&mut self.kernel, before) {
+            permitted.iter().try_for_each(|link| kernel.forbid(name, *link))?;
+        }
         Ok(())
+    }
+
+    /// The links that may send to a name.
+    pub fn writers(&self, name: &Name) -> Vec<u32> {
+        let tables = self.read_tables();
+        let first = tables.route(name).map(|entry| entry.writer_link).filter(|link| ![0, ANY_WRITER].contains(link));
+        first.into_iter().chain(tables.permitted(name).iter().copied()).collect()
     }
 
     /// For each egress bit the link toward that switch, or 0.
@@ -471,6 +490,7 @@ impl Planes {
         let Adopted { config, links, routes, next_hops, ports } = adopted;
         self.own_bit = config.own_bit;
         let interfaces: HashMap<u32, u32> = ports.iter().copied().collect();
+        let routes = self.let_any_write(routes)?;
         let mut left =
             Left { links: Vec::new(), routes, next_hops, ports: ports.into_iter().map(|(p, i)| (i, p)).collect() };
         for entry in links {
@@ -492,11 +512,23 @@ impl Planes {
         tables.set_own_bit(config.own_bit);
         tables.set_next_hops(&next_hops);
         for (name, entry) in &left.routes {
-            tables.set_route(*name, *entry);
+            tables.set_route(*name, *entry, &[]);
         }
         drop(tables);
         self.left = Some(left);
         Ok(())
+    }
+
+    /// Writers of adopted routes are known by their old links, and come back on new ones before the RIB says so: until it has
+    /// replaced a route, every endpoint may send to the name, as itself; readers know who may write.
+    fn let_any_write(&mut self, mut routes: Vec<(Name, FibEntry)>) -> Result<Vec<(Name, FibEntry)>, UpdateError> {
+        let Ok(kernel) = &mut self.kernel else { return Ok(routes) };
+        for (name, entry) in routes.iter_mut().filter(|(_, entry)| entry.writer_link != 0) {
+            (entry.writer_link, entry.more_writers) = (ANY_WRITER, 0);
+            kernel.set_route(name, *entry)?;
+        }
+        kernel.forbid_all()?;
+        Ok(routes)
     }
 
     fn read_tables(&self) -> RwLockReadGuard<'_, UserTables> {
@@ -520,6 +552,11 @@ impl Drop for Planes {
 fn mac_bytes(words: [u16; 3]) -> [u8; 6] {
     let [a, b, c] = words.map(u16::to_ne_bytes);
     [a[0], a[1], b[0], b[1], c[0], c[1]]
+}
+
+/// Those of `links` that are not among `others`.
+fn without(links: &[u32], others: &[u32]) -> Vec<u32> {
+    links.iter().filter(|link| !others.contains(link)).copied().collect()
 }
 
 const NO_REDIRECT: &str = "; frames leave here through the userspace plane, because the interface takes no redirected frames (a \
@@ -564,11 +601,11 @@ mod tests {
         let mut planes = Planes::open(config).unwrap();
         let name = |i: u8| Name::from_bytes(std::array::from_fn(|at| if at == 0 { i } else { 255 - i }));
         for i in [3, 1, 5, 2, 4] {
-            planes.set_route(name(i), FibEntry::default()).unwrap();
+            planes.set_route(name(i), FibEntry::default(), &[]).unwrap();
         }
-        let error = planes.set_route(name(6), FibEntry::default()).unwrap_err().to_string();
+        let error = planes.set_route(name(6), FibEntry::default(), &[]).unwrap_err().to_string();
         assert!(error.contains("the FIB is full (5 names)"), "{error}");
-        planes.set_route(name(5), FibEntry { local_link: 7, ..FibEntry::default() }).expect("it is there already");
+        planes.set_route(name(5), FibEntry { local_link: 7, ..FibEntry::default() }, &[]).expect("it is there already");
 
         let page = |after: Option<u8>, limit| {
             let (page, more) = planes.routes_behind(after.map(name), limit).unwrap();

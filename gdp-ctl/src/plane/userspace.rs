@@ -5,11 +5,12 @@ use std::collections::HashMap;
 
 use gdp::port::LinkAddr;
 use gdp_wire::forward::{self, Kind, Plane, Verdict};
+use gdp_wire::replay::Words;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, Tables, link_index};
 use gdp_wire::{Counter, FibEntry, Header, LinkEntry, Name};
 use zerocopy::{FromBytes, IntoBytes};
 
-use super::tx_counters::TxCounters;
+use super::link_memory::LinkMemory;
 
 /// What becomes of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,10 +29,11 @@ pub enum Outcome {
 /// The full tables of a switch.
 pub struct UserTables {
     links: Vec<Option<(LinkEntry, LinkAddr)>>,
-    routes: HashMap<Name, FibEntry>,
+    /// With the links that may send to the name, besides the one in its entry.
+    routes: HashMap<Name, (FibEntry, Box<[u32]>)>,
     next_hops: [u32; EGRESS_SET_SIZE as usize],
     own_bit: u64,
-    tx_counters: TxCounters,
+    link_memory: LinkMemory,
 }
 
 /// Decides about a GDP frame (without what carried it) and rewrites it for its next link.
@@ -57,13 +59,13 @@ pub fn handle(frame: &mut [u8], tables: &UserTables) -> Outcome {
 }
 
 impl UserTables {
-    pub fn new(tx_counters: TxCounters) -> Self {
+    pub fn new(link_memory: LinkMemory) -> Self {
         Self {
             links: vec![None; MAX_LINKS as usize],
             routes: HashMap::new(),
             next_hops: [0; EGRESS_SET_SIZE as usize],
             own_bit: 0,
-            tx_counters,
+            link_memory,
         }
     }
 
@@ -89,17 +91,23 @@ impl UserTables {
         self.routes.len() < capacity || self.routes.contains_key(name)
     }
 
-    /// Returns the route the name had.
-    pub fn set_route(&mut self, name: Name, entry: FibEntry) -> Option<FibEntry> {
-        self.routes.insert(name, entry)
+    /// Returns the route the name had. `permitted`: links that may send to it, besides `entry.writer_link`.
+    pub fn set_route(&mut self, name: Name, entry: FibEntry, permitted: &[u32]) -> Option<(FibEntry, Box<[u32]>)> {
+        self.routes.insert(name, (entry, permitted.into()))
     }
 
-    pub fn remove_route(&mut self, name: &Name) -> Option<FibEntry> {
+    /// Returns the route the name had.
+    pub fn remove_route(&mut self, name: &Name) -> Option<(FibEntry, Box<[u32]>)> {
         self.routes.remove(name)
     }
 
     pub fn routes(&self) -> impl Iterator<Item = (&Name, &FibEntry)> {
-        self.routes.iter()
+        self.routes.iter().map(|(name, (entry, _))| (name, entry))
+    }
+
+    /// Links that may send to the name, besides the one in its entry.
+    pub fn permitted(&self, name: &Name) -> &[u32] {
+        self.routes.get(name).map_or(&[], |(_, permitted)| permitted)
     }
 
     pub fn set_next_hops(&mut self, next_hops: &[u32; EGRESS_SET_SIZE as usize]) {
@@ -122,7 +130,7 @@ impl Tables for UserTables {
     }
 
     fn route(&self, name: &Name) -> Option<&FibEntry> {
-        self.routes.get(name)
+        self.routes.get(name).map(|(entry, _)| entry)
     }
 
     fn next_hop(&self, bit: u32) -> u32 {
@@ -133,7 +141,15 @@ impl Tables for UserTables {
         self.own_bit
     }
 
-    fn next_counter(&self, link: &LinkEntry) -> u32 {
-        self.tx_counters.next(link.id)
+    fn is_permitted(&self, link: &LinkEntry, name: &Name) -> bool {
+        self.permitted(name).contains(&link.id)
+    }
+
+    fn window(&self, link: &LinkEntry) -> Option<impl Words> {
+        Some(self.link_memory.window(link.id))
+    }
+
+    fn next_count(&self, link: &LinkEntry) -> u64 {
+        self.link_memory.next_count(link.id)
     }
 }

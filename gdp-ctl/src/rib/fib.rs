@@ -7,8 +7,15 @@ use std::time::Duration;
 use gdp::control::{Extent, FibPush, Route};
 use gdp_wire::Name;
 
-/// Names in one push: an encoded route has about 115 bytes, and a message at most 64 KiB.
+/// Names in one push.
 const NAMES_PER_PUSH: usize = 400;
+
+/// Bytes of the routes in one push; a message has at most 64 KiB, and the rest is for what encloses them.
+const ROUTES_SIZE: usize = 56 * 1024;
+
+/// What an encoded route has without writers, and for each of them: names, field names.
+const ROUTE_SIZE: usize = 128;
+const WRITER_SIZE: usize = 34;
 
 /// How long after a push that failed the switch is sent its whole FIB.
 const RETRY: Duration = Duration::from_millis(500);
@@ -72,13 +79,13 @@ impl Fib {
     /// Makes `route` the desired one of its name, or none.
     pub fn set(&mut self, name: &Name, route: Option<Route>) {
         let key = name.to_bytes();
-        let old = match route {
+        if self.routes.get(&key) != route.as_ref() {
+            self.dirty.insert(key);
+        }
+        match route {
             Some(route) => self.routes.insert(key, route),
             None => self.routes.remove(&key),
         };
-        if old != route {
-            self.dirty.insert(key);
-        }
     }
 
     /// The masks or the own bit of the switch changed.
@@ -116,14 +123,17 @@ impl Fib {
                 if self.dirty.is_empty() && !self.masks_dirty {
                     return None;
                 }
-                let names: Vec<_> = self.dirty.iter().take(NAMES_PER_PUSH).copied().collect();
-                let (mut set, mut remove) = (Vec::new(), Vec::new());
-                for name in names {
-                    self.dirty.remove(&name);
-                    match self.routes.get(&name) {
-                        Some(route) => set.push(*route),
-                        None => remove.push(Name::from_bytes(name)),
+                let (mut set, mut remove, mut room) = (Vec::new(), Vec::new(), Room::new());
+                while let Some(name) = self.dirty.first() {
+                    let route = self.routes.get(name);
+                    if !room.takes(route) {
+                        break;
                     }
+                    match route {
+                        Some(route) => set.push(route.clone()),
+                        None => remove.push(Name::from_bytes(*name)),
+                    }
+                    self.dirty.pop_first();
                 }
                 (Extent::Delta, set, remove)
             }
@@ -177,12 +187,40 @@ impl Fib {
     }
 }
 
+/// What is left of a push.
+struct Room {
+    names: usize,
+    bytes: usize,
+}
+
+impl Room {
+    fn new() -> Self {
+        Self { names: NAMES_PER_PUSH, bytes: ROUTES_SIZE }
+    }
+
+    /// Makes room for a route, or for the name of one that is removed. An empty push takes any: a name has as many writers
+    /// as records of them fit a message, and these are many times as large.
+    fn takes(&mut self, route: Option<&Route>) -> bool {
+        let size = ROUTE_SIZE + route.map_or(0, |route| route.writers.len() * WRITER_SIZE);
+        if self.names == 0 || (self.bytes < size && self.names < NAMES_PER_PUSH) {
+            return false;
+        }
+        self.names -= 1;
+        self.bytes = self.bytes.saturating_sub(size);
+        true
+    }
+}
+
 /// The routes above `after` that one push takes, and whether they are the last.
 fn page(routes: &BTreeMap<[u8; 32], Route>, after: Option<[u8; 32]>) -> (Vec<Route>, bool) {
     use std::ops::Bound::{Excluded, Unbounded};
-    let mut rest = routes.range((after.map_or(Unbounded, Excluded), Unbounded)).map(|(_, route)| *route);
-    let set = rest.by_ref().take(NAMES_PER_PUSH).collect();
-    (set, rest.next().is_none())
+    let mut rest = routes.range((after.map_or(Unbounded, Excluded), Unbounded)).map(|(_, route)| route).peekable();
+    let mut room = Room::new();
+    let mut set = Vec::new();
+    while let Some(route) = rest.next_if(|route| room.takes(Some(route))) {
+        set.push(route.clone());
+    }
+    (set, rest.peek().is_none())
 }
 
 #[cfg(test)]
@@ -275,6 +313,28 @@ mod tests {
         }
     }
 
+    #[test]
+    fn a_push_of_names_with_many_writers_fits_a_message() {
+        let mut fib = Fib::default();
+        let writers: Vec<Name> = (0..60).map(name).collect();
+        for i in 0..100 {
+            fib.set(&name(i), Some(Route { writers: writers.clone(), ..route(i, 1) }));
+        }
+        let mut sent = 0;
+        let reach: Vec<_> = (0..63).map(|i| (name(i), u64::MAX)).collect();
+        while let Some(push) = fib.next(NOW, name(9), 0, reach.clone()) {
+            sent += push.set.len();
+            let generation = push.generation;
+            gdp::control::encode(&gdp::control::Request::Fib(push)).expect("it fits");
+            fib.answered(NOW, generation, Pushed::Done);
+            // The second half as changes.
+            if sent == 100 {
+                (0..100).for_each(|i| fib.set(&name(i), Some(Route { writers: writers.clone(), ..route(i, 2) })));
+            }
+        }
+        assert_eq!(sent, 200);
+    }
+
     /// A switch as the daemon implements it: marks, sweeps, insists on generations.
     #[derive(Default)]
     struct Switch {
@@ -323,6 +383,6 @@ mod tests {
     }
 
     fn route(i: u64, bits: u64) -> Route {
-        Route { name: name(i), egress_bits: bits, local: None }
+        Route { name: name(i), egress_bits: bits, local: None, writers: vec![] }
     }
 }

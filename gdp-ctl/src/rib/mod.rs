@@ -414,7 +414,7 @@ impl Rib {
         let (routes, affected) = self.names.routes(&name, |switch| topology.bit(switch));
         for switch in affected {
             if let Some(state) = self.switches.get_mut(&switch) {
-                state.fib.set(&Name::from_bytes(name), routes.get(&switch).copied());
+                state.fib.set(&Name::from_bytes(name), routes.get(&switch).cloned());
             }
         }
         self.names.sweep(&name);
@@ -525,7 +525,7 @@ impl Rib {
 
     /// What a switch's FIB should hold.
     pub fn desired(&self, switch: &Name) -> Vec<gdp::control::Route> {
-        self.switches.get(switch).map_or_else(Vec::new, |s| s.fib.routes().copied().collect())
+        self.switches.get(switch).map_or_else(Vec::new, |s| s.fib.routes().cloned().collect())
     }
 }
 

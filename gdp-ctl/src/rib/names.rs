@@ -205,9 +205,12 @@ impl Names {
             && !topic.writers.is_empty()
         {
             let name = Name::from_bytes(*name);
-            let route = |egress_bits| Route { name, egress_bits, local: None };
-            routes.extend(topic.writers.values().map(|writer| (writer.switch, route(1 << bit))));
-            routes.entry(registration.switch).or_insert(route(0)).local = Some(*reader);
+            let route = |egress_bits| Route { name, egress_bits, local: None, writers: Vec::new() };
+            for (writer, registration) in &topic.writers {
+                let here = routes.entry(registration.switch).or_insert_with(|| route(1 << bit));
+                here.writers.push(*writer);
+            }
+            routes.entry(registration.switch).or_insert_with(|| route(0)).local = Some(*reader);
         }
         let needed: BTreeSet<Name> = routes.keys().copied().collect();
         let before = std::mem::replace(&mut topic.routed, needed);

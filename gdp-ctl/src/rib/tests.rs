@@ -701,14 +701,14 @@ impl World {
                     held.routes.clear();
                 }
                 (held.own_bit, held.reach) = (push.own_bit, push.reach);
-                held.routes.extend(push.set.iter().map(|r| (r.name, *r)));
+                held.routes.extend(push.set.iter().map(|r| (r.name, r.clone())));
                 held.routes.retain(|name, _| !push.remove.contains(name));
                 self.rib.pushed(self.now, &push.switch, push.generation, Pushed::Done);
             }
         }
         for switch in &self.switches {
             let name = switch.name();
-            let held: Vec<_> = self.held[&name].routes.values().copied().collect();
+            let held: Vec<_> = self.held[&name].routes.values().cloned().collect();
             let mut desired = self.rib.desired(&name);
             desired.sort_by_key(|r| r.name);
             assert_eq!(held, desired);

@@ -45,7 +45,7 @@ pub struct Core {
     /// Endpoints that the RIB has attached here.
     pub attached: HashSet<Name>,
     /// Routes that the data plane refused, and why it refused the last.
-    unplaced: (BTreeMap<Name, FibEntry>, String),
+    unplaced: (BTreeMap<Name, (FibEntry, Vec<u32>)>, String),
     /// What an earlier daemon left, and the next hops that are known since.
     hold: (Hold, NextHops),
     start: Instant,
@@ -468,9 +468,9 @@ impl Core {
                     self.hold.1 = *next_hops;
                     self.planes.set_next_hops(&self.hold.0.next_hops(&next_hops))
                 }
-                Change::Set(name, entry) => {
+                Change::Set(name, entry, permitted) => {
                     let entry = self.hold.0.set(&name, entry, self.routes.awaits(&name));
-                    self.unplaced.0.insert(name, entry);
+                    self.unplaced.0.insert(name, (entry, permitted));
                     Ok(())
                 }
                 Change::Remove(name) => {
@@ -491,7 +491,8 @@ impl Core {
     /// Gives the data planes the routes they do not hold yet, as far as they take them.
     fn place(&mut self) {
         while let Some(route) = self.unplaced.0.first_entry() {
-            if let Err(error) = self.planes.set_route(*route.key(), *route.get()) {
+            let (entry, permitted) = route.get();
+            if let Err(error) = self.planes.set_route(*route.key(), *entry, permitted) {
                 self.unplaced.1 = error.to_string();
                 break;
             }

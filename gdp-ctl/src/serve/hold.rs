@@ -58,7 +58,10 @@ impl Hold {
     /// gets its frames on the one from before.
     pub fn set(&mut self, name: &Name, entry: FibEntry, awaits: bool) -> FibEntry {
         match self.routes.get(name) {
-            Some(held) if awaits => FibEntry { local_link: held.local_link, ..entry },
+            Some(held) if awaits => {
+                let writer_link = if entry.writer_link == 0 { held.writer_link } else { entry.writer_link };
+                FibEntry { local_link: held.local_link, writer_link, ..entry }
+            }
             _ => {
                 self.routes.remove(name);
                 entry
@@ -92,7 +95,7 @@ mod tests {
     #[test]
     fn a_route_stays_on_the_old_link_until_its_endpoint_has_a_new_one() {
         let (mut hold, _) = held();
-        let known = FibEntry { egress_bits: 3, local_link: 0, egress_set: 0 };
+        let known = FibEntry { egress_bits: 3, local_link: 0, egress_set: 0, ..FibEntry::default() };
         assert!(!hold.remove(&name(1), true), "the endpoint is not back yet");
         assert_eq!(hold.set(&name(1), known, true), FibEntry { local_link: OLD, ..known });
         let found = FibEntry { local_link: 0x2405, ..known };
@@ -137,7 +140,7 @@ mod tests {
 
     fn held() -> (Hold, LinkIds) {
         let ids = LinkIds::new();
-        let route = |i| (name(i), FibEntry { egress_bits: 1, local_link: OLD, egress_set: 0 });
+        let route = |i| (name(i), FibEntry { egress_bits: 1, local_link: OLD, egress_set: 0, ..FibEntry::default() });
         let mut next_hops = [0; EGRESS_SET_SIZE as usize];
         next_hops[1..3].copy_from_slice(&[OLD, 0x1499]);
         let links = vec![gdp_wire::LinkEntry { id: OLD, ..Default::default() }];

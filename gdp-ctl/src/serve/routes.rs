@@ -18,7 +18,8 @@ pub enum Change {
         bits: u64,
     },
     NextHops(Box<[u32; EGRESS_SET_SIZE as usize]>),
-    Set(Name, FibEntry),
+    /// With the links that may send to the name, besides the one in the entry.
+    Set(Name, FibEntry, Vec<u32>),
     Remove(Name),
 }
 
@@ -41,8 +42,8 @@ pub struct Routes {
     sweep: Option<(HashSet<Name>, u32)>,
     switches: HashMap<Name, u32>,
     endpoints: HashMap<Name, u32>,
-    /// Names delivered to each local endpoint.
-    delivered: HashMap<Name, BTreeSet<Name>>,
+    /// Names that each local endpoint reads or writes.
+    concerned: HashMap<Name, BTreeSet<Name>>,
 }
 
 impl Routes {
@@ -58,7 +59,7 @@ impl Routes {
             if let Some((unconfirmed, _)) = &mut self.sweep {
                 unconfirmed.remove(&route.name);
             }
-            changes.extend(self.set(*route));
+            changes.extend(self.set(route));
         }
         for name in &push.remove {
             changes.extend(self.remove(name));
@@ -90,7 +91,7 @@ impl Routes {
             }
             LinkRole::Endpoint => {
                 self.endpoints.insert(peer, link);
-                self.resolve_delivered(&peer)
+                self.resolve_all_of(&peer)
             }
         }
     }
@@ -104,7 +105,7 @@ impl Routes {
             }
             LinkRole::Endpoint if self.endpoints.get(&peer) == Some(&link) => {
                 self.endpoints.remove(&peer);
-                self.resolve_delivered(&peer)
+                self.resolve_all_of(&peer)
             }
             _ => Vec::new(),
         }
@@ -181,36 +182,37 @@ impl Routes {
         Change::NextHops(Box::new(next_hops))
     }
 
-    fn set(&mut self, route: Route) -> Option<Change> {
-        let before = self.routes.insert(route.name, route);
-        if before == Some(route) {
+    fn set(&mut self, route: &Route) -> Option<Change> {
+        let before = self.routes.insert(route.name, route.clone());
+        if before.as_ref() == Some(route) {
             return None;
         }
-        self.forget_delivery(before);
-        if let Some(local) = route.local {
-            self.delivered.entry(local).or_default().insert(route.name);
+        before.iter().for_each(|before| self.forget_concerned(before));
+        for entity in concerned(route) {
+            self.concerned.entry(*entity).or_default().insert(route.name);
         }
-        Some(self.resolve(&route))
+        Some(self.resolve(route))
     }
 
     fn remove(&mut self, name: &Name) -> Option<Change> {
         let before = self.routes.remove(name)?;
-        self.forget_delivery(Some(before));
+        self.forget_concerned(&before);
         Some(Change::Remove(*name))
     }
 
-    fn forget_delivery(&mut self, route: Option<Route>) {
-        let Some((route, local)) = route.and_then(|route| Some((route, route.local?))) else { return };
-        if let Some(names) = self.delivered.get_mut(&local) {
-            names.remove(&route.name);
-            if names.is_empty() {
-                self.delivered.remove(&local);
+    fn forget_concerned(&mut self, route: &Route) {
+        for entity in concerned(route) {
+            if let Some(names) = self.concerned.get_mut(entity) {
+                names.remove(&route.name);
+                if names.is_empty() {
+                    self.concerned.remove(entity);
+                }
             }
         }
     }
 
-    fn resolve_delivered(&self, endpoint: &Name) -> Vec<Change> {
-        let names = self.delivered.get(endpoint).into_iter().flatten();
+    fn resolve_all_of(&self, endpoint: &Name) -> Vec<Change> {
+        let names = self.concerned.get(endpoint).into_iter().flatten();
         names.filter_map(|name| self.routes.get(name)).map(|route| self.resolve(route)).collect()
     }
 
@@ -220,8 +222,23 @@ impl Routes {
         if route.egress_bits == 0 && local_link == 0 {
             return Change::Remove(route.name);
         }
-        Change::Set(route.name, FibEntry { egress_bits: route.egress_bits, local_link, egress_set: 0 })
+        let mut writers = route.writers.iter().filter_map(|writer| self.endpoints.get(writer)).copied();
+        let writer_link = writers.next().unwrap_or(0);
+        let others: Vec<u32> = writers.collect();
+        let entry = FibEntry {
+            egress_bits: route.egress_bits,
+            local_link,
+            egress_set: 0,
+            writer_link,
+            more_writers: u32::from(!others.is_empty()),
+        };
+        Change::Set(route.name, entry, others)
     }
+}
+
+/// The local endpoints that read or write a name.
+fn concerned(route: &Route) -> impl Iterator<Item = &Name> {
+    route.local.iter().chain(&route.writers)
 }
 
 #[cfg(test)]
@@ -235,10 +252,10 @@ mod tests {
         let changes = r.push(&first).unwrap();
         assert_eq!(changes[0], Change::OwnBit(2));
         assert!(changes.contains(&Change::Remove(name(1))), "its endpoint has no link yet");
-        assert!(changes.contains(&Change::Set(name(2), entry(4, 0))));
+        assert!(changes.contains(&set(2, entry(4, 0), &[])));
 
-        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 70), [Change::Set(name(1), entry(0, 70))]);
-        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 71), [Change::Set(name(1), entry(0, 71))], "it moved");
+        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 70), [set(1, entry(0, 70), &[])]);
+        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 71), [set(1, entry(0, 71), &[])], "it moved");
         assert_eq!(r.link_down(LinkRole::Endpoint, name(7), 70), [], "the old link no longer matters");
         assert_eq!(r.link_down(LinkRole::Endpoint, name(7), 71), [Change::Remove(name(1))]);
 
@@ -250,11 +267,28 @@ mod tests {
     }
 
     #[test]
+    fn writers_become_links_and_lose_their_permission_with_them() {
+        let mut r = Routes::default();
+        let written = |by: &[u8]| Route { writers: by.iter().copied().map(name).collect(), ..route(1, 4, None) };
+        let by = |writer_link, more_writers| FibEntry { writer_link, more_writers, ..entry(4, 0) };
+        let first = r.push(&push(1, Extent::Full { part: 0, last: true }, vec![written(&[7, 8, 9])])).unwrap();
+        assert!(first.contains(&set(1, by(0, 0), &[])), "none of them has a link");
+        assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 80), [set(1, by(80, 0), &[])]);
+        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 70), [set(1, by(70, 1), &[80])]);
+        assert_eq!(r.link_up(LinkRole::Endpoint, name(9), 90), [set(1, by(70, 1), &[80, 90])]);
+        assert_eq!(r.link_up(LinkRole::Endpoint, name(6), 60), [], "this one does not publish it");
+        assert_eq!(r.push(&push(2, Extent::Delta, vec![written(&[8, 9])])).unwrap(), [set(1, by(80, 1), &[90])]);
+        assert_eq!(r.link_down(LinkRole::Endpoint, name(7), 70), [], "nor does this one any more");
+        assert_eq!(r.link_down(LinkRole::Endpoint, name(8), 80), [set(1, by(90, 0), &[])]);
+        assert_eq!(r.link_down(LinkRole::Endpoint, name(9), 90), [set(1, by(0, 0), &[])]);
+    }
+
+    #[test]
     fn the_whole_sweeps_what_it_does_not_name() {
         let mut r = Routes::default();
         r.push(&push(1, Extent::Full { part: 0, last: true }, vec![route(1, 1, None), route(2, 1, None)])).unwrap();
         let changes = r.push(&push(9, Extent::Full { part: 0, last: false }, vec![route(3, 1, None)])).unwrap();
-        assert_eq!(changes, [Change::Set(name(3), entry(1, 0))], "nothing is swept before the last part");
+        assert_eq!(changes, [set(3, entry(1, 0), &[])], "nothing is swept before the last part");
         let changes = r.push(&push(10, Extent::Full { part: 1, last: true }, vec![route(2, 1, None)])).unwrap();
         assert_eq!(changes, [Change::Remove(name(1))], "and what was confirmed is not touched");
         assert_eq!(r.len(), 2);
@@ -283,11 +317,15 @@ mod tests {
     }
 
     fn route(i: u8, egress_bits: u64, local: Option<u8>) -> Route {
-        Route { name: name(i), egress_bits, local: local.map(name) }
+        Route { name: name(i), egress_bits, local: local.map(name), writers: vec![] }
+    }
+
+    fn set(i: u8, entry: FibEntry, permitted: &[u32]) -> Change {
+        Change::Set(name(i), entry, permitted.to_vec())
     }
 
     fn entry(egress_bits: u64, local_link: u32) -> FibEntry {
-        FibEntry { egress_bits, local_link, egress_set: 0 }
+        FibEntry { egress_bits, local_link, ..FibEntry::default() }
     }
 
     fn hops(change: &Change) -> &[u32; 64] {

@@ -112,6 +112,7 @@ fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, ent
         "own": entry.egress_bits & own != 0,
         "toward": core.routes.neighbours_toward(entry.egress_bits & !own),
         "local": local,
+        "writers": core.planes.writers(name).iter().filter_map(|link| peers.get(link)).collect::<Vec<_>>(),
         "local_link": entry.local_link,
     })
 }

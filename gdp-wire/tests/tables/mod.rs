@@ -1,9 +1,10 @@
 //! A data plane of plain collections: what a frame becomes according to `decide` and nothing else.
 
 use std::cell::RefCell;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use gdp_wire::forward::{self, Kind, Plane};
+use gdp_wire::replay::{self, Window};
 use gdp_wire::table::Tables;
 use gdp_wire::{Counter, FibEntry, Header, LinkEntry, Name};
 use zerocopy::{FromBytes, IntoBytes};
@@ -13,21 +14,25 @@ use crate::frames::fixtures::{Bytes, Expected, Switch, Verdict};
 pub struct PlainTables {
     links: HashMap<u32, LinkEntry>,
     routes: HashMap<Name, FibEntry>,
+    permits: HashSet<(u32, Name)>,
     next_hops: [u32; 64],
     own_bit: u64,
     ethertype: u16,
-    sent: RefCell<HashMap<u32, u32>>,
+    sent: RefCell<HashMap<u32, u64>>,
+    windows: HashMap<u32, Window>,
 }
 
 impl PlainTables {
     pub fn new(switch: &Switch) -> Self {
         Self {
             links: switch.links().map(|link| (link.id, link)).collect(),
-            routes: switch.routes().collect(),
+            routes: switch.routes().map(|(name, entry, _)| (name, entry)).collect(),
+            permits: switch.routes().flat_map(|(name, _, more)| more.iter().map(move |link| (*link, name))).collect(),
             next_hops: switch.next_hops(),
             own_bit: switch.config().own_bit,
             ethertype: switch.ethertype,
             sent: RefCell::new(switch.links.iter().map(|link| (link.id, link.tx_counter)).collect()),
+            windows: switch.links.iter().map(|link| (link.id, window(&link.taken))).collect(),
         }
     }
 
@@ -80,10 +85,24 @@ impl Tables for PlainTables {
         self.own_bit
     }
 
-    fn next_counter(&self, link: &LinkEntry) -> u32 {
+    fn is_permitted(&self, link: &LinkEntry, name: &Name) -> bool {
+        self.permits.contains(&(link.id, *name))
+    }
+
+    fn window(&self, link: &LinkEntry) -> Option<impl replay::Words> {
+        self.windows.get(&link.id)
+    }
+
+    fn next_count(&self, link: &LinkEntry) -> u64 {
         let mut sent = self.sent.borrow_mut();
         let count = sent.entry(link.id).or_default();
-        *count = count.wrapping_add(1);
+        *count += 1;
         *count
     }
+}
+
+fn window(taken: &[u64]) -> Window {
+    let window = replay::empty();
+    taken.iter().for_each(|count| assert!(replay::take(&window, *count), "{count} is there twice"));
+    window
 }

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
-use gdp_wire::{Counter, Header, forward};
+use gdp_wire::{Counter, Header, forward, replay};
 use quinn::VarInt;
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -32,10 +32,12 @@ async fn both_sides_prove_their_names_and_share_keys() {
     for (from, to, other_way) in [(&at_client, &at_server, &at_client), (&at_server, &at_client, &at_server)] {
         let mut header = Header::data(switch.name(), endpoint.name(), 0);
         forward::stamp(&mut header, from, 1);
-        assert_eq!(forward::accept(&header, Header::LEN, to), Ok(()));
+        let window = replay::empty();
+        assert_eq!(forward::accept(&header, Header::LEN, to, &window), Ok(()));
+        assert_eq!(forward::accept(&header, Header::LEN, to, &window), Err(Counter::Replayed));
         assert_ne!(from.tx_key, from.rx_key);
         header.set_link_id(other_way.id);
-        assert_eq!(forward::accept(&header, Header::LEN, other_way), Err(Counter::BadTag), "reflected");
+        assert_eq!(forward::accept(&header, Header::LEN, other_way, &window), Err(Counter::BadTag), "reflected");
     }
 }
 
@@ -218,7 +220,7 @@ async fn data_frames_pass_beside_quic() {
     let headers: Vec<Header> = (0..200u32)
         .map(|i| {
             let mut header = Header::data(client.peer().name, server.peer().name, payload.len() as u16);
-            forward::stamp(&mut header, &out, i);
+            forward::stamp(&mut header, &out, i.into());
             header
         })
         .collect();
@@ -227,13 +229,14 @@ async fn data_frames_pass_beside_quic() {
 
     let socket = listener.data();
     let received = tokio::task::spawn_blocking(move || {
+        let window = replay::empty();
         let (mut batch, mut count, deadline) = (RecvBatch::new(1500), 0, Instant::now() + Duration::from_secs(5));
         while count < 200 && Instant::now() < deadline {
             socket.wait_readable(Duration::from_millis(100)).unwrap();
             socket.try_recv_batch(&mut batch).unwrap();
             for (frame, _) in batch.frames() {
                 let header = Header::ref_from_prefix(frame).expect("aligned").0;
-                assert_eq!(forward::accept(header, frame.len(), &input), Ok(()));
+                assert_eq!(forward::accept(header, frame.len(), &input, &window), Ok(()));
                 assert_eq!(header.link_counter(), count);
                 assert_eq!(frame[Header::LEN..], payload);
                 count += 1;

@@ -78,7 +78,7 @@ fn send_batch(
         let header = &mut headers[count];
         // The writer keeps payloads within the link's MTU, which 16 bits can express.
         *header = Header::data(destination, source, body.len() as u16);
-        forward::stamp(header, &attachment.entry, attachment.next_counter());
+        forward::stamp(header, &attachment.entry, attachment.next_count());
         bodies[count] = body;
         count += 1;
     }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
+use gdp_wire::replay::{self, Window};
 use gdp_wire::{Header, LinkEntry, Name, forward};
 use tokio::sync::mpsc as async_mpsc;
 use zerocopy::FromBytes;
@@ -25,7 +26,7 @@ const ASK_AGAIN: Duration = Duration::from_millis(250);
 
 /// What the rest of the node tells the thread.
 pub enum Command {
-    /// Frames now come from this socket, on this link.
+    /// Frames now come from this socket, on this link, which is new.
     Attach {
         data: Arc<DataSocket>,
         entry: LinkEntry,
@@ -70,10 +71,8 @@ impl Receiver {
                 };
                 match command {
                     Ok(Command::Attach { data, entry, held }) => {
-                        let earlier = attached.take().filter(|_| held.is_some()).map(|(_, links)| links.held);
-                        let mut links = Links { current: entry, held: earlier.unwrap_or_default() };
-                        links.held.extend(held);
-                        attached = Some((data, links));
+                        let earlier = attached.take().map(|(_, links)| links);
+                        attached = Some((data, Links::after(earlier, entry, held)));
                     }
                     Ok(Command::Subscribe { name, intake }) => drop(state.intakes.insert(name, intake)),
                     Ok(Command::Unsubscribe { name }) => drop(state.intakes.remove(&name)),
@@ -83,11 +82,11 @@ impl Receiver {
                 }
             }
             let Some((data, links)) = &mut attached else { continue };
-            let entry = &links.current;
+            let mtu = links.current.entry.mtu as usize;
             // The largest frame the link may carry, or the socket would not be able to tell that one is too large.
-            let batch = batch.get_or_insert_with(|| RecvBatch::new(entry.mtu as usize));
-            if batch.largest() < entry.mtu as usize {
-                *batch = RecvBatch::new(entry.mtu as usize);
+            let batch = batch.get_or_insert_with(|| RecvBatch::new(mtu));
+            if batch.largest() < mtu {
+                *batch = RecvBatch::new(mtu);
             }
             match data.try_recv_batch(batch) {
                 Ok(0) => {
@@ -115,16 +114,46 @@ impl Receiver {
 
 /// The links that frames may come on.
 struct Links {
-    current: LinkEntry,
+    current: Ingress,
     /// Those that fell silent, and until when each is kept. A few: one is added each time the switch comes back.
-    held: Vec<(LinkEntry, Instant)>,
+    held: Vec<(Ingress, Instant)>,
 }
 
 impl Links {
+    fn new(entry: LinkEntry) -> Self {
+        Self { current: Ingress::new(entry), held: Vec::new() }
+    }
+
+    /// A new link; `held` is the one that fell silent, which goes on as it was among `earlier` ones.
+    fn after(earlier: Option<Self>, entry: LinkEntry, held: Option<(LinkEntry, Instant)>) -> Self {
+        let mut links = Self::new(entry);
+        let Some((silent, until)) = held else { return links };
+        match earlier {
+            Some(earlier) if earlier.current.entry.id == silent.id => {
+                links.held = earlier.held;
+                links.held.push((earlier.current, until));
+            }
+            _ => links.held.push((Ingress::new(silent), until)),
+        }
+        links
+    }
+
     /// The link a frame says it is on; the current one for a frame that is on none, to be refused by it.
-    fn of(&self, header: &Header) -> &LinkEntry {
-        let held = self.held.iter().map(|(entry, _)| entry).find(|entry| entry.id == header.link_id());
+    fn of(&self, header: &Header) -> &Ingress {
+        let held = self.held.iter().map(|(link, _)| link).find(|link| link.entry.id == header.link_id());
         held.unwrap_or(&self.current)
+    }
+}
+
+/// A link that frames come from, and which of them came.
+struct Ingress {
+    entry: LinkEntry,
+    window: Box<Window>,
+}
+
+impl Ingress {
+    fn new(entry: LinkEntry) -> Self {
+        Self { entry, window: Box::new(replay::empty()) }
     }
 }
 
@@ -164,7 +193,8 @@ impl Intakes {
                 counters.refused[gdp_wire::Counter::Truncated as usize].add(1);
                 continue;
             };
-            if let Err(counter) = forward::accept(header, frame.len(), links.of(header)) {
+            let link = links.of(header);
+            if let Err(counter) = forward::accept(header, frame.len(), &link.entry, &*link.window) {
                 counters.refused[counter as usize].add(1);
                 continue;
             }
@@ -215,29 +245,54 @@ mod tests {
     use crate::seal::{EpochKey, Limits, Reader};
     use zerocopy::IntoBytes;
 
+    const NAME: Name = Name::from_bytes([1; 32]);
+
     #[test]
     fn many_unknown_sources_cause_one_question() {
-        let name = Name::from_bytes([1; 32]);
-        let reader = Reader::new(name, &EpochKey::from_bytes([2; 32]), Backend::default(), Limits::default());
-        let intake = Intake::new(reader, async_mpsc::channel(1).0, Arc::default(), 1, Duration::ZERO);
-        let mut intakes = Intakes {
-            intakes: HashMap::from([(name, Box::new(intake))]),
-            held: Held::default(),
-            asked: HashMap::new(),
-            start: Instant::now(),
-        };
-        let (link, counters) = (LinkEntry::default(), Counters::default());
-        let links = Links { current: link, held: Vec::new() };
+        let (name, mut intakes) = (NAME, subscribed());
+        let (link, counters) = (Links::new(LinkEntry::default()), Counters::default());
         let (events, mut asked) = async_mpsc::unbounded_channel();
         let mut batch = RecvBatch::new(1500);
         for source in 0..50 {
             let mut header = Header::data(name, Name::from_bytes([source; 32]), 0);
-            forward::stamp(&mut header, &link, 1);
+            forward::stamp(&mut header, &link.current.entry, source.into());
             assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
         }
-        intakes.take(&mut batch, &links, &counters, &events);
+        intakes.take(&mut batch, &link, &counters, &events);
         assert!(matches!(asked.try_recv(), Ok(Event::UnknownWriter { name: about }) if about == name));
         assert!(asked.try_recv().is_err());
         assert!(counters.snapshot(0).drops.is_empty(), "the frames wait for the answer");
+    }
+
+    #[test]
+    fn a_frame_that_comes_again_on_its_link_is_refused() {
+        let mut intakes = subscribed();
+        let (entry, counters) = (LinkEntry::default(), Counters::default());
+        let (events, _asked) = async_mpsc::unbounded_channel();
+        let mut take = |link: &Links, counts: &[u64]| {
+            let mut batch = RecvBatch::new(1500);
+            for count in counts {
+                let mut header = Header::data(NAME, Name::from_bytes([9; 32]), 0);
+                forward::stamp(&mut header, &entry, *count);
+                assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
+            }
+            intakes.take(&mut batch, link, &counters, &events);
+            counters.refused[gdp_wire::Counter::Replayed as usize].get()
+        };
+        let link = Links::new(entry);
+        assert_eq!(take(&link, &[1, 3, 2, 1]), 1);
+        assert_eq!(take(&link, &[4, 3, 2]), 3, "in another batch");
+        assert_eq!(take(&Links::new(entry), &[1, 2]), 3, "a new link counts anew");
+    }
+
+    fn subscribed() -> Intakes {
+        let reader = Reader::new(NAME, &EpochKey::from_bytes([2; 32]), Backend::default(), Limits::default());
+        let intake = Intake::new(reader, async_mpsc::channel(1).0, Arc::default(), 1, Duration::ZERO);
+        Intakes {
+            intakes: HashMap::from([(NAME, Box::new(intake))]),
+            held: Held::default(),
+            asked: HashMap::new(),
+            start: Instant::now(),
+        }
     }
 }

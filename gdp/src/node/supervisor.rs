@@ -3,7 +3,7 @@
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use gdp_wire::table::PORT_USERSPACE;
@@ -48,16 +48,17 @@ pub struct Attachment {
     pub link: Link,
     pub entry: LinkEntry,
     pub data: Arc<DataSocket>,
-    counter: AtomicU32,
+    count: AtomicU64,
 }
 
 impl Attachment {
     fn new(link: Link, port: &Port) -> Self {
-        Self { entry: link.entry(PORT_USERSPACE), link, data: port.data(), counter: AtomicU32::new(0) }
+        Self { entry: link.entry(PORT_USERSPACE), link, data: port.data(), count: AtomicU64::new(0) }
     }
 
-    pub fn next_counter(&self) -> u32 {
-        self.counter.fetch_add(1, Ordering::Relaxed).wrapping_add(1)
+    /// The count for the next frame: 1 for the first.
+    pub fn next_count(&self) -> u64 {
+        self.count.fetch_add(1, Ordering::Relaxed).wrapping_add(1)
     }
 
     /// Largest payload of a frame, in bytes.

@@ -58,7 +58,7 @@ fn main() -> Result<()> {
     for hops in [1, 3] {
         for kind in [Kind::Xdp, Kind::Ip, Kind::Userspace] {
             let path = Path::build(kind, hops, &options.ebpf_object)?;
-            let generator = Generator::new(path.chain(), &options.bench_object)?;
+            let generator = Generator::new(path.chain(), &path.robot_link(), &options.bench_object)?;
             paths.push((path, generator));
         }
     }

@@ -96,6 +96,16 @@ impl Path {
         }
     }
 
+    /// The link that the robot's frames leave by, as the robot holds it; none for IP.
+    pub fn robot_link(&self) -> LinkEntry {
+        match self.kind {
+            Kind::Ip => LinkEntry::default(),
+            Kind::Xdp | Kind::Userspace => {
+                LinkEntry { id: LEFT, peer_id: LEFT, tx_key: key(0), ..LinkEntry::default() }
+            }
+        }
+    }
+
     /// The frames took the way that was to be measured, and no other.
     pub fn check(&self) -> Result<()> {
         for (i, switch) in self.switches.iter().enumerate() {
@@ -135,7 +145,8 @@ impl Switch {
         planes.set_link(link(RIGHT, last, (beyond, key(i + 1)), (mac(i + 1, 2), mac(i + 1, 1))), addresses[1])?;
         if first || last {
             let local_link = if last { RIGHT } else { 0 };
-            planes.set_route(TOPIC, FibEntry { egress_bits: 1 << (hops - 1), local_link, egress_set: 0 })?;
+            let entry = FibEntry { egress_bits: 1 << (hops - 1), local_link, writer_link: LEFT, ..FibEntry::default() };
+            planes.set_route(TOPIC, entry, &[])?;
         }
         let mut next_hops = [0; 64];
         (i + 1..hops).for_each(|bit| next_hops[bit] = RIGHT);

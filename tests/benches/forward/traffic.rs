@@ -13,6 +13,7 @@ use aya::{Ebpf, Pod};
 use gdp::port::Interface;
 use gdp_tests::chain::Chain;
 use gdp_tests::wait::wait_for;
+use gdp_wire::LinkEntry;
 
 /// Frames the kernel sends at a time: a quarter of a veth's ring.
 const BATCH: u32 = 64;
@@ -50,7 +51,8 @@ pub struct Rate {
 }
 
 impl Generator {
-    pub fn new(chain: &Chain, object: &Path) -> Result<Self> {
+    /// `link`: how frames are counted and tagged; one with id 0 if they are no GDP frames.
+    pub fn new(chain: &Chain, link: &LinkEntry, object: &Path) -> Result<Self> {
         let loaded = Ebpf::load_file(object);
         let mut programs = loaded.with_context(|| format!("cannot load {}", object.display()))?;
         for name in ["sink", "generate"] {
@@ -65,6 +67,8 @@ impl Generator {
             let _inside = chain.robot().enter()?;
             out.set(0, Interface::find("r0")?.index, None, 0)?;
         }
+        let mut out_link: Array<MapData, LinkEntry> = map(&mut programs, "LINK")?;
+        out_link.set(0, link, 0)?;
         Ok(Self {
             template: map(&mut programs, "TEMPLATE")?,
             sent: map(&mut programs, "SENT")?,

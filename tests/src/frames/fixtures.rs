@@ -38,8 +38,13 @@ pub struct Link {
     pub mtu: u32,
     pub peer_mac: String,
     pub local_mac: String,
+    /// The neighbour's name.
+    pub peer: String,
     /// Frames sent on the link before the case.
-    pub tx_counter: u32,
+    pub tx_counter: u64,
+    /// Counts of frames that arrived on the link before the case.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub taken: Vec<u64>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -58,6 +63,8 @@ pub struct Route {
     pub egress_set: u8,
     /// 0: none.
     pub local_link: u32,
+    /// The links of the endpoints that may send to the name.
+    pub writers: Vec<u32>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -134,15 +141,19 @@ impl Switch {
         self.links.iter().map(Link::entry)
     }
 
-    pub fn routes(&self) -> impl Iterator<Item = (gdp_wire::Name, gdp_wire::FibEntry)> {
+    /// With the links that need a permit, because the entry has room for one only.
+    pub fn routes(&self) -> impl Iterator<Item = (gdp_wire::Name, gdp_wire::FibEntry, &[u32])> {
         self.routes.iter().map(|route| {
             let name = gdp_wire::Name::from_bytes(array(&route.name));
+            let (first, more) = route.writers.split_first().unwrap_or((&0, &[]));
             let entry = gdp_wire::FibEntry {
                 egress_bits: bits(&route.egress),
                 local_link: route.local_link,
                 egress_set: route.egress_set.into(),
+                writer_link: *first,
+                more_writers: u32::from(!more.is_empty()),
             };
-            (name, entry)
+            (name, entry, more)
         })
     }
 
@@ -169,6 +180,7 @@ impl Link {
             mtu: self.mtu,
             peer_mac: mac(&self.peer_mac),
             local_mac: mac(&self.local_mac),
+            peer: gdp_wire::Name::from_bytes(array(&self.peer)),
         }
     }
 }

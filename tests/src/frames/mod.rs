@@ -23,7 +23,8 @@ pub struct Frame {
     pub header_words: u8,
     pub reserved: u8,
     pub link_id: u32,
-    pub link_counter: u32,
+    /// The sender's count of frames on the link; the header has its low half, the tag covers all of it.
+    pub link_counter: u64,
     /// `None`: made with `key`.
     pub tag: Option<u64>,
     pub key: [u64; 2],
@@ -87,18 +88,23 @@ impl Frame {
         h[4..6].copy_from_slice(&payload_len.to_be_bytes());
         h[6..8].copy_from_slice(&[self.header_words, self.reserved]);
         h[8..12].copy_from_slice(&self.link_id.to_be_bytes());
-        h[12..16].copy_from_slice(&self.link_counter.to_be_bytes());
+        h[12..16].copy_from_slice(&(self.link_counter as u32).to_be_bytes());
         h[24..32].copy_from_slice(&self.egress_bits.to_be_bytes());
         h[32..64].copy_from_slice(&self.destination);
         h[64..].copy_from_slice(&self.source);
-        let tag = self.tag.unwrap_or_else(|| hop_tag(self.key, &h));
+        let tag = self.tag.unwrap_or_else(|| hop_tag(self.key, self.link_counter, &h));
         h[16..24].copy_from_slice(&tag.to_be_bytes());
         h
     }
 }
 
-/// The hop tag: SipHash-2-4 over the header without bytes 16 to 23, where the tag itself goes.
-pub fn hop_tag(key: [u64; 2], header: &[u8; 96]) -> u64 {
+/// The hop tag: SipHash-2-4 over the header without bytes 16 to 23, where the tag itself goes, and with the high half of
+/// the link's count on top of the link id.
+pub fn hop_tag(key: [u64; 2], count: u64, header: &[u8; 96]) -> u64 {
+    let mut header = *header;
+    for (byte, high) in header[8..12].iter_mut().zip(((count >> 32) as u32).to_be_bytes()) {
+        *byte ^= high;
+    }
     let word = |i: usize| u64::from_le_bytes(header[i * 8..i * 8 + 8].try_into().expect("eight bytes"));
     let words: [u64; 11] = std::array::from_fn(|i| word(if i < 2 { i } else { i + 1 }));
     siphash24(key, &words)

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use gdp_wire::replay::{self, Window};
 use gdp_wire::table::PORT_USERSPACE;
 use gdp_wire::{Header, LinkEntry, Name, forward};
 use zerocopy::{FromBytes, IntoBytes};
@@ -37,6 +38,8 @@ struct Running {
 #[derive(Default)]
 struct Rib {
     links: HashMap<u32, Link>,
+    windows: HashMap<u32, Window>,
+    counts: HashMap<u32, u64>,
     serials: HashMap<Name, u64>,
     writers: HashMap<Name, Vec<Record>>,
     subscribers: HashMap<Name, Name>,
@@ -68,7 +71,7 @@ impl Fabric {
             while !stopped.load(Ordering::Relaxed) {
                 data.wait_readable(Duration::from_millis(20)).unwrap();
                 while data.try_recv_batch(&mut batch).unwrap() > 0 {
-                    batch.frames().for_each(|(frame, _)| forward_frame(frame, &lock(&rib), &data));
+                    batch.frames().for_each(|(frame, _)| forward_frame(frame, &mut lock(&rib), &data));
                 }
             }
         });
@@ -294,16 +297,19 @@ impl Rib {
     }
 }
 
-fn forward_frame(frame: &mut [u8], rib: &Rib, data: &crate::port::DataSocket) {
+fn forward_frame(frame: &mut [u8], rib: &mut Rib, data: &crate::port::DataSocket) {
     let available = frame.len();
     let Ok((header, payload)) = Header::mut_from_prefix(frame) else { return };
     let Some((ingress, _)) = rib.entry(header.link_id()) else { return };
-    if forward::accept(header, available, &ingress).is_err() {
+    let window = rib.windows.entry(ingress.id).or_insert_with(replay::empty);
+    if forward::accept(header, available, &ingress, window).is_err() {
         return;
     }
     let Some(subscriber) = rib.subscribers.get(&header.destination) else { return };
     let Some(link) = rib.links.values().find(|link| link.peer().name == *subscriber) else { return };
     let (egress, to) = (link.entry(PORT_USERSPACE), link.addr());
-    forward::stamp(header, &egress, header.link_counter());
+    let count = rib.counts.entry(egress.id).or_default();
+    *count += 1;
+    forward::stamp(header, &egress, *count);
     data.send_batch([OutFrame { to, head: header.as_bytes(), body: payload }]);
 }
