@@ -131,8 +131,8 @@ fn route<'t, T: Tables>(
         }
         let entry = tables.route(&header.destination).ok_or(Counter::NoRoute)?;
         let listed = entry.writer_link == ingress.id || entry.writer_link == ANY_WRITER;
-        let others_may = entry.more_writers != 0;
-        if !listed && !(others_may && tables.is_permitted(ingress, &header.destination)) {
+        let may_send = listed || entry.more_writers != 0 && tables.is_permitted(ingress, &header.destination);
+        if !may_send {
             return Err(Counter::NotPermitted);
         }
         (entry.egress_bits, entry.egress_set as u8)
