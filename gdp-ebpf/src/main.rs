@@ -4,13 +4,19 @@
 //! Loaded by `gdp_ctl::plane::kernel`. The modules are the maps, each with the rule of who may write it when, and
 //! [`packet`]. Only this file turns outcomes into XDP actions and counters.
 //!
-//! Two programs do the same: [`gdp_switch`] takes packets that span several buffers (MTU above about 3500), which
-//! kernels before 5.18 cannot; for those there is [`gdp_switch_linear`].
+//! [`gdp_switch`] runs where a frame arrives, [`gdp_egress`] where the kernel has been told to send it. The second is there for the
+//! copies of a frame; but the kernel runs one program over all frames that leave by an interface together, so every frame
+//! comes by it.
+//!
+//! Of both there are two that do the same: those above take packets that span several buffers (MTU above about 3500), which
+//! kernels before 5.18 cannot; for those there are [`gdp_switch_linear`] and [`gdp_egress_linear`].
 #![cfg_attr(target_arch = "bpf", no_std, no_main, feature(asm_experimental_arch))]
 
 mod config;
+mod copies;
 mod counters;
 mod fib;
+mod groups;
 mod links;
 mod packet;
 mod ports;
@@ -20,7 +26,7 @@ mod windows;
 use aya_ebpf::bindings::xdp_action::{XDP_DROP, XDP_PASS, XDP_REDIRECT};
 use aya_ebpf::macros::xdp;
 use aya_ebpf::programs::XdpContext;
-use gdp_wire::forward::{self, Kind, Verdict};
+use gdp_wire::forward::{self, Copy, Kind, Verdict};
 use gdp_wire::{Counter, Header, LinkEntry};
 
 use crate::packet::Packet;
@@ -38,6 +44,18 @@ pub fn gdp_switch(context: XdpContext) -> u32 {
 pub fn gdp_switch_linear(context: XdpContext) -> u32 {
     let length = context.data_end().saturating_sub(context.data());
     act(handle(&context, length))
+}
+
+/// What leaves, on kernels from 5.18 on.
+#[xdp(frags, map = "devmap")]
+pub fn gdp_egress(context: XdpContext) -> u32 {
+    act_at_egress(leave(&context))
+}
+
+/// What leaves, on older kernels.
+#[xdp(map = "devmap")]
+pub fn gdp_egress_linear(context: XdpContext) -> u32 {
+    act_at_egress(leave(&context))
 }
 
 /// For the interface of an endpoint on a veth: a veth takes redirected frames only if its other end runs a program
@@ -67,6 +85,33 @@ fn act(outcome: Outcome) -> u32 {
     action
 }
 
+/// What becomes of a packet that leaves.
+enum Departure {
+    /// It was made for its link before.
+    Ready,
+    /// It is a copy, now made for its link.
+    Copied(Counter),
+    /// It is a copy that nobody needs.
+    Superfluous,
+    Dropped(Counter),
+}
+
+#[inline(always)]
+fn act_at_egress(departure: Departure) -> u32 {
+    match departure {
+        Departure::Ready => XDP_PASS,
+        Departure::Copied(counter) => {
+            counters::count(counter);
+            XDP_PASS
+        }
+        Departure::Superfluous => XDP_DROP,
+        Departure::Dropped(counter) => {
+            counters::count(counter);
+            XDP_DROP
+        }
+    }
+}
+
 #[inline(always)]
 fn handle(context: &XdpContext, length: usize) -> Outcome {
     let Some(packet) = Packet::parse(context, length) else { return Outcome::Dropped(Counter::Truncated) };
@@ -83,9 +128,9 @@ fn handle(context: &XdpContext, length: usize) -> Outcome {
 
 #[inline(always)]
 fn forward_frame(context: &XdpContext, mut packet: Packet) -> Outcome {
-    let length = packet.frame_length();
+    let (length, in_one_buffer) = (packet.frame_length(), packet.is_in_one_buffer());
     let Some(header) = packet.header() else { return Outcome::Dropped(Counter::Truncated) };
-    match forward::decide(header, length, &Maps) {
+    match forward::decide(header, length, &Maps { in_one_buffer }) {
         Verdict::Send(link, counter) => {
             packet.address(link);
             send(link, counter)
@@ -94,18 +139,44 @@ fn forward_frame(context: &XdpContext, mut packet: Packet) -> Outcome {
             packet.address(link);
             if packet::cut(context, length - Header::LEN) { send(link, counter) } else { Outcome::Dropped(counter) }
         }
-        // The kernel leaves these to the daemon, so they do not come up.
-        Verdict::Notice(_) | Verdict::Copies(_) | Verdict::Slow => Outcome::Passed(Counter::Slow),
+        Verdict::Copies(group) if copies::label(&mut packet, group) && groups::redirect(group) => {
+            Outcome::Redirected(Counter::Replicated)
+        }
+        Verdict::Copies(_) => Outcome::Dropped(Counter::RedirectFailed),
+        // The kernel leaves a notice to the daemon as well.
+        Verdict::Notice(_) | Verdict::Slow => Outcome::Passed(Counter::Slow),
         Verdict::Drop(counter) => Outcome::Dropped(counter),
     }
 }
 
 #[inline(always)]
 fn send(link: &LinkEntry, counter: Counter) -> Outcome {
-    if ports::redirect(link.port) {
-        Outcome::Redirected(counter)
-    } else {
-        Outcome::Dropped(Counter::RedirectFailed)
+    if ports::redirect(link.port) { Outcome::Redirected(counter) } else { Outcome::Dropped(Counter::RedirectFailed) }
+}
+
+#[inline(always)]
+fn leave(context: &XdpContext) -> Departure {
+    let here = context.data_end().saturating_sub(context.data());
+    let Some(mut packet) = Packet::parse(context, here) else { return Departure::Ready };
+    let label = packet.label();
+    if !label.is_one() {
+        return Departure::Ready;
+    }
+    // SAFETY: the context of a program that runs in a device map has the field.
+    let interface = unsafe { (*context.ctx).egress_ifindex };
+    let Some(link) = label.place(interface).and_then(|place| groups::link_at(&place)).and_then(links::get) else {
+        return Departure::Superfluous;
+    };
+    let length = packet.frame_length();
+    let Some(header) = packet.header() else { return Departure::Dropped(Counter::Truncated) };
+    let Some(ingress) = links::get(header.link_id()) else { return Departure::Dropped(Counter::NoLink) };
+    match forward::copy(header, length, link, ingress, &Maps { in_one_buffer: true }) {
+        Copy::Send(counter) => {
+            packet.address(link);
+            Departure::Copied(counter)
+        }
+        Copy::None => Departure::Superfluous,
+        Copy::Drop(counter) => Departure::Dropped(counter),
     }
 }
 

@@ -4,6 +4,8 @@ use aya_ebpf::helpers::{bpf_xdp_adjust_tail, bpf_xdp_get_buff_len};
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::{Header, LinkEntry};
 
+use crate::copies::Label;
+
 const ETHERNET_LEN: usize = 14;
 
 /// The first bytes of an Ethernet frame, as words of the alignment they have.
@@ -14,12 +16,12 @@ struct Ethernet {
     ethertype: u16,
 }
 
-const _: () = assert!(size_of::<Ethernet>() == ETHERNET_LEN);
+const _: () = assert!(size_of::<Ethernet>() == ETHERNET_LEN && size_of::<Label>() <= ETHERNET_LEN);
 
 /// A packet that is at least an Ethernet header long.
 pub struct Packet {
     start: usize,
-    /// End of what can be read here; the packet may go on in further buffers.
+    /// End of what can be read here.
     end: usize,
     /// Bytes of the whole packet.
     length: usize,
@@ -60,6 +62,26 @@ impl Packet {
         // address is a multiple of 2 only: in the machine code of all targets the kernel compiles this for, an
         // unaligned word access is an ordinary one, whereas telling the compiler so makes it build every word from bytes.
         (at + Header::LEN <= self.end).then(|| unsafe { &mut *(at as *mut Header) })
+    }
+
+    /// Whether all of it can be read here; otherwise it goes on in further buffers.
+    #[inline(always)]
+    pub fn is_in_one_buffer(&self) -> bool {
+        self.length == self.end - self.start
+    }
+
+    /// What lies where the Ethernet addresses do.
+    #[inline(always)]
+    pub fn label(&self) -> Label {
+        // SAFETY: `parse` checked the bounds, and any bytes are a label.
+        unsafe { *(self.start as *const Label) }
+    }
+
+    /// Writes over the Ethernet addresses.
+    #[inline(always)]
+    pub fn set_label(&mut self, label: Label) {
+        // SAFETY: `parse` checked the bounds.
+        unsafe { *(self.start as *mut Label) = label };
     }
 
     /// Writes the addresses of `link` into the Ethernet header.

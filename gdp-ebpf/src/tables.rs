@@ -1,12 +1,15 @@
 //! The BPF maps as the tables that the forwarding decision asks.
 
 use gdp_wire::replay::Words;
-use gdp_wire::table::{PORT_USERSPACE, Tables};
+use gdp_wire::table::{MAX_COPIED_FRAME, PORT_USERSPACE, Tables};
 use gdp_wire::{FibEntry, LinkEntry, Name, Permit};
 
-use crate::{config, fib, links, windows};
+use crate::{config, fib, groups, links, windows};
 
-pub struct Maps;
+pub struct Maps {
+    /// Whether the frame lies in one buffer: the kernel copies no others.
+    pub in_one_buffer: bool,
+}
 
 impl Tables for Maps {
     /// There is the userspace plane.
@@ -53,8 +56,8 @@ impl Tables for Maps {
     }
 
     #[inline(always)]
-    fn can_copy(&self, _group: u32, _available: usize) -> bool {
-        false
+    fn can_copy(&self, group: u32, available: usize) -> bool {
+        self.in_one_buffer && available <= MAX_COPIED_FRAME && groups::is_ready(group)
     }
 
     #[inline(always)]

@@ -36,6 +36,10 @@ pub const MAX_GROUPS: u32 = 256;
 /// Links in a group that the kernel copies frames to.
 pub const MAX_COPIES: u32 = 128;
 
+/// Bytes of a GDP frame that the kernel copies. Its copies, with what lies before them in memory, must fit a page of 4096 bytes;
+/// those that do not vanish without a trace.
+pub const MAX_COPIED_FRAME: usize = 3400;
+
 /// `FibEntry::writer_link` where any endpoint may send to the name, as its own source: while what a daemon left that is no more
 /// is held, which knew its writers by links that are being made anew.
 pub const ANY_WRITER: u32 = u32::MAX;
@@ -181,6 +185,28 @@ impl Permit {
     pub const SOURCE: u32 = 1;
 }
 
+/// A place in a group: which link gets the copy with this index, of those that leave by one interface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[repr(C)]
+pub struct GroupPlace {
+    pub group: u32,
+    /// Index of the interface.
+    pub interface: u32,
+    /// 0 for the first copy that leaves there.
+    pub index: u32,
+}
+
+/// Copies of one frame that have left by an interface, on one CPU.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(C)]
+pub struct CopyCount {
+    /// Number of the frame, the low 48 bits.
+    pub sequence: u64,
+    pub copies: u32,
+    /// Zero.
+    pub reserved: u32,
+}
+
 /// What a switch knows of itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C)]
@@ -244,6 +270,8 @@ const _: () = {
     // With its name and a generation, one.
     assert!(size_of::<FibEntry>() == 24 && align_of::<FibEntry>() == 8);
     assert!(size_of::<Permit>() == 40 && align_of::<Permit>() == 8);
+    assert!(size_of::<GroupPlace>() == 12 && align_of::<GroupPlace>() == 4);
+    assert!(size_of::<CopyCount>() == 16 && align_of::<CopyCount>() == 8);
     assert!(size_of::<SwitchConfig>() == 16 && align_of::<SwitchConfig>() == 8);
     assert!(MAX_LINKS.is_power_of_two());
 };
@@ -258,6 +286,10 @@ mod pod {
     unsafe impl aya::Pod for super::SwitchConfig {}
     // SAFETY: as above.
     unsafe impl aya::Pod for super::Permit {}
+    // SAFETY: as above.
+    unsafe impl aya::Pod for super::GroupPlace {}
+    // SAFETY: as above.
+    unsafe impl aya::Pod for super::CopyCount {}
     // SAFETY: four u64.
     unsafe impl aya::Pod for crate::Name {}
 }

@@ -6,14 +6,16 @@
 //!
 //! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`], [`explain`] and [`xdp_features`] serve it
 //! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
-//! - [`groups`]: which links take copies of a frame
+//! - [`groups`]: which links take copies of a frame; [`kernel_groups`] and [`group_places`]: what the kernel holds of them
 //! - [`link_memory`]: what the two planes share
 //! - [`pins`]: what stays in the kernel when the daemon dies
 
 pub mod explain;
 pub mod forwarder;
+pub mod group_places;
 pub mod groups;
 pub mod kernel;
+pub mod kernel_groups;
 pub mod kernel_version;
 pub mod link_memory;
 pub mod object;
@@ -26,10 +28,11 @@ use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLockReadGuard, RwLockWriteGuard};
 
 use gdp::port::{DataSocket, Interface, LinkAddr};
-use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, PORT_USERSPACE, Tables, mac_bytes};
-use gdp_wire::{Counter, FibEntry, LinkEntry, Name, Permit, SwitchConfig};
+use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS, PORT_USERSPACE, Tables, mac_bytes};
+use gdp_wire::{Counter, FibEntry, LinkEntry, LinkRole, Name, Permit, SwitchConfig};
 
 use forwarder::{Forwarder, Medium, Shared};
+use group_places::Member;
 use groups::Groups;
 use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
 use link_memory::LinkMemory;
@@ -188,6 +191,7 @@ impl Planes {
             Some(adopted) => planes.adopt(adopted)?,
             None => planes.set_own_bit(0)?,
         }
+        planes.set_kernel_group(NEIGHBOURS);
         Ok(planes)
     }
 
@@ -208,6 +212,7 @@ impl Planes {
                 tracing::warn!(%error, "a program of an earlier daemon stays on an interface");
             }
         }
+        self.set_all_kernel_groups();
         self.refresh()
     }
 
@@ -224,6 +229,7 @@ impl Planes {
         let in_kernel = self.make_port(interface.index)?;
         let port = Port { in_kernel, attached, interface: interface.name.clone(), reason, forwarder };
         self.ports.insert(interface.index, port);
+        self.set_all_kernel_groups();
         self.refresh()?;
         Ok(self.report_of(interface.index, &self.ports[&interface.index]))
     }
@@ -231,6 +237,14 @@ impl Planes {
     /// Lets go of an interface; what arrives there is no longer forwarded. An unknown one is no error.
     pub fn detach(&mut self, ifindex: u32) {
         let Some(port) = self.ports.remove(&ifindex) else { return };
+        if let Some(left) = &mut self.left {
+            left.ports.remove(&ifindex);
+        }
+        self.let_go(ifindex, &port);
+        self.set_all_kernel_groups();
+    }
+
+    fn let_go(&mut self, ifindex: u32, port: &Port) {
         if let Ok(kernel) = &mut self.kernel
             && let Err(error) = kernel.detach(ifindex)
         {
@@ -240,16 +254,13 @@ impl Planes {
         if let (true, Ok(kernel)) = (port.in_kernel, &mut self.kernel) {
             let _ = kernel.clear_port(ifindex);
         }
-        if let Some(left) = &mut self.left {
-            left.ports.remove(&ifindex);
-        }
     }
 
     /// Lets go of everything; nothing stays in the kernel.
     pub fn detach_all(&mut self) {
         self.stop_threads();
-        for ifindex in self.ports.keys().copied().collect::<Vec<_>>() {
-            self.detach(ifindex);
+        for (ifindex, port) in std::mem::take(&mut self.ports) {
+            self.let_go(ifindex, &port);
         }
         self.udp = None;
         self.left = None;
@@ -293,19 +304,24 @@ impl Planes {
         if tables.link(entry.id).is_none() {
             self.link_memory.begin(entry.id);
         }
-        tables.set_link(entry, to);
+        let before = tables.set_link(entry, to);
         drop(tables);
         if let Ok(kernel) = &mut self.kernel {
             kernel.set_link(&entry)?;
+        }
+        let place = |link: &LinkEntry| (link.id, link.role, link.port);
+        if before.as_ref().map(place) != Some(place(&entry)) {
+            self.set_kernel_groups_of(before.as_slice());
+            self.set_kernel_groups_of(&[entry]);
         }
         Ok(())
     }
 
     /// An unknown link is no error.
     pub fn remove_link(&mut self, id: u32) -> Result<(), PlaneError> {
-        if self.tables().remove_link(id).is_some()
-            && let Ok(kernel) = &mut self.kernel
-        {
+        let Some(removed) = self.tables().remove_link(id) else { return Ok(()) };
+        self.set_kernel_groups_of(&[removed]);
+        if let Ok(kernel) = &mut self.kernel {
             kernel.remove_link(id)?;
         }
         Ok(())
@@ -313,13 +329,19 @@ impl Planes {
 
     /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold the same number.
     pub fn set_route(&mut self, name: Name, route: &PlaneRoute) -> Result<(), PlaneError> {
+        self.set_route_by_group(name, route, None)
+    }
+
+    /// `number`: the one that the group of the readers had, if it is new here.
+    fn set_route_by_group(&mut self, name: Name, route: &PlaneRoute, number: Option<u32>) -> Result<(), PlaneError> {
         let capacity = self.config.fib_capacity;
         if !self.read_tables().has_room_for(&name, capacity as usize) {
             return Err(UpdateError::FibFull { capacity }.into());
         }
-        let (group, is_new) = self.groups.take(&route.readers);
+        let (group, is_new) = self.groups.take_as(&route.readers, number);
         if is_new {
             self.tables().set_group(group, &route.readers);
+            self.set_kernel_group(group);
         }
         let (entry, permits) = entry_of(&name, route, group);
         let before = self.tables().set_route(name, entry, &permits);
@@ -518,7 +540,54 @@ impl Planes {
     fn release_group(&mut self, group: u32) {
         if self.groups.release(group) {
             self.tables().set_group(group, &[]);
+            if let Ok(kernel) = &mut self.kernel {
+                kernel.release_group(group);
+            }
         }
+    }
+
+    fn set_all_kernel_groups(&mut self) {
+        let groups: Vec<u32> = self.groups.iter().map(|(group, _)| group).collect();
+        groups.into_iter().chain([NEIGHBOURS]).for_each(|group| self.set_kernel_group(group));
+    }
+
+    /// Of the groups that the links are in, or were.
+    fn set_kernel_groups_of(&mut self, links: &[LinkEntry]) {
+        if links.iter().any(|link| link.role == LinkRole::Switch as u32) {
+            return self.set_all_kernel_groups();
+        }
+        let has_one = |readers: &[u32]| links.iter().any(|link| readers.binary_search(&link.id).is_ok());
+        let groups = self.groups.iter().filter(|(_, readers)| has_one(readers)).map(|(group, _)| group);
+        groups.collect::<Vec<_>>().into_iter().for_each(|group| self.set_kernel_group(group));
+    }
+
+    /// Tells the kernel which links are in a group. What it cannot copy to is left to the userspace plane.
+    fn set_kernel_group(&mut self, group: u32) {
+        let Ok(kernel) = &self.kernel else { return };
+        let mut complete = !kernel.has_generic();
+        let mut members = Vec::new();
+        let tables = self.read_tables();
+        for link in tables.members(group).filter_map(|id| tables.link(id)) {
+            match self.egress_interface(link) {
+                Some(interface) => members.push(Member { link: link.id, interface }),
+                None => complete = false,
+            }
+        }
+        drop(tables);
+        if let Ok(kernel) = &mut self.kernel
+            && let Err(error) = kernel.set_group(group, &members, complete)
+        {
+            tracing::warn!(group, %error, "the userspace plane copies the frames for a group of links");
+        }
+    }
+
+    /// Where the kernel's frames for a link leave, if it can send them.
+    fn egress_interface(&self, link: &LinkEntry) -> Option<u32> {
+        let known = match self.ports.get(&link.port) {
+            Some(port) => port.in_kernel,
+            None => self.left.as_ref().is_some_and(|left| left.ports.contains(&link.port)),
+        };
+        known.then_some(link.port)
     }
 
     fn kernel_can_send_to(&self, ifindex: u32) -> bool {
@@ -529,7 +598,7 @@ impl Planes {
     }
 
     fn adopt(&mut self, adopted: Adopted) -> Result<(), PlaneError> {
-        let Adopted { config, links, routes, next_hops, ports } = adopted;
+        let Adopted { config, links, routes, next_hops, ports, groups } = adopted;
         self.own_bit = config.own_bit;
         let mut left = Left { links: Vec::new(), routes: Vec::new(), next_hops, ports: HashSet::new() };
         left.ports.extend(ports.into_iter().map(|(port, _)| port));
@@ -548,13 +617,40 @@ impl Planes {
         if let Ok(kernel) = &mut self.kernel {
             kernel.forbid_all()?;
         }
-        for (name, entry) in routes {
-            let route = adopted_route(&entry);
-            self.set_route(name, &route)?;
-            left.routes.push((name, route));
-        }
+        let readers = self.adopted_readers(&groups);
         self.left = Some(left);
+        let mut adopted = Vec::with_capacity(routes.len());
+        // Those with a number of their own come first, so that no other takes it.
+        let (numbered, others): (Vec<_>, Vec<_>) =
+            routes.into_iter().partition(|(_, entry)| readers.contains_key(&entry.group));
+        for (name, entry) in numbered.into_iter().chain(others) {
+            let route = adopted_route(&entry, readers.get(&entry.group).map(Vec::as_slice));
+            // By the same number, so that nothing changes for frames under way.
+            let number = readers.contains_key(&entry.group).then_some(entry.group);
+            self.set_route_by_group(name, &route, number)?;
+            adopted.push((name, route));
+        }
+        if let (Ok(kernel), used) = (&mut self.kernel, &self.groups) {
+            let unused = readers.into_keys().filter(|group| used.readers(*group).is_empty());
+            unused.for_each(|group| kernel.release_group(group));
+        }
+        if let Some(left) = &mut self.left {
+            left.routes = adopted;
+        }
         Ok(())
+    }
+
+    /// The local readers of each group that has any, sorted.
+    fn adopted_readers(&self, groups: &[(u32, Vec<u32>)]) -> HashMap<u32, Vec<u32>> {
+        let tables = self.read_tables();
+        let is_reader = |id: &u32| tables.link(*id).is_some_and(|link| link.role != LinkRole::Switch as u32);
+        let of = |members: &[u32]| {
+            let mut readers: Vec<u32> = members.iter().copied().filter(is_reader).collect();
+            readers.sort_unstable();
+            readers
+        };
+        let groups = groups.iter().map(|(group, members)| (*group, of(members)));
+        groups.filter(|(group, readers)| *group != NEIGHBOURS && !readers.is_empty()).collect()
     }
 
     fn read_tables(&self) -> RwLockReadGuard<'_, UserTables> {
@@ -591,11 +687,13 @@ fn entry_of(name: &Name, route: &PlaneRoute, group: u32) -> (FibEntry, Vec<Permi
 }
 
 /// A route that an earlier daemon left. Its writers are known by their old links, and come back on new ones before the RIB says
-/// so: until it has replaced the route, every endpoint may send to the name, as itself; readers know who may write.
-fn adopted_route(entry: &FibEntry) -> PlaneRoute {
+/// so: until it has replaced the route, every endpoint may send to the name, as itself; readers know who may write. `readers`: of its
+/// group, as far as that was in the kernel.
+fn adopted_route(entry: &FibEntry, readers: Option<&[u32]>) -> PlaneRoute {
+    let only = Some(entry.local_link).filter(|link| *link != 0);
     PlaneRoute {
         egress_bits: entry.egress_bits,
-        readers: Some(entry.local_link).filter(|link| *link != 0).into_iter().collect(),
+        readers: readers.map_or_else(|| only.into_iter().collect(), <[u32]>::to_vec),
         writers: Some(ANY_WRITER).filter(|_| entry.writer_link != 0).into_iter().collect(),
     }
 }

@@ -184,7 +184,7 @@ impl UserTables {
     }
 
     /// The links of a group.
-    fn members(&self, group: u32) -> impl Iterator<Item = u32> {
+    pub fn members(&self, group: u32) -> impl Iterator<Item = u32> {
         self.groups.get(&group).into_iter().flatten().chain(&self.neighbours).copied()
     }
 

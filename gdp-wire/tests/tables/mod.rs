@@ -5,8 +5,8 @@ use std::collections::{HashMap, HashSet};
 
 use gdp_wire::forward::{self, Copy, Kind};
 use gdp_wire::replay::{self, Window};
-use gdp_wire::table::{PORT_USERSPACE, Tables};
-use gdp_wire::{Counter, FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
+use gdp_wire::table::{MAX_COPIED_FRAME, PORT_USERSPACE, Tables};
+use gdp_wire::{Counter, FibEntry, Header, LinkEntry, Name, Permit};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::frames::fixtures::{Bytes, CopyOut, Expected, Switch, Verdict};
@@ -16,6 +16,7 @@ pub struct PlainTables<const KERNEL: bool> {
     links: HashMap<u32, LinkEntry>,
     routes: HashMap<Name, FibEntry>,
     permits: HashSet<Permit>,
+    /// All links of each group.
     groups: HashMap<u32, Vec<u32>>,
     next_hops: [u32; 64],
     own_bit: u64,
@@ -30,7 +31,10 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             links: switch.links().map(|link| (link.id, link)).collect(),
             routes: switch.routes().map(|(name, entry, _)| (name, entry)).collect(),
             permits: switch.routes().flat_map(|(_, _, permits)| permits).collect(),
-            groups: switch.groups().map(|(group, readers)| (group, readers.to_vec())).collect(),
+            groups: switch
+                .groups_with_neighbours()
+                .map(|(group, links)| (group, links.iter().map(|link| link.id).collect()))
+                .collect(),
             next_hops: switch.next_hops(),
             own_bit: switch.config().own_bit,
             ethertype: switch.ethertype,
@@ -76,10 +80,8 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
     }
 
     fn copies(&self, header: &Header, payload: &[u8], group: u32, ingress: u32) -> Vec<CopyOut> {
-        let neighbours = self.links.values().filter(|link| link.role == LinkRole::Switch as u32).map(|link| link.id);
-        let members = self.groups.get(&group).into_iter().flatten().copied().chain(neighbours);
-        let links = members.filter_map(|id| self.links.get(&id));
-        let mut copies: Vec<CopyOut> = links
+        let mut copies: Vec<CopyOut> = self
+            .links_of(group)
             .filter_map(|link| {
                 let mut header = *header;
                 let length = Header::LEN + payload.len();
@@ -95,6 +97,10 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             .collect();
         copies.sort();
         copies
+    }
+
+    fn links_of(&self, group: u32) -> impl Iterator<Item = &LinkEntry> {
+        self.groups.get(&group).into_iter().flatten().filter_map(|id| self.links.get(id))
     }
 
     fn carried(&self, link: &LinkEntry, header: &Header, payload: &[u8]) -> Bytes {
@@ -146,8 +152,8 @@ impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
         link.port != PORT_USERSPACE
     }
 
-    fn can_copy(&self, _: u32, _: usize) -> bool {
-        true
+    fn can_copy(&self, group: u32, available: usize) -> bool {
+        available <= MAX_COPIED_FRAME && self.links_of(group).all(|link| self.can_send(link))
     }
 
     fn may_complain(&self, _: &LinkEntry) -> bool {

@@ -192,6 +192,15 @@ impl Switch {
             .map(|(group, route)| (group, &route.readers[..]))
     }
 
+    /// All links of each group.
+    pub fn groups_with_neighbours(&self) -> impl Iterator<Item = (u32, Vec<&Link>)> {
+        let neighbours = [(gdp_wire::table::NEIGHBOURS, &[][..])];
+        neighbours.into_iter().chain(self.groups()).map(|(group, readers)| {
+            let is_member = |link: &&Link| link.role == Role::Switch || readers.contains(&link.id);
+            (group, self.links.iter().filter(is_member).collect())
+        })
+    }
+
     pub fn next_hops(&self) -> [u32; 64] {
         let mut links = [0; 64];
         self.next_hops.iter().for_each(|hop| links[hop.bit as usize] = hop.link);

@@ -1,0 +1,68 @@
+//! From the switch to the program at the interface where a copy leaves: what the copy is for. It is written in place of the Ethernet
+//! addresses, which no longer matter then; so it reaches every driver's copies, whereas XDP metadata would not. The rest of the
+//! frame is the same for all copies: [`gdp_wire::forward::copy`] makes each of them from it.
+//!
+//! The kernel makes the copies of a frame that leave by one interface in a row, on the CPU that the switch ran on. So a count by CPU
+//! and interface tells them apart: `COUNTED`, of which user space makes an entry before an interface takes frames, and
+//! that only the CPU's own runs write. `SEQUENCE` tells frames apart.
+
+use aya_ebpf::macros::map;
+use aya_ebpf::maps::{PerCpuArray, PerCpuHashMap};
+use gdp_wire::GroupPlace;
+use gdp_wire::table::{CopyCount, MAX_PORTS};
+
+use crate::packet::Packet;
+
+#[map]
+static SEQUENCE: PerCpuArray<u64> = PerCpuArray::with_max_entries(1, 0);
+
+#[map]
+static COUNTED: PerCpuHashMap<u32, CopyCount> = PerCpuHashMap::with_max_entries(MAX_PORTS, 0);
+
+/// No interface has a group address of its own, so no frame that leaves otherwise has this in its source.
+const MARK: u16 = 0xffff;
+
+/// What a copy is for, in the place of the Ethernet addresses.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub struct Label {
+    /// The low 48 bits of the number of the frame on this CPU.
+    sequence: [u16; 3],
+    mark: u16,
+    group: u16,
+    zero: u16,
+}
+
+/// Labels a frame that is about to be copied; `false` if that cannot be.
+#[inline(always)]
+pub fn label(packet: &mut Packet, group: u32) -> bool {
+    let Some(sequence) = SEQUENCE.get_ptr_mut(0) else { return false };
+    // SAFETY: this CPU's slot, which nobody else writes.
+    let sequence = unsafe {
+        *sequence += 1;
+        *sequence
+    };
+    let words = [sequence as u16, (sequence >> 16) as u16, (sequence >> 32) as u16];
+    packet.set_label(Label { sequence: words, mark: MARK, group: group as u16, zero: 0 });
+    true
+}
+
+impl Label {
+    /// Whether the frame is a copy.
+    #[inline(always)]
+    pub fn is_one(&self) -> bool {
+        self.mark == MARK
+    }
+
+    /// Which of the copies this is, that now leaves by `interface`. To be asked once for each.
+    #[inline(always)]
+    pub fn place(&self, interface: u32) -> Option<GroupPlace> {
+        let [low, middle, high] = self.sequence.map(u64::from);
+        let sequence = low | middle << 16 | high << 32;
+        // SAFETY: this CPU's part of an element that stays while its interface takes frames; nobody else writes it.
+        let counted = unsafe { &mut *COUNTED.get_ptr_mut(&interface)? };
+        let index = if counted.sequence == sequence { counted.copies } else { 0 };
+        *counted = CopyCount { sequence, copies: index + 1, reserved: 0 };
+        Some(GroupPlace { group: self.group.into(), interface, index })
+    }
+}
