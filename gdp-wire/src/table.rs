@@ -16,7 +16,7 @@ pub const MAX_LINKS: u32 = 1024;
 pub const EGRESS_SET_SIZE: u32 = 64;
 
 /// Interfaces a switch can redirect to.
-pub const MAX_PORTS: u32 = 64;
+pub const MAX_PORTS: u32 = 128;
 
 /// `LinkEntry::port` of a link that the kernel cannot send on: the userspace plane does.
 pub const PORT_USERSPACE: u32 = u32::MAX;
