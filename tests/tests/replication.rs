@@ -3,14 +3,24 @@
 mod star;
 
 use std::collections::HashSet;
+use std::path::PathBuf;
+use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
+use gdp::port::Interface;
+use gdp_ctl::plane::group_places::Member;
+use gdp_ctl::plane::kernel::{KernelPlane, Mode, pinned_stats};
+use gdp_ctl::plane::{PinPlace, PlaneConfig, pins};
 use gdp_tests::Tools;
-use gdp_tests::netns::execute;
+use gdp_tests::frames::fixtures::{self, Bytes, Fixtures, Verdict};
+use gdp_tests::netns::{Door, execute};
+use gdp_tests::process::Process;
+use gdp_tests::wait::wait_for;
 use gdp_wire::table::{MAX_COPIED_FRAME, MAX_COPIES};
 use gdp_wire::{Counter, Name};
 
-use star::{Far, Leaf, OWN_BIT, Star, Switch, WRITER, check_copy, readers, xdp};
+use serde_json::{Value, json};
+use star::{Far, Leaf, OWN_BIT, SOON, Star, Switch, WRITER, check_copy, readers, xdp};
 
 const TOPIC: Name = Name::from_bytes([0xd0; 32]);
 const OTHER: Name = Name::from_bytes([0xe0; 32]);
@@ -213,6 +223,168 @@ fn readers_come_and_go_under_traffic() -> Result<()> {
     ensure!(kernel + userspace == sent.len() as u64, "{:?}", site.switch.counted()?);
     ensure!(kernel > userspace, "hardly in the kernel: {:?}", site.switch.counted()?);
     Ok(())
+}
+
+/// A daemon is killed and two more come after it; nobody misses a copy or gets one twice, and the group is still known.
+#[test]
+fn no_copy_is_lost_when_the_switch_is_killed_and_comes_again() -> Result<()> {
+    let group = process_readers();
+    let star = Star::build(PROCESS_INTERFACES, 1500)?;
+    let folder = tempfile::tempdir()?;
+    let bpffs = Mounted(folder.path().join(BPFFS));
+    let mut far = Far::start(&star)?;
+    let mut sent = Vec::new();
+    let mut traffic = |more: &mut dyn FnMut(usize) -> Result<bool>| -> Result<()> {
+        let begun = sent.len();
+        while more(sent.len() - begun)? {
+            let frame = far.next_frame(&WRITER, TOPIC, 300);
+            far.send(&frame)?;
+            sent.push(frame);
+            far.keep_pace(&group, sent.len() as u64)?;
+        }
+        Ok(())
+    };
+    let start = |label: &str| -> Result<Process> {
+        let mut command = star.switch.command(std::env::current_exe()?)?;
+        command.args(["--exact", "switch_process", "--nocapture"]).env(SWITCH_PROCESS, folder.path());
+        Process::spawn(label, command, folder.path())
+    };
+    let is_up = |process: &mut Process| -> Result<Option<Value>> {
+        process.check_alive()?;
+        Ok(process.json_lines().pop())
+    };
+
+    let mut process = start("first")?;
+    let mut up = wait_for("the switch", SOON, || is_up(&mut process))?;
+    ensure!(up["left"] == json!([]), "{up}");
+    for label in ["second", "third"] {
+        traffic(&mut |frames| Ok(frames < 300))?;
+        process.kill()?;
+        traffic(&mut |frames| Ok(frames < 300)).context("without a daemon")?;
+        process = start(label)?;
+        traffic(&mut |_| {
+            up = is_up(&mut process)?.unwrap_or_default();
+            Ok(up.is_null())
+        })
+        .with_context(|| format!("while the {label} came"))?;
+        let ids: Vec<u32> = group.iter().map(Leaf::id).collect();
+        ensure!(up["left"] == json!([ids]), "the {label} found {up}");
+    }
+    traffic(&mut |frames| Ok(frames < 300))?;
+    far.wait_for_frames(&group, sent.len() as u64)?;
+
+    let mut got = far.take();
+    for leaf in &group {
+        let got = got.remove(&leaf.peer_id()).unwrap_or_default();
+        ensure!(got.len() == sent.len(), "{leaf:?} got {} of {}", got.len(), sent.len());
+        got.iter().zip(&sent).try_for_each(|(got, sent)| check_copy(got, sent, leaf, 0).map(drop))?;
+    }
+    let pins = pins::find(&bpffs.0)?.pop().context("pins")?;
+    let counted = pinned_stats(&pins.folder)?.counters;
+    let of = |wanted| counted.iter().find(|(counter, _)| *counter == wanted).map(|(_, count)| *count);
+    ensure!(of(Counter::Replicated) == Some(sent.len() as u64) && of(Counter::Slow) == Some(0), "{counted:?}");
+    Ok(())
+}
+
+/// Names the folder of the process, which otherwise does nothing.
+const SWITCH_PROCESS: &str = "GDP_TEST_SWITCH_PROCESS";
+const PROCESS_INTERFACES: usize = 3;
+const BPFFS: &str = "bpf";
+
+fn process_readers() -> Vec<Leaf> {
+    readers(5, PROCESS_INTERFACES)
+}
+
+/// Not a test of its own, but the process that is killed in the one above.
+#[test]
+fn switch_process() -> Result<()> {
+    let Some(folder) = std::env::var_os(SWITCH_PROCESS) else { return Ok(()) };
+    let pins = PinPlace { bpffs: PathBuf::from(folder).join(BPFFS), switch: TOPIC };
+    let config = PlaneConfig { pins: Some(pins), ..xdp(Tools::beside_this_test()?.ebpf_object()?) };
+    let mut switch = Switch::open(config, Door::here()?, PROCESS_INTERFACES)?;
+    let left = switch.planes().left().map_or(&[][..], |left| &left.routes);
+    let left: Vec<_> = left.iter().map(|(_, route)| route.readers.clone()).collect();
+    if left.is_empty() {
+        switch.change(|planes| planes.set_own_bit(OWN_BIT))??;
+        for leaf in process_readers().iter().chain([&WRITER]) {
+            switch.set_link(leaf, 1500)?;
+        }
+        switch.set_route(TOPIC, OWN_BIT, &process_readers())?;
+    }
+    println!("\n{}", json!({ "left": left }));
+    loop {
+        std::thread::park();
+    }
+}
+
+/// Every case of the fixtures that makes copies, with the copies.
+#[test]
+fn every_fixture_with_copies() -> Result<()> {
+    let Fixtures { switch, cases, .. } = fixtures::read();
+    let star = Star::build(6, 9000)?;
+    let far = Far::start(&star)?;
+    let _inside = star.switch.enter()?;
+    let mut plane = KernelPlane::load(&Tools::beside_this_test()?.ebpf_object()?, 1024)?;
+    let mut ports = Vec::new();
+    for port in 0..6 {
+        let ifindex = Interface::find(&format!("p{port}"))?.index;
+        plane.set_port(port, ifindex)?;
+        ports.push(ifindex);
+    }
+    plane.attach(ports[0], Mode::Native)?;
+    plane.set_config(switch.config())?;
+    switch.links().try_for_each(|link| plane.set_link(&link))?;
+    for (name, entry, permitted) in switch.routes() {
+        permitted.iter().try_for_each(|permit| plane.permit(permit))?;
+        plane.set_route(&name, entry)?;
+    }
+    plane.set_next_hops(&switch.next_hops())?;
+    for (group, links) in switch.groups_with_neighbours() {
+        let interface = |link: &&fixtures::Link| {
+            let interface = *ports.get(link.port? as usize)?;
+            Some(Member { link: link.id, interface })
+        };
+        let members: Vec<Member> = links.iter().filter_map(interface).collect();
+        plane.set_group(group, &members, links.iter().all(|link| link.port.is_some()))?;
+    }
+
+    let copied = cases.iter().filter(|case| case.kernel.verdict == Verdict::Copy);
+    for case in copied.clone() {
+        for link in &switch.links {
+            plane.link_memory().begin(link.id);
+            plane.link_memory().set_count(link.id, link.tx_counter);
+        }
+        let before = plane.counters()?;
+        far.send_bytes(&case.frame.bytes())?;
+        let mut wanted: Vec<_> = case.kernel.copies.iter().map(|copy| copy.counter.as_str()).collect();
+        wanted.push(Counter::Replicated.as_str());
+        wanted.sort_unstable();
+        let frames = || case.kernel.copies.iter().filter_map(|copy| copy.frame.as_ref());
+        wait_for(&case.name, SOON, || {
+            let mut counted = Vec::new();
+            for (counter, (before, after)) in Counter::ALL.iter().zip(before.into_iter().zip(plane.counters()?)) {
+                counted.extend((before..after).map(|_| counter.as_str()));
+            }
+            counted.sort_unstable();
+            Ok((counted == wanted && far.total() == frames().count()).then_some(()))
+        })
+        .with_context(|| format!("wanted {wanted:?}"))?;
+        let mut got: Vec<_> = far.take().into_values().flatten().map(|frame| Bytes::new(&frame)).collect();
+        got.sort();
+        ensure!(got.iter().eq(frames()), "{}:\n     got {got:?}\nexpected {:?}", case.name, case.kernel.copies);
+    }
+    ensure!(copied.count() > 10);
+    Ok(())
+}
+
+/// A file system that is unmounted, and with it all that is pinned there.
+struct Mounted(PathBuf);
+
+impl Drop for Mounted {
+    fn drop(&mut self) {
+        // Not mounted, if no process came so far.
+        let _ = execute(Command::new("umount").arg("--lazy").arg(&self.0));
+    }
 }
 
 fn copies_to(group: Vec<Leaf>, interfaces: usize) -> Result<()> {

@@ -259,7 +259,12 @@ impl Far {
 
     /// By the first interface.
     pub fn send(&self, frame: &Frame) -> Result<()> {
-        self.writer.send(&frame.bytes())
+        self.send_bytes(&frame.bytes())
+    }
+
+    /// By the first interface.
+    pub fn send_bytes(&self, frame: &[u8]) -> Result<()> {
+        self.writer.send(frame)
     }
 
     /// Waits until all of these have got so many frames, but for what may be under way.
@@ -281,6 +286,11 @@ impl Far {
 
     pub fn received(&self, leaf: &Leaf) -> u64 {
         self.inbox.lock().get(&leaf.peer_id()).map_or(0, |frames| frames.len() as u64)
+    }
+
+    /// Frames that have arrived since they were last taken.
+    pub fn total(&self) -> usize {
+        self.inbox.lock().values().map(Vec::len).sum()
     }
 
     /// What has arrived since the last time, by the link id in it.
