@@ -5,6 +5,10 @@
 //! The kernel makes the copies of a frame that leave by one interface in a row, on the CPU that the switch ran on. So a count by CPU
 //! and interface tells them apart: `COUNTED`, of which user space makes an entry before an interface takes frames, and
 //! that only the CPU's own runs write. `SEQUENCE` tells frames apart.
+//!
+//! A copy that nobody needs is dropped, but for the last at its interface. The kernel sends up to 16 frames at a time, and if it is
+//! left with none of the last ones it does not tell the driver that there were others before: those would wait for
+//! the next frame. So the last copy leaves in any case, as a filler if need be.
 
 use aya_ebpf::macros::map;
 use aya_ebpf::maps::{PerCpuArray, PerCpuHashMap};

@@ -27,7 +27,7 @@ use aya_ebpf::bindings::xdp_action::{XDP_DROP, XDP_PASS, XDP_REDIRECT};
 use aya_ebpf::macros::xdp;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
-use gdp_wire::{Counter, Header, LinkEntry};
+use gdp_wire::{Counter, GroupPlace, Header, LinkEntry};
 
 use crate::packet::Packet;
 use crate::tables::Maps;
@@ -93,7 +93,8 @@ enum Departure {
     Copied(Counter),
     /// It is a copy that nobody needs.
     Superfluous,
-    Dropped(Counter),
+    /// It is such a copy, the last at its interface, and has become what no host takes: see [`copies`].
+    Filler,
 }
 
 #[inline(always)]
@@ -105,10 +106,7 @@ fn act_at_egress(departure: Departure) -> u32 {
             XDP_PASS
         }
         Departure::Superfluous => XDP_DROP,
-        Departure::Dropped(counter) => {
-            counters::count(counter);
-            XDP_DROP
-        }
+        Departure::Filler => XDP_PASS,
     }
 }
 
@@ -164,20 +162,35 @@ fn leave(context: &XdpContext) -> Departure {
     }
     // SAFETY: the context of a program that runs in a device map has the field.
     let interface = unsafe { (*context.ctx).egress_ifindex };
-    let Some(link) = label.place(interface).and_then(|place| groups::link_at(&place)).and_then(links::get) else {
-        return Departure::Superfluous;
+    let Some(place) = label.place(interface) else { return Departure::Superfluous };
+    let Some(link) = groups::link_at(&place).and_then(links::get) else {
+        return superfluous(context, packet, place);
     };
     let length = packet.frame_length();
-    let Some(header) = packet.header() else { return Departure::Dropped(Counter::Truncated) };
-    let Some(ingress) = links::get(header.link_id()) else { return Departure::Dropped(Counter::NoLink) };
+    let Some(header) = packet.header() else { return Departure::Superfluous };
+    let Some(ingress) = links::get(header.link_id()) else { return superfluous(context, packet, place) };
     match forward::copy(header, length, link, ingress, &Maps { in_one_buffer: true }) {
         Copy::Send(counter) => {
             packet.address(link);
             Departure::Copied(counter)
         }
-        Copy::None => Departure::Superfluous,
-        Copy::Drop(counter) => Departure::Dropped(counter),
+        Copy::None => superfluous(context, packet, place),
+        Copy::Drop(counter) => {
+            counters::count(counter);
+            superfluous(context, packet, place)
+        }
     }
+}
+
+#[inline(always)]
+fn superfluous(context: &XdpContext, mut packet: Packet, place: GroupPlace) -> Departure {
+    let next = GroupPlace { index: place.index + 1, ..place };
+    if groups::link_at(&next).is_some() {
+        return Departure::Superfluous;
+    }
+    packet.become_filler();
+    let length = packet.frame_length();
+    if packet::cut(context, length - packet::FILLER_LEN) { Departure::Filler } else { Departure::Superfluous }
 }
 
 #[cfg(all(target_arch = "bpf", not(test)))]

@@ -8,6 +8,9 @@ use crate::copies::Label;
 
 const ETHERNET_LEN: usize = 14;
 
+/// Bytes behind the Ethernet header of the shortest Ethernet frame.
+pub const FILLER_LEN: usize = 46;
+
 /// The first bytes of an Ethernet frame, as words of the alignment they have.
 #[repr(C)]
 struct Ethernet {
@@ -82,6 +85,22 @@ impl Packet {
     pub fn set_label(&mut self, label: Label) {
         // SAFETY: `parse` checked the bounds.
         unsafe { *(self.start as *mut Label) = label };
+    }
+
+    /// Becomes a frame that no bridge forwards (IEEE 802.1Q, reserved group address) and no host takes (IEEE 802, local
+    /// experimental ethertype 2), with nothing in it. Its length is for the caller to set.
+    #[inline(always)]
+    pub fn become_filler(&mut self) {
+        const WORDS: [u16; 7] = [0x0180, 0xc200, 0x000e, 0x0200, 0, 0, 0x88b6];
+        let mut i = 0;
+        while i < 7 {
+            // SAFETY: `parse` checked the bounds.
+            unsafe { *(self.start as *mut u16).add(i) = WORDS[i].to_be() };
+            i += 1;
+        }
+        if let Some(header) = self.header() {
+            *header = Header::default();
+        }
     }
 
     /// Writes the addresses of `link` into the Ethernet header.

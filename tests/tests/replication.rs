@@ -109,6 +109,37 @@ fn copies_and_single_frames_share_an_interface() -> Result<()> {
     Ok(())
 }
 
+/// Neighbours that want no copies share the interfaces of those that do. The kernel sends in batches, and must not forget one of which
+/// the last copies are dropped.
+#[test]
+fn nothing_waits_behind_copies_that_nobody_wants() -> Result<()> {
+    let group = readers(3, 4);
+    let idle = (0..40).map(|i| Leaf { index: 100 + i, interface: i as usize % 4, reach: 1 << (10 + i) });
+    let links: Vec<Leaf> = [WRITER].into_iter().chain(group.iter().copied()).chain(idle).collect();
+    let mut site = Site::new(4, 1500, &links)?;
+    site.switch.set_route(TOPIC, OWN_BIT, &group[..2])?;
+    site.switch.set_route(OTHER, OWN_BIT, &group[1..])?;
+    let queue = ["qdisc", "add", "dev", "w0", "root", "tbf", "rate", "100mbit", "burst", "3k", "limit", "1m"];
+    execute(site.star.far.command("tc")?.args(queue))?;
+    let mut sent = Vec::new();
+    for i in 0..4 * FRAMES {
+        let frame = site.far.next_frame(&WRITER, if i % 8 < 6 { TOPIC } else { OTHER }, 300);
+        site.far.send(&frame)?;
+        site.far.keep_pace(&group[1..2], i)?;
+        sent.push(frame);
+    }
+    for (leaf, frames) in group.iter().zip([3, 4, 1]) {
+        site.far.wait_for_frames(&[*leaf], frames * FRAMES)?;
+    }
+    let got = site.far.take();
+    for leaf in &group {
+        for got in &got[&leaf.peer_id()] {
+            check_copy(got, &sent[number(got) as usize - 1], leaf, 0)?;
+        }
+    }
+    Ok(())
+}
+
 /// One of the readers is behind an interface that the kernel cannot send to: the userspace plane makes all copies. When it can,
 /// the kernel does.
 #[test]
