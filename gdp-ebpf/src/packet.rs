@@ -88,7 +88,8 @@ impl Packet {
     }
 
     /// Becomes a frame that no bridge forwards (IEEE 802.1Q, reserved group address) and no host takes (IEEE 802, local
-    /// experimental ethertype 2), with nothing in it. Its length is for the caller to set.
+    /// experimental ethertype 2), with nothing of the frame but the beginning of its name. Its length is for the caller to
+    /// set.
     #[inline(always)]
     pub fn become_filler(&mut self) {
         const WORDS: [u16; 7] = [0x0180, 0xc200, 0x000e, 0x0200, 0, 0, 0x88b6];
@@ -99,7 +100,7 @@ impl Packet {
             i += 1;
         }
         if let Some(header) = self.header() {
-            *header = Header::default();
+            *header = Header::data(header.destination, header.source, 0);
         }
     }
 

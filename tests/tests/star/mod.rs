@@ -8,6 +8,7 @@
 #![allow(dead_code, reason = "each program that includes this uses a part of it")]
 
 use std::collections::HashMap;
+use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -118,6 +119,13 @@ impl Star {
     /// Off: the interface takes no redirected frames.
     pub fn set_gro(&self, interface: usize, state: &str) -> Result<()> {
         execute(self.far.command("ethtool")?.args(["-K", &far_port(interface), "gro", state])).map(drop)
+    }
+
+    /// From now on a thread of its own takes what arrives on the first interface, so that it finds several frames at a time.
+    /// Otherwise the writer itself does, after each.
+    pub fn take_in_batches(&self) -> Result<()> {
+        let threaded = "echo 1 > /sys/class/net/p0/threaded";
+        execute(Command::new("ip").args(["netns", "exec", self.switch.name(), "sh", "-c", threaded])).map(drop)
     }
 
     /// A switch on all interfaces with these links.
