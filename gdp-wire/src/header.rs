@@ -162,6 +162,12 @@ impl Header {
         u16::from_be(self.payload_len)
     }
 
+    /// Bytes of the frame: header and payload. What lies behind them is not part of it.
+    #[inline(always)]
+    pub fn frame_len(&self) -> usize {
+        Self::LEN + self.payload_len() as usize
+    }
+
     /// Says that there is no payload.
     #[inline(always)]
     pub(crate) fn clear_payload_len(&mut self) {

@@ -13,6 +13,7 @@
 //! certificates of the name's owner alone.
 
 mod counters;
+mod frame_size;
 mod held;
 mod intake;
 mod publisher;

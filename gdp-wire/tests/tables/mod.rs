@@ -54,6 +54,7 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             return outcome(Verdict::Drop, Counter::Truncated);
         };
         let ingress = header.link_id();
+        let payload = payload.get(..header.payload_len().into()).unwrap_or(payload);
         let send = |link: &LinkEntry, header: &Header, payload: &[u8], counter| {
             // The fixtures leave this port without an interface.
             if KERNEL && link.port == 63 {

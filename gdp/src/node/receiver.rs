@@ -12,6 +12,7 @@ use tokio::sync::mpsc as async_mpsc;
 use zerocopy::FromBytes;
 
 use super::counters::Counters;
+use super::frame_size::FrameSize;
 use super::held::Held;
 use super::intake::{Intake, Writer};
 use super::supervisor::Event;
@@ -30,6 +31,10 @@ pub enum Command {
     Attach {
         data: Arc<DataSocket>,
         entry: LinkEntry,
+        /// Bytes of the largest frame that may come.
+        largest: u32,
+        /// Learns from errors.
+        frame_size: Arc<FrameSize>,
         /// A link that this one replaces, and until when the switch may still send on it.
         held: Option<(LinkEntry, Instant)>,
     },
@@ -60,7 +65,7 @@ impl Receiver {
     pub fn run(self) {
         let mut state =
             Intakes { intakes: HashMap::new(), held: Held::default(), asked: HashMap::new(), start: Instant::now() };
-        let mut attached: Option<(Arc<DataSocket>, Links)> = None;
+        let mut attached: Option<(Arc<DataSocket>, usize, Links)> = None;
         let mut batch = None;
         let mut next_tick = Instant::now() + TICK;
         loop {
@@ -70,9 +75,9 @@ impl Receiver {
                     None => self.commands.recv().map_err(|_| mpsc::TryRecvError::Disconnected),
                 };
                 match command {
-                    Ok(Command::Attach { data, entry, held }) => {
-                        let earlier = attached.take().map(|(_, links)| links);
-                        attached = Some((data, Links::after(earlier, entry, held)));
+                    Ok(Command::Attach { data, entry, largest, frame_size, held }) => {
+                        let earlier = attached.take().map(|(_, _, links)| links);
+                        attached = Some((data, largest as usize, Links::after(earlier, (entry, frame_size), held)));
                     }
                     Ok(Command::Subscribe { name, intake }) => drop(state.intakes.insert(name, intake)),
                     Ok(Command::Unsubscribe { name }) => drop(state.intakes.remove(&name)),
@@ -81,12 +86,10 @@ impl Receiver {
                     Ok(Command::Stop) | Err(mpsc::TryRecvError::Disconnected) => return,
                 }
             }
-            let Some((data, links)) = &mut attached else { continue };
-            let mtu = links.current.entry.mtu as usize;
-            // The largest frame the link may carry, or the socket would not be able to tell that one is too large.
-            let batch = batch.get_or_insert_with(|| RecvBatch::new(mtu));
-            if batch.largest() < mtu {
-                *batch = RecvBatch::new(mtu);
+            let Some((data, largest, links)) = &mut attached else { continue };
+            let batch = batch.get_or_insert_with(|| RecvBatch::new(*largest));
+            if batch.largest() < *largest {
+                *batch = RecvBatch::new(*largest);
             }
             match data.try_recv_batch(batch) {
                 Ok(0) => {
@@ -115,18 +118,24 @@ impl Receiver {
 /// The links that frames may come on.
 struct Links {
     current: Ingress,
+    /// Of frames sent on the current one.
+    frame_size: Arc<FrameSize>,
     /// Those that fell silent, and until when each is kept. A few: one is added each time the switch comes back.
     held: Vec<(Ingress, Instant)>,
 }
 
 impl Links {
-    fn new(entry: LinkEntry) -> Self {
-        Self { current: Ingress::new(entry), held: Vec::new() }
+    fn new(entry: LinkEntry, frame_size: Arc<FrameSize>) -> Self {
+        Self { current: Ingress::new(entry), frame_size, held: Vec::new() }
     }
 
     /// A new link; `held` is the one that fell silent, which goes on as it was among `earlier` ones.
-    fn after(earlier: Option<Self>, entry: LinkEntry, held: Option<(LinkEntry, Instant)>) -> Self {
-        let mut links = Self::new(entry);
+    fn after(
+        earlier: Option<Self>,
+        (entry, frame_size): (LinkEntry, Arc<FrameSize>),
+        held: Option<(LinkEntry, Instant)>,
+    ) -> Self {
+        let mut links = Self::new(entry, frame_size);
         let Some((silent, until)) = held else { return links };
         match earlier {
             Some(earlier) if earlier.current.entry.id == silent.id => {
@@ -196,8 +205,11 @@ impl Intakes {
             let link = links.of(header);
             match forward::accept(header, frame.len(), &link.entry, &*link.window) {
                 Ok(FrameType::Data) => {}
-                Ok(_) => {
+                Ok(frame_type) => {
                     counters.notices.add(1);
+                    if frame_type == FrameType::Error {
+                        links.frame_size.learn(header);
+                    }
                     continue;
                 }
                 Err(counter) => {
@@ -257,7 +269,7 @@ mod tests {
     #[test]
     fn many_unknown_sources_cause_one_question() {
         let (name, mut intakes) = (NAME, subscribed());
-        let (link, counters) = (Links::new(LinkEntry::default()), Counters::default());
+        let (link, counters) = (Links::new(LinkEntry::default(), Arc::default()), Counters::default());
         let (events, mut asked) = async_mpsc::unbounded_channel();
         let mut batch = RecvBatch::new(1500);
         for source in 0..50 {
@@ -286,10 +298,10 @@ mod tests {
             intakes.take(&mut batch, link, &counters, &events);
             counters.refused[gdp_wire::Counter::Replayed as usize].get()
         };
-        let link = Links::new(entry);
+        let link = Links::new(entry, Arc::default());
         assert_eq!(take(&link, &[1, 3, 2, 1]), 1);
         assert_eq!(take(&link, &[4, 3, 2]), 3, "in another batch");
-        assert_eq!(take(&Links::new(entry), &[1, 2]), 3, "a new link counts anew");
+        assert_eq!(take(&Links::new(entry, Arc::default()), &[1, 2]), 3, "a new link counts anew");
     }
 
     fn subscribed() -> Intakes {

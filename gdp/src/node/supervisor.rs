@@ -12,13 +12,14 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep, sleep_until};
 
+use super::frame_size::FrameSize;
 use super::receiver::Command;
 use super::state::{self, State, Status};
 use super::{LinkTarget, NodeError, Stated};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
 use crate::link::{HOLD, Link, LinkError, Responder, Role};
-use crate::port::{DataSocket, Interface, LinkAddr, Port, PortConfig, UDP_MTU};
+use crate::port::{DataSocket, Interface, LinkAddr, Port, PortConfig};
 
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -31,9 +32,6 @@ const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::fro
 
 /// How often certificates and statements with a lifetime of [`state::LIFETIME`] are renewed.
 const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
-
-/// Largest frame sent, whatever the first link takes, until path MTUs are learnt: a link further on may be over UDP. Bytes.
-const MAX_FRAME: u32 = UDP_MTU;
 
 /// What the rest of the node tells the supervisor.
 pub enum Event {
@@ -48,12 +46,20 @@ pub struct Attachment {
     pub link: Link,
     pub entry: LinkEntry,
     pub data: Arc<DataSocket>,
+    /// What links further on take, as far as it is known.
+    pub frame_size: Arc<FrameSize>,
     count: AtomicU64,
 }
 
 impl Attachment {
     fn new(link: Link, port: &Port) -> Self {
-        Self { entry: link.entry(PORT_USERSPACE), link, data: port.data(), count: AtomicU64::new(0) }
+        Self {
+            entry: link.entry(PORT_USERSPACE),
+            link,
+            data: port.data(),
+            frame_size: Arc::default(),
+            count: AtomicU64::new(0),
+        }
     }
 
     /// The count for the next frame: 1 for the first.
@@ -61,9 +67,9 @@ impl Attachment {
         self.count.fetch_add(1, Ordering::Relaxed).wrapping_add(1)
     }
 
-    /// Largest payload of a frame, in bytes.
+    /// Largest payload of a frame, in bytes: what this link takes now, and links further on as far as is known.
     pub fn max_payload(&self) -> usize {
-        (self.entry.mtu.min(MAX_FRAME) as usize).saturating_sub(Header::LEN)
+        (self.link.mtu().min(self.frame_size.get()) as usize).saturating_sub(Header::LEN)
     }
 }
 
@@ -181,7 +187,8 @@ impl Supervisor {
         self.state.attach(&attachment).await?;
         self.state.counters.links.add(1);
         let held = held.map(|held| (held.attachment.entry, held.until.into_std()));
-        self.state.command(Command::Attach { data: attachment.data.clone(), entry: attachment.entry, held });
+        let (data, entry, frame_size) = (attachment.data.clone(), attachment.entry, attachment.frame_size.clone());
+        self.state.command(Command::Attach { data, entry, largest: port.mtu(), frame_size, held });
         self.state.set_status(Status::Up(attachment.clone()));
         Ok(attachment)
     }
