@@ -83,7 +83,10 @@ fn handle(context: &XdpContext, length: usize) -> Outcome {
     let Some(carried) = carrier::find(context, &packet, length, config::get().ethertype) else {
         return Outcome::Passed(Counter::Foreign);
     };
-    let Some(first_byte) = packet.get::<u8>(carried.at) else { return Outcome::Dropped(Counter::Truncated) };
+    // Behind an empty datagram there may be padding.
+    let Some(first_byte) = packet.get::<u8>(carried.at).filter(|_| carried.available > 0) else {
+        return Outcome::Dropped(Counter::Truncated);
+    };
     // SAFETY: `get` checked the bounds.
     let first_byte = unsafe { *first_byte };
     if carrier::is_quic(&carried, first_byte) {

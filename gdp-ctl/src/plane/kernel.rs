@@ -394,7 +394,8 @@ impl KernelPlane {
 
     /// Runs the switch over one Ethernet frame without an interface; the action, and the frame as it left it.
     pub fn test_run(&mut self, frame: &[u8]) -> Result<(Action, Vec<u8>), ProgramError> {
-        let mut out = vec![0; frame.len()];
+        // What carries it may grow.
+        let mut out = vec![0; frame.len() + 64];
         let mut options = TestRunOptions::new();
         options.data_in = Some(frame);
         options.data_out = Some(&mut out);
