@@ -360,6 +360,11 @@ impl Planes {
         Ok(())
     }
 
+    /// All links, as the planes hold them.
+    pub fn links(&self) -> Vec<LinkEntry> {
+        self.read_tables().links().map(|(entry, _)| *entry).collect()
+    }
+
     /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold the same number.
     pub fn set_route(&mut self, name: Name, route: &PlaneRoute) -> Result<(), PlaneError> {
         let capacity = self.config.fib_capacity;

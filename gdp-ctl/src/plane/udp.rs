@@ -18,10 +18,15 @@ pub struct InterfaceAddress {
 }
 
 /// Of these addresses those at which a socket bound to `bound` takes datagrams: none but its own, unless that is the unspecified one
-/// (which for IPv6 stands for IPv4 as well).
+/// (which for IPv6 stands for IPv4 as well, and here for all that are more than link-local).
 pub fn taken_at(bound: SocketAddr, addresses: Vec<InterfaceAddress>) -> Vec<(LocalAddress, InterfaceAddress)> {
     let own = bound.ip().to_canonical();
-    let takes = |ip: IpAddr| if own.is_unspecified() { own.is_ipv6() || ip.is_ipv4() } else { own == ip };
+    // Every interface has a link-local address, and `bpf_fib_lookup` knows none.
+    let link_local = |ip: IpAddr| matches!(ip, IpAddr::V6(ip) if ip.is_unicast_link_local());
+    let takes = |ip: IpAddr| match own.is_unspecified() {
+        true => (own.is_ipv6() || ip.is_ipv4()) && !link_local(ip),
+        false => own == ip,
+    };
     let taken = addresses.into_iter().filter(|address| takes(address.ip)).take(MAX_LOCAL_ADDRESSES as usize);
     taken.map(|address| (LocalAddress::new(address.ip, bound.port()), address)).collect()
 }
@@ -111,7 +116,7 @@ mod tests {
 
     #[test]
     fn a_socket_takes_datagrams_at_its_own_address_or_at_all_of_its_families() {
-        let all = ["127.0.0.1", "192.0.2.1", "192.0.2.2", "2001:db8::1"];
+        let all = ["127.0.0.1", "192.0.2.1", "192.0.2.2", "2001:db8::1", "fe80::1"];
         let taken = |bound: &str| {
             let address =
                 |ip: &&str| InterfaceAddress { interface: "e0".into(), loopback: false, ip: ip.parse().unwrap() };
@@ -122,7 +127,7 @@ mod tests {
         assert_eq!(taken("192.0.2.2:31415"), ["192.0.2.2"]);
         assert_eq!(taken("[2001:db8::1]:31415"), ["2001:db8::1"]);
         assert_eq!(taken("0.0.0.0:31415"), all[..3]);
-        assert_eq!(taken("[::]:31415"), all);
+        assert_eq!(taken("[::]:31415"), all[..4]);
         assert!(taken("198.51.100.1:31415").is_empty());
         assert!(addresses().unwrap().iter().any(|address| address.loopback), "there is a loopback address");
     }
