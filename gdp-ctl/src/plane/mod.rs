@@ -479,7 +479,8 @@ impl Planes {
     }
 
     /// Looks again at which addresses UDP arrives, and which interfaces take redirected frames (a veth does depending on its peer);
-    /// and moves links to the plane that can send. Cheap; for the daemon to call now and then, and after changes to interfaces.
+    /// and moves links to the plane that can send. Cheap; for the daemon to call now and then, and after changes to interfaces, in
+    /// the network namespace of these.
     pub fn refresh(&mut self) -> Result<(), PlaneError> {
         self.follow_udp()?;
         self.follow_vlans()?;
