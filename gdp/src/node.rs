@@ -45,6 +45,7 @@ use crate::seal::{EpochKey, Reader, SealError, Writer};
 
 pub use counters::NodeCounters;
 pub use feedback::{Feedback, FrameError};
+pub use gdp_wire::ErrorCode;
 pub use publisher::Publisher;
 pub use subscription::{SubscribeOptions, Subscription};
 pub use target::{LinkTarget, LinkTargetError};

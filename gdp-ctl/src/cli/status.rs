@@ -36,7 +36,7 @@ fn describe(status: &Value) -> String {
     let links: Vec<_> = items(&status["links"])
         .iter()
         .map(|link| {
-            let rtt = format!("{} µs", link["rtt_us"]);
+            let rtt = if link["held"] == true { "silent".into() } else { format!("{} µs", link["rtt_us"]) };
             [
                 short(&link["peer"]),
                 text(&link["role"]),
@@ -48,6 +48,11 @@ fn describe(status: &Value) -> String {
         })
         .collect();
     out += &format!("\n{}\n", table(["link to", "role", "via", "address", "MTU", "RTT"], &links));
+    for link in items(&status["links"]) {
+        for (code, count) in link["errors_received"].as_object().into_iter().flatten() {
+            out += &format!("{} refused frames of this switch: {count} × {code}\n", short(&link["peer"]));
+        }
+    }
     let counted = status["counters_by_plane"].as_object().into_iter().flatten();
     let counters: Vec<_> = counted
         .filter(|(_, planes)| planes["kernel"] != 0 || planes["userspace"] != 0)

@@ -234,12 +234,13 @@ impl Core {
         }
     }
 
-    /// The link to a peer, if it is up.
+    /// The link to a peer, if it is up; not one that is only held.
     pub fn link_to(&self, peer: &Name) -> Option<Link> {
-        self.peers.get(peer).and_then(|id| self.links.get(id)).map(|state| state.link.clone())
+        let link = &self.links.get(self.peers.get(peer)?)?.link;
+        link.close_reason().is_none().then(|| link.clone())
     }
 
-    /// This switch's live adjacencies with other switches and their costs.
+    /// This switch's adjacencies with other switches, also those that are held, and their costs.
     pub fn adjacencies(&self) -> Vec<(Name, u32)> {
         let near = self.neighbours.iter().filter(|n| self.peers.contains_key(&n.place.switch));
         near.map(|n| (n.place.switch, n.cost)).collect()

@@ -7,8 +7,8 @@ use gdp::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
 use gdp::link::{Link, Responder, Role};
 use tokio::time::timeout;
 
-use super::Daemon;
 use super::core::{Expects, Next, Statement};
+use super::{Daemon, liveness};
 use crate::config::Via;
 
 /// How long an accepted statement waits for switches to take their routes.
@@ -31,7 +31,8 @@ pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
             return link.close("the data plane of the switch is full");
         }
     };
-    if let Some(replaced) = replaced {
+    daemon.replaced.notify_waiters();
+    if let Some(replaced) = replaced.filter(|link| link.close_reason().is_none()) {
         tracing::warn!(
             peer = %format_args!("{peer:#}"),
             "replaced a live link of the same peer; if this goes on, two programs use the same key"
@@ -61,6 +62,7 @@ async fn serve_endpoint(daemon: Arc<Daemon>, link: Link) {
         };
         answer(responder, response).await;
     }
+    liveness::outlast(&daemon, &link).await;
     end(&daemon, &link);
     let attached = daemon.core().attached.contains(&entity);
     if attached {
@@ -98,6 +100,7 @@ async fn serve_switch(daemon: Arc<Daemon>, link: Link) {
             answer(responder, response).await;
         });
     }
+    liveness::outlast(&daemon, &link).await;
     end(&daemon, &link);
     daemon.topology_changed();
 }

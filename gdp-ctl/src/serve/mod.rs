@@ -6,6 +6,7 @@ pub mod core;
 mod hold;
 pub mod interfaces;
 mod links;
+mod liveness;
 mod ports;
 pub mod routes;
 mod status;
@@ -67,6 +68,8 @@ pub struct Daemon {
     rib_changed: Notify,
     /// Switches have answered the RIB here.
     answered: Notify,
+    /// A peer has made a newer link.
+    replaced: Notify,
     stopping: AtomicBool,
     tasks: Mutex<JoinSet<()>>,
 }
@@ -109,6 +112,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         report: Notify::new(),
         rib_changed: Notify::new(),
         answered: Notify::new(),
+        replaced: Notify::new(),
         stopping: AtomicBool::new(false),
         tasks: Mutex::default(),
     });

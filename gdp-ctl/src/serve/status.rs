@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use gdp::link::Role;
-use gdp_wire::{FibEntry, Name};
+use gdp_wire::{ErrorCode, FibEntry, Name};
 use serde_json::{Map, Value, json};
 
 use super::{Daemon, interfaces};
@@ -38,6 +38,8 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
                 "id": state.link.local_id(),
                 "mtu": state.link.mtu(),
                 "rtt_us": state.link.rtt().as_micros() as u64,
+                "held": state.link.close_reason().is_some(),
+                "errors_received": errors_received(&core, state.link.local_id()),
             })
         })
         .collect();
@@ -67,10 +69,16 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
         "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
         "uplink": core.uplink.map(|switch| json!({
-            "switch": switch, "connected": core.peers.contains_key(&switch), "ready": core.uplink_ready,
+            "switch": switch, "connected": core.link_to(&switch).is_some(), "ready": core.uplink_ready,
         })),
         "errors": errors,
     })
+}
+
+/// What a neighbour refused of what this switch sent it, by code.
+fn errors_received(core: &super::core::Core, link: u32) -> Map<String, Value> {
+    let errors = ErrorCode::ALL.iter().zip(core.planes.notices().errors(link));
+    errors.filter(|(_, count)| *count > 0).map(|(code, count)| (code.as_str().into(), count.into())).collect()
 }
 
 /// One word for all interfaces, and why.
