@@ -56,7 +56,7 @@ fn no_message_is_lost_when_a_daemon_is_killed_and_another_takes_over() -> Result
     traffic.wait_for_more(500, PATIENCE)?;
     wait_for("the name to lead to the new link", PATIENCE, || {
         let (status, routes) = (fabric.status(0)?, fabric.ctl(0, &["fib", "dump"])?);
-        Ok((status["rib"]["names"] == 1 && routes["routes"][0]["local"].is_string()).then_some(()))
+        Ok((status["rib"]["names"] == 1 && routes["routes"][0]["local"][0].is_string()).then_some(()))
     })
     .with_context(|| fabric.report())?;
     traffic.wait_for_more(500, PATIENCE)?;
@@ -149,7 +149,8 @@ fn maps_of_another_layout_or_version_are_refused_with_the_remedy() -> Result<()>
     // As if another build had left it.
     std::fs::write(&config, &text)?;
     let root = fabric.bpffs().join("gdp");
-    std::fs::rename(root.join("v1"), root.join("v0"))?;
+    let held = root.join(format!("v{}", gdp_wire::table::ABI));
+    std::fs::rename(held, root.join("v0"))?;
     let refused = run(&mut fabric)?;
     ensure!(refused.contains("another version") && refused.contains("gdp-ctl xdp detach"), "{refused}");
     ensure!(fabric.xdp("detach")?["detached"].as_array().map(Vec::len) == Some(1));
