@@ -37,7 +37,7 @@ pub enum Request {
     Detach { switch: Name, entity: Name },
     /// RIB → switch, relayed down: what the switch's FIB holds.
     Fib(FibPush),
-    /// RIB → subscriber, relayed down: the writers of a name it subscribed to are now these.
+    /// RIB → each subscriber, relayed down: the writers of a name it subscribed to are now these.
     Writers(WritersPush),
 }
 
@@ -52,8 +52,8 @@ pub enum EntityRequest {
     Subscribe { proof: NameProof, grant: Signed<ReadGrant>, advert: Signed<Advert> },
     /// I no longer publish and no longer subscribe to the name in the statement.
     Withdraw { advert: Signed<Advert> },
-    /// Who publishes and reads the names that begin so? Answered by [`Response::Records`].
-    Query { prefix: NamePrefix },
+    /// Who publishes and reads the names that begin so? Answered by [`Response::Records`], from the one behind `after` on.
+    Query { prefix: NamePrefix, after: Option<RecordPlace> },
 }
 
 /// The answer to a request.
@@ -64,7 +64,8 @@ pub enum Response {
     Attached {
         serial: u64,
     },
-    /// `truncated`: there are more than fit an answer; ask with a longer prefix.
+    /// In the order of their [places](RecordPlace). `truncated`: there are more than fit an answer; ask for those behind
+    /// the last one.
     Records {
         records: Vec<Record>,
         truncated: bool,
@@ -117,8 +118,6 @@ pub enum RefusalCode {
     Expired,
     /// The serial of the statement is not above the floor of its entity.
     ReplayedSerial,
-    /// The name has a subscriber already (data is unicast so far).
-    SecondSubscriber,
     /// Nothing is known of the name.
     NotFound,
     /// A bound of the RIB or the switch is reached.
@@ -153,7 +152,20 @@ pub enum Credential {
     Reader(Signed<ReadGrant>),
 }
 
+/// A record's place in the order in which a RIB lists them: by name, of each its writers before its readers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct RecordPlace {
+    pub name: Name,
+    pub reads: bool,
+    pub entity: Name,
+}
+
 impl Record {
+    /// Where the record is listed; an error if the entity's key is not one.
+    pub fn place(&self) -> Result<RecordPlace, CertError> {
+        Ok(RecordPlace { name: self.name, reads: !self.is_writer(), entity: self.entity.name()? })
+    }
+
     /// Verifies the record as if nobody had before: derivation of both names, the owner's certificate at `now` (Unix
     /// seconds), and the entity's own statement. Returns the name of the entity.
     pub fn verify(&self, now: u64) -> Result<Name, CertError> {
@@ -229,8 +241,8 @@ pub struct Route {
     pub name: Name,
     /// Egress switches that want the name; for switches with a writer of it. 0 elsewhere.
     pub egress_bits: u64,
-    /// The local endpoint that takes the name, at its egress switch.
-    pub local: Option<Name>,
+    /// The local endpoints that take the name, at their egress switch; as many as a switch has links, at most.
+    pub locals: Vec<Name>,
     /// The local endpoints that may send to the name: those that publish it through this switch.
     pub writers: Vec<Name>,
 }
@@ -300,7 +312,7 @@ mod tests {
             extent: Extent::Full { part: 0, last: true },
             own_bit: 63,
             reach: vec![(Name::from_bytes([2; 32]), u64::MAX)],
-            set: vec![Route { name: Name::from_bytes([3; 32]), egress_bits: 1 << 63, local: None, writers: vec![] }],
+            set: vec![Route { name: Name::from_bytes([3; 32]), egress_bits: 1 << 63, locals: vec![], writers: vec![] }],
             remove: vec![Name::from_bytes([4; 32])],
         };
         let bytes = encode(&Request::Fib(push.clone())).unwrap();

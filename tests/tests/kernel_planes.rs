@@ -11,13 +11,13 @@ use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
 use gdp::link::LinkIds;
 use gdp::port::{LinkAddr, Port, PortConfig};
-use gdp_ctl::plane::{PlaneConfig, PlaneError, Planes, Wanted};
+use gdp_ctl::plane::{PlaneConfig, PlaneError, PlaneRoute, Planes, Wanted};
 use gdp_tests::Tools;
 use gdp_tests::frames::Frame;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
 use gdp_tests::wait::wait_for;
-use gdp_wire::{Counter, FibEntry, LinkEntry, LinkRole, Name};
+use gdp_wire::{Counter, LinkEntry, LinkRole, Name};
 
 const SOON: Duration = Duration::from_secs(10);
 
@@ -142,27 +142,23 @@ fn permission_comes_and_goes_in_the_kernel() -> Result<()> {
     let [first, second] = [left_link(), LinkEntry { id: 0x1003, rx_key: [9, 10], ..left_link() }];
     let at = switch.address_of_left()?;
     switch.planes.set_link(second, at)?;
-    let route = |writer_link, more_writers| FibEntry {
+    let route = |writers: &[u32]| PlaneRoute {
         egress_bits: OWN_BIT,
-        local_link: right_link().id,
-        writer_link,
-        more_writers,
-        ..FibEntry::default()
+        readers: vec![right_link().id],
+        writers: writers.to_vec(),
     };
     let (mut delivered, mut refused) = (0, 0);
-    for (entry, permitted, may) in [
-        (route(first.id, 0), &[][..], [true, false]),
-        (route(first.id, 1), &[second.id], [true, true]),
-        (route(second.id, 1), &[first.id], [true, true]),
-        (route(second.id, 0), &[], [false, true]),
-        (route(0, 1), &[first.id, second.id, 0x1004], [true, true]),
-        (route(0, 1), &[0x1004], [false, false]),
-        (route(0, 0), &[], [false, false]),
+    for (writers, may) in [
+        (&[first.id][..], [true, false]),
+        (&[first.id, second.id], [true, true]),
+        (&[second.id], [false, true]),
+        (&[first.id, second.id, 0x1004], [true, true]),
+        (&[0x1004], [false, false]),
+        (&[], [false, false]),
     ] {
-        switch.planes.set_route(TOPIC, entry, permitted)?;
-        let mut writers = switch.planes.writers(&TOPIC);
-        writers.retain(|link| *link != 0x1004);
-        ensure!(writers.len() == may.iter().filter(|may| **may).count(), "{writers:x?}");
+        let entry = route(writers);
+        switch.planes.set_route(TOPIC, &entry)?;
+        ensure!(switch.planes.routes()? == [(TOPIC, entry.clone())]);
         for (link, may) in [first, second].into_iter().zip(may) {
             site.send(&Frame { link_id: link.id, key: link.rx_key, ..site.next_frame(200) })?;
             *(if may { &mut delivered } else { &mut refused }) += 1;
@@ -172,9 +168,10 @@ fn permission_comes_and_goes_in_the_kernel() -> Result<()> {
             })?;
         }
     }
+    switch.planes.set_route(TOPIC, &route(&[first.id, second.id]))?;
     switch.planes.remove_route(&TOPIC)?;
-    switch.planes.set_route(TOPIC, route(0, 1), &[])?;
-    site.send(&Frame { link_id: first.id, key: first.rx_key, ..site.next_frame(200) })?;
+    switch.planes.set_route(TOPIC, &route(&[0x1004, 0x1005]))?;
+    site.send(&Frame { link_id: second.id, key: second.rx_key, ..site.next_frame(200) })?;
     wait_for("a permit to go with its name", SOON, || {
         Ok((switch.count(Counter::NotPermitted)? == (refused + 1, 0)).then_some(()))
     })
@@ -290,9 +287,9 @@ impl Site {
         switch.planes.set_own_bit(OWN_BIT)?;
         switch.planes.set_link(left_link(), LinkAddr::Ethernet { ifindex: left, mac: LEFT_MAC })?;
         switch.planes.set_link(right_link(), LinkAddr::Ethernet { ifindex: right, mac: RIGHT_MAC })?;
-        let (local_link, writer_link) = (right_link().id, left_link().id);
-        let here = FibEntry { egress_bits: OWN_BIT, local_link, writer_link, ..FibEntry::default() };
-        switch.planes.set_route(TOPIC, here, &[])?;
+        let (readers, writers) = (vec![right_link().id], vec![left_link().id]);
+        let here = PlaneRoute { egress_bits: OWN_BIT, readers, writers };
+        switch.planes.set_route(TOPIC, &here)?;
         ensure!(switch.planes.routes()? == [(TOPIC, here)]);
         Ok(switch)
     }

@@ -56,7 +56,7 @@ fn no_message_is_lost_when_a_daemon_is_killed_and_another_takes_over() -> Result
     traffic.wait_for_more(500, PATIENCE)?;
     wait_for("the name to lead to the new link", PATIENCE, || {
         let (status, routes) = (fabric.status(0)?, fabric.ctl(0, &["fib", "dump"])?);
-        Ok((status["rib"]["names"] == 1 && routes["routes"][0]["local"].is_string()).then_some(()))
+        Ok((status["rib"]["names"] == 1 && routes["routes"][0]["readers"][0].is_string()).then_some(()))
     })
     .with_context(|| fabric.report())?;
     traffic.wait_for_more(500, PATIENCE)?;

@@ -118,11 +118,22 @@ pub struct Planes {
     left: Option<Left>,
 }
 
+/// Where a name leads from this switch, in links.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct PlaneRoute {
+    /// Egress switches that want a copy, this one's own bit included if there are readers here.
+    pub egress_bits: u64,
+    /// Links of the local readers, sorted, without duplicates.
+    pub readers: Vec<u32>,
+    /// Links of the local endpoints that may send to the name, sorted, without duplicates.
+    pub writers: Vec<u32>,
+}
+
 /// What an earlier daemon left in the kernel, and nobody has confirmed or removed yet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Left {
     pub links: Vec<LinkEntry>,
-    pub routes: Vec<(Name, FibEntry)>,
+    pub routes: Vec<(Name, PlaneRoute)>,
     pub next_hops: [u32; EGRESS_SET_SIZE as usize],
     /// Ports by interface.
     pub ports: HashMap<u32, u32>,
@@ -296,8 +307,8 @@ impl Planes {
     }
 
     /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold the same number.
-    /// `permitted`: links that may send to the name besides `entry.writer_link`; if any, `entry.more_writers` says so.
-    pub fn set_route(&mut self, name: Name, entry: FibEntry, permitted: &[u32]) -> Result<(), PlaneError> {
+    pub fn set_route(&mut self, name: Name, route: &PlaneRoute) -> Result<(), PlaneError> {
+        let (entry, permitted) = entry(route);
         let capacity = self.config.fib_capacity;
         if !self.read_tables().has_room_for(&name, capacity as usize) {
             return Err(UpdateError::FibFull { capacity }.into());
@@ -332,13 +343,6 @@ impl Planes {
         Ok(())
     }
 
-    /// The links that may send to a name.
-    pub fn writers(&self, name: &Name) -> Vec<u32> {
-        let tables = self.read_tables();
-        let first = tables.route(name).map(|entry| entry.writer_link).filter(|link| ![0, ANY_WRITER].contains(link));
-        first.into_iter().chain(tables.permitted(name).iter().copied()).collect()
-    }
-
     /// For each egress bit the link toward that switch, or 0.
     pub fn set_next_hops(&mut self, next_hops: &[u32; EGRESS_SET_SIZE as usize]) -> Result<(), PlaneError> {
         self.tables().set_next_hops(next_hops);
@@ -367,7 +371,7 @@ impl Planes {
     }
 
     /// What frames are forwarded by: read back from the kernel where XDP runs.
-    pub fn routes(&self) -> Result<Vec<(Name, FibEntry)>, PlaneError> {
+    pub fn routes(&self) -> Result<Vec<(Name, PlaneRoute)>, PlaneError> {
         Ok(self.routes_behind(None, usize::MAX)?.0)
     }
 
@@ -376,7 +380,7 @@ impl Planes {
         &self,
         after: Option<Name>,
         limit: usize,
-    ) -> Result<(Vec<(Name, FibEntry)>, bool), PlaneError> {
+    ) -> Result<(Vec<(Name, PlaneRoute)>, bool), PlaneError> {
         let behind = |name: &Name| after.is_none_or(|after| name.as_bytes() > after.as_bytes());
         let mut routes: Vec<_> =
             self.read_tables().routes().filter(|(name, _)| behind(name)).map(|(name, entry)| (*name, *entry)).collect();
@@ -387,16 +391,18 @@ impl Planes {
             routes.truncate(limit);
         }
         routes.sort_unstable_by(order);
-        match &self.kernel {
-            Ok(kernel) if self.ports.values().any(|port| port.attached.is_some()) => {
-                let mut held = Vec::with_capacity(routes.len());
-                for (name, _) in routes {
-                    held.extend(kernel.route(&name)?.map(|entry| (name, entry)));
-                }
-                Ok((held, more))
+        if let Ok(kernel) = &self.kernel
+            && self.ports.values().any(|port| port.attached.is_some())
+        {
+            let mut held = Vec::with_capacity(routes.len());
+            for (name, _) in routes {
+                held.extend(kernel.route(&name)?.map(|entry| (name, entry)));
             }
-            _ => Ok((routes, more)),
+            routes = held;
         }
+        let tables = self.read_tables();
+        let routes = routes.into_iter().map(|(name, entry)| (name, plane_route(&entry, tables.permitted(&name))));
+        Ok((routes.collect(), more))
     }
 
     /// Looks again which interfaces take redirected frames (a veth does depending on its peer), and moves the links on them
@@ -491,6 +497,12 @@ impl Planes {
         self.own_bit = config.own_bit;
         let interfaces: HashMap<u32, u32> = ports.iter().copied().collect();
         let routes = self.let_any_write(routes)?;
+        let mut tables = self.tables();
+        for (name, entry) in &routes {
+            tables.set_route(*name, *entry, &[]);
+        }
+        drop(tables);
+        let routes = routes.iter().map(|(name, entry)| (*name, plane_route(entry, &[]))).collect();
         let mut left =
             Left { links: Vec::new(), routes, next_hops, ports: ports.into_iter().map(|(p, i)| (i, p)).collect() };
         for entry in links {
@@ -511,9 +523,6 @@ impl Planes {
         let mut tables = self.tables();
         tables.set_own_bit(config.own_bit);
         tables.set_next_hops(&next_hops);
-        for (name, entry) in &left.routes {
-            tables.set_route(*name, *entry, &[]);
-        }
         drop(tables);
         self.left = Some(left);
         Ok(())
@@ -552,6 +561,33 @@ impl Drop for Planes {
 fn mac_bytes(words: [u16; 3]) -> [u8; 6] {
     let [a, b, c] = words.map(u16::to_ne_bytes);
     [a[0], a[1], b[0], b[1], c[0], c[1]]
+}
+
+/// A route as the planes hold it, with the links that may send to the name besides the one in the entry.
+fn entry(route: &PlaneRoute) -> (FibEntry, &[u32]) {
+    let (writer_link, permitted) = match &route.writers[..] {
+        all if all.contains(&ANY_WRITER) => (ANY_WRITER, &[][..]),
+        [first, rest @ ..] => (*first, rest),
+        [] => (0, &[][..]),
+    };
+    let entry = FibEntry {
+        egress_bits: route.egress_bits,
+        local_link: route.readers.first().copied().unwrap_or(0),
+        writer_link,
+        more_writers: u32::from(!permitted.is_empty()),
+        ..FibEntry::default()
+    };
+    (entry, permitted)
+}
+
+fn plane_route(entry: &FibEntry, permitted: &[u32]) -> PlaneRoute {
+    let present = |link: u32| (link != 0).then_some(link);
+    let writers = present(entry.writer_link).into_iter().chain(permitted.iter().copied());
+    PlaneRoute {
+        egress_bits: entry.egress_bits,
+        readers: present(entry.local_link).into_iter().collect(),
+        writers: writers.collect(),
+    }
 }
 
 /// Those of `links` that are not among `others`.
@@ -601,11 +637,13 @@ mod tests {
         let mut planes = Planes::open(config).unwrap();
         let name = |i: u8| Name::from_bytes(std::array::from_fn(|at| if at == 0 { i } else { 255 - i }));
         for i in [3, 1, 5, 2, 4] {
-            planes.set_route(name(i), FibEntry::default(), &[]).unwrap();
+            planes.set_route(name(i), &PlaneRoute::default()).unwrap();
         }
-        let error = planes.set_route(name(6), FibEntry::default(), &[]).unwrap_err().to_string();
+        let error = planes.set_route(name(6), &PlaneRoute::default()).unwrap_err().to_string();
         assert!(error.contains("the FIB is full (5 names)"), "{error}");
-        planes.set_route(name(5), FibEntry { local_link: 7, ..FibEntry::default() }, &[]).expect("it is there already");
+        planes
+            .set_route(name(5), &PlaneRoute { readers: vec![7], ..PlaneRoute::default() })
+            .expect("it is there already");
 
         let page = |after: Option<u8>, limit| {
             let (page, more) = planes.routes_behind(after.map(name), limit).unwrap();

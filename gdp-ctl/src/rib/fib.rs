@@ -13,9 +13,9 @@ const NAMES_PER_PUSH: usize = 400;
 /// Bytes of the routes in one push; a message has at most 64 KiB, and the rest is for what encloses them.
 const ROUTES_SIZE: usize = 56 * 1024;
 
-/// What an encoded route has without writers, and for each of them: names, field names.
+/// What an encoded route has without endpoints, and for each of them: names, field names.
 const ROUTE_SIZE: usize = 128;
-const WRITER_SIZE: usize = 34;
+const ENDPOINT_SIZE: usize = 34;
 
 /// How long after a push that failed the switch is sent its whole FIB.
 const RETRY: Duration = Duration::from_millis(500);
@@ -198,10 +198,10 @@ impl Room {
         Self { names: NAMES_PER_PUSH, bytes: ROUTES_SIZE }
     }
 
-    /// Makes room for a route, or for the name of one that is removed. An empty push takes any: a name has as many writers
-    /// as records of them fit a message, and these are many times as large.
+    /// Makes room for a route, or for the name of one that is removed. An empty push takes any: a name has at most as many
+    /// readers at a switch as that has links, and as many writers as records of them fit a message.
     fn takes(&mut self, route: Option<&Route>) -> bool {
-        let size = ROUTE_SIZE + route.map_or(0, |route| route.writers.len() * WRITER_SIZE);
+        let size = ROUTE_SIZE + route.map_or(0, |route| (route.locals.len() + route.writers.len()) * ENDPOINT_SIZE);
         if self.names == 0 || (self.bytes < size && self.names < NAMES_PER_PUSH) {
             return false;
         }
@@ -314,6 +314,25 @@ mod tests {
     }
 
     #[test]
+    fn a_route_with_as_many_readers_as_a_switch_has_links_fits_a_message() {
+        let mut fib = Fib::default();
+        let readers: Vec<Name> = (0..gdp_wire::table::MAX_LINKS.into()).map(name).collect();
+        let writers = readers[..100].to_vec();
+        for i in 0..3 {
+            fib.set(&name(i), Some(Route { locals: readers.clone(), writers: writers.clone(), ..route(i, 1) }));
+        }
+        let reach: Vec<_> = (0..63).map(|i| (name(i), u64::MAX)).collect();
+        let mut pushes = 0;
+        while let Some(push) = fib.next(NOW, name(9), 0, reach.clone()) {
+            pushes += 1;
+            let generation = push.generation;
+            gdp::control::encode(&gdp::control::Request::Fib(push)).expect("it fits");
+            fib.answered(NOW, generation, Pushed::Done);
+        }
+        assert_eq!(pushes, 3);
+    }
+
+    #[test]
     fn a_push_of_names_with_many_writers_fits_a_message() {
         let mut fib = Fib::default();
         let writers: Vec<Name> = (0..60).map(name).collect();
@@ -383,6 +402,6 @@ mod tests {
     }
 
     fn route(i: u64, bits: u64) -> Route {
-        Route { name: name(i), egress_bits: bits, local: None, writers: vec![] }
+        Route { name: name(i), egress_bits: bits, locals: vec![], writers: vec![] }
     }
 }

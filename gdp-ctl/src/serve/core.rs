@@ -11,12 +11,12 @@ use gdp::link::{Link, LinkIds, Peer, Role};
 use gdp::name::NameProof;
 use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
-use gdp_wire::{FibEntry, LinkEntry, Name};
+use gdp_wire::{LinkEntry, Name};
 
 use super::hold::{Hold, NextHops};
 use super::routes::{Change, Routes};
 use crate::config::{Neighbour, Via};
-use crate::plane::{PlaneError, Planes};
+use crate::plane::{PlaneError, PlaneRoute, Planes};
 use crate::rib::fib::Pushed;
 use crate::rib::{Effect, Limits, Now, Rib};
 
@@ -45,7 +45,7 @@ pub struct Core {
     /// Endpoints that the RIB has attached here.
     pub attached: HashSet<Name>,
     /// Routes that the data plane refused, and why it refused the last.
-    unplaced: (BTreeMap<Name, (FibEntry, Vec<u32>)>, String),
+    unplaced: (BTreeMap<Name, PlaneRoute>, String),
     /// What an earlier daemon left, and the next hops that are known since.
     hold: (Hold, NextHops),
     start: Instant,
@@ -71,8 +71,8 @@ pub enum Expects {
     Nothing,
     /// What became of its push of this generation to this switch.
     Push(Name, u64),
-    /// That the reader of this name has been told of its writers.
-    Told(Name),
+    /// That this reader of this name has been told of its writers.
+    Told(Name, Name),
 }
 
 /// What an entity has stated: it publishes the name, or reads it.
@@ -409,7 +409,7 @@ impl Core {
                         (push.switch, Request::Fib(push), expects)
                     }
                     Effect::Writers(push) => {
-                        let expects = Expects::Told(push.name);
+                        let expects = Expects::Told(push.name, push.entity);
                         (push.switch, Request::Writers(push), expects)
                     }
                     Effect::Detach { switch, entity } if switch == own => {
@@ -436,7 +436,7 @@ impl Core {
             Expects::Push(switch, generation) => {
                 rib.pushed(now, &switch, generation, response.map_or(Pushed::Failed, outcome));
             }
-            Expects::Told(name) => rib.told(&name),
+            Expects::Told(name, reader) => rib.told(&name, &reader),
         }
     }
 
@@ -468,9 +468,9 @@ impl Core {
                     self.hold.1 = *next_hops;
                     self.planes.set_next_hops(&self.hold.0.next_hops(&next_hops))
                 }
-                Change::Set(name, entry, permitted) => {
-                    let entry = self.hold.0.set(&name, entry, self.routes.awaits(&name));
-                    self.unplaced.0.insert(name, (entry, permitted));
+                Change::Set(name, route) => {
+                    let route = self.hold.0.set(&name, route, self.routes.awaits(&name));
+                    self.unplaced.0.insert(name, route);
                     Ok(())
                 }
                 Change::Remove(name) => {
@@ -491,8 +491,7 @@ impl Core {
     /// Gives the data planes the routes they do not hold yet, as far as they take them.
     fn place(&mut self) {
         while let Some(route) = self.unplaced.0.first_entry() {
-            let (entry, permitted) = route.get();
-            if let Err(error) = self.planes.set_route(*route.key(), *entry, permitted) {
+            if let Err(error) = self.planes.set_route(*route.key(), route.get()) {
                 self.unplaced.1 = error.to_string();
                 break;
             }

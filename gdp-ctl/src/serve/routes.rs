@@ -5,7 +5,9 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use gdp::control::{Extent, FibPush, Route};
 use gdp_wire::table::EGRESS_SET_SIZE;
-use gdp_wire::{FibEntry, LinkRole, Name};
+use gdp_wire::{LinkRole, Name};
+
+use crate::plane::PlaneRoute;
 
 /// One change of the data plane's tables. To be carried out in order.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,8 +20,7 @@ pub enum Change {
         bits: u64,
     },
     NextHops(Box<[u32; EGRESS_SET_SIZE as usize]>),
-    /// With the links that may send to the name, besides the one in the entry.
-    Set(Name, FibEntry, Vec<u32>),
+    Set(Name, PlaneRoute),
     Remove(Name),
 }
 
@@ -113,8 +114,8 @@ impl Routes {
 
     /// Whether the name is to be delivered to an endpoint here that has no link.
     pub fn awaits(&self, name: &Name) -> bool {
-        let local = self.routes.get(name).and_then(|route| route.local);
-        local.is_some_and(|endpoint| !self.endpoints.contains_key(&endpoint))
+        let locals = self.routes.get(name).map_or(&[][..], |route| &route.locals);
+        locals.iter().any(|endpoint| !self.endpoints.contains_key(endpoint))
     }
 
     /// Index of this switch's own egress bit, once the RIB has told it.
@@ -218,27 +219,23 @@ impl Routes {
 
     /// A name without bits and without a link here leads nowhere: then the data plane need not hold it.
     fn resolve(&self, route: &Route) -> Change {
-        let local_link = route.local.and_then(|local| self.endpoints.get(&local)).copied().unwrap_or(0);
-        if route.egress_bits == 0 && local_link == 0 {
+        let (readers, writers) = (self.links_of(&route.locals), self.links_of(&route.writers));
+        if route.egress_bits == 0 && readers.is_empty() {
             return Change::Remove(route.name);
         }
-        let mut writers = route.writers.iter().filter_map(|writer| self.endpoints.get(writer)).copied();
-        let writer_link = writers.next().unwrap_or(0);
-        let others: Vec<u32> = writers.collect();
-        let entry = FibEntry {
-            egress_bits: route.egress_bits,
-            local_link,
-            egress_set: 0,
-            writer_link,
-            more_writers: u32::from(!others.is_empty()),
-        };
-        Change::Set(route.name, entry, others)
+        Change::Set(route.name, PlaneRoute { egress_bits: route.egress_bits, readers, writers })
+    }
+
+    fn links_of(&self, endpoints: &[Name]) -> Vec<u32> {
+        let links: BTreeSet<u32> =
+            endpoints.iter().filter_map(|endpoint| self.endpoints.get(endpoint)).copied().collect();
+        links.into_iter().collect()
     }
 }
 
 /// The local endpoints that read or write a name.
 fn concerned(route: &Route) -> impl Iterator<Item = &Name> {
-    route.local.iter().chain(&route.writers)
+    route.locals.iter().chain(&route.writers)
 }
 
 #[cfg(test)]
@@ -248,14 +245,14 @@ mod tests {
     #[test]
     fn names_become_links_and_follow_them() {
         let mut r = Routes::default();
-        let first = push(1, Extent::Full { part: 0, last: true }, vec![route(1, 0, Some(7)), route(2, 4, None)]);
+        let first = push(1, Extent::Full { part: 0, last: true }, vec![route(1, 0, &[7]), route(2, 4, &[])]);
         let changes = r.push(&first).unwrap();
         assert_eq!(changes[0], Change::OwnBit(2));
         assert!(changes.contains(&Change::Remove(name(1))), "its endpoint has no link yet");
-        assert!(changes.contains(&set(2, entry(4, 0), &[])));
+        assert!(changes.contains(&set(2, 4, &[], &[])));
 
-        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 70), [set(1, entry(0, 70), &[])]);
-        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 71), [set(1, entry(0, 71), &[])], "it moved");
+        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 70), [set(1, 0, &[70], &[])]);
+        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 71), [set(1, 0, &[71], &[])], "it moved");
         assert_eq!(r.link_down(LinkRole::Endpoint, name(7), 70), [], "the old link no longer matters");
         assert_eq!(r.link_down(LinkRole::Endpoint, name(7), 71), [Change::Remove(name(1))]);
 
@@ -269,27 +266,38 @@ mod tests {
     #[test]
     fn writers_become_links_and_lose_their_permission_with_them() {
         let mut r = Routes::default();
-        let written = |by: &[u8]| Route { writers: by.iter().copied().map(name).collect(), ..route(1, 4, None) };
-        let by = |writer_link, more_writers| FibEntry { writer_link, more_writers, ..entry(4, 0) };
+        let written = |by: &[u8]| Route { writers: by.iter().copied().map(name).collect(), ..route(1, 4, &[]) };
+        let by = |writers: &[u32]| set(1, 4, &[], writers);
         let first = r.push(&push(1, Extent::Full { part: 0, last: true }, vec![written(&[7, 8, 9])])).unwrap();
-        assert!(first.contains(&set(1, by(0, 0), &[])), "none of them has a link");
-        assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 80), [set(1, by(80, 0), &[])]);
-        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 70), [set(1, by(70, 1), &[80])]);
-        assert_eq!(r.link_up(LinkRole::Endpoint, name(9), 90), [set(1, by(70, 1), &[80, 90])]);
+        assert!(first.contains(&by(&[])), "none of them has a link");
+        assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 80), [by(&[80])]);
+        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 70), [by(&[70, 80])]);
+        assert_eq!(r.link_up(LinkRole::Endpoint, name(9), 90), [by(&[70, 80, 90])]);
         assert_eq!(r.link_up(LinkRole::Endpoint, name(6), 60), [], "this one does not publish it");
-        assert_eq!(r.push(&push(2, Extent::Delta, vec![written(&[8, 9])])).unwrap(), [set(1, by(80, 1), &[90])]);
+        assert_eq!(r.push(&push(2, Extent::Delta, vec![written(&[8, 9])])).unwrap(), [by(&[80, 90])]);
         assert_eq!(r.link_down(LinkRole::Endpoint, name(7), 70), [], "nor does this one any more");
-        assert_eq!(r.link_down(LinkRole::Endpoint, name(8), 80), [set(1, by(90, 0), &[])]);
-        assert_eq!(r.link_down(LinkRole::Endpoint, name(9), 90), [set(1, by(0, 0), &[])]);
+        assert_eq!(r.link_down(LinkRole::Endpoint, name(8), 80), [by(&[90])]);
+        assert_eq!(r.link_down(LinkRole::Endpoint, name(9), 90), [by(&[])]);
+    }
+
+    #[test]
+    fn each_local_reader_has_its_link_and_a_reader_may_write() {
+        let mut r = Routes::default();
+        let both = Route { writers: vec![name(8)], ..route(1, 3, &[7, 8, 9]) };
+        r.push(&push(1, Extent::Full { part: 0, last: true }, vec![both])).unwrap();
+        assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 80), [set(1, 3, &[80], &[80])]);
+        assert_eq!(r.link_up(LinkRole::Endpoint, name(9), 60), [set(1, 3, &[60, 80], &[80])]);
+        assert_eq!(r.link_down(LinkRole::Endpoint, name(8), 80), [set(1, 3, &[60], &[])]);
+        assert_eq!(r.push(&push(2, Extent::Delta, vec![route(1, 0, &[7, 8])])).unwrap(), [Change::Remove(name(1))]);
     }
 
     #[test]
     fn the_whole_sweeps_what_it_does_not_name() {
         let mut r = Routes::default();
-        r.push(&push(1, Extent::Full { part: 0, last: true }, vec![route(1, 1, None), route(2, 1, None)])).unwrap();
-        let changes = r.push(&push(9, Extent::Full { part: 0, last: false }, vec![route(3, 1, None)])).unwrap();
-        assert_eq!(changes, [set(3, entry(1, 0), &[])], "nothing is swept before the last part");
-        let changes = r.push(&push(10, Extent::Full { part: 1, last: true }, vec![route(2, 1, None)])).unwrap();
+        r.push(&push(1, Extent::Full { part: 0, last: true }, vec![route(1, 1, &[]), route(2, 1, &[])])).unwrap();
+        let changes = r.push(&push(9, Extent::Full { part: 0, last: false }, vec![route(3, 1, &[])])).unwrap();
+        assert_eq!(changes, [set(3, 1, &[], &[])], "nothing is swept before the last part");
+        let changes = r.push(&push(10, Extent::Full { part: 1, last: true }, vec![route(2, 1, &[])])).unwrap();
         assert_eq!(changes, [Change::Remove(name(1))], "and what was confirmed is not touched");
         assert_eq!(r.len(), 2);
     }
@@ -297,7 +305,7 @@ mod tests {
     #[test]
     fn a_push_out_of_step_changes_nothing() {
         let mut r = Routes::default();
-        let set = vec![route(1, 1, None)];
+        let set = vec![route(1, 1, &[])];
         assert!(r.push(&push(1, Extent::Delta, set.clone())).is_err(), "a change of nothing");
         assert!(r.push(&push(1, Extent::Full { part: 1, last: true }, set.clone())).is_err(), "a part without a first");
         r.push(&push(5, Extent::Full { part: 0, last: true }, set.clone())).unwrap();
@@ -316,16 +324,12 @@ mod tests {
         FibPush { switch: name(0), generation, extent, own_bit: 1, reach: vec![(name(9), 0b101)], set, remove: vec![] }
     }
 
-    fn route(i: u8, egress_bits: u64, local: Option<u8>) -> Route {
-        Route { name: name(i), egress_bits, local: local.map(name), writers: vec![] }
+    fn route(i: u8, egress_bits: u64, locals: &[u8]) -> Route {
+        Route { name: name(i), egress_bits, locals: locals.iter().copied().map(name).collect(), writers: vec![] }
     }
 
-    fn set(i: u8, entry: FibEntry, permitted: &[u32]) -> Change {
-        Change::Set(name(i), entry, permitted.to_vec())
-    }
-
-    fn entry(egress_bits: u64, local_link: u32) -> FibEntry {
-        FibEntry { egress_bits, local_link, ..FibEntry::default() }
+    fn set(i: u8, egress_bits: u64, readers: &[u32], writers: &[u32]) -> Change {
+        Change::Set(name(i), PlaneRoute { egress_bits, readers: readers.to_vec(), writers: writers.to_vec() })
     }
 
     fn hops(change: &Change) -> &[u32; 64] {

@@ -3,11 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use gdp::control::RecordPlace;
 use gdp::link::Role;
-use gdp_wire::{FibEntry, Name};
+use gdp_wire::Name;
 use serde_json::{Map, Value, json};
 
 use super::{Daemon, interfaces};
+use crate::plane::PlaneRoute;
 
 /// `gdp-ctl status`.
 pub async fn status(daemon: &Arc<Daemon>) -> Value {
@@ -99,26 +101,26 @@ pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, 
     let core = daemon.core();
     let (routes, more) = core.planes.routes_behind(after, limit).map_err(|error| error.to_string())?;
     let peers = core.peers_by_link();
-    let page: Vec<Value> = routes.iter().map(|(name, entry)| route(&core, &peers, name, entry)).collect();
+    let page: Vec<Value> = routes.iter().map(|(name, held)| route(&core, &peers, name, held)).collect();
     Ok(json!({"routes": page, "more": more}))
 }
 
-fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
+fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, route: &PlaneRoute) -> Value {
     let own = core.routes.own_bit().map_or(0, |bit| 1u64 << bit);
-    let local = (entry.local_link != 0).then(|| peers.get(&entry.local_link)).flatten();
+    let names = |links: &[u32]| links.iter().filter_map(|link| peers.get(link)).collect::<Vec<_>>();
     json!({
         "name": name,
-        "egress_bits": format!("{:#x}", entry.egress_bits),
-        "own": entry.egress_bits & own != 0,
-        "toward": core.routes.neighbours_toward(entry.egress_bits & !own),
-        "local": local,
-        "writers": core.planes.writers(name).iter().filter_map(|link| peers.get(link)).collect::<Vec<_>>(),
-        "local_link": entry.local_link,
+        "egress_bits": format!("{:#x}", route.egress_bits),
+        "own": route.egress_bits & own != 0,
+        "toward": core.routes.neighbours_toward(route.egress_bits & !own),
+        "readers": names(&route.readers),
+        "writers": names(&route.writers),
+        "reader_links": route.readers,
     })
 }
 
 /// One page of `gdp-ctl rib dump`, or why there is none.
-pub fn rib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, String> {
+pub fn rib(daemon: &Daemon, after: Option<RecordPlace>, limit: usize) -> Result<Value, String> {
     let core = daemon.core();
     let Some(rib) = &core.rib else {
         let uplink = core.uplink.unwrap_or_default();

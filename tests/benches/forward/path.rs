@@ -6,11 +6,11 @@ use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
 use gdp::link::LinkIds;
 use gdp::port::{LinkAddr, Port, PortConfig};
-use gdp_ctl::plane::{PlaneConfig, Planes, Wanted};
+use gdp_ctl::plane::{PlaneConfig, PlaneRoute, Planes, Wanted};
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::frames::Frame;
 use gdp_tests::netns::{Namespace, execute};
-use gdp_wire::{Counter, FibEntry, LinkEntry, LinkRole, Name};
+use gdp_wire::{Counter, LinkEntry, LinkRole, Name};
 use serde::Serialize;
 
 /// What forwards.
@@ -144,9 +144,9 @@ impl Switch {
         let beyond = ((1 << hops) - 1) & !(own_bit | (own_bit - 1));
         planes.set_link(link(RIGHT, last, (beyond, key(i + 1)), (mac(i + 1, 2), mac(i + 1, 1))), addresses[1])?;
         if first || last {
-            let local_link = if last { RIGHT } else { 0 };
-            let entry = FibEntry { egress_bits: 1 << (hops - 1), local_link, writer_link: LEFT, ..FibEntry::default() };
-            planes.set_route(TOPIC, entry, &[])?;
+            let readers = if last { vec![RIGHT] } else { vec![] };
+            let route = PlaneRoute { egress_bits: 1 << (hops - 1), readers, writers: vec![LEFT] };
+            planes.set_route(TOPIC, &route)?;
         }
         let mut next_hops = [0; 64];
         (i + 1..hops).for_each(|bit| next_hops[bit] = RIGHT);
