@@ -142,7 +142,7 @@ async fn a_certificate_until_the_end_of_time_does_not_stop_the_clock() {
     let (_port, link) = papers.bare_link(&switch).await;
     let claims = RtCert { entity: papers.robot.name(), switch: switch.name(), not_after: u64::MAX };
     let rt_cert = issue(papers.robot.key(), &claims).unwrap();
-    let attached = link.request(&Request::Entity(EntityRequest::Attach { rt_cert })).await.unwrap();
+    let attached = link.request(&Request::Entity(EntityRequest::Attach { rt_cert, resumes: false })).await.unwrap();
     assert!(matches!(attached, Response::Attached { .. }), "{attached:?}");
     // The RIB's clock now sleeps for ever, or until there is something nearer.
     let card = &papers.card;

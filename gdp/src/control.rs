@@ -30,11 +30,15 @@ pub enum Request {
     Relay { switch: Name, entity: Option<NameProof>, by_tool: bool, request: EntityRequest },
     /// Switch → RIB: the switches this one has live links with, and what each costs. Replaces its last report.
     /// `attached`, sent first after every (re)connect, is all entities attached to it: the RIB drops those it holds
-    /// beyond these, and answers those it does not hold with [`Request::Detach`], so that they attach again.
-    Report { switch: NameProof, neighbours: Vec<(Name, u32)>, attached: Option<Vec<Name>> },
-    /// Switch → RIB: the entity's link is gone, and with it everything it advertised through this switch. RIB → switch:
-    /// I hold no attachment of the entity; close its link, so that it attaches again.
+    /// beyond these, and answers those it does not hold with [`Request::Detach`], so that they attach again. A switch whose
+    /// daemon has just started names those whose links it took over. `own_bit`: the egress bit it had, if it had one; frames
+    /// on their way carry it, so a RIB that does not know the switch gives it the same one if nobody else has it.
+    Report { switch: NameProof, neighbours: Vec<(Name, u32)>, attached: Option<Vec<Name>>, own_bit: Option<u8> },
+    /// Switch → RIB: the entity's link is gone, and with it everything it advertised through this switch. RIB → switch → the
+    /// entity: I hold no attachment of it; it is to attach again, on the link it has.
     Detach { switch: Name, entity: Name },
+    /// Switch → neighbouring switch: data frames are taken on this link from now on.
+    Ready,
     /// RIB → switch, relayed down: what the switch's FIB holds.
     Fib(FibPush),
     /// RIB → each subscriber, relayed down: the writers of a name it subscribed to are now these.
@@ -44,8 +48,10 @@ pub enum Request {
 /// What an entity may ask of the RIB, through the switch it is attached to.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum EntityRequest {
-    /// First on every link of an endpoint: this switch may carry my traffic. Answered by [`Response::Attached`].
-    Attach { rt_cert: Signed<RtCert> },
+    /// First on every link of an endpoint: this switch may carry my traffic, and data frames are taken on this link from now
+    /// on. Answered by [`Response::Attached`]. `resumes`: what this entity advertised before stands; otherwise it has
+    /// started anew, and what the RIB holds of its last attachment ends.
+    Attach { rt_cert: Signed<RtCert>, resumes: bool },
     /// I publish (or serve) a name. Lives as long as the attachment, or the statement's lifetime if that ends first.
     Advertise { proof: NameProof, ad_cert: Signed<AdCert>, advert: Signed<Advert> },
     /// I read (or call) a name. Answered by [`Response::Records`] with its writers; changes come as [`WritersPush`].
@@ -215,6 +221,11 @@ impl Record {
 pub struct FibPush {
     /// Whose FIB; switches on the way pass the push on.
     pub switch: Name,
+    /// Which run of a RIB this is: another number after a restart.
+    pub run: u64,
+    /// The RIB has started so recently that it may not know all there is: what an earlier one said counts besides, unless
+    /// [`Self::remove`] takes it back.
+    pub settling: bool,
     /// Counts up by one with each push to this switch.
     pub generation: u64,
     pub extent: Extent,
@@ -231,7 +242,8 @@ pub struct FibPush {
 pub enum Extent {
     /// Changes generation − 1. A switch that holds another one refuses, and is sent the whole.
     Delta,
-    /// Part of the whole: with part 0 the switch marks all it holds, with the last it sweeps what was not set since.
+    /// Part of the whole: with part 0 the switch marks all it holds, with the last it sweeps what was not set since. What
+    /// an earlier RIB, or an earlier daemon of the switch, had said is swept only if this RIB is not [settling](FibPush).
     Full { part: u32, last: bool },
 }
 
@@ -308,6 +320,8 @@ mod tests {
     fn a_push_survives_the_wire() {
         let push = FibPush {
             switch: Name::from_bytes([1; 32]),
+            run: 1,
+            settling: true,
             generation: 7,
             extent: Extent::Full { part: 0, last: true },
             own_bit: 63,

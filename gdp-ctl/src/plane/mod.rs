@@ -132,7 +132,10 @@ pub struct PlaneRoute {
 /// What an earlier daemon left in the kernel, and nobody has confirmed or removed yet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Left {
-    pub links: Vec<LinkEntry>,
+    /// This switch's egress bit.
+    pub own_bit: u64,
+    /// With where frames of each go.
+    pub links: Vec<(LinkEntry, LinkAddr)>,
     pub routes: Vec<(Name, PlaneRoute)>,
     pub next_hops: [u32; EGRESS_SET_SIZE as usize],
     /// Ports by interface.
@@ -503,14 +506,14 @@ impl Planes {
         }
         drop(tables);
         let routes = routes.iter().map(|(name, entry)| (*name, plane_route(entry, &[]))).collect();
-        let mut left =
-            Left { links: Vec::new(), routes, next_hops, ports: ports.into_iter().map(|(p, i)| (i, p)).collect() };
+        let ports = ports.into_iter().map(|(port, ifindex)| (ifindex, port)).collect();
+        let mut left = Left { own_bit: config.own_bit, links: Vec::new(), routes, next_hops, ports };
         for entry in links {
             match interfaces.get(&entry.port) {
                 Some(ifindex) => {
                     let to = LinkAddr::Ethernet { ifindex: *ifindex, mac: mac_bytes(entry.peer_mac) };
                     self.tables().set_link(entry, to);
-                    left.links.push(entry);
+                    left.links.push((entry, to));
                 }
                 // Only the daemon that died knew where it leads.
                 None => {
@@ -528,11 +531,11 @@ impl Planes {
         Ok(())
     }
 
-    /// Writers of adopted routes are known by their old links, and come back on new ones before the RIB says so: until it has
-    /// replaced a route, every endpoint may send to the name, as itself; readers know who may write.
+    /// Which links may send to a name with several writers here cannot be read back: until the RIB has said it again, every
+    /// endpoint may send to it, as itself; readers know who may write.
     fn let_any_write(&mut self, mut routes: Vec<(Name, FibEntry)>) -> Result<Vec<(Name, FibEntry)>, UpdateError> {
         let Ok(kernel) = &mut self.kernel else { return Ok(routes) };
-        for (name, entry) in routes.iter_mut().filter(|(_, entry)| entry.writer_link != 0) {
+        for (name, entry) in routes.iter_mut().filter(|(_, entry)| entry.more_writers != 0) {
             (entry.writer_link, entry.more_writers) = (ANY_WRITER, 0);
             kernel.set_route(name, *entry)?;
         }

@@ -35,6 +35,16 @@ pub struct Fib {
     lacking: Option<String>,
 }
 
+/// What a push says besides routes; as in [`FibPush`].
+#[derive(Clone, Debug)]
+pub struct About {
+    pub switch: Name,
+    pub run: u64,
+    pub settling: bool,
+    pub own_bit: u8,
+    pub reach: Vec<(Name, u64)>,
+}
+
 #[derive(Debug)]
 struct InFlight {
     generation: u64,
@@ -99,8 +109,8 @@ impl Fib {
         self.in_flight = None;
     }
 
-    /// The next push, unless one is out or there is nothing to say. `own_bit` and `reach` as in [`FibPush`].
-    pub fn next(&mut self, now: Duration, switch: Name, own_bit: u8, reach: Vec<(Name, u64)>) -> Option<FibPush> {
+    /// The next push, unless one is out or there is nothing to say.
+    pub fn next(&mut self, now: Duration, about: About) -> Option<FibPush> {
         if self.in_flight.is_some() {
             return None;
         }
@@ -142,7 +152,8 @@ impl Fib {
         self.generation += 1;
         let names = set.iter().map(|route| &route.name).chain(&remove).map(|name| name.to_bytes()).collect();
         self.in_flight = Some(InFlight { generation: self.generation, names });
-        Some(FibPush { switch, generation: self.generation, extent, own_bit, reach, set, remove })
+        let About { switch, run, settling, own_bit, reach } = about;
+        Some(FibPush { switch, run, settling, generation: self.generation, extent, own_bit, reach, set, remove })
     }
 
     /// What became of the push of this generation. If it failed, the whole is sent, a little later.
@@ -250,15 +261,15 @@ mod tests {
     fn one_push_is_out_at_a_time_and_a_failure_sends_the_whole() {
         let mut fib = Fib::default();
         fib.set(&name(1), Some(route(1, 1)));
-        let push = fib.next(NOW, name(9), 0, vec![]).unwrap();
+        let push = fib.next(NOW, about(vec![])).unwrap();
         fib.set(&name(2), Some(route(2, 1)));
-        assert_eq!(fib.next(NOW, name(9), 0, vec![]), None);
+        assert_eq!(fib.next(NOW, about(vec![])), None);
         fib.answered(NOW, push.generation + 1, Pushed::Done);
-        assert_eq!(fib.next(NOW, name(9), 0, vec![]), None, "an answer to something else");
+        assert_eq!(fib.next(NOW, about(vec![])), None, "an answer to something else");
         fib.answered(NOW, push.generation, Pushed::Failed);
-        assert_eq!(fib.next(NOW, name(9), 0, vec![]), None, "not at once");
+        assert_eq!(fib.next(NOW, about(vec![])), None, "not at once");
         let retry = fib.retry_at().unwrap();
-        let push = fib.next(retry, name(9), 0, vec![]).unwrap();
+        let push = fib.next(retry, about(vec![])).unwrap();
         assert_eq!((push.extent, push.set.len()), (Extent::Full { part: 0, last: true }, 2));
     }
 
@@ -268,16 +279,16 @@ mod tests {
         let key = |i| name(i).to_bytes();
         (1..=NAMES_PER_PUSH as u64 + 1).for_each(|i| fib.set(&name(i), Some(route(i, 1))));
         assert!(!fib.is_settled(&key(1)));
-        let push = fib.next(NOW, name(9), 0, vec![]).unwrap();
+        let push = fib.next(NOW, about(vec![])).unwrap();
         assert!(!fib.is_settled(&key(1)), "sent and not answered");
         fib.answered(NOW, push.generation, Pushed::Done);
         assert!(fib.is_settled(&key(1)) && !fib.is_settled(&key(NAMES_PER_PUSH as u64 + 1)), "of the first part only");
-        let push = fib.next(NOW, name(9), 0, vec![]).unwrap();
+        let push = fib.next(NOW, about(vec![])).unwrap();
         fib.set(&name(1), None);
         fib.answered(NOW, push.generation, Pushed::Partly("full".into()));
         assert_eq!(fib.lacking(), Some("full"));
         assert!(fib.is_settled(&key(2)) && !fib.is_settled(&key(1)), "it changed again");
-        let push = fib.next(NOW, name(9), 0, vec![]).unwrap();
+        let push = fib.next(NOW, about(vec![])).unwrap();
         assert_eq!(push.extent, Extent::Delta, "a switch without room is not sent the whole again");
         fib.answered(NOW, push.generation, Pushed::Done);
         assert!(fib.is_settled(&key(1)) && fib.lacking().is_none());
@@ -323,7 +334,7 @@ mod tests {
         }
         let reach: Vec<_> = (0..63).map(|i| (name(i), u64::MAX)).collect();
         let mut pushes = 0;
-        while let Some(push) = fib.next(NOW, name(9), 0, reach.clone()) {
+        while let Some(push) = fib.next(NOW, about(reach.clone())) {
             pushes += 1;
             let generation = push.generation;
             gdp::control::encode(&gdp::control::Request::Fib(push)).expect("it fits");
@@ -341,7 +352,7 @@ mod tests {
         }
         let mut sent = 0;
         let reach: Vec<_> = (0..63).map(|i| (name(i), u64::MAX)).collect();
-        while let Some(push) = fib.next(NOW, name(9), 0, reach.clone()) {
+        while let Some(push) = fib.next(NOW, about(reach.clone())) {
             sent += push.set.len();
             let generation = push.generation;
             gdp::control::encode(&gdp::control::Request::Fib(push)).expect("it fits");
@@ -365,7 +376,7 @@ mod tests {
 
     impl Switch {
         fn follow(&mut self, fib: &mut Fib) -> bool {
-            let Some(push) = fib.next(NOW, name(9), 0, vec![]) else { return false };
+            let Some(push) = fib.next(NOW, about(vec![])) else { return false };
             self.pushes += 1;
             assert!(push.set.len() + push.remove.len() <= NAMES_PER_PUSH);
             if push.extent == Extent::Delta {
@@ -399,6 +410,10 @@ mod tests {
         let mut bytes = [0; 32];
         bytes[..8].copy_from_slice(&i.to_be_bytes());
         Name::from_bytes(bytes)
+    }
+
+    fn about(reach: Vec<(Name, u64)>) -> About {
+        About { switch: name(9), run: 1, settling: false, own_bit: 0, reach }
     }
 
     fn route(i: u64, bits: u64) -> Route {

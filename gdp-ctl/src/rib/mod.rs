@@ -23,7 +23,7 @@ use gdp::name::NameProof;
 use gdp_wire::Name;
 
 use entities::{Attachment, Entities};
-use fib::{Fib, Pushed};
+use fib::{About, Fib, Pushed};
 use names::{Key, Names, Registration};
 use paths::Topology;
 
@@ -81,6 +81,7 @@ pub enum Effect {
 #[derive(Debug)]
 pub struct Rib {
     root: Name,
+    run: Run,
     limits: Limits,
     topology: Topology,
     switches: BTreeMap<Name, Switch>,
@@ -92,6 +93,16 @@ pub struct Rib {
     /// Those that are being told; one message at a time each, so that an older one never arrives last.
     telling: BTreeSet<(Key, Name)>,
     detached: BTreeSet<(Name, Name)>,
+}
+
+/// One life of a RIB.
+#[derive(Clone, Copy, Debug)]
+pub struct Run {
+    /// Another number each time.
+    pub id: u64,
+    /// Until this time (as [`Now::clock`]) what an earlier RIB had the switches hold counts besides: entities are still to
+    /// state again what they had stated to that one.
+    pub settling: Duration,
 }
 
 #[derive(Debug, Default)]
@@ -108,21 +119,23 @@ enum Timer {
     Attachment { entity: Name },
     Entity { entity: Name },
     Switch { switch: Name },
+    Settled,
 }
 
 type Timers = BTreeSet<(Duration, Timer)>;
 
 impl Rib {
     /// An empty RIB that runs beside the switch `root`.
-    pub fn new(root: Name, limits: Limits) -> Self {
+    pub fn new(root: Name, run: Run, limits: Limits) -> Self {
         Self {
             root,
+            run,
             limits,
             topology: Topology::default(),
             switches: BTreeMap::new(),
             entities: Entities::default(),
             names: Names::default(),
-            timers: Timers::new(),
+            timers: Timers::from([(run.settling, Timer::Settled)]),
             untold: BTreeSet::new(),
             telling: BTreeSet::new(),
             detached: BTreeSet::new(),
@@ -145,16 +158,18 @@ impl Rib {
         self.entity_request(now, origin, entity, by_tool, request).unwrap_or_else(Response::from)
     }
 
-    /// Takes a switch's report of its neighbours with their costs, and after a (re)connect of all attached entities.
+    /// Takes a switch's report of its neighbours with their costs, and after a (re)connect of all attached entities; with the
+    /// egress bit it has had so far.
     pub fn report(
         &mut self,
         now: Now,
         switch: &NameProof,
         neighbours: &[(Name, u32)],
         attached: Option<&[Name]>,
+        own_bit: Option<u8>,
     ) -> Response {
         self.tick(now);
-        self.try_report(now, switch, neighbours, attached).map_or_else(Response::from, |()| Response::Done)
+        self.try_report(now, switch, neighbours, attached, own_bit).map_or_else(Response::from, |()| Response::Done)
     }
 
     /// An entity's link to `switch` is gone, and with it all that was bound to it. Nothing happens if the entity is
@@ -184,6 +199,8 @@ impl Rib {
                 }
                 Timer::Entity { entity } => self.entities.forget(&entity),
                 Timer::Switch { switch } => self.forget_switch(now, &switch),
+                // So that they let go of what nobody has stated again.
+                Timer::Settled => self.switches.values_mut().for_each(|switch| switch.fib.restart()),
             }
         }
     }
@@ -203,9 +220,11 @@ impl Rib {
             .filter(|(switch, entity)| self.entities.attachment(entity).is_none_or(|a| a.switch != *switch))
             .map(|(switch, entity)| Effect::Detach { switch, entity })
             .collect();
+        let (run, settling) = (self.run.id, now.clock < self.run.settling);
         for (name, switch) in &mut self.switches {
-            let Some(bit) = self.topology.bit(name) else { continue };
-            effects.extend(switch.fib.next(now.clock, *name, bit, self.topology.reach(name)).map(Effect::Fib));
+            let Some(own_bit) = self.topology.bit(name) else { continue };
+            let about = About { switch: *name, run, settling, own_bit, reach: self.topology.reach(name) };
+            effects.extend(switch.fib.next(now.clock, about).map(Effect::Fib));
         }
         let room = TELLING.saturating_sub(self.telling.len());
         let next: Vec<_> = self.untold.difference(&self.telling).take(room).copied().collect();
@@ -269,7 +288,7 @@ impl Rib {
             return Err(Refusal::new(RefusalCode::NotAttached, reason));
         }
         match request {
-            EntityRequest::Attach { rt_cert } => {
+            EntityRequest::Attach { rt_cert, resumes } => {
                 let cert = rt_cert.verify(&speaker.entity_key, now.unix).map_err(refusal)?;
                 if cert.entity != speaker.entity {
                     return Err(refusal(CertError::WrongEntity { expected: speaker.entity, got: cert.entity }));
@@ -279,7 +298,7 @@ impl Rib {
                 }
                 if !by_tool {
                     let ends = now.clock.saturating_add(Duration::from_secs(cert.not_after - now.unix));
-                    self.attach(&speaker, ends)?;
+                    self.attach(&speaker, ends, *resumes)?;
                 }
                 Ok(Response::Attached { serial: speaker.floor })
             }
@@ -328,21 +347,24 @@ impl Rib {
         Ok(Speaker { entity, entity_key, switch, floor: self.entities.floor(&entity), now: now.unix })
     }
 
-    /// Attaching again at the same switch only renews: a lost link is told of by a detach. Attaching elsewhere ends what
-    /// was; the old switch is told, in case its link is still up: the entity must not believe that it is attached there.
-    fn attach(&mut self, speaker: &Speaker, ends: Duration) -> Result<(), Refusal> {
+    /// Attaching again at the same switch only renews, if it resumes what was: a link that does not come back is told of by a
+    /// detach. Attaching elsewhere ends what was; the old switch is told, in case its link is still up: the entity must not
+    /// believe that it is attached there.
+    fn attach(&mut self, speaker: &Speaker, ends: Duration, resumes: bool) -> Result<(), Refusal> {
         let limit = self.limits.attached_per_switch;
         let full = |s: &Switch| s.attached.len() >= limit && !s.attached.contains(&speaker.entity);
         if self.switches.get(&speaker.switch).is_some_and(full) {
             return Err(limit_reached(format!("switch {} has {limit} attached entities", speaker.switch)));
         }
         match self.entities.attachment(&speaker.entity) {
-            Some(old) if old.switch == speaker.switch => {
+            Some(old) if old.switch == speaker.switch && resumes => {
                 self.timers.remove(&(old.ends, Timer::Attachment { entity: speaker.entity }));
             }
             Some(old) => {
                 self.end_attachment(&speaker.entity);
-                self.detached.insert((old.switch, speaker.entity));
+                if old.switch != speaker.switch {
+                    self.detached.insert((old.switch, speaker.entity));
+                }
             }
             None => {}
         }
@@ -440,6 +462,7 @@ impl Rib {
         proof: &NameProof,
         neighbours: &[(Name, u32)],
         attached: Option<&[Name]>,
+        own_bit: Option<u8>,
     ) -> Result<(), Refusal> {
         let switch = proof.name().map_err(|error| refusal(CertError::Crypto(error)))?;
         let most = gdp_wire::table::MAX_LINKS as usize;
@@ -447,7 +470,7 @@ impl Rib {
             return Err(limit_reached(format!("a switch has at most {most} links")));
         }
         self.topology
-            .report(switch, neighbours.iter().copied())
+            .report(switch, neighbours.iter().copied(), own_bit)
             .map_err(|full| Refusal::new(RefusalCode::Limit, full.to_string()))?;
         let known = self.switches.contains_key(&switch);
         self.switches.entry(switch).or_default();

@@ -12,7 +12,7 @@ use gdp::name::{Name, NamePrefix};
 
 use self::world::{Parts, Random, UNIX, World, expect_refused};
 use super::fib::Pushed;
-use super::{Effect, HOLD, Limits, TELLING};
+use super::{Effect, HOLD, Limits, Run, TELLING};
 
 #[test]
 fn every_bad_advertisement_is_refused_with_its_reason() {
@@ -153,10 +153,11 @@ fn an_attachment_needs_the_entitys_own_certificate_for_this_switch() {
         ("for another switch", robot.key(), &elsewhere, RefusalCode::WrongSwitch),
         ("expired", robot.key(), &old, RefusalCode::Expired),
     ] {
-        let response = w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(key, claims).unwrap() });
+        let response = w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(key, claims).unwrap(), resumes: true });
         expect_refused(&response, what, code, "");
     }
-    let response = w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(robot.key(), &claims).unwrap() });
+    let response =
+        w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(robot.key(), &claims).unwrap(), resumes: true });
     assert!(matches!(response, Response::Attached { serial: 0 }), "{response:?}");
     w.publish(&robot, 0, 1);
     w.pass(Duration::from_secs(61));
@@ -569,6 +570,42 @@ fn a_reconnected_switch_is_reconciled_both_ways() {
     let full =
         |e: &&Effect| matches!(e, Effect::Fib(push) if push.switch == w.switch(1) && push.extent != Extent::Delta);
     assert_eq!(effects.iter().filter(full).count(), 1, "it is sent its whole FIB");
+}
+
+#[test]
+fn a_process_that_starts_anew_does_not_keep_what_another_stated() {
+    let mut w = World::chain(2);
+    let robot = w.attached("robot", 0);
+    w.publish(&robot, 0, 5);
+    let claims = RtCert { entity: robot.name(), switch: w.switch(0), not_after: UNIX + 60 };
+    let attach = |resumes| EntityRequest::Attach { rt_cert: issue(robot.key(), &claims).unwrap(), resumes };
+    assert!(matches!(w.ask(&robot, 0, attach(true)), Response::Attached { serial: 5 }));
+    assert_eq!(w.rib.name_count(), 1);
+    assert!(matches!(w.ask(&robot, 0, attach(false)), Response::Attached { serial: 5 }));
+    assert_eq!(w.rib.name_count(), 0);
+    assert!(w.detaches().is_empty(), "its link stays");
+}
+
+#[test]
+fn a_rib_that_has_started_has_entities_attach_again_and_says_when_it_knows_all() {
+    let settled = Duration::from_secs(1060);
+    let mut w = World::started(2, Limits::default(), Run { id: 7, settling: settled });
+    let robot = Identity::generate("proxy").unwrap();
+    let pushes = w.pushes();
+    assert!(pushes.len() == 2 && pushes.iter().all(|push| push.settling && push.run == 7));
+    w.carry_out(pushes);
+    w.report(1, Some(&[robot.name()]));
+    assert_eq!(w.detaches(), [(w.switch(1), robot.name())]);
+    w.attach(&robot, 1);
+    w.publish(&robot, 1, 1);
+    w.report(1, Some(&[robot.name()]));
+    assert!(w.detaches().is_empty());
+    assert_eq!(w.rib.name_count(), 1, "a restart of its switch takes nothing along");
+    w.settle();
+    assert_eq!(w.rib.next_tick(), Some(settled));
+    w.pass(Duration::from_secs(60));
+    let pushes = w.pushes();
+    assert!(pushes.len() == 2 && pushes.iter().all(|push| !push.settling && push.extent != Extent::Delta));
 }
 
 #[test]

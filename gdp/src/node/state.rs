@@ -159,7 +159,9 @@ impl State {
         let switch = attachment.link.peer().name;
         let not_after = unix_now() + u64::from(LIFETIME);
         let rt_cert = issue(self.identity.key(), &RtCert { entity: self.identity.name(), switch, not_after })?;
-        match ask(attachment, EntityRequest::Attach { rt_cert }).await? {
+        // A node that has spoken before goes on; one that has just started does not know what another process had stated.
+        let resumes = *serial != 0;
+        match ask(attachment, EntityRequest::Attach { rt_cert, resumes }).await? {
             Response::Attached { serial: floor } => *serial = floor.max(*serial),
             _ => return Err(NodeError::Protocol("to an attachment")),
         }

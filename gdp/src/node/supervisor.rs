@@ -164,7 +164,7 @@ impl Supervisor {
             tokio::select! {
                 reason = link.closed() => return reason,
                 Some((request, responder)) = link.accept_request() => {
-                    tokio::spawn(answer(self.state.clone(), request, responder));
+                    tokio::spawn(answer(self.state.clone(), attachment.clone(), request, responder));
                 }
                 Some(event) = events.recv() => {
                     tokio::spawn(handle(self.state.clone(), attachment.clone(), event));
@@ -173,15 +173,16 @@ impl Supervisor {
         }
     }
 
-    /// Makes a link and attaches. Frames on the link that is held are taken for as long as the switch may send them.
+    /// Makes a link and attaches: from then on the switch may send on it, so frames are taken on it before. Those on the link
+    /// that is held are taken for as long as the switch may send them.
     async fn attempt(&mut self, held: Option<&Held>) -> Result<Arc<Attachment>, NodeError> {
         let (port, candidates) = self.locate().await?;
         let link = self.dial_first(&port, &candidates).await?;
         let attachment = Arc::new(Attachment::new(link, &port));
-        self.state.attach(&attachment).await?;
-        self.state.counters.links.add(1);
         let held = held.map(|held| (held.attachment.entry, held.until.into_std()));
         self.state.command(Command::Attach { data: attachment.data.clone(), entry: attachment.entry, held });
+        self.state.attach(&attachment).await?;
+        self.state.counters.links.add(1);
         self.state.set_status(Status::Up(attachment.clone()));
         Ok(attachment)
     }
@@ -273,7 +274,7 @@ async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
 }
 
 /// Answers what the switch asks.
-async fn answer(state: Arc<State>, request: Request, responder: Responder) {
+async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request, responder: Responder) {
     let response = match request {
         Request::Writers(push) if push.entity == state.identity.name() && state.subscribes_to(&push.name) => {
             state.authorise(push.name, &push.records);
@@ -282,7 +283,15 @@ async fn answer(state: Arc<State>, request: Request, responder: Responder) {
         Request::Writers(push) => {
             Refusal::new(RefusalCode::NotFound, format!("no subscription to {} here", push.name)).into()
         }
-        _ => Refusal::new(RefusalCode::Unsupported, "an endpoint is only told about writers").into(),
+        // The RIB has forgotten what was stated, as after a restart. Frames go on meanwhile.
+        Request::Detach { entity, .. } if entity == state.identity.name() => match state.attach(&attachment).await {
+            Ok(()) => {
+                state.unstated.notify_one();
+                Response::Done
+            }
+            Err(error) => Refusal::new(RefusalCode::Unreachable, error.to_string()).into(),
+        },
+        _ => Refusal::new(RefusalCode::Unsupported, "an endpoint is told about writers and its attachment only").into(),
     };
     let _ = responder.respond(response).await;
 }

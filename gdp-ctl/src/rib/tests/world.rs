@@ -10,7 +10,7 @@ use gdp::identity::{Identity, SigningKey};
 use gdp::name::{Name, NamePrefix, NameProof};
 
 use crate::rib::fib::Pushed;
-use crate::rib::{Effect, Limits, Now, Rib};
+use crate::rib::{Effect, Limits, Now, Rib, Run};
 
 pub const UNIX: u64 = 1_800_000_000;
 const HOUR: u32 = 3600;
@@ -39,11 +39,15 @@ impl World {
     }
 
     pub fn with(length: usize, limits: Limits) -> Self {
+        Self::started(length, limits, Run { id: 1, settling: Duration::ZERO })
+    }
+
+    pub fn started(length: usize, limits: Limits, run: Run) -> Self {
         let switches: Vec<_> = (0..length).map(|_| Identity::generate("switch").unwrap()).collect();
         let owner = SigningKey::generate().unwrap();
         let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None).unwrap();
         let mut world = Self {
-            rib: Rib::new(switches[0].name(), limits),
+            rib: Rib::new(switches[0].name(), run, limits),
             now: Now { unix: UNIX, clock: Duration::from_secs(1000) },
             owner,
             card,
@@ -66,7 +70,7 @@ impl World {
             _ => None,
         });
         let near: Vec<_> = near.collect();
-        let response = self.rib.report(self.now, &self.switches[index].proof(), &near, attached);
+        let response = self.rib.report(self.now, &self.switches[index].proof(), &near, attached, None);
         assert!(matches!(response, Response::Done), "{response:?}");
     }
 
@@ -76,7 +80,7 @@ impl World {
 
     pub fn attach(&mut self, entity: &Identity, at: usize) -> Response {
         let claims = RtCert { entity: entity.name(), switch: self.switch(at), not_after: UNIX + 1_000_000 };
-        self.ask(entity, at, EntityRequest::Attach { rt_cert: issue(entity.key(), &claims).unwrap() })
+        self.ask(entity, at, EntityRequest::Attach { rt_cert: issue(entity.key(), &claims).unwrap(), resumes: true })
     }
 
     pub fn attached(&mut self, _what: &str, at: usize) -> Identity {
