@@ -139,14 +139,14 @@ impl Core {
         let until = Instant::now() + HOLD;
         let mut links = Vec::new();
         for (entry, to) in &left.links {
-            let role = if entry.role == LinkRole::Endpoint as u32 { LinkRole::Endpoint } else { LinkRole::Switch };
+            let role = if entry.role == LinkRole::Endpoint as u32 { Role::Endpoint } else { Role::Switch };
             let Some(id) = ids.reserve(entry.id) else { continue };
             let id = Kept::Adopted { _id: id };
             self.held.keep(HeldLink { peer: entry.peer, role, entry: *entry, to: *to, until, id });
-            if role == LinkRole::Endpoint {
+            if role == Role::Endpoint {
                 self.attached.insert(entry.peer);
             }
-            links.push(*entry);
+            links.push((*entry, role));
         }
         let changes = self.routes.adopt(&left, &links);
         self.carry_out(changes);
@@ -178,7 +178,7 @@ impl Core {
     pub fn release(&mut self, id: u32) -> Option<Name> {
         let HeldLink { peer, role, .. } = self.held.take(id)?;
         self.remove_link(role, peer, id);
-        let gone = role == LinkRole::Endpoint && !self.peers.contains_key(&peer) && !self.held.keeps(&peer);
+        let gone = role == Role::Endpoint && !self.peers.contains_key(&peer) && !self.held.keeps(&peer);
         (gone && self.attached.contains(&peer)).then_some(peer)
     }
 
@@ -226,7 +226,7 @@ impl Core {
         }
         let replaced = self.peers.insert(peer, id).and_then(|old| self.links.get(&old)).map(|old| old.link.clone());
         self.links.insert(id, LinkState { link: link.clone(), via, entry, to });
-        let changes = self.routes.link_up(link.peer().role.into(), peer, id);
+        let changes = self.routes.link_up(link.peer().role, peer, id);
         self.carry_out(changes);
         if self.uplink == Some(peer) {
             self.uplink_ready = false;
@@ -238,7 +238,7 @@ impl Core {
     pub fn link_ready(&mut self, link: &Link) {
         let (peer, id) = (link.peer().name, link.local_id());
         if self.links.contains_key(&id) {
-            let changes = self.routes.link_ready(link.peer().role.into(), peer, id);
+            let changes = self.routes.link_ready(link.peer().role, peer, id);
             self.carry_out(changes);
             self.held.replaced(&peer, Instant::now());
         }
@@ -247,7 +247,7 @@ impl Core {
     /// A link is closed. It goes out of service, unless frames may still come on it: because the peer is only about to learn
     /// that another has replaced it, or because a neighbour said nothing, and may forward on without its daemon.
     pub fn link_down(&mut self, link: &Link) {
-        let (id, peer, role) = (link.local_id(), link.peer().name, LinkRole::from(link.peer().role));
+        let (id, peer, role) = (link.local_id(), link.peer().name, link.peer().role);
         self.downstream.retain(|_, via| *via != id);
         if self.peers.get(&peer) == Some(&id) {
             self.peers.remove(&peer);
@@ -258,7 +258,7 @@ impl Core {
         let Some(LinkState { link, entry, to, .. }) = self.links.remove(&id) else { return };
         let time = if self.routes.is_replaced(role, &peer, id) {
             Some(GRACE)
-        } else if role == LinkRole::Switch && link.fell_silent() && self.routes.link_silent(role, &peer, id) {
+        } else if role == Role::Switch && link.fell_silent() && self.routes.link_silent(role, &peer, id) {
             Some(SILENCE)
         } else {
             None
@@ -270,7 +270,7 @@ impl Core {
         }
     }
 
-    fn remove_link(&mut self, role: LinkRole, peer: Name, id: u32) {
+    fn remove_link(&mut self, role: Role, peer: Name, id: u32) {
         let (changes, with_it) = self.routes.link_gone(role, peer, id);
         self.carry_out(changes);
         for id in [id].into_iter().chain(with_it) {

@@ -4,9 +4,9 @@
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
-use gdp::link::{Link, LinkId};
+use gdp::link::{Link, LinkId, Role};
 use gdp::port::LinkAddr;
-use gdp_wire::{LinkEntry, LinkRole, Name};
+use gdp_wire::{LinkEntry, Name};
 
 /// How long a link is kept that another has replaced: until frames that were sent on it have arrived.
 pub const GRACE: Duration = Duration::from_secs(5);
@@ -21,7 +21,7 @@ const MOST: usize = 8;
 /// A link that is kept.
 pub struct HeldLink {
     pub peer: Name,
-    pub role: LinkRole,
+    pub role: Role,
     pub entry: LinkEntry,
     pub to: LinkAddr,
     pub until: Instant,
@@ -115,7 +115,7 @@ mod tests {
         let entry = LinkEntry { id, ..LinkEntry::default() };
         let to = LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] };
         let kept = Kept::Adopted { _id: ids.reserve(id).unwrap() };
-        HeldLink { peer: name(peer), role: LinkRole::Switch, entry, to, until, id: kept }
+        HeldLink { peer: name(peer), role: Role::Switch, entry, to, until, id: kept }
     }
 
     fn name(i: u8) -> Name {

@@ -159,14 +159,20 @@ async fn answer(responder: Responder, response: Response) {
     }
 }
 
-/// An endpoint was asked to attach again. One that did not is made to: it has to begin with a new link.
-fn reattached(link: &Link, response: Option<Response>) {
+/// An endpoint was asked to attach again. One that could not is asked again, because the RIB answers the next report so; one
+/// that would not has to begin with a new link.
+fn reattached(daemon: &Daemon, link: &Link, response: Option<Response>) {
     let entity = link.peer().name;
-    if matches!(response, Some(Response::Done)) {
-        tracing::info!(entity = %format_args!("{entity:#}"), "the RIB did not know the attachment; it was made again");
-    } else {
-        tracing::info!(entity = %format_args!("{entity:#}"), "the RIB does not know the attachment; closing the link");
-        link.close("the RIB does not know this attachment: attach again");
+    match response {
+        Some(Response::Done) => {
+            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB did not know the attachment; it was made again");
+        }
+        None => daemon.report_in_full(),
+        Some(Response::Refused(refusal)) if refusal.code == RefusalCode::Unreachable => daemon.report_in_full(),
+        Some(_) => {
+            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB does not know the attachment; closing the link");
+            link.close("the RIB does not know this attachment: attach again");
+        }
     }
 }
 
@@ -181,7 +187,7 @@ impl Daemon {
                 Err(refusal) => refusal.into(),
             },
             Next::Reattach(link, request) => {
-                reattached(&link, link.request(&request).await.ok());
+                reattached(self, &link, link.request(&request).await.ok());
                 Response::Done
             }
             Next::Forward(link, request) => match link.request(&request).await {
@@ -243,7 +249,7 @@ impl Daemon {
                     None => None,
                 };
                 if let (Expects::Reattach, Some(link)) = (&message.expects, &message.link) {
-                    reattached(link, response);
+                    reattached(&daemon, link, response);
                 } else if !matches!(message.expects, Expects::Nothing) {
                     daemon.core().answered(message.expects, response);
                     daemon.send_effects();

@@ -7,8 +7,9 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use gdp::control::{Extent, FibPush, Route};
+use gdp::link::Role;
 use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE};
-use gdp_wire::{LinkEntry, LinkRole, Name};
+use gdp_wire::{LinkEntry, Name};
 
 use super::ends::Ends;
 use crate::plane::{Left, PlaneRoute};
@@ -69,10 +70,10 @@ struct Way {
 
 impl Routes {
     /// Holds what an earlier daemon left, of which `links` are still there.
-    pub fn adopt(&mut self, left: &Left, links: &[LinkEntry]) -> Vec<Change> {
+    pub fn adopt(&mut self, left: &Left, links: &[(LinkEntry, Role)]) -> Vec<Change> {
         self.own_bit = (left.own_bit != 0).then(|| left.own_bit.trailing_zeros() as u8);
-        let peers: HashMap<u32, (Name, LinkRole)> =
-            links.iter().filter_map(|link| Some((link.id, (link.peer, role(link)?)))).collect();
+        let peers: HashMap<u32, (Name, Role)> =
+            links.iter().map(|(link, role)| (link.id, (link.peer, *role))).collect();
         let sent_on = left.routes.iter().flat_map(|(_, route)| &route.readers).chain(&left.next_hops);
         for link in peers.keys().chain(sent_on) {
             if let Some((peer, role)) = peers.get(link) {
@@ -147,13 +148,13 @@ impl Routes {
     }
 
     /// A link is up; it replaces one to the same peer once it [is ready](Self::link_ready).
-    pub fn link_up(&mut self, role: LinkRole, peer: Name, link: u32) -> Vec<Change> {
+    pub fn link_up(&mut self, role: Role, peer: Name, link: u32) -> Vec<Change> {
         self.ends(role).entry(peer).or_default().up(link);
         self.changes_of(role, &peer)
     }
 
     /// The peer takes frames on the link.
-    pub fn link_ready(&mut self, role: LinkRole, peer: Name, link: u32) -> Vec<Change> {
+    pub fn link_ready(&mut self, role: Role, peer: Name, link: u32) -> Vec<Change> {
         let Some(ends) = self.ends(role).get_mut(&peer) else { return Vec::new() };
         let before = ends.out();
         ends.ready(link);
@@ -161,17 +162,17 @@ impl Routes {
     }
 
     /// The link fell silent: whether frames may still come and go on it, so that it is to be kept.
-    pub fn link_silent(&mut self, role: LinkRole, peer: &Name, link: u32) -> bool {
+    pub fn link_silent(&mut self, role: Role, peer: &Name, link: u32) -> bool {
         self.ends(role).get_mut(peer).is_some_and(|ends| ends.silent(link))
     }
 
     /// Whether another link has replaced this one, so that frames may still come on it.
-    pub fn is_replaced(&mut self, role: LinkRole, peer: &Name, link: u32) -> bool {
+    pub fn is_replaced(&mut self, role: Role, peer: &Name, link: u32) -> bool {
         self.ends(role).get(peer).is_some_and(|ends| ends.is_earlier(link))
     }
 
     /// A link is gone. Returns earlier ones to the same peer that have to go with it.
-    pub fn link_gone(&mut self, role: LinkRole, peer: Name, link: u32) -> (Vec<Change>, Vec<u32>) {
+    pub fn link_gone(&mut self, role: Role, peer: Name, link: u32) -> (Vec<Change>, Vec<u32>) {
         let all = self.ends(role);
         let Some(ends) = all.get_mut(&peer) else { return Default::default() };
         let with_it = ends.gone(link);
@@ -205,10 +206,10 @@ impl Routes {
         self.reach().into_iter().filter(|(_, reach)| *reach & bits != 0).map(|(name, _)| name).collect()
     }
 
-    fn ends(&mut self, role: LinkRole) -> &mut HashMap<Name, Ends> {
+    fn ends(&mut self, role: Role) -> &mut HashMap<Name, Ends> {
         match role {
-            LinkRole::Switch => &mut self.switches,
-            LinkRole::Endpoint => &mut self.endpoints,
+            Role::Switch => &mut self.switches,
+            Role::Endpoint => &mut self.endpoints,
         }
     }
 
@@ -257,29 +258,44 @@ impl Routes {
         }
         let reach = self.reach();
         if reach != before {
-            changes.extend(self.switches.keys().flat_map(|switch| self.reach_of(&reach, switch)));
-            changes.push(self.next_hops(&reach));
+            let (used, unused) = self.reach_of(&reach, self.switches.iter());
+            changes.extend(used.into_iter().chain([self.next_hops(&reach)]).chain(unused));
         }
         changes
     }
 
     /// What follows from other links to a peer.
-    fn changes_of(&self, role: LinkRole, peer: &Name) -> Vec<Change> {
+    fn changes_of(&self, role: Role, peer: &Name) -> Vec<Change> {
         match role {
-            LinkRole::Switch => {
+            Role::Switch => {
                 let reach = self.reach();
-                self.reach_of(&reach, peer).chain([self.next_hops(&reach)]).collect()
+                let (used, unused) = self.reach_of(&reach, self.switches.get_key_value(peer).into_iter());
+                used.into_iter().chain([self.next_hops(&reach)]).chain(unused).collect()
             }
-            LinkRole::Endpoint => {
+            Role::Endpoint => {
                 let names = self.concerned.get(peer).into_iter().flatten();
                 names.filter_map(|name| self.way(name)).map(|way| self.resolve(&way)).collect()
             }
         }
     }
 
-    fn reach_of(&self, reach: &BTreeMap<Name, u64>, switch: &Name) -> impl Iterator<Item = Change> {
-        let bits = reach.get(switch).copied().unwrap_or(0);
-        self.switches.get(switch).into_iter().flat_map(Ends::all).map(move |link| Change::Reach { link, bits })
+    /// The masks of the links to switches: of those that are sent on, and of all others, by which no copy goes. In this order
+    /// a frame rather goes twice than never.
+    fn reach_of<'a>(
+        &self,
+        reach: &BTreeMap<Name, u64>,
+        switches: impl Iterator<Item = (&'a Name, &'a Ends)>,
+    ) -> (Vec<Change>, Vec<Change>) {
+        let (mut used, mut unused) = (Vec::new(), Vec::new());
+        for (switch, ends) in switches {
+            for link in ends.all() {
+                match ends.out() == Some(link) {
+                    true => used.push(Change::Reach { link, bits: reach.get(switch).copied().unwrap_or(0) }),
+                    false => unused.push(Change::Reach { link, bits: 0 }),
+                }
+            }
+        }
+        (used, unused)
     }
 
     fn next_hops(&self, reach: &BTreeMap<Name, u64>) -> Change {
@@ -334,10 +350,6 @@ impl Routes {
         };
         Change::Set(route.name, PlaneRoute { egress_bits: route.egress_bits, readers, writers })
     }
-}
-
-fn role(link: &LinkEntry) -> Option<LinkRole> {
-    [LinkRole::Endpoint, LinkRole::Switch].into_iter().find(|role| *role as u32 == link.role)
 }
 
 /// What two layers say of a name, taken together.

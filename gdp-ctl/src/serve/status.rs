@@ -5,11 +5,10 @@ use std::sync::Arc;
 
 use gdp::control::RecordPlace;
 use gdp::link::Role;
-use gdp_wire::Name;
+use gdp_wire::{FibEntry, Name};
 use serde_json::{Map, Value, json};
 
 use super::{Daemon, interfaces};
-use crate::plane::PlaneRoute;
 
 /// `gdp-ctl status`.
 pub async fn status(daemon: &Arc<Daemon>) -> Value {
@@ -101,21 +100,21 @@ pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, 
     let core = daemon.core();
     let (routes, more) = core.planes.routes_behind(after, limit).map_err(|error| error.to_string())?;
     let peers = core.peers_by_link();
-    let page: Vec<Value> = routes.iter().map(|(name, held)| route(&core, &peers, name, held)).collect();
+    let page: Vec<Value> = routes.iter().map(|(name, entry)| route(&core, &peers, name, entry)).collect();
     Ok(json!({"routes": page, "more": more}))
 }
 
-fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, route: &PlaneRoute) -> Value {
+fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
     let own = core.routes.own_bit().map_or(0, |bit| 1u64 << bit);
-    let names = |links: &[u32]| links.iter().filter_map(|link| peers.get(link)).collect::<Vec<_>>();
+    let names = |links: Vec<u32>| links.iter().filter_map(|link| peers.get(link)).copied().collect::<Vec<_>>();
     json!({
         "name": name,
-        "egress_bits": format!("{:#x}", route.egress_bits),
-        "own": route.egress_bits & own != 0,
-        "toward": core.routes.neighbours_toward(route.egress_bits & !own),
-        "readers": names(&route.readers),
-        "writers": names(&route.writers),
-        "reader_links": route.readers,
+        "egress_bits": format!("{:#x}", entry.egress_bits),
+        "own": entry.egress_bits & own != 0,
+        "toward": core.routes.neighbours_toward(entry.egress_bits & !own),
+        "readers": names(core.planes.readers(entry)),
+        "writers": names(core.planes.writers(name)),
+        "group": entry.group,
     })
 }
 

@@ -7,7 +7,7 @@ use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use gdp_wire::replay::{self, Window};
-use gdp_wire::{Header, LinkEntry, Name, forward};
+use gdp_wire::{FrameType, Header, LinkEntry, Name, forward};
 use tokio::sync::mpsc as async_mpsc;
 use zerocopy::FromBytes;
 
@@ -29,9 +29,9 @@ pub enum Command {
     /// Frames now come from this socket, on this link, which is new.
     Attach {
         data: Arc<DataSocket>,
-        entry: LinkEntry,
+        entry: Box<LinkEntry>,
         /// A link that this one replaces, and until when the switch may still send on it.
-        held: Option<(LinkEntry, Instant)>,
+        held: Option<(Box<LinkEntry>, Instant)>,
     },
     Subscribe {
         name: Name,
@@ -72,7 +72,8 @@ impl Receiver {
                 match command {
                     Ok(Command::Attach { data, entry, held }) => {
                         let earlier = attached.take().map(|(_, links)| links);
-                        attached = Some((data, Links::after(earlier, entry, held)));
+                        let held = held.map(|(entry, until)| (*entry, until));
+                        attached = Some((data, Links::after(earlier, *entry, held)));
                     }
                     Ok(Command::Subscribe { name, intake }) => drop(state.intakes.insert(name, intake)),
                     Ok(Command::Unsubscribe { name }) => drop(state.intakes.remove(&name)),
@@ -199,9 +200,16 @@ impl Intakes {
                 continue;
             };
             let link = links.of(header);
-            if let Err(counter) = forward::accept(header, frame.len(), &link.entry, &*link.window) {
-                counters.refused[counter as usize].add(1);
-                continue;
+            match forward::accept(header, frame.len(), &link.entry, &*link.window) {
+                Ok(FrameType::Data) => {}
+                Ok(_) => {
+                    counters.notices.add(1);
+                    continue;
+                }
+                Err(counter) => {
+                    counters.refused[counter as usize].add(1);
+                    continue;
+                }
             }
             let Some(intake) = self.intakes.get_mut(&header.destination) else {
                 counters.not_subscribed.add(1);

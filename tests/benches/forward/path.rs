@@ -10,7 +10,7 @@ use gdp_ctl::plane::{PlaneConfig, PlaneRoute, Planes, Wanted};
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::frames::Frame;
 use gdp_tests::netns::{Namespace, execute};
-use gdp_wire::{Counter, LinkEntry, LinkRole, Name};
+use gdp_wire::{Carrier, Counter, LinkEntry, LinkRole, Name};
 use serde::Serialize;
 
 /// What forwards.
@@ -101,7 +101,7 @@ impl Path {
         match self.kind {
             Kind::Ip => LinkEntry::default(),
             Kind::Xdp | Kind::Userspace => {
-                LinkEntry { id: LEFT, peer_id: LEFT, tx_key: key(0), ..LinkEntry::default() }
+                LinkEntry { id: LEFT, peer_id: LEFT, tx_keys: [key(0); 2], ..LinkEntry::default() }
             }
         }
     }
@@ -145,8 +145,7 @@ impl Switch {
         planes.set_link(link(RIGHT, last, (beyond, key(i + 1)), (mac(i + 1, 2), mac(i + 1, 1))), addresses[1])?;
         if first || last {
             let readers = if last { vec![RIGHT] } else { vec![] };
-            let route = PlaneRoute { egress_bits: 1 << (hops - 1), readers, writers: vec![LEFT] };
-            planes.set_route(TOPIC, &route)?;
+            planes.set_route(TOPIC, &PlaneRoute { egress_bits: 1 << (hops - 1), readers, writers: vec![LEFT] })?;
         }
         let mut next_hops = [0; 64];
         (i + 1..hops).for_each(|bit| next_hops[bit] = RIGHT);
@@ -163,17 +162,15 @@ fn link(
     (reach, key): (u64, [u64; 2]),
     (peer_mac, local_mac): ([u8; 6], [u8; 6]),
 ) -> LinkEntry {
-    let words = |mac: [u8; 6]| [0, 2, 4].map(|i| u16::from_ne_bytes([mac[i], mac[i + 1]]));
     LinkEntry {
         id,
         peer_id: LEFT,
         role: if endpoint { LinkRole::Endpoint } else { LinkRole::Switch } as u32,
-        rx_key: key,
-        tx_key: key,
+        rx_keys: [key; 2],
+        tx_keys: [key; 2],
         reach: if endpoint { 0 } else { reach },
         mtu: 1500,
-        peer_mac: words(peer_mac),
-        local_mac: words(local_mac),
+        carrier: Carrier::ethernet(peer_mac, local_mac),
         ..LinkEntry::default()
     }
 }

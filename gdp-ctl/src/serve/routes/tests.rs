@@ -11,22 +11,18 @@ fn names_become_links_and_follow_them() {
     assert!(changes.contains(&Change::Remove(name(1))), "its endpoint has no link yet");
     assert!(changes.contains(&set(2, 4, &[], &[])));
 
-    assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 70), [set(1, 0, &[70], &[])]);
-    assert_eq!(r.link_ready(LinkRole::Endpoint, name(7), 70), [], "it is the one in use already");
-    assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 71), [set(1, 0, &[70], &[])], "not before it takes frames there");
-    assert_eq!(r.link_ready(LinkRole::Endpoint, name(7), 71), [set(1, 0, &[71], &[])], "it moved");
-    assert!(r.is_replaced(LinkRole::Endpoint, &name(7), 70));
-    assert_eq!(
-        gone(&mut r, LinkRole::Endpoint, name(7), 70),
-        [set(1, 0, &[71], &[])],
-        "the old link no longer matters"
-    );
-    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(7), 71), [Change::Remove(name(1))]);
+    assert_eq!(r.link_up(Role::Endpoint, name(7), 70), [set(1, 0, &[70], &[])]);
+    assert_eq!(r.link_ready(Role::Endpoint, name(7), 70), [], "it is the one in use already");
+    assert_eq!(r.link_up(Role::Endpoint, name(7), 71), [set(1, 0, &[70], &[])], "not before it takes frames there");
+    assert_eq!(r.link_ready(Role::Endpoint, name(7), 71), [set(1, 0, &[71], &[])], "it moved");
+    assert!(r.is_replaced(Role::Endpoint, &name(7), 70));
+    assert_eq!(gone(&mut r, Role::Endpoint, name(7), 70), [set(1, 0, &[71], &[])], "the old link no longer matters");
+    assert_eq!(gone(&mut r, Role::Endpoint, name(7), 71), [Change::Remove(name(1))]);
 
-    let changes = r.link_up(LinkRole::Switch, name(9), 90);
+    let changes = r.link_up(Role::Switch, name(9), 90);
     assert_eq!(changes[0], Change::Reach { link: 90, bits: 0b101 });
     assert_eq!(hops(&changes[1])[..4], [90, 0, 90, 0]);
-    let changes = gone(&mut r, LinkRole::Switch, name(9), 90);
+    let changes = gone(&mut r, Role::Switch, name(9), 90);
     assert_eq!(hops(&changes[0])[..4], [0; 4]);
 }
 
@@ -37,14 +33,14 @@ fn writers_become_links_and_lose_their_permission_with_them() {
     let by = |writers: &[u32]| set(1, 4, &[], writers);
     let first = r.push(&push(1, Extent::Full { part: 0, last: true }, vec![written(&[7, 8, 9])])).unwrap();
     assert!(first.contains(&by(&[])), "none of them has a link");
-    assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 80), [by(&[80])]);
-    assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 70), [by(&[70, 80])]);
-    assert_eq!(r.link_up(LinkRole::Endpoint, name(9), 90), [by(&[70, 80, 90])]);
-    assert_eq!(r.link_up(LinkRole::Endpoint, name(6), 60), [], "this one does not publish it");
+    assert_eq!(r.link_up(Role::Endpoint, name(8), 80), [by(&[80])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(7), 70), [by(&[70, 80])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(9), 90), [by(&[70, 80, 90])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(6), 60), [], "this one does not publish it");
     assert_eq!(r.push(&push(2, Extent::Delta, vec![written(&[8, 9])])).unwrap(), [by(&[80, 90])]);
-    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(7), 70), [], "nor does this one any more");
-    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(8), 80), [by(&[90])]);
-    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(9), 90), [by(&[])]);
+    assert_eq!(gone(&mut r, Role::Endpoint, name(7), 70), [], "nor does this one any more");
+    assert_eq!(gone(&mut r, Role::Endpoint, name(8), 80), [by(&[90])]);
+    assert_eq!(gone(&mut r, Role::Endpoint, name(9), 90), [by(&[])]);
 }
 
 #[test]
@@ -52,9 +48,9 @@ fn each_local_reader_has_its_link_and_a_reader_may_write() {
     let mut r = Routes::default();
     let both = Route { writers: vec![name(8)], ..route(1, 3, &[7, 8, 9]) };
     r.push(&push(1, Extent::Full { part: 0, last: true }, vec![both])).unwrap();
-    assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 80), [set(1, 3, &[80], &[80])]);
-    assert_eq!(r.link_up(LinkRole::Endpoint, name(9), 60), [set(1, 3, &[60, 80], &[80])]);
-    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(8), 80), [set(1, 3, &[60], &[])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(8), 80), [set(1, 3, &[80], &[80])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(9), 60), [set(1, 3, &[60, 80], &[80])]);
+    assert_eq!(gone(&mut r, Role::Endpoint, name(8), 80), [set(1, 3, &[60], &[])]);
     assert_eq!(r.push(&push(2, Extent::Delta, vec![route(1, 0, &[7, 8])])).unwrap(), [Change::Remove(name(1))]);
 }
 
@@ -82,32 +78,35 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
     (next_hops[0], next_hops[2]) = (90, 90);
     let routes =
         vec![(name(1), plane(&[70], &[80])), (name(2), plane(&[], &[ANY_WRITER])), (name(3), plane(&[60], &[]))];
-    let link = |id, role: LinkRole, peer| LinkEntry { id, role: role as u32, peer: name(peer), ..LinkEntry::default() };
+    let link = |id, role: Role, peer| (LinkEntry { id, peer: name(peer), ..LinkEntry::default() }, role);
     let links = [
-        link(70, LinkRole::Endpoint, 7),
-        link(69, LinkRole::Endpoint, 7),
-        link(80, LinkRole::Endpoint, 8),
-        link(90, LinkRole::Switch, 9),
+        link(70, Role::Endpoint, 7),
+        link(69, Role::Endpoint, 7),
+        link(80, Role::Endpoint, 8),
+        link(90, Role::Switch, 9),
     ];
-    let left = Left { own_bit: 2, links: vec![], routes, next_hops, ports: HashMap::new() };
+    let left = Left { own_bit: 2, links: vec![], routes, next_hops, ports: HashSet::new() };
     assert_eq!(r.adopt(&left, &links), [set(3, 6, &[], &[])], "one link was not found again");
     assert_eq!((r.own_bit(), r.len()), (Some(1), 3));
 
     // The writer is back before the RIB has said a word, and may send on both links.
-    assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 81), [set(1, 6, &[70], &[80, 81])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(8), 81), [set(1, 6, &[70], &[80, 81])]);
     // The neighbour is back, but takes frames on the new link a little later.
-    let changes = r.link_up(LinkRole::Switch, name(9), 91);
-    assert_eq!(changes[..2], [90, 91].map(|link| Change::Reach { link, bits: 0b101 }));
-    assert_eq!(hops(&changes[2])[..3], [90, 0, 90]);
-    let changes = r.link_ready(LinkRole::Switch, name(9), 91);
-    assert_eq!(hops(changes.last().unwrap())[..3], [91, 0, 91]);
+    let changes = r.link_up(Role::Switch, name(9), 91);
+    assert_eq!(changes[0], Change::Reach { link: 90, bits: 0b101 });
+    assert_eq!(hops(&changes[1])[..3], [90, 0, 90]);
+    assert_eq!(changes[2], Change::Reach { link: 91, bits: 0 }, "no frame goes twice");
+    let changes = r.link_ready(Role::Switch, name(9), 91);
+    assert_eq!(changes[0], Change::Reach { link: 91, bits: 0b101 });
+    assert_eq!(hops(&changes[1])[..3], [91, 0, 91]);
+    assert_eq!(changes[2], Change::Reach { link: 90, bits: 0 });
 
     // A new RIB does not know them yet, nor the paths.
     let mut first = push(1, Extent::Full { part: 0, last: true }, vec![route(1, 2, &[6])]);
     (first.settling, first.reach) = (true, vec![]);
     let same = set(1, 6, &[70], &[80, 81]);
     assert_eq!(r.push(&first).unwrap(), [same], "it adds an endpoint that has no link yet");
-    assert_eq!(r.link_up(LinkRole::Endpoint, name(6), 65), [set(1, 6, &[65, 70], &[80, 81])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(6), 65), [set(1, 6, &[65, 70], &[80, 81])]);
     let mut taken_back = push(2, Extent::Delta, vec![]);
     (taken_back.settling, taken_back.reach, taken_back.remove) = (true, vec![], vec![name(2)]);
     assert_eq!(r.push(&taken_back).unwrap(), [Change::Remove(name(2))]);
@@ -123,7 +122,7 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
 fn another_rib_sweeps_nothing_before_it_has_settled() {
     let mut r = Routes::default();
     r.push(&push(7, Extent::Full { part: 0, last: true }, vec![route(1, 1, &[]), route(2, 1, &[])])).unwrap();
-    r.link_up(LinkRole::Switch, name(9), 90);
+    r.link_up(Role::Switch, name(9), 90);
     let by = |mut push: FibPush, settling| {
         (push.run, push.settling, push.reach) = (2, settling, vec![]);
         push
@@ -172,10 +171,10 @@ fn the_data_plane_follows_any_sequence() {
                 2..=4 => {
                     let (peer, link) = (name(10 + below(4) as u8), 1000 + step);
                     if let Some(old) = links.remove(&peer) {
-                        changes.extend(gone(&mut r, LinkRole::Endpoint, peer, old));
+                        changes.extend(gone(&mut r, Role::Endpoint, peer, old));
                     } else {
-                        changes.extend(r.link_up(LinkRole::Endpoint, peer, link));
-                        changes.extend(r.link_ready(LinkRole::Endpoint, peer, link));
+                        changes.extend(r.link_up(Role::Endpoint, peer, link));
+                        changes.extend(r.link_ready(Role::Endpoint, peer, link));
                         links.insert(peer, link);
                     }
                 }
@@ -248,7 +247,7 @@ fn a_push_out_of_step_changes_nothing() {
 }
 
 /// The link is gone.
-fn gone(r: &mut Routes, role: LinkRole, peer: Name, link: u32) -> Vec<Change> {
+fn gone(r: &mut Routes, role: Role, peer: Name, link: u32) -> Vec<Change> {
     r.link_gone(role, peer, link).0
 }
 
