@@ -24,26 +24,24 @@ fn a_switch_whose_daemon_died_is_held_by_its_neighbours_while_its_kernel_forward
     wait_for_more(&mut conversation, 10)?;
     fabric.switches[1].process.kill()?;
     for neighbour in [0, 2] {
-        wait_for("the neighbour to hear nothing more", GIVEN_UP, || {
-            Ok(link(&fabric, neighbour, 1)?.filter(|link| link["held"] == true).map(drop))
-        })
-        .with_context(|| fabric.report())?;
+        wait_for("the neighbour to hear nothing more", GIVEN_UP, || Ok(held(&fabric, neighbour, 1)?.map(drop)))
+            .with_context(|| fabric.report())?;
     }
     // For much longer than a dead switch would be given.
     let echoes = 2 * 5 * Pace::ETHERNET.misses as u64;
     let before = echoed(&fabric, 1)?;
     wait_for("the kernel to answer echoes", PATIENCE, || Ok((echoed(&fabric, 1)? >= before + echoes).then_some(())))?;
     for neighbour in [0, 2] {
-        let link = link(&fabric, neighbour, 1)?.context("it is held on")?;
-        ensure!(link["held"] == true && link["errors_received"] == serde_json::json!({}), "{link}");
+        let link = held(&fabric, neighbour, 1)?.context("it is held on")?;
+        ensure!(link["role"] == "switch" && link["errors_received"] == serde_json::json!({}), "{link}");
     }
     wait_for_more(&mut conversation, 10)?;
     let numbers: Vec<i64> = peers::received(&conversation.listener).iter().map(|message| message.sequence).collect();
     ensure!(numbers == (0..numbers.len() as i64).collect::<Vec<_>>(), "a message was lost: {numbers:?}");
 
     fabric.chain.switches()[1].ip(&["link", "set", "l0", "down"])?;
-    wait_for("the left neighbour to give it up", GIVEN_UP, || Ok(link(&fabric, 0, 1)?.is_none().then_some(())))?;
-    ensure!(link(&fabric, 2, 1)?.is_some(), "the right cable is whole");
+    wait_for("the left neighbour to give it up", GIVEN_UP, || Ok(held(&fabric, 0, 1)?.is_none().then_some(())))?;
+    ensure!(held(&fabric, 2, 1)?.is_some(), "the right cable is whole");
     Ok(())
 }
 
@@ -60,8 +58,8 @@ fn a_cut_cable_ends_the_hold_on_both_sides_and_a_mended_one_carries_again() -> R
         .with_context(|| fabric.report())?;
     wait_for("the switch to give the robot up", GIVEN_UP, || {
         let status = fabric.status(0)?;
-        let links = status["links"].as_array().context("links")?;
-        Ok(links.iter().all(|link| link["role"] != "endpoint").then_some(()))
+        let all = ["links", "links_held"].map(|links| status[links].as_array().cloned().unwrap_or_default()).concat();
+        Ok(all.iter().all(|link| link["role"] != "endpoint").then_some(()))
     })
     .with_context(|| fabric.report())?;
     fabric.chain.cut_wire(false)?;
@@ -91,10 +89,10 @@ fn wait_for_more(conversation: &mut Conversation, more: usize) -> Result<()> {
     listener.wait_until("more messages", PATIENCE, |p| (peers::received(p).len() >= so_far + more).then_some(()))
 }
 
-/// What switch `i` says of its link to switch `to`.
-fn link(fabric: &Fabric, i: usize, to: usize) -> Result<Option<Value>> {
+/// What switch `i` says of the link to switch `to` that it holds.
+fn held(fabric: &Fabric, i: usize, to: usize) -> Result<Option<Value>> {
     let status = fabric.status(i)?;
-    let links = status["links"].as_array().context("links")?;
+    let links = status["links_held"].as_array().context("links")?;
     Ok(links.iter().find(|link| link["peer"] == *fabric.switches[to].name).cloned())
 }
 

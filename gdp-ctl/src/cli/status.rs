@@ -36,7 +36,7 @@ fn describe(status: &Value) -> String {
     let links: Vec<_> = items(&status["links"])
         .iter()
         .map(|link| {
-            let rtt = if link["held"] == true { "silent".into() } else { format!("{} µs", link["rtt_us"]) };
+            let rtt = format!("{} µs", link["rtt_us"]);
             [
                 short(&link["peer"]),
                 text(&link["role"]),
@@ -48,7 +48,14 @@ fn describe(status: &Value) -> String {
         })
         .collect();
     out += &format!("\n{}\n", table(["link to", "role", "via", "address", "MTU", "RTT"], &links));
-    for link in items(&status["links"]) {
+    for link in items(&status["links_held"]) {
+        out += &format!(
+            "held on a link without an answer from its daemon: {} {}\n",
+            text(&link["role"]),
+            short(&link["peer"])
+        );
+    }
+    for link in items(&status["links"]).into_iter().chain(items(&status["links_held"])) {
         for (code, count) in link["errors_received"].as_object().into_iter().flatten() {
             out += &format!("{} refused frames of this switch: {count} × {code}\n", short(&link["peer"]));
         }

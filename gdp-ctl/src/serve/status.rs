@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use gdp::control::RecordPlace;
 use gdp::link::Role;
 use gdp_wire::{ErrorCode, FibEntry, Name};
 use serde_json::{Map, Value, json};
@@ -32,18 +33,31 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
             let peer = state.link.peer();
             json!({
                 "peer": peer.name,
-                "role": match peer.role { Role::Endpoint => "endpoint", Role::Switch => "switch" },
+                "role": role(peer.role),
                 "via": state.via.to_string(),
                 "address": state.link.addr().to_string(),
                 "id": state.link.local_id(),
                 "mtu": state.link.mtu(),
                 "rtt_us": state.link.rtt().as_micros() as u64,
-                "held": state.link.close_reason().is_some(),
                 "errors_received": errors_received(&core, state.link.local_id()),
             })
         })
         .collect();
     links.sort_by_key(|link| link["id"].as_u64());
+    let mut held: Vec<_> = core
+        .held
+        .iter()
+        .map(|link| {
+            json!({
+                "peer": link.peer,
+                "role": role(link.role),
+                "address": link.to.to_string(),
+                "id": link.entry.id,
+                "errors_received": errors_received(&core, link.entry.id),
+            })
+        })
+        .collect();
+    held.sort_by_key(|link| link["id"].as_u64());
     let (mut counters, mut by_plane) = (Map::new(), Map::new());
     let mut errors = Vec::new();
     match core.planes.counters() {
@@ -64,6 +78,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "data_plane_reason": reason,
         "interfaces": used,
         "links": links,
+        "links_held": held,
         "counters": counters,
         "counters_by_plane": by_plane,
         "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
@@ -73,6 +88,13 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         })),
         "errors": errors,
     })
+}
+
+fn role(role: Role) -> &'static str {
+    match role {
+        Role::Endpoint => "endpoint",
+        Role::Switch => "switch",
+    }
 }
 
 /// What a neighbour refused of what this switch sent it, by code.
@@ -119,14 +141,14 @@ fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, ent
         "egress_bits": format!("{:#x}", entry.egress_bits),
         "own": entry.egress_bits & own != 0,
         "toward": core.routes.neighbours_toward(entry.egress_bits & !own),
-        "local": names(core.planes.readers(entry)),
+        "readers": names(core.planes.readers(entry)),
         "writers": names(core.planes.writers(name)),
         "group": entry.group,
     })
 }
 
 /// One page of `gdp-ctl rib dump`, or why there is none.
-pub fn rib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, String> {
+pub fn rib(daemon: &Daemon, after: Option<RecordPlace>, limit: usize) -> Result<Value, String> {
     let core = daemon.core();
     let Some(rib) = &core.rib else {
         let uplink = core.uplink.unwrap_or_default();

@@ -74,7 +74,9 @@ impl Receiver {
                 match command {
                     Ok(Command::Attach { attachment, held }) => {
                         let earlier = attached.take().map(|(_, links)| links);
-                        attached = Some((attachment.data.clone(), Links::after(earlier, &attachment, held)));
+                        let held = held.map(|(silent, until)| (Ingress::of(&silent), until));
+                        let links = Links::after(earlier, Ingress::of(&attachment), held);
+                        attached = Some((attachment.data.clone(), links));
                     }
                     Ok(Command::Subscribe { name, intake }) => drop(intakes.intakes.insert(name, intake)),
                     Ok(Command::Unsubscribe { name }) => drop(intakes.intakes.remove(&name)),
@@ -126,17 +128,22 @@ impl Links {
         Self { current, held: Vec::new() }
     }
 
-    /// A new link; `held` is the one that fell silent, which goes on as it was among `earlier` ones.
-    fn after(earlier: Option<Self>, new: &Arc<Attachment>, held: Option<(Arc<Attachment>, Instant)>) -> Self {
-        let mut links = Self::new(Ingress::of(new));
+    /// A new link; `held` is the one that fell silent, which goes on as it was among `earlier` ones. The current one of these
+    /// may be another, that never came into service.
+    fn after(earlier: Option<Self>, new: Ingress, held: Option<(Ingress, Instant)>) -> Self {
+        let mut links = Self::new(new);
         let Some((silent, until)) = held else { return links };
-        match earlier {
-            Some(earlier) if earlier.current.entry.id == silent.entry.id => {
-                links.held = earlier.held;
-                links.held.push((earlier.current, until));
+        let mut before = Vec::new();
+        if let Some(earlier) = earlier {
+            before = earlier.held;
+            if earlier.current.entry.id == silent.entry.id {
+                before.push((earlier.current, until));
             }
-            _ => links.held.push((Ingress::of(&silent), until)),
         }
+        if before.iter().all(|(link, _)| link.entry.id != silent.entry.id) {
+            before.push((silent, until));
+        }
+        links.held = before;
         links
     }
 
@@ -372,6 +379,19 @@ mod tests {
 
     fn feedback() -> Feedbacks {
         Feedbacks::new(NODE)
+    }
+
+    #[test]
+    fn a_link_that_fell_silent_keeps_its_window_through_attempts_to_replace_it() {
+        let link = |id| Ingress::new(LinkEntry { id, ..LinkEntry::default() }, Weak::new());
+        let until = Instant::now() + Duration::from_secs(60);
+        let first = Links::new(link(1));
+        assert!(replay::take(&*first.current.window, 7));
+        let second = Links::after(Some(first), link(2), Some((link(1), until)));
+        let third = Links::after(Some(second), link(3), Some((link(1), until)));
+        let ids: Vec<u32> = third.held.iter().map(|(link, _)| link.entry.id).collect();
+        assert_eq!((third.current.entry.id, ids), (3, vec![1]), "2 never came into service");
+        assert!(!replay::is_fresh(&*third.held[0].0.window, 7));
     }
 
     fn subscribed() -> Intakes {
