@@ -136,7 +136,10 @@ pub struct Planes {
 /// What an earlier daemon left in the kernel, and nobody has confirmed or removed yet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Left {
-    pub links: Vec<LinkEntry>,
+    /// This switch's egress bit.
+    pub own_bit: u64,
+    /// With where frames of each go.
+    pub links: Vec<(LinkEntry, LinkAddr)>,
     pub routes: Vec<(Name, PlaneRoute)>,
     pub next_hops: [u32; EGRESS_SET_SIZE as usize],
     /// Interfaces.
@@ -531,13 +534,13 @@ impl Planes {
     fn adopt(&mut self, adopted: Adopted) -> Result<(), PlaneError> {
         let Adopted { config, links, routes, next_hops, ports } = adopted;
         self.own_bit = config.own_bit;
-        let mut left = Left { links: Vec::new(), routes: Vec::new(), next_hops, ports: HashSet::new() };
-        left.ports.extend(ports.into_iter().map(|(port, _)| port));
+        let ports = ports.into_iter().map(|(port, _)| port).collect();
+        let mut left = Left { own_bit: config.own_bit, links: Vec::new(), routes: Vec::new(), next_hops, ports };
         for entry in links {
             if left.ports.contains(&entry.port) {
                 let to = LinkAddr::Ethernet { ifindex: entry.port, mac: mac_bytes(entry.carrier.peer_mac) };
                 self.tables().set_link(entry, to);
-                left.links.push(entry);
+                left.links.push((entry, to));
             } else if let Ok(kernel) = &mut self.kernel {
                 // Only the daemon that died knew where it leads.
                 kernel.remove_link(entry.id)?;
@@ -590,13 +593,17 @@ fn entry_of(name: &Name, route: &PlaneRoute, group: u32) -> (FibEntry, Vec<Permi
     (entry, others.iter().map(|link| Permit { name: *name, link: *link, part: Permit::DESTINATION }).collect())
 }
 
-/// A route that an earlier daemon left. Its writers are known by their old links, and come back on new ones before the RIB says
-/// so: until it has replaced the route, every endpoint may send to the name, as itself; readers know who may write.
+/// A route that an earlier daemon left. If there are several writers here, their permits cannot be read back: until the RIB has
+/// said them again, every endpoint may send to the name, as itself; readers know who may write.
 fn adopted_route(entry: &FibEntry) -> PlaneRoute {
     PlaneRoute {
         egress_bits: entry.egress_bits,
         readers: Some(entry.local_link).filter(|link| *link != 0).into_iter().collect(),
-        writers: Some(ANY_WRITER).filter(|_| entry.writer_link != 0).into_iter().collect(),
+        writers: match (entry.writer_link, entry.more_writers) {
+            (0, _) => Vec::new(),
+            (writer, 0) => vec![writer],
+            _ => vec![ANY_WRITER],
+        },
     }
 }
 
