@@ -15,7 +15,7 @@ impl Tables for Maps {
     }
 
     #[inline(always)]
-    fn route(&self, name: &Name) -> Option<&FibEntry> {
+    fn route(&self, name: &Name) -> Option<FibEntry> {
         fib::route(name)
     }
 

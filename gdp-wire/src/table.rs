@@ -118,7 +118,7 @@ pub trait Tables {
     fn link(&self, id: u32) -> Option<&LinkEntry>;
 
     /// Where this name leads.
-    fn route(&self, name: &Name) -> Option<&FibEntry>;
+    fn route(&self, name: &Name) -> Option<FibEntry>;
 
     /// Link id of the neighbour on the path to egress switch `bit` (0 … 63); 0 if there is none.
     fn next_hop(&self, bit: u32) -> u32;

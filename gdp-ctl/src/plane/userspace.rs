@@ -129,8 +129,8 @@ impl Tables for UserTables {
         (entry.id == id && id != 0).then_some(entry)
     }
 
-    fn route(&self, name: &Name) -> Option<&FibEntry> {
-        self.routes.get(name).map(|(entry, _)| entry)
+    fn route(&self, name: &Name) -> Option<FibEntry> {
+        self.routes.get(name).map(|(entry, _)| *entry)
     }
 
     fn next_hop(&self, bit: u32) -> u32 {

@@ -73,8 +73,8 @@ impl Tables for PlainTables {
         self.links.get(&id)
     }
 
-    fn route(&self, name: &Name) -> Option<&FibEntry> {
-        self.routes.get(name)
+    fn route(&self, name: &Name) -> Option<FibEntry> {
+        self.routes.get(name).copied()
     }
 
     fn next_hop(&self, bit: u32) -> u32 {
