@@ -33,7 +33,7 @@ mod table;
 use crate::{FibEntry, Name};
 
 #[cfg(target_has_atomic = "64")]
-pub use table::{Full, NotATable, Table};
+pub use table::{Full, NotATable, Table, count};
 
 /// Lines in a bucket.
 const LINES: usize = 8;
@@ -54,14 +54,9 @@ const PATH: usize = 2 * LINES;
 const MASK: usize = 0;
 const KEY: usize = 1;
 
-/// Parts of a state, from the low end. `SPILLED` and `MOVED` count; the former only in the first line of a bucket: names that begin
-/// in this bucket and lie in their second.
+/// Parts of a state. In the high 32 bits it counts how often the line was used; the writer keeps counts of its own between.
 const LIVE: u64 = 1;
-const PASSED: u64 = 1 << 1;
-const SPILLED: u64 = 1 << 2;
-const SPILLED_MAX: u64 = (1 << 12) - 1;
-const MOVED: u64 = 1 << 14;
-const MOVED_MAX: u64 = (1 << 18) - 1;
+const PASSED: u64 = 2;
 const USED: u32 = 32;
 
 /// The words of a bucket, which a writer may change at any moment.
@@ -183,5 +178,4 @@ const fn to_words(entry: FibEntry) -> [u64; 3] {
 const _: () = {
     assert!(size_of::<FibEntry>() == 24 && size_of::<Name>() == 32);
     assert!(LINE * size_of::<u64>() == 64);
-    assert!(MOVED * (MOVED_MAX + 1) == 1 << USED && SPILLED * (SPILLED_MAX + 1) == MOVED);
 };

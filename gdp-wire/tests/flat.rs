@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use gdp_wire::flat::{BUCKET, Full, Memory, NotATable, Table, Words, buckets_for, lookup, names_in};
+use gdp_wire::flat::{BUCKET, Full, Memory, NotATable, Table, Words, buckets_for, count, lookup, names_in};
 use gdp_wire::{FibEntry, Name};
 
 const KEY: [u64; 2] = [0x0123_4567_89ab_cdef, 0xfedc_ba98_7654_3210];
@@ -45,7 +45,7 @@ fn a_table_takes_the_names_it_is_meant_for() {
         for seed in 0..20 {
             let mut table = Table::begin(memory(names), [seed, !seed]).unwrap();
             assert_eq!(table.capacity(), names);
-            table.insert_all((0..names as usize).map(|i| (name(i), entry(i, 1)))).unwrap();
+            table.insert_all(&routes(names as usize, 1)).unwrap();
             assert_eq!(table.len(), names);
             assert!((0..names as usize).all(|i| table.get(&name(i)) == Some(entry(i, 1))));
         }
@@ -83,7 +83,8 @@ fn a_name_that_is_not_there_costs_little() {
     let memory = memory(4096);
     let mut table = Table::begin(&*memory, KEY).unwrap();
     for _ in 0..3 {
-        table.insert_all((0..4096).map(|i| (name(i), entry(i, 0)))).unwrap();
+        table.insert_all(&routes(4096, 0)).unwrap();
+        assert_eq!(count(&memory), 4096);
         (0..4096).for_each(|i| assert!(table.remove(&name(i))));
     }
     let touched = Touched { memory: &memory, words: Cell::new(0) };
@@ -222,6 +223,11 @@ fn same(table: &Table<Box<[AtomicU64]>>, map: &HashMap<usize, FibEntry>) {
 fn table_is_clean(memory: &[AtomicU64]) -> bool {
     const LIVE_OR_PASSED: u64 = 3;
     memory[BUCKET..].iter().step_by(8).all(|state| state.load(Ordering::Relaxed) & LIVE_OR_PASSED == 0)
+}
+
+/// The first names, as they are after a change.
+fn routes(names: usize, change: u64) -> Vec<(Name, FibEntry)> {
+    (0..names).map(|i| (name(i), entry(i, change))).collect()
 }
 
 /// The `i`-th name.

@@ -145,11 +145,12 @@ fn the_map_is_the_fib() -> Result<()> {
         routes.sort_by_key(|(name, _)| *name);
         routes
     };
-    ensure!(sorted(plane.routes()?) == sorted(switch.routes().map(|(name, entry, _)| (name, entry)).collect()));
+    ensure!(
+        sorted(plane.routes().collect()) == sorted(switch.routes().map(|(name, entry, _)| (name, entry)).collect())
+    );
     let (name, ..) = switch.routes().next().context("a route")?;
-    plane.remove_route(&name)?;
-    plane.remove_route(&name)?;
-    ensure!(plane.routes()?.iter().all(|(present, _)| *present != name), "removed, and removing again is no error");
+    ensure!(plane.remove_route(&name) && !plane.remove_route(&name));
+    ensure!(plane.routes().all(|(present, _)| present != name));
     Ok(())
 }
 
@@ -164,7 +165,7 @@ fn a_full_fib_refuses_and_forgets_nothing() -> Result<()> {
     let refused = plane.set_route(&name(100), entry);
     ensure!(matches!(refused, Err(UpdateError::FibFull { capacity: 100 })), "{refused:?}");
     plane.set_route(&name(7), FibEntry { egress_bits: 2, ..entry })?;
-    ensure!(plane.routes()?.len() == 100);
+    ensure!(plane.routes().count() == 100);
     Ok(())
 }
 

@@ -6,14 +6,17 @@
 //!
 //! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`], [`explain`] and [`xdp_features`] serve it
 //! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
-//! - [`link_memory`]: what the two planes share
+//! - [`fib`]: the names in the kernel, and room for more of them
+//! - [`link_memory`]: what the two planes share; both are [`mapping`]s
 //! - [`pins`]: what stays in the kernel when the daemon dies
 
 pub mod explain;
+mod fib;
 pub mod forwarder;
 pub mod kernel;
 pub mod kernel_version;
 pub mod link_memory;
+mod mapping;
 pub mod object;
 pub mod pins;
 pub mod userspace;
@@ -34,7 +37,8 @@ use pins::{Pins, PinsError};
 use userspace::UserTables;
 use xdp_features::XdpFeatures;
 
-/// Names the FIB can hold unless configured otherwise; about 125 B of kernel memory each.
+/// Names the FIB can hold unless configured otherwise. The kernel's table begins with room for 1024 names and doubles as names
+/// come: 128 to 256 B of kernel memory each.
 pub const FIB_CAPACITY: u32 = 65536;
 
 /// Largest frame read from UDP.
@@ -323,7 +327,7 @@ impl Planes {
     /// An unknown name is no error.
     pub fn remove_route(&mut self, name: &Name) -> Result<(), PlaneError> {
         if let Ok(kernel) = &mut self.kernel {
-            kernel.remove_route(name)?;
+            kernel.remove_route(name);
         }
         let before = self.tables().remove_route(name);
         if let (Ok(kernel), Some((_, permitted))) = (&mut self.kernel, before) {
@@ -391,7 +395,7 @@ impl Planes {
             Ok(kernel) if self.ports.values().any(|port| port.attached.is_some()) => {
                 let mut held = Vec::with_capacity(routes.len());
                 for (name, _) in routes {
-                    held.extend(kernel.route(&name)?.map(|entry| (name, entry)));
+                    held.extend(kernel.route(&name).map(|entry| (name, entry)));
                 }
                 Ok((held, more))
             }
@@ -523,10 +527,10 @@ impl Planes {
     /// replaced a route, every endpoint may send to the name, as itself; readers know who may write.
     fn let_any_write(&mut self, mut routes: Vec<(Name, FibEntry)>) -> Result<Vec<(Name, FibEntry)>, UpdateError> {
         let Ok(kernel) = &mut self.kernel else { return Ok(routes) };
-        for (name, entry) in routes.iter_mut().filter(|(_, entry)| entry.writer_link != 0) {
+        for (_, entry) in routes.iter_mut().filter(|(_, entry)| entry.writer_link != 0) {
             (entry.writer_link, entry.more_writers) = (ANY_WRITER, 0);
-            kernel.set_route(name, *entry)?;
         }
+        kernel.set_routes(&routes)?;
         kernel.forbid_all()?;
         Ok(routes)
     }

@@ -6,13 +6,19 @@ use core::fmt;
 use core::sync::atomic::{AtomicU64, Ordering, fence};
 
 use super::{
-    BUCKET, KEY, LINE, LINES, LIVE, MASK, MOVED, MOVED_MAX, Memory, PASSED, PATH, Place, SPILLED, SPILLED_MAX, USED,
-    Words, from_words, lookup, names_in, to_words,
+    BUCKET, KEY, LINE, LINES, LIVE, MASK, Memory, PASSED, PATH, Place, USED, Words, from_words, lookup, names_in,
+    to_words,
 };
 use crate::{FibEntry, Name};
 
 /// Names whose first lines are fetched at once.
 const BATCH: usize = 16;
+
+/// Names that begin in this bucket and lie in their second one; in the state of a bucket's first line only.
+const SPILLED: Count = Count { shift: 2, max: (1 << 12) - 1 };
+
+/// Names that moved and begin in this line.
+const MOVED: Count = Count { shift: 14, max: (1 << 18) - 1 };
 
 /// There is no room for a name: the table is too small for what it holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,23 +106,13 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     }
 
     /// [`Self::insert`] for many, whose cache misses overlap. Those before the one that found no room are in.
-    pub fn insert_all(&mut self, routes: impl IntoIterator<Item = (Name, FibEntry)>) -> Result<(), Full> {
-        let mut routes = routes.into_iter();
-        let mut batch = [(Name::default(), FibEntry::default()); BATCH];
-        loop {
-            let mut filled = 0;
-            let mut fetched = 0;
-            for (slot, (name, entry)) in batch.iter_mut().zip(&mut routes) {
-                fetched |= self.state(self.place(&name).at(0));
-                *slot = (name, entry);
-                filled += 1;
-            }
+    pub fn insert_all(&mut self, routes: &[(Name, FibEntry)]) -> Result<(), Full> {
+        for batch in routes.chunks(BATCH) {
+            let fetched = batch.iter().fold(0, |fetched, (name, _)| fetched | self.state(self.place(name).at(0)));
             core::hint::black_box(fetched);
-            if filled == 0 {
-                return Ok(());
-            }
-            batch[..filled].iter().try_for_each(|(name, entry)| self.insert(name, *entry))?;
+            batch.iter().try_for_each(|(name, entry)| self.insert(name, *entry))?;
         }
+        Ok(())
     }
 
     /// Whether the name was there.
@@ -151,9 +147,8 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     /// Frees the line that a name has at `step` of its path. `moved`: it is elsewhere on the path now.
     fn take_back(&mut self, place: &Place, step: usize, moved: bool) {
         if moved {
-            let (begin, at) = (self.state(place.at(0)), place.at(0));
-            let moves = (begin / MOVED + 1) & MOVED_MAX;
-            self.set_state(at, begin & !(MOVED_MAX * MOVED) | moves * MOVED);
+            let (at, begin) = (place.at(0), self.state(place.at(0)));
+            self.set_state(at, MOVED.put(begin, MOVED.get(begin) + 1));
         }
         let at = place.at(step);
         self.set_state(at, self.state(at) & !LIVE);
@@ -187,16 +182,16 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     fn spill(&mut self, place: &Place, change: i64) -> Result<(), Full> {
         let at = place.first as usize * BUCKET;
         let state = self.state(at);
-        let spilled = (state / SPILLED & SPILLED_MAX).checked_add_signed(change).filter(|count| *count <= SPILLED_MAX);
-        let spilled = spilled.ok_or(Full)?;
-        self.set_state(at, state & !(SPILLED_MAX * SPILLED) | spilled * SPILLED);
+        let spilled =
+            SPILLED.get(state).checked_add_signed(change).filter(|count| *count <= SPILLED.max).ok_or(Full)?;
+        self.set_state(at, SPILLED.put(state, spilled));
         Ok(())
     }
 
     /// Takes the marks back from lines of a bucket that no name passes any more.
     fn settle(&mut self, bucket: u32) {
         let start = bucket as usize * BUCKET;
-        if self.state(start) / SPILLED & SPILLED_MAX > 0 {
+        if SPILLED.get(self.state(start)) > 0 {
             return;
         }
         let mut passed = [false; LINES];
@@ -219,7 +214,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     fn repair(&mut self) {
         for bucket in 1..=self.mask + 1 {
             let at = bucket as usize * BUCKET;
-            self.set_state(at, self.state(at) & !(SPILLED_MAX * SPILLED));
+            self.set_state(at, SPILLED.put(self.state(at), 0));
         }
         for at in (BUCKET..self.words().len()).step_by(LINE) {
             if !self.is_live(at) {
@@ -292,6 +287,34 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     }
 }
 
+/// Names in the memory of a table that somebody else writes; one that moves meanwhile may count twice.
+pub fn count(memory: &[AtomicU64]) -> usize {
+    memory.iter().skip(BUCKET).step_by(LINE).filter(|state| state.load(Ordering::Relaxed) & LIVE != 0).count()
+}
+
+/// A number in some bits of a state.
+struct Count {
+    shift: u32,
+    /// One less than a power of two.
+    max: u64,
+}
+
+impl Count {
+    fn get(&self, state: u64) -> u64 {
+        (state >> self.shift) & self.max
+    }
+
+    /// Wraps.
+    fn put(&self, state: u64, count: u64) -> u64 {
+        (state & !(self.max << self.shift)) | ((count & self.max) << self.shift)
+    }
+}
+
+const _: () = assert!(
+    SPILLED.max << SPILLED.shift == (1 << MOVED.shift) - (1 << SPILLED.shift)
+        && (MOVED.max + 1) << MOVED.shift == 1 << USED
+);
+
 impl Place {
     /// Index of the first word of the line at a step of the path.
     fn at(&self, step: usize) -> usize {
@@ -338,6 +361,6 @@ impl core::error::Error for NotATable {}
 
 fn mask_for(memory: &[AtomicU64]) -> Result<u32, NotATable> {
     let buckets = (memory.len() / BUCKET).checked_sub(1).ok_or(NotATable)?;
-    let fits = memory.len() % BUCKET == 0 && buckets.is_power_of_two() && buckets > 1 && buckets < 1 << 29;
+    let fits = memory.len().is_multiple_of(BUCKET) && buckets.is_power_of_two() && buckets > 1 && buckets < 1 << 29;
     if fits { Ok(buckets as u32 - 1) } else { Err(NotATable) }
 }
