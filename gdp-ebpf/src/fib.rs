@@ -1,46 +1,22 @@
-//! Where names and egress bits lead. Written by user space only.
-//!
-//! `FIB` holds one flat table (`gdp_wire::flat`, which says what a reader may meet), in an array that user space maps and writes while
+//! Where names lead. `FIB` holds one flat table (`gdp_wire::flat`, which says what a reader may meet), in an array that user space maps and writes while
 //! programs read. To grow, user space fills another array and puts it in the place of the first: a program runs to its end on
-//! the one that it began with. `NEXT_HOP` is one word per egress bit.
-//!
-//! `PERMITS` is a set: only whether a key is there counts. Few names have more than one writer at a switch, so its elements are
-//! allocated as they are needed. A permit is there before the entry that says to look for it, and goes after.
+//! the one that it began with.
 
-use aya_ebpf::bindings::{BPF_F_INNER_MAP, BPF_F_MMAPABLE, BPF_F_NO_PREALLOC};
-use aya_ebpf::btf_maps::{Array as BtfArray, ArrayOfMaps};
-use aya_ebpf::macros::{btf_map, map};
-use aya_ebpf::maps::{Array, HashMap};
+use aya_ebpf::bindings::{BPF_F_INNER_MAP, BPF_F_MMAPABLE};
+use aya_ebpf::btf_maps::{Array, ArrayOfMaps};
+use aya_ebpf::macros::btf_map;
 use gdp_wire::flat::{self, BUCKET};
-use gdp_wire::table::EGRESS_SET_SIZE;
-use gdp_wire::{FibEntry, LinkEntry, Name, Permit};
+use gdp_wire::{FibEntry, Name};
 
 /// Tables differ in size, which only `BPF_F_INNER_MAP` allows.
-type Table = BtfArray<[u64; BUCKET], 1, { (BPF_F_MMAPABLE | BPF_F_INNER_MAP) as usize }>;
+type Table = Array<[u64; BUCKET], 1, { (BPF_F_MMAPABLE | BPF_F_INNER_MAP) as usize }>;
 
 #[btf_map]
 static FIB: ArrayOfMaps<Table, 1> = ArrayOfMaps::new();
 
-/// The values say nothing. As many as there may be names.
-#[map]
-static PERMITS: HashMap<Permit, u32> = HashMap::with_max_entries(1024, BPF_F_NO_PREALLOC);
-
-#[map]
-static NEXT_HOP: Array<u32> = Array::with_max_entries(EGRESS_SET_SIZE, 0);
-
 #[inline(always)]
 pub fn route(name: &Name) -> Option<FibEntry> {
     flat::lookup(&Memory(FIB.get(0)?), name)
-}
-
-#[inline(always)]
-pub fn is_permitted(link: &LinkEntry, name: &Name) -> bool {
-    PERMITS.get_ptr(Permit { name: *name, link: link.id, reserved: 0 }).is_some()
-}
-
-#[inline(always)]
-pub fn next_hop(bit: u32) -> u32 {
-    NEXT_HOP.get(bit).copied().unwrap_or(0)
 }
 
 struct Memory(&'static Table);

@@ -4,7 +4,7 @@ use gdp_wire::replay::Words;
 use gdp_wire::table::Tables;
 use gdp_wire::{FibEntry, LinkEntry, Name};
 
-use crate::{config, fib, links, windows};
+use crate::{config, fib, links, next_hops, permits, windows};
 
 pub struct Maps;
 
@@ -21,7 +21,7 @@ impl Tables for Maps {
 
     #[inline(always)]
     fn next_hop(&self, bit: u32) -> u32 {
-        fib::next_hop(bit)
+        next_hops::next_hop(bit)
     }
 
     #[inline(always)]
@@ -31,7 +31,7 @@ impl Tables for Maps {
 
     #[inline(always)]
     fn is_permitted(&self, link: &LinkEntry, name: &Name) -> bool {
-        fib::is_permitted(link, name)
+        permits::is_permitted(link, name)
     }
 
     #[inline(always)]

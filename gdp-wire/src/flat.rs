@@ -163,14 +163,16 @@ impl Place {
     }
 }
 
+/// The entry of which these are the words.
 #[inline(always)]
-const fn from_words(words: [u64; 3]) -> FibEntry {
+pub const fn from_words(words: [u64; 3]) -> FibEntry {
     // SAFETY: an entry is 24 bytes of plain integers (`table` asserts the size), any of which are one.
     unsafe { core::mem::transmute::<[u64; 3], FibEntry>(words) }
 }
 
-#[cfg(target_has_atomic = "64")]
-const fn to_words(entry: FibEntry) -> [u64; 3] {
+/// The words of an entry, as they lie in memory: what a table holds.
+#[inline(always)]
+pub const fn to_words(entry: FibEntry) -> [u64; 3] {
     // SAFETY: as above; without padding.
     unsafe { core::mem::transmute::<FibEntry, [u64; 3]>(entry) }
 }

@@ -5,7 +5,9 @@ use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use gdp_wire::flat::{BUCKET, Full, Memory, NotATable, Table, Words, buckets_for, count, lookup, names_in};
+use gdp_wire::flat::{
+    BUCKET, Full, Memory, NotATable, Table, Words, buckets_for, count, from_words, lookup, names_in, to_words,
+};
 use gdp_wire::{FibEntry, Name};
 
 const KEY: [u64; 2] = [0x0123_4567_89ab_cdef, 0xfedc_ba98_7654_3210];
@@ -121,7 +123,7 @@ fn readers_that_race_with_the_writer_find_what_was_or_what_is() {
                         let latest = begun[i].load(Ordering::SeqCst);
                         match route {
                             Some(route) => {
-                                let change = route.egress_bits;
+                                let [change, ..] = to_words(route);
                                 assert_eq!(route, entry(i, change), "another name's, or torn");
                                 assert!((earliest..=latest).contains(&change), "{change} of {earliest} to {latest}");
                                 found += 1;
@@ -187,7 +189,7 @@ fn a_table_is_adopted_wherever_its_writer_died() {
             assert_eq!(table.get(&name(i)), map.get(&i).copied(), "death {death}");
         }
         if let Some(route) = table.get(&name(at)) {
-            assert_eq!(route, entry(at, route.egress_bits), "death {death}");
+            assert_eq!(route, entry(at, to_words(route)[0]), "death {death}");
         }
         let listed: Vec<_> = table.iter().collect();
         assert_eq!(listed.len(), table.len() as usize);
@@ -238,13 +240,7 @@ fn name(i: usize) -> Name {
 
 /// An entry that says whose it is and after which change, in every word.
 fn entry(i: usize, change: u64) -> FibEntry {
-    FibEntry {
-        egress_bits: change,
-        local_link: i as u32,
-        egress_set: change as u32,
-        writer_link: i as u32,
-        more_writers: change as u32,
-    }
+    from_words([change, i as u64, !change])
 }
 
 fn memory(names: u32) -> Box<[AtomicU64]> {

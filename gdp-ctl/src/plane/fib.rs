@@ -6,7 +6,7 @@
 //!
 //! Where the kernel outlives the daemon, the table is pinned beside the other maps, as `FIB_TABLE`; a larger one that is ready to
 //! replace it is for a moment `FIB_TABLE.new`. Whichever there is, the next daemon takes the newest, which is complete. Called by
-//! [`super::kernel`] alone.
+//! [`super::kernel`], by its tests and by `bench forward`.
 
 use std::fs;
 use std::io;

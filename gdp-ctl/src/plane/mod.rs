@@ -2,7 +2,7 @@
 //! attaches, the kernel holds the same entries and forwards before the daemon sees a frame.
 //!
 //! Knows links and routes as `gdp-wire` has them, nothing of names' owners, certificates or the RIB. Called by the daemon
-//! (`serve`); [`kernel`] also by the kernel tests and `bench forward`.
+//! (`serve`); [`kernel`] and [`fib`] also by the kernel tests and `bench forward`.
 //!
 //! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`], [`explain`] and [`xdp_features`] serve it
 //! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
@@ -11,7 +11,7 @@
 //! - [`pins`]: what stays in the kernel when the daemon dies
 
 pub mod explain;
-mod fib;
+pub mod fib;
 pub mod forwarder;
 pub mod kernel;
 pub mod kernel_version;
