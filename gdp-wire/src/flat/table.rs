@@ -14,11 +14,14 @@ use crate::{FibEntry, Name};
 /// Names whose first lines are fetched at once.
 const BATCH: usize = 16;
 
-/// Names that begin in this bucket and lie in their second one; in the state of a bucket's first line only.
-const SPILLED: Count = Count { shift: 2, max: (1 << 12) - 1 };
+/// Lines of its bucket that the name in this one passes.
+const STEPS: Count = Count { shift: 2, max: LINES as u64 - 1 };
 
-/// Names that moved and begin in this line.
-const MOVED: Count = Count { shift: 14, max: (1 << 18) - 1 };
+/// Names that begin in this bucket and lie in their second one; in the state of a bucket's first line only.
+const SPILLED: Count = Count { shift: 5, max: (1 << 12) - 1 };
+
+/// How often a name moved that begins in this line.
+const MOVED: Count = Count { shift: 17, max: (1 << 15) - 1 };
 
 /// There is no room for a name: the table is too small for what it holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -99,7 +102,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         };
         self.put(&place, free, name, entry)?;
         match held {
-            Some(step) => self.take_back(&place, step, true),
+            Some(step) => self.take_back(&place, step, Some(free)),
             None => self.names += 1,
         }
         Ok(())
@@ -108,18 +111,27 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     /// [`Self::insert`] for many, whose cache misses overlap. Those before the one that found no room are in.
     pub fn insert_all(&mut self, routes: &[(Name, FibEntry)]) -> Result<(), Full> {
         for batch in routes.chunks(BATCH) {
-            let fetched = batch.iter().fold(0, |fetched, (name, _)| fetched | self.state(self.place(name).at(0)));
-            core::hint::black_box(fetched);
+            self.fetch(batch.iter().map(|(name, _)| name));
             batch.iter().try_for_each(|(name, entry)| self.insert(name, *entry))?;
         }
         Ok(())
+    }
+
+    /// Brings the lines that names are in, or will be, into the caches, all at once.
+    fn fetch<'n>(&self, names: impl Iterator<Item = &'n Name> + Clone) {
+        let begins = |name| self.place(name).at(0);
+        let first = names.clone().fold(0, |all, name| all | self.state(begins(name)));
+        let others = names.filter(|name| self.state(begins(*name)) & (LIVE | PASSED) != 0);
+        let rest =
+            others.fold(0, |all, name| (0..LINES).fold(all, |all, step| all | self.state(self.place(name).at(step))));
+        core::hint::black_box(first | rest);
     }
 
     /// Whether the name was there.
     pub fn remove(&mut self, name: &Name) -> bool {
         let place = self.place(name);
         let Some(step) = self.find(&place, name) else { return false };
-        self.take_back(&place, step, false);
+        self.take_back(&place, step, None);
         self.names -= 1;
         true
     }
@@ -134,7 +146,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         }
         let at = place.at(free);
         // Readers of what was here before must notice before any of it changes.
-        let used = self.state(at).wrapping_add(1 << USED);
+        let used = STEPS.put(self.state(at).wrapping_add(1 << USED), (free % LINES) as u64);
         self.words()[at].store(used, Ordering::Relaxed);
         fence(Ordering::Release);
         for (word, value) in self.words()[at + 1..at + LINE].iter().zip(name.words().iter().chain(&to_words(entry))) {
@@ -144,9 +156,9 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         Ok(())
     }
 
-    /// Frees the line that a name has at `step` of its path. `moved`: it is elsewhere on the path now.
-    fn take_back(&mut self, place: &Place, step: usize, moved: bool) {
-        if moved {
+    /// Frees the line that a name has at `step` of its path; now it is at step `to`, if anywhere.
+    fn take_back(&mut self, place: &Place, step: usize, to: Option<usize>) {
+        if to.is_some() {
             let (at, begin) = (place.at(0), self.state(place.at(0)));
             self.set_state(at, MOVED.put(begin, MOVED.get(begin) + 1));
         }
@@ -157,7 +169,8 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
             let _ = self.spill(place, -1);
             self.settle(place.second);
         }
-        if step > 0 {
+        // If it went on, it passes what it passed before.
+        if to.unwrap_or(0) < step {
             self.settle(place.first);
         }
     }
@@ -171,7 +184,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
             let Some(free) = self.free(&its) else { continue };
             let Some(from) = (0..PATH).find(|step| its.at(*step) == at) else { continue };
             if self.put(&its, free, &name, entry).is_ok() {
-                self.take_back(&its, from, true);
+                self.take_back(&its, from, Some(free));
                 return Ok(step);
             }
         }
@@ -194,18 +207,19 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         if SPILLED.get(self.state(start)) > 0 {
             return;
         }
-        let mut passed = [false; LINES];
-        for line in (0..LINES).filter(|line| self.is_live(start + line * LINE)) {
-            let place = self.place(&self.name(start + line * LINE));
-            let steps = (line + LINES - place.slot) % LINES;
-            (0..steps).for_each(|step| passed[(place.slot + step) % LINES] = true);
+        // Lines are bits, so that there are no branches that nobody can foresee.
+        let (mut marked, mut passed) = (0u8, 0u8);
+        for line in 0..LINES as u32 {
+            let state = self.state(start + line as usize * LINE);
+            let steps = (STEPS.get(state) * (state & LIVE)) as u32;
+            marked |= u8::from(state & PASSED != 0) << line;
+            passed |= ((1u8 << steps) - 1).rotate_left(line + LINES as u32 - steps);
         }
-        for (line, _) in passed.iter().enumerate().filter(|(_, passed)| !**passed) {
-            let at = start + line * LINE;
-            let state = self.state(at);
-            if state & PASSED != 0 {
-                self.set_state(at, state & !PASSED);
-            }
+        let mut stale = marked & !passed;
+        while stale != 0 {
+            let at = start + stale.trailing_zeros() as usize * LINE;
+            self.set_state(at, self.state(at) & !PASSED);
+            stale &= stale - 1;
         }
     }
 
@@ -253,7 +267,21 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     }
 
     fn free(&self, place: &Place) -> Option<usize> {
-        (0..PATH).find(|step| !self.is_live(place.at(*step)))
+        if !self.is_live(place.at(0)) {
+            return Some(0);
+        }
+        let mut step = 0;
+        for bucket in [place.first, place.second] {
+            let start = bucket as usize * BUCKET;
+            let live =
+                (0..LINES).fold(0u8, |live, line| live | ((self.state(start + line * LINE) & LIVE) as u8) << line);
+            let taken = live.rotate_right(place.slot as u32).trailing_ones() as usize;
+            if taken < LINES {
+                return Some(step + taken);
+            }
+            step += LINES;
+        }
+        None
     }
 
     fn place(&self, name: &Name) -> Place {
@@ -310,10 +338,11 @@ impl Count {
     }
 }
 
-const _: () = assert!(
-    SPILLED.max << SPILLED.shift == (1 << MOVED.shift) - (1 << SPILLED.shift)
-        && (MOVED.max + 1) << MOVED.shift == 1 << USED
-);
+const _: () = {
+    assert!((STEPS.max + 1) << STEPS.shift == 1 << SPILLED.shift);
+    assert!((SPILLED.max + 1) << SPILLED.shift == 1 << MOVED.shift);
+    assert!((MOVED.max + 1) << MOVED.shift == 1 << USED);
+};
 
 impl Place {
     /// Index of the first word of the line at a step of the path.
@@ -327,6 +356,7 @@ impl Place {
 impl<'m> Memory for &'m [AtomicU64] {
     type Bucket = &'m [AtomicU64; BUCKET];
 
+    #[inline]
     fn bucket(&self, index: u32) -> Option<Self::Bucket> {
         let (buckets, _) = self.as_chunks();
         buckets.get(index as usize)
@@ -334,10 +364,12 @@ impl<'m> Memory for &'m [AtomicU64] {
 }
 
 impl Words for &[AtomicU64; BUCKET] {
+    #[inline]
     fn load(self, index: usize) -> u64 {
         self[index].load(Ordering::Relaxed)
     }
 
+    #[inline]
     fn after(self, _loaded: u64) -> Self {
         fence(Ordering::Acquire);
         self
