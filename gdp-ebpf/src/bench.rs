@@ -1,4 +1,5 @@
-//! Generator and sink of `cargo xtask bench forward`, and [`bench_lookups`]. The generator runs under `BPF_PROG_TEST_RUN` with live frames: the
+//! Generator and sink of `cargo xtask bench forward`; and [`bench_lookups`]. The generator runs under `BPF_PROG_TEST_RUN` with
+//! live frames: the
 //! kernel hands it frames, it sends them by an interface, as long as not too many are under way. The sink sits on the
 //! interface where they should arrive.
 //!

@@ -27,8 +27,8 @@ struct Question {
 #[map]
 static HASH: HashMap<Name, FibEntry> = HashMap::with_max_entries(1, 0);
 
-/// Lookups that found a route of the name, that found something else, and that missed one of the names that must be found. Written by
-/// these programs, of which one runs at a time.
+/// Lookups that found a route of the name, that found something else, and that missed one of the names that must be found.
+/// Written by these programs, of which one runs at a time.
 #[map]
 static FOUND: Array<[u64; 3]> = Array::with_max_entries(1, 0);
 

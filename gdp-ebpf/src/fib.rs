@@ -1,6 +1,6 @@
-//! Where names lead. `FIB` holds one flat table (`gdp_wire::flat`, which says what a reader may meet), in an array that user space maps and writes while
-//! programs read. To grow, user space fills another array and puts it in the place of the first: a program runs to its end on
-//! the one that it began with.
+//! Where names lead. `FIB` holds one flat table (`gdp_wire::flat`, which says what a reader may meet), in an array that user
+//! space maps and writes while programs read. To grow, user space fills another array and puts it in the place of the first: a
+//! program runs to its end on the one that it began with.
 
 use aya_ebpf::bindings::{BPF_F_INNER_MAP, BPF_F_MMAPABLE};
 use aya_ebpf::btf_maps::{Array, ArrayOfMaps};

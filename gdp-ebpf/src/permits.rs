@@ -1,6 +1,6 @@
-//! What links may say in the names of a frame beyond what their routes tell. A set: only whether a key is there counts. Few names need one, so elements
-//! are allocated as they are needed. Written by user space only: a permit is there before the FIB entry that says to look for it,
-//! and goes after.
+//! Which names the frames of a link may have in their headers beyond what links and routes say. A set: only whether a key is
+//! there counts. Few names need one, so elements are allocated as they are needed. Written by user space only: a permit is there
+//! before the FIB entry that says to look for it, and goes after.
 
 use aya_ebpf::bindings::BPF_F_NO_PREALLOC;
 use aya_ebpf::macros::map;

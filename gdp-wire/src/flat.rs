@@ -24,9 +24,9 @@
 //! **A removal leaves no gaps**, because what ends a search is a line that nobody passed, not a free one; the writer takes a
 //! *passed* back once nobody needs it. So a search for a name that is not there ends at its first line as a rule.
 //!
-//! **The hash is keyed**, by a number that nobody outside learns: an owner of many names cannot pick such that share a bucket, because
-//! which do is another matter in every table. One word of a name is enough: names with the same 64 bits are as rare as the
-//! birthday bound has it, and owners who try hard get a handful, which two buckets hold.
+//! **The hash is keyed**, by a number that nobody outside learns: an owner of many names cannot pick such that share a
+//! bucket, because which do is another matter in every table. One word of a name is enough: to find 17 names that agree in
+//! 64 bits, one more than two buckets hold, is some 2⁶⁰ hashes of work.
 
 mod table;
 

@@ -5,7 +5,7 @@
 //! while it grows half as much again: 64 MiB of kernel memory hold 524288 names, 128 MiB 1048576.
 //!
 //! Where the kernel outlives the daemon, the table is pinned beside the other maps, as `FIB_TABLE`; a larger one that is ready to
-//! replace it is for a moment `FIB_TABLE.new`. Whichever there is, the next daemon takes the newest, which is complete. Called by
+//! replace it is for a moment `FIB_TABLE_NEW`. Whichever there is, the next daemon takes the newest, which is complete. Called by
 //! [`super::kernel`], by its tests and by `bench forward`.
 
 use std::fs;
@@ -26,8 +26,9 @@ const FIRST: u32 = 1024;
 /// Names that are copied at a time.
 const BATCH: usize = 1024;
 
+// The kernel wants no dots in them.
 const PIN: &str = "FIB_TABLE";
-const NEW_PIN: &str = "FIB_TABLE.new";
+const NEW_PIN: &str = "FIB_TABLE_NEW";
 
 // Not in `aya`.
 const BPF_F_MMAPABLE: u32 = 1 << 10;

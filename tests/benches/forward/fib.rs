@@ -1,5 +1,5 @@
-//! The FIB at scale, beside the kernel's own hash with the same names: what a lookup costs, how fast routes change, and what lookups
-//! cost meanwhile.
+//! The FIB at scale, beside the kernel's own hash with the same names: what a lookup costs, how fast routes change, and what
+//! lookups cost meanwhile.
 
 use std::fmt;
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! The lookup programs of `gdp-ebpf/src/bench_lookups.rs` and the tables they ask. Also for `tests/kernel_fib.rs`, which includes this
-//! file by its path.
+//! The lookup programs of `gdp-ebpf/src/bench_lookups.rs` and the tables they ask. Also for `tests/kernel_fib.rs`, which
+//! includes this file by its path.
 
 use std::path::Path;
 
