@@ -117,6 +117,7 @@ pub fn lookup(table: &impl Memory, name: &Name) -> Option<FibEntry> {
                     if again >> USED == state >> USED {
                         return Some(from_words(entry));
                     }
+                    seen |= again;
                 }
             }
             if state & PASSED == 0 {

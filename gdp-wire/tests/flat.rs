@@ -14,10 +14,10 @@ const KEY: [u64; 2] = [0x0123_4567_89ab_cdef, 0xfedc_ba98_7654_3210];
 
 #[test]
 fn it_agrees_with_a_map() {
-    for names in [1, 30, 5000] {
-        let mut table = Table::begin(memory(names), KEY).unwrap();
+    for (names, meant_for) in [(1u32, 1), (12, 8), (30, 16), (5000, 5000), (6000, 4096)] {
+        let mut table = Table::begin(memory(meant_for), KEY).unwrap();
         let mut map = HashMap::new();
-        let mut random = Random(names.into());
+        let mut random = Random(names as u64);
         for round in 0..200_000u64 {
             let i = random.below(names as usize * 5 / 4);
             match random.below(8) {
@@ -94,14 +94,15 @@ fn a_name_that_is_not_there_costs_little() {
     assert_eq!(touched.words.get(), 2000, "one word each, read twice: removals leave no marks behind");
 }
 
-/// A route that is found is this name's, and held at some time during the lookup; a name that is never removed is found.
+/// A route that is found is this name's, and held at some time during the lookup; a name that is never removed is found. The table is
+/// half as large as it should be, so that names move and lie in their second bucket.
 #[test]
 fn readers_that_race_with_the_writer_find_what_was_or_what_is() {
     const NAMES: usize = 96;
     // Nothing happens to these; the others come and go around them.
     const KEPT: usize = 32;
     const CHANGES: u64 = 3_000_000;
-    let memory = memory(NAMES as u32);
+    let memory = memory(NAMES as u32 / 2);
     let (begun, done) = ([const { AtomicU64::new(0) }; NAMES], [const { AtomicU64::new(0) }; NAMES]);
     let over = AtomicBool::new(false);
     let mut table = Table::begin(&*memory, KEY).unwrap();
@@ -154,12 +155,12 @@ fn readers_that_race_with_the_writer_find_what_was_or_what_is() {
 }
 
 /// A writer that dies between any two of its accesses leaves a table that the next one takes over, in which at most the name
-/// it was at is old or new.
+/// it was at is old or new. Here, too, the table is small.
 #[test]
 fn a_table_is_adopted_wherever_its_writer_died() {
     const NAMES: usize = 48;
     for death in 1.. {
-        let memory = memory(NAMES as u32);
+        let memory = memory(NAMES as u32 / 2);
         let mut random = Random(5);
         let mut map = HashMap::new();
         let mut table = Table::begin(&*memory, KEY).unwrap();
