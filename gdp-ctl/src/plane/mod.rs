@@ -2,20 +2,23 @@
 //! attaches, the kernel holds the same entries and forwards before the daemon sees a frame.
 //!
 //! Knows links and routes as `gdp-wire` has them, nothing of names' owners, certificates or the RIB. Called by the daemon
-//! (`serve`); [`kernel`] also by the kernel tests and `bench forward`.
+//! (`serve`); [`kernel`] and [`fib`] also by the kernel tests and `bench forward`.
 //!
 //! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`], [`explain`] and [`xdp_features`] serve it
 //! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
+//! - [`fib`]: the names in the kernel, and room for more of them
 //! - [`groups`]: which links take copies of a frame
-//! - [`link_memory`]: what the two planes share
+//! - [`link_memory`]: what the two planes share; this and the FIB are [`mapping`]s
 //! - [`pins`]: what stays in the kernel when the daemon dies
 
 pub mod explain;
+pub mod fib;
 pub mod forwarder;
 pub mod groups;
 pub mod kernel;
 pub mod kernel_version;
 pub mod link_memory;
+mod mapping;
 pub mod object;
 pub mod pins;
 pub mod userspace;
@@ -37,7 +40,8 @@ use pins::{Pins, PinsError};
 use userspace::UserTables;
 use xdp_features::XdpFeatures;
 
-/// Names the FIB can hold unless configured otherwise; about 125 B of kernel memory each.
+/// Names the FIB can hold unless configured otherwise. The kernel's table begins with room for 1024 names and doubles as names
+/// come: 128 to 256 B of kernel memory each.
 pub const FIB_CAPACITY: u32 = 65536;
 
 /// Largest frame read from UDP.
@@ -345,7 +349,7 @@ impl Planes {
     /// An unknown name is no error.
     pub fn remove_route(&mut self, name: &Name) -> Result<(), PlaneError> {
         if let Ok(kernel) = &mut self.kernel {
-            kernel.remove_route(name)?;
+            kernel.remove_route(name);
         }
         let Some((before, permits)) = self.tables().remove_route(name) else { return Ok(()) };
         if let Ok(kernel) = &mut self.kernel {
@@ -419,7 +423,7 @@ impl Planes {
             Ok(kernel) if self.ports.values().any(|port| port.attached.is_some()) => {
                 let mut held = Vec::with_capacity(routes.len());
                 for (name, _) in routes {
-                    held.extend(kernel.route(&name)?.map(|entry| (name, entry)));
+                    held.extend(kernel.route(&name).map(|entry| (name, entry)));
                 }
                 Ok((held, more))
             }
