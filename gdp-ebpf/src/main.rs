@@ -12,6 +12,7 @@ mod config;
 mod counters;
 mod fib;
 mod links;
+mod losses;
 mod packet;
 mod ports;
 mod tables;

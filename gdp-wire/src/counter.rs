@@ -1,5 +1,5 @@
-//! Every frame a data plane sees ends in exactly one of these counters. One enum, one per-CPU array, one metric
-//! family, the same for all planes.
+//! Every frame a data plane sees ends in exactly one of these counters; only what is lost after that is counted once more, see
+//! [`Counter::RedirectLost`]. One enum, one per-CPU array, one metric family, the same for all planes.
 
 macro_rules! counters {
     ($($(#[$doc:meta])* $variant:ident = $text:literal,)*) => {
@@ -59,6 +59,9 @@ counters! {
     TooBig = "drop_too_big",
     /// Dropped: the decision was to redirect, and the kernel refused.
     RedirectFailed = "drop_redirect_failed",
+    /// Dropped after the decision: a copy that is in [`Counter::Forwarded`] or [`Counter::Delivered`] already, and that the
+    /// interface it was redirected to did not take. What left is the sum of those two less this.
+    RedirectLost = "drop_redirect_lost",
 }
 
 impl Counter {

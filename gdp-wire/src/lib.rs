@@ -8,6 +8,7 @@
 pub mod counter;
 pub mod forward;
 pub mod header;
+pub mod losses;
 mod name;
 pub mod replay;
 pub mod siphash;

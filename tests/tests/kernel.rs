@@ -72,7 +72,8 @@ fn random_frames_get_the_same_verdict_from_both_planes() -> Result<()> {
         let replayed = again.0.counter == Counter::Replayed.as_str();
         ensure!(replayed || userspace.verdict != Verdict::Send, "round {round}, again: {again:?}\nframe {shown}");
     }
-    for (counter, seen) in Counter::ALL.iter().zip(seen) {
+    // What a redirect loses is known only after it.
+    for (counter, seen) in Counter::ALL.iter().zip(seen).filter(|(counter, _)| **counter != Counter::RedirectLost) {
         ensure!(seen > 20, "the random frames reached {counter:?} only {seen} times");
     }
     Ok(())

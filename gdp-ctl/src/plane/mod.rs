@@ -5,6 +5,7 @@
 //! (`serve`); [`kernel`] also by the kernel tests and `bench forward`.
 //!
 //! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`], [`explain`] and [`xdp_features`] serve it
+//! - [`losses`]: what is lost after a redirect; [`kernel_types`] serves it
 //! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
 //! - [`link_memory`]: what the two planes share
 //! - [`pins`]: what stays in the kernel when the daemon dies
@@ -12,8 +13,10 @@
 pub mod explain;
 pub mod forwarder;
 pub mod kernel;
+pub mod kernel_types;
 pub mod kernel_version;
 pub mod link_memory;
+pub mod losses;
 pub mod object;
 pub mod pins;
 pub mod userspace;
@@ -364,6 +367,18 @@ impl Planes {
         let kernel = self.kernel.as_ref().map_or(Ok([0; Counter::COUNT]), KernelPlane::counters)?;
         let userspace = self.shared.counters();
         Ok(Counter::ALL.iter().zip(kernel.into_iter().zip(userspace)).map(|(c, (k, u))| (*c, k, u)).collect())
+    }
+
+    /// Frames that were lost after a redirect, by the name of the interface they were to leave by; or why that is not known.
+    pub fn losses(&self) -> Result<HashMap<String, u64>, String> {
+        let Ok(kernel) = &self.kernel else { return Ok(HashMap::new()) };
+        if let Some(error) = kernel.uncounted() {
+            return Err(format!("frames that are lost after a redirect are not counted: {error}"));
+        }
+        let losses = kernel.losses().map_err(|error| error.to_string())?;
+        let named =
+            losses.into_iter().filter_map(|(ifindex, lost)| Some((self.ports.get(&ifindex)?.interface.clone(), lost)));
+        Ok(named.collect())
     }
 
     /// What frames are forwarded by: read back from the kernel where XDP runs.

@@ -15,12 +15,17 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
     let udp_links = daemon.core().links.values().filter(|l| matches!(l.via, crate::config::Via::Udp(_))).count();
     let core = daemon.core();
     let report = core.planes.report();
+    let (losses, mut errors) = match core.planes.losses() {
+        Ok(losses) => (losses, Vec::new()),
+        Err(reason) => (Default::default(), vec![reason]),
+    };
     let used: Vec<Value> = report
         .iter()
         .map(|plane| {
             let info = interfaces.iter().find(|i| i.name == plane.interface);
             json!({
                 "interface": plane.interface, "data_plane": plane.kind, "reason": plane.reason,
+                "redirect_lost": losses.get(&plane.interface).copied().unwrap_or(0),
                 "mtu": info.map(|i| i.mtu), "addresses": info.map(|i| &i.addresses), "stations": info.map(|i| &i.stations),
             })
         })
@@ -43,7 +48,6 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         .collect();
     links.sort_by_key(|link| link["id"].as_u64());
     let (mut counters, mut by_plane) = (Map::new(), Map::new());
-    let mut errors = Vec::new();
     match core.planes.counters() {
         Ok(counted) => {
             for (counter, kernel, userspace) in counted {
