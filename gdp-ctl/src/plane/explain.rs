@@ -33,7 +33,7 @@ pub fn program(error: &ProgramError) -> String {
 pub fn attach(error: &AttachError) -> String {
     match errno_of(error) {
         Some(libc::EBUSY | libc::EEXIST) => {
-            "another XDP program is attached (`ip link show` names it; `ip link set DEV xdp off` removes one that `ip` attached)".into()
+            "another XDP program is attached (`ip link show` names it)".into()
         }
         Some(libc::EOPNOTSUPP) => "the driver has none".into(),
         Some(libc::ERANGE | libc::EINVAL) => {

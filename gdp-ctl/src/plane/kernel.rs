@@ -294,6 +294,12 @@ impl KernelPlane {
         self.pins.is_some()
     }
 
+    /// Whether the kernel has compiled the switch; `None` if it does not say.
+    pub fn is_jitted(&self) -> Option<bool> {
+        let program: &Xdp = self.ebpf.program(self.program)?.try_into().ok()?;
+        Some(program.info().ok()?.size_jitted() != 0)
+    }
+
     /// Makes `port` lead to an interface of this network namespace.
     pub fn set_port(&mut self, port: u32, ifindex: u32) -> Result<(), UpdateError> {
         if port >= MAX_PORTS {

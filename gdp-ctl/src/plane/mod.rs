@@ -4,12 +4,14 @@
 //! Knows links and routes as `gdp-wire` has them, nothing of names' owners, certificates or the RIB. Called by the daemon
 //! (`serve`); [`kernel`] also by the kernel tests and `bench forward`.
 //!
-//! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`], [`explain`] and [`xdp_features`] serve it
+//! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`] and [`explain`] serve it
 //! - [`losses`]: what is lost after a redirect; [`kernel_types`] serves it
+//! - [`device`]: interfaces as the kernel describes them; [`xdp_features`] and [`netlink`] serve it
 //! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
 //! - [`link_memory`]: what the two planes share
 //! - [`pins`]: what stays in the kernel when the daemon dies
 
+pub mod device;
 pub mod explain;
 pub mod forwarder;
 pub mod kernel;
@@ -17,6 +19,7 @@ pub mod kernel_types;
 pub mod kernel_version;
 pub mod link_memory;
 pub mod losses;
+pub mod netlink;
 pub mod object;
 pub mod pins;
 pub mod userspace;
@@ -30,6 +33,7 @@ use gdp::port::{DataSocket, Interface, LinkAddr};
 use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, MAX_PORTS, PORT_USERSPACE, Tables};
 use gdp_wire::{Counter, FibEntry, LinkEntry, Name, SwitchConfig};
 
+use device::Device;
 use forwarder::{Forwarder, Medium, Shared};
 use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
 use link_memory::LinkMemory;
@@ -342,6 +346,11 @@ impl Planes {
         first.into_iter().chain(tables.permitted(name).iter().copied()).collect()
     }
 
+    /// Whether frames that leave by a link do so without the userspace plane, if they come in by XDP.
+    pub fn kernel_sends_on(&self, id: u32) -> bool {
+        self.kernel.is_ok() && self.read_tables().link(id).is_some_and(|link| link.port != PORT_USERSPACE)
+    }
+
     /// For each egress bit the link toward that switch, or 0.
     pub fn set_next_hops(&mut self, next_hops: &[u32; EGRESS_SET_SIZE as usize]) -> Result<(), PlaneError> {
         self.tables().set_next_hops(next_hops);
@@ -453,10 +462,10 @@ impl Planes {
             Ok(()) => return (Some(Mode::Native), "the driver supports it".into()),
             Err(error) => error,
         };
-        let why = explain::attach(&native);
         if explain::is_occupied(&native) {
-            return (None, why);
+            return (None, occupied(interface.index));
         }
+        let why = explain::attach(&native);
         match kernel.attach(interface.index, Mode::Generic) {
             Ok(()) => (Some(Mode::Generic), format!("no native XDP: {why}")),
             Err(generic) => (None, format!("no native XDP: {why}; no generic XDP: {}", explain::attach(&generic))),
@@ -497,7 +506,7 @@ impl Planes {
     fn kernel_can_send_to(&self, ifindex: u32) -> bool {
         // What generic XDP redirects are ordinary packets, which every interface takes.
         let only_generic = self.ports.values().all(|port| port.attached != Some(Mode::Native));
-        let asked = self.features.as_ref().and_then(|features| features.takes_redirects(ifindex).ok());
+        let asked = self.features.as_ref().and_then(|features| Some(features.of(ifindex).ok()?.takes_redirects()));
         only_generic || asked.unwrap_or(true)
     }
 
@@ -572,6 +581,14 @@ fn mac_bytes(words: [u16; 3]) -> [u8; 6] {
 /// Those of `links` that are not among `others`.
 fn without(links: &[u32], others: &[u32]) -> Vec<u32> {
     links.iter().filter(|link| !others.contains(link)).copied().collect()
+}
+
+/// Whose program is in the way, and what removes it.
+fn occupied(ifindex: u32) -> String {
+    match Device::find(ifindex).ok().and_then(|device| device.program) {
+        Some(program) => format!("another XDP program is attached: {program}; {}", program.remedy()),
+        None => "another XDP program is attached, and gone by now".into(),
+    }
 }
 
 const NO_REDIRECT: &str = "; frames leave here through the userspace plane, because the interface takes no redirected frames (a \

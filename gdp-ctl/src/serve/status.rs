@@ -7,6 +7,7 @@ use gdp::link::Role;
 use gdp_wire::{FibEntry, Name};
 use serde_json::{Map, Value, json};
 
+use super::core::Core;
 use super::{Daemon, interfaces};
 
 /// `gdp-ctl status`.
@@ -30,23 +31,6 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
             })
         })
         .collect();
-    let mut links: Vec<_> = core
-        .links
-        .values()
-        .map(|state| {
-            let peer = state.link.peer();
-            json!({
-                "peer": peer.name,
-                "role": match peer.role { Role::Endpoint => "endpoint", Role::Switch => "switch" },
-                "via": state.via.to_string(),
-                "address": state.link.addr().to_string(),
-                "id": state.link.local_id(),
-                "mtu": state.link.mtu(),
-                "rtt_us": state.link.rtt().as_micros() as u64,
-            })
-        })
-        .collect();
-    links.sort_by_key(|link| link["id"].as_u64());
     let (mut counters, mut by_plane) = (Map::new(), Map::new());
     match core.planes.counters() {
         Ok(counted) => {
@@ -65,7 +49,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "data_plane": data_plane,
         "data_plane_reason": reason,
         "interfaces": used,
-        "links": links,
+        "links": links(&core),
         "counters": counters,
         "counters_by_plane": by_plane,
         "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
@@ -75,6 +59,29 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         })),
         "errors": errors,
     })
+}
+
+/// `gdp-ctl link list`: every live link, by id.
+pub fn links(core: &Core) -> Vec<Value> {
+    let mut links: Vec<_> = core.links.values().collect();
+    links.sort_by_key(|state| state.link.local_id());
+    links
+        .into_iter()
+        .map(|state| {
+            let (link, peer) = (&state.link, state.link.peer());
+            json!({
+                "peer": peer.name,
+                "role": match peer.role { Role::Endpoint => "endpoint", Role::Switch => "switch" },
+                "via": state.via.to_string(),
+                "address": link.addr().to_string(),
+                "id": link.local_id(),
+                "mtu": link.mtu(),
+                "rtt_us": link.rtt().as_micros() as u64,
+                "age_s": state.since.elapsed().as_secs(),
+                "plane": if core.planes.kernel_sends_on(link.local_id()) { "kernel" } else { "userspace" },
+            })
+        })
+        .collect()
 }
 
 /// One word for all interfaces, and why.
@@ -107,7 +114,7 @@ pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, 
     Ok(json!({"routes": page, "more": more}))
 }
 
-fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
+fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
     let own = core.routes.own_bit().map_or(0, |bit| 1u64 << bit);
     let local = (entry.local_link != 0).then(|| peers.get(&entry.local_link)).flatten();
     json!({
