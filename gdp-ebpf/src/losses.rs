@@ -25,7 +25,8 @@ static REDIRECT_LOSSES: PerCpuHashMap<u32, u64> = PerCpuHashMap::with_max_entrie
 #[unsafe(no_mangle)]
 static NET_DEVICES: NetDevices = NetDevices { namespace: 0, ifindex: 0, net: 0, inum: 0 };
 
-/// `xdp_devmap_xmit(from_dev, to_dev, sent, drops, err)`: a batch was handed to an interface.
+/// `xdp_devmap_xmit(from_dev, to_dev, sent, drops, err)`: a batch was handed to an interface. What a program in the device map would
+/// drop is among the drops; ours has none.
 #[raw_tracepoint(tracepoint = "xdp_devmap_xmit")]
 pub fn gdp_devmap_xmit(context: RawTracePointContext) -> i32 {
     let drops: i32 = context.arg(3);
@@ -35,7 +36,8 @@ pub fn gdp_devmap_xmit(context: RawTracePointContext) -> i32 {
     0
 }
 
-/// `xdp_redirect_err(dev, prog, target, err, map_type, map_id, index)`: a frame was refused before it came into a batch.
+/// `xdp_redirect_err(dev, prog, target, err, map_type, map_id, index)`: a frame was refused before it came into a batch. An
+/// interface that a broadcast passes over, because it is down or takes no such frames, is told by nobody.
 #[raw_tracepoint(tracepoint = "xdp_redirect_err")]
 pub fn gdp_redirect_err(context: RawTracePointContext) -> i32 {
     let (target, map_type): (*const *const u8, u32) = (context.arg(2), context.arg(4));

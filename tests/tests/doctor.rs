@@ -114,6 +114,18 @@ fn what_else_keeps_a_daemon_from_running_fails() -> Result<()> {
     ensure!(finding["level"] == "failed" && finding["fact"].to_string().contains("object: "), "{finding:#}");
     let output = site.ctl(&["doctor", "-j", "--interface", "l7", "--config"], &config)?;
     ensure!(Diagnosis::of(&output, 1)?.one("interface")?["interface"] == "l7");
+
+    for (dropped, lacks) in
+        [("-bpf,-sys_admin,-net_raw", "CAP_BPF, CAP_NET_RAW"), ("-perfmon,-sys_admin", "CAP_PERFMON")]
+    {
+        let mut without = site.switch.command("setpriv")?;
+        without.args(["--bounding-set", dropped]).arg(site.tools.gdp_ctl()?);
+        without.args(["doctor", "-j", "--config"]).arg(&config).env("GDP_EBPF_OBJECT", site.tools.ebpf_object()?);
+        let diagnosis = Diagnosis::of(&without.output()?, 1)?;
+        ensure!(diagnosis.one("capabilities")?["fact"] == format!("this process lacks {lacks}"), "{:#}", diagnosis.0);
+        let refused = diagnosis.one("ebpf object")?["fact"].to_string();
+        ensure!(refused.contains("not permitted: run as root, or with the capabilities"), "{refused}");
+    }
     Ok(())
 }
 

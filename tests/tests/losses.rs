@@ -58,6 +58,29 @@ fn what_an_interface_does_not_take_any_more_is_counted() -> Result<()> {
     Ok(())
 }
 
+/// There the kernel refuses what is redirected to an interface that is down; the rest it sends like any other packet, so what is lost then
+/// is with the interface's own statistics.
+#[test]
+fn in_generic_mode_only_what_the_kernel_refuses_is_counted() -> Result<()> {
+    let mut site = Site::build()?;
+    site.start(Mode::Generic, None)?;
+    site.send(0, 1..=10)?;
+    site.settled(10, 10)?;
+    site.right_end(&["ip", "link", "set", "e0", "down"])?;
+    site.send(0, 11..=15)?;
+    wait_for("the interface to count", SOON, || {
+        Ok((site.statistic(&site.switch, "r0", "tx", "dropped")? == 5).then_some(()))
+    })?;
+    ensure!(site.lost()? == (0, 0), "{:?}", site.lost());
+
+    site.right_end(&["ip", "link", "set", "e0", "up"])?;
+    site.switch.ip(&["link", "set", "r0", "down"])?;
+    site.send(0, 16..=20)?;
+    wait_for("five lost frames", SOON, || Ok((site.lost()? == (5, 5)).then_some(())))?;
+    ensure!((site.count(Counter::Delivered)?, site.received()?) == (20, 10));
+    Ok(())
+}
+
 /// Two processors send as fast as they can to one interface, whose ring holds 256 frames, and which one of them has to empty.
 #[test]
 fn what_does_not_fit_into_a_full_ring_is_counted() -> Result<()> {
@@ -101,7 +124,7 @@ fn losses_are_counted_while_no_daemon_runs_and_by_the_next_one() -> Result<()> {
     let mounted = Mounted(folder.path().join("bpf"));
     let pins = || Pins::open(&mounted.0, &TOPIC);
     let mut site = Site::build()?;
-    site.start(Some(pins()?))?;
+    site.start(Mode::Native, Some(pins()?))?;
     site.right_end(&["ip", "link", "set", "e0", "down"])?;
     site.send(0, 1..=10)?;
     site.settled(10, 0)?;
@@ -114,7 +137,7 @@ fn losses_are_counted_while_no_daemon_runs_and_by_the_next_one() -> Result<()> {
         Ok((stats.losses.get(&right) == Some(&15)).then_some(()))
     })?;
 
-    site.start(Some(pins()?))?;
+    site.start(Mode::Native, Some(pins()?))?;
     site.send(0, 16..=20)?;
     site.settled(20, 0)?;
     ensure!(site.lost()? == (20, 20), "each once: {:?}", site.lost());
@@ -154,14 +177,14 @@ impl Site {
 
     fn running() -> Result<Self> {
         let mut site = Self::build()?;
-        site.start(None)?;
+        site.start(Mode::Native, None)?;
         Ok(site)
     }
 
     /// Puts the switch on its interfaces, or takes over what it left there.
-    fn start(&mut self, pins: Option<Pins>) -> Result<()> {
+    fn start(&mut self, mode: Mode, pins: Option<Pins>) -> Result<()> {
         let _inside = self.switch.enter()?;
-        self.plane = Some(start(pins)?);
+        self.plane = Some(start(mode, pins)?);
         Ok(())
     }
 
@@ -209,9 +232,12 @@ impl Site {
 
     /// As the right end itself counts.
     fn received(&self) -> Result<u64> {
-        let shown: serde_json::Value =
-            serde_json::from_str(&self.ends[RIGHT].ip(&["-j", "-s", "link", "show", "e0"])?)?;
-        shown[0]["stats64"]["rx"]["packets"].as_u64().context("a count of packets")
+        self.statistic(&self.ends[RIGHT], "e0", "rx", "packets")
+    }
+
+    fn statistic(&self, at: &Namespace, interface: &str, direction: &str, what: &str) -> Result<u64> {
+        let shown: serde_json::Value = serde_json::from_str(&at.ip(&["-j", "-s", "link", "show", interface])?)?;
+        shown[0]["stats64"][direction][what].as_u64().with_context(|| format!("no {direction} {what} in {shown}"))
     }
 
     fn ifindex(&self, i: usize) -> Result<u32> {
@@ -225,14 +251,14 @@ impl Site {
 }
 
 /// In the namespace of the switch.
-fn start(pins: Option<Pins>) -> Result<KernelPlane> {
+fn start(mode: Mode, pins: Option<Pins>) -> Result<KernelPlane> {
     let mut plane = KernelPlane::load_pinned(&Tools::beside_this_test()?.ebpf_object()?, 16, pins)?;
     plane.set_config(SwitchConfig { own_bit: OWN_BIT, ethertype: ETHERTYPE.into(), reserved: 0 })?;
     for (i, (id, interface)) in LINKS.into_iter().enumerate() {
         let (port, ifindex) = (i as u32, ifindex(interface)?);
         plane.set_port(port, ifindex)?;
         if plane.take_over(ifindex)?.is_none() {
-            plane.attach(ifindex, Mode::Native)?;
+            plane.attach(ifindex, mode)?;
         }
         let words = |mac: [u8; 6]| [0, 2, 4].map(|i| u16::from_ne_bytes([mac[i], mac[i + 1]]));
         plane.set_link(&LinkEntry {

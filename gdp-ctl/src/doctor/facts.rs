@@ -54,6 +54,10 @@ pub enum Bpffs {
     /// Nothing is there, so that it can be mounted.
     Missing {
         path: String,
+        /// Whether this process may.
+        may_mount: bool,
+        /// Whether it would be seen, and stay, only as long as this process has company in its mount namespace.
+        private: bool,
     },
     Occupied {
         path: String,

@@ -59,24 +59,35 @@ fn clock() -> Clock {
     Clock { unix, synchronised: result >= 0 && result != libc::TIME_ERROR }
 }
 
+const CAP_SYS_ADMIN: u32 = 21;
+
 fn missing_capabilities() -> Vec<&'static str> {
-    const SYS_ADMIN: u32 = 21;
     /// With whether CAP_SYS_ADMIN includes it.
     const NEEDED: [(&str, u32, bool); 4] =
         [("CAP_BPF", 39, true), ("CAP_PERFMON", 38, true), ("CAP_NET_ADMIN", 12, false), ("CAP_NET_RAW", 13, false)];
+    let has = capabilities();
+    let missing = NEEDED.into_iter().filter(|(_, number, by_admin)| !(has(*number) || *by_admin && has(CAP_SYS_ADMIN)));
+    missing.map(|(name, ..)| name).collect()
+}
+
+/// Whether this process has the capability of a number.
+fn capabilities() -> impl Fn(u32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
     let effective = effective.and_then(|digits| u64::from_str_radix(digits.trim(), 16).ok()).unwrap_or(0);
-    let has = |number: u32| effective & 1 << number != 0;
-    let missing = NEEDED.into_iter().filter(|(_, number, by_admin)| !(has(*number) || *by_admin && has(SYS_ADMIN)));
-    missing.map(|(name, ..)| name).collect()
+    move |number| effective & 1 << number != 0
 }
 
 fn bpffs(at: &Path) -> Bpffs {
     let path = at.display().to_string();
     if !pins::is_mounted(at) {
         let empty = std::fs::read_dir(at).map_or(true, |mut entries| entries.next().is_none());
-        return if empty { Bpffs::Missing { path } } else { Bpffs::Occupied { path } };
+        if !empty {
+            return Bpffs::Occupied { path };
+        }
+        let namespace = |process: &str| std::fs::read_link(format!("/proc/{process}/ns/mnt")).ok();
+        let private = namespace("1").is_some_and(|first| namespace("self") != Some(first));
+        return Bpffs::Missing { path, may_mount: capabilities()(CAP_SYS_ADMIN), private };
     }
     let writable = CString::new(at.as_os_str().as_bytes()).map_err(io::Error::from).and_then(|text| {
         // SAFETY: a C string that outlives the call.

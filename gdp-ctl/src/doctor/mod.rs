@@ -131,7 +131,17 @@ fn kernel(facts: &Facts) -> Vec<Finding> {
     });
     findings.extend(facts.bpffs.as_ref().map(|bpffs| match bpffs {
         Bpffs::Mounted { path } => ok("bpffs", format!("{path}, writable")),
-        Bpffs::Missing { path } => ok("bpffs", format!("not at {path} yet; the daemon mounts it")),
+        Bpffs::Missing { path, may_mount: false, .. } => warning(
+            "bpffs",
+            format!("none at {path}, and this process may not mount it: forwarding would end with the daemon"),
+            format!("`mount -t bpf bpf {path}` as root"),
+        ),
+        Bpffs::Missing { path, private: true, .. } => warning(
+            "bpffs",
+            format!("none at {path}, and what the daemon mounts in a mount namespace of its own ends with it, as does forwarding"),
+            "mount one outside (of `ip netns exec`, for example), and name it as `bpffs`",
+        ),
+        Bpffs::Missing { path, .. } => ok("bpffs", format!("not at {path} yet; the daemon mounts it")),
         Bpffs::ReadOnly { path, reason } => warning(
             "bpffs",
             format!("{path} cannot be written ({reason}): forwarding would end with the daemon"),

@@ -57,6 +57,20 @@ fn whatever_is_wrong_is_found_named_and_comes_with_a_remedy() {
             "EACCES",
             "its owner",
         ),
+        (
+            |f| f.bpffs = Some(Bpffs::Missing { path: "/x".into(), may_mount: false, private: false }),
+            "bpffs",
+            Level::Warning,
+            "may not mount it",
+            "`mount -t bpf bpf /x`",
+        ),
+        (
+            |f| f.bpffs = Some(Bpffs::Missing { path: "/x".into(), may_mount: true, private: true }),
+            "bpffs",
+            Level::Warning,
+            "ends with it",
+            "ip netns exec",
+        ),
         (|f| loaded(f).jitted = Some(false), "jit", Level::Warning, "interprets", "bpf_jit_enable"),
         (
             |f| udp_of(f).state = PortState::Taken(None),
