@@ -18,6 +18,7 @@ use gdp_tests::frames::Frame;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
 use gdp_tests::wait::wait_for;
+use gdp_wire::table::{ANY_WRITER, Carrier};
 use gdp_wire::{Counter, ETHERTYPE, FibEntry, LinkEntry, LinkRole, Name, SwitchConfig};
 
 const SOON: Duration = Duration::from_secs(10);
@@ -255,27 +256,24 @@ fn start(mode: Mode, pins: Option<Pins>) -> Result<KernelPlane> {
     let mut plane = KernelPlane::load_pinned(&Tools::beside_this_test()?.ebpf_object()?, 16, pins)?;
     plane.set_config(SwitchConfig { own_bit: OWN_BIT, ethertype: ETHERTYPE.into(), reserved: 0 })?;
     for (i, (id, interface)) in LINKS.into_iter().enumerate() {
-        let (port, ifindex) = (i as u32, ifindex(interface)?);
-        plane.set_port(port, ifindex)?;
-        if plane.take_over(ifindex)?.is_none() {
-            plane.attach(ifindex, mode)?;
+        let port = ifindex(interface)?;
+        plane.set_port(port, port)?;
+        if plane.take_over(port)?.is_none() {
+            plane.attach(port, mode)?;
         }
-        let words = |mac: [u8; 6]| [0, 2, 4].map(|i| u16::from_ne_bytes([mac[i], mac[i + 1]]));
         plane.set_link(&LinkEntry {
             id,
             peer_id: id + 0x1000,
             role: LinkRole::Endpoint as u32,
             port,
             mtu: 1500,
-            rx_key: [i as u64, 1],
-            peer_mac: words(mac(i, 1)),
-            local_mac: words(mac(i, 2)),
+            rx_keys: [[i as u64, 1]; 2],
+            carrier: Carrier::ethernet(mac(i, 1), mac(i, 2)),
             ..LinkEntry::default()
         })?;
     }
-    let (local_link, more_writers) = (LINKS[RIGHT].0, 1);
-    plane.set_route(&TOPIC, FibEntry { egress_bits: OWN_BIT, local_link, more_writers, ..FibEntry::default() })?;
-    [0, 2].into_iter().try_for_each(|writer| plane.permit(&TOPIC, LINKS[writer].0))?;
+    let (local_link, writer_link) = (LINKS[RIGHT].0, ANY_WRITER);
+    plane.set_route(&TOPIC, FibEntry { egress_bits: OWN_BIT, local_link, writer_link, ..FibEntry::default() })?;
     Ok(plane)
 }
 
