@@ -1,5 +1,5 @@
-//! Every frame a data plane sees ends in exactly one of these counters; only what is lost after that is counted once more, see
-//! [`Counter::RedirectLost`]. One enum, one per-CPU array, one metric family, the same for all planes.
+//! Every frame a data plane sees ends in exactly one of these counters, and every copy; what is lost after that is counted once more,
+//! see [`Counter::RedirectLost`]. One enum, one per-CPU array, one metric family, the same for all planes.
 
 macro_rules! counters {
     ($($(#[$doc:meta])* $variant:ident = $text:literal,)*) => {

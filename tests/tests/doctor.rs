@@ -130,7 +130,7 @@ fn what_else_keeps_a_daemon_from_running_fails() -> Result<()> {
 }
 
 #[test]
-fn links_are_listed_and_what_a_daemon_leaves_is_found() -> Result<()> {
+fn links_and_losses_are_shown_and_what_a_daemon_leaves_is_found() -> Result<()> {
     let chain = ChainOptions { switches: 2, ..Default::default() };
     let options = FabricOptions { chain, pinned: true, ..Default::default() };
     let mut fabric = Fabric::start(Tools::beside_this_test()?, options)?;
@@ -140,6 +140,13 @@ fn links_are_listed_and_what_a_daemon_leaves_is_found() -> Result<()> {
     ensure!((&link["plane"], &link["via"]) == (&json!("kernel"), &json!("r0")), "{link:#}");
     ensure!(link["id"].as_u64() > Some(0) && link["mtu"].as_u64() > Some(1000), "{link:#}");
     ensure!(link["age_s"].is_u64() && link["rtt_us"].is_u64(), "{link:#}");
+
+    let status = fabric.status(0)?;
+    ensure!(status["counters"]["drop_redirect_lost"] == 0 && status["errors"] == json!([]), "{status:#}");
+    let lost = |interface: &Value| interface["redirect_lost"] == 0;
+    ensure!(status["interfaces"].as_array().is_some_and(|all| all.len() == 2 && all.iter().all(lost)), "{status:#}");
+    let stats = &fabric.xdp("stats")?["switches"][0];
+    ensure!(stats["redirect_lost"].as_object().map(serde_json::Map::len) == Some(2), "both are watched: {stats:#}");
 
     let doctor = |fabric: &Fabric, status| -> Result<Diagnosis> {
         let mut command = fabric.chain.switches()[0].command(fabric.tools.gdp_ctl()?)?;
