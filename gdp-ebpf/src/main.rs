@@ -13,6 +13,7 @@ mod counters;
 mod fib;
 mod links;
 mod next_hops;
+mod losses;
 mod packet;
 mod permits;
 mod ports;

@@ -9,6 +9,7 @@ pub mod counter;
 pub mod flat;
 pub mod forward;
 pub mod header;
+pub mod losses;
 mod name;
 pub mod replay;
 pub mod siphash;

@@ -87,8 +87,8 @@ fn random_frames_get_the_same_verdict_from_both_planes() -> Result<()> {
         );
     }
     for (counter, seen) in Counter::ALL.iter().zip(seen) {
-        if matches!(counter, Counter::Notice | Counter::Replicated) {
-            // The kernel leaves these to the userspace plane.
+        if matches!(counter, Counter::Notice | Counter::Replicated | Counter::RedirectLost) {
+            // The kernel leaves the first two to the userspace plane; what a redirect loses is known only after it.
             continue;
         }
         ensure!(seen > 20, "the random frames reached {counter:?} only {seen} times");

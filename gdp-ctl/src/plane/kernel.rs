@@ -18,6 +18,7 @@ use super::explain;
 use super::fib::{self, Fib};
 use super::kernel_version::KernelVersion;
 use super::link_memory::{LinkMaps, LinkMemory};
+use super::losses::{self, Losses, LossesError};
 use super::pins::{Pins, PinsError};
 
 /// The oldest kernel the programs are meant for.
@@ -139,6 +140,9 @@ pub struct KernelPlane {
     ports: DevMapHash<MapData>,
     counters: PerCpuArray<MapData, u64>,
     link_memory: LinkMemory,
+    losses: Losses,
+    /// Why lost redirects are not counted, if they are not.
+    uncounted: Option<LossesError>,
 }
 
 impl KernelPlane {
@@ -157,6 +161,10 @@ impl KernelPlane {
         let object = |source| LoadError::Object { path: path.into(), source: Box::new(source) };
         let mut loader = EbpfLoader::new();
         loader.map_max_entries("PERMITS", capacity);
+        let net_devices = losses::net_devices();
+        if let Ok(net_devices) = &net_devices {
+            loader.override_global(losses::WHERE, net_devices, true);
+        }
         let fresh = pins.as_ref().is_none_or(|pins| !pins.any());
         let to_pin = pins.as_ref().map_or(Ok(Vec::new()), |pins| maps_to_pin(path, capacity, pins))?;
         for name in &to_pin {
@@ -167,7 +175,7 @@ impl KernelPlane {
         let loaded =
             loader.load_file(path).map_err(object).and_then(|ebpf| Self::finish(path, version, capacity, &pins, ebpf));
         match (loaded, pins) {
-            (Ok(plane), pins) => Ok(Self { pins, ..plane }),
+            (Ok(plane), pins) => Ok(Self { pins, uncounted: net_devices.err(), ..plane }),
             (Err(error), pins) => {
                 if let Some(pins) = pins.filter(|_| fresh) {
                     let _ = pins.remove();
@@ -206,6 +214,8 @@ impl KernelPlane {
             ports: maps.take("PORTS")?,
             counters: maps.take("COUNTERS")?,
             link_memory: LinkMemory::map(shared).map_err(LoadError::LinkMemory)?,
+            losses: Losses::new(maps.take(losses::MAP)?),
+            uncounted: None,
             ebpf,
             pins: None,
             attached: Table::new(),
@@ -266,6 +276,7 @@ impl KernelPlane {
         match self.switch().attach_to_link(XdpLink::try_from(pinned)?) {
             Ok(link) => {
                 self.attached.insert(ifindex, (link, mode));
+                self.watch_losses();
                 Ok(Some(mode))
             }
             // The interface was deleted, and this one has inherited its number.
@@ -303,12 +314,41 @@ impl KernelPlane {
         self.pins.is_some()
     }
 
+    /// Whether the kernel has compiled the switch; `None` if it does not say.
+    pub fn is_jitted(&self) -> Option<bool> {
+        let program: &Xdp = self.ebpf.program(self.program)?.try_into().ok()?;
+        Some(program.info().ok()?.size_jitted() != 0)
+    }
+
     /// Makes `port` lead to an interface of this network namespace.
     pub fn set_port(&mut self, port: u32, ifindex: u32) -> Result<(), UpdateError> {
         self.ports.insert(port, ifindex, None, 0).map_err(|source| match &source {
             aya::maps::xdp::XdpMapError::MapError(error) if is_full(error) => UpdateError::PortsFull,
             _ => UpdateError::Port { port, ifindex, source },
-        })
+        })?;
+        self.watch_losses();
+        Ok(())
+    }
+
+    /// Counts what is lost between the interfaces that ports lead to. Forwarding does not depend on it.
+    fn watch_losses(&mut self) {
+        if self.uncounted.is_some() {
+            return;
+        }
+        let ports = self.ports.keys().filter_map(|port| Some(self.ports.get(port.ok()?, 0).ok()?.if_index));
+        let interfaces: Vec<u32> = ports.collect();
+        let started = self.losses.start(&mut self.ebpf, self.pins.as_ref());
+        self.uncounted = started.and_then(|()| self.losses.watch(&interfaces)).err();
+    }
+
+    /// Frames that were lost after a redirect, by interface.
+    pub fn losses(&self) -> Result<Table<u32, u64>, UpdateError> {
+        self.losses.counts().map_err(update(losses::MAP))
+    }
+
+    /// Why [`Self::losses`] are not counted, if they are not.
+    pub fn uncounted(&self) -> Option<&LossesError> {
+        self.uncounted.as_ref()
     }
 
     /// Frames for `port` are then dropped and counted. An empty port is no error.
@@ -434,6 +474,8 @@ pub struct PinnedStats {
     pub links: usize,
     pub names: usize,
     pub counters: Vec<(Counter, u64)>,
+    /// Frames lost after a redirect, by interface.
+    pub losses: Table<u32, u64>,
 }
 
 /// Reads the maps in a folder of pins of this version. A daemon may be at work on them.
@@ -446,6 +488,7 @@ pub fn pinned_stats(folder: &Path) -> Result<PinnedStats, MapError> {
         links: links.iter().filter(|link| link.as_ref().is_ok_and(|link| link.id != 0)).count(),
         names: fib::names_pinned(folder)?,
         counters: counted.collect::<Result<_, MapError>>()?,
+        losses: losses::pinned_counts(folder)?,
     })
 }
 

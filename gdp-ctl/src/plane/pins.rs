@@ -203,6 +203,11 @@ pub fn find(bpffs: &Path) -> Result<Vec<Found>, PinsError> {
     Ok(found)
 }
 
+/// Whether there is a BPF file system.
+pub fn is_mounted(at: &Path) -> bool {
+    CString::new(at.as_os_str().as_bytes()).is_ok_and(|path| is_bpffs(&path))
+}
+
 /// Sees to it that there is a BPF file system.
 fn mount(at: &Path) -> Result<(), PinsError> {
     let missing = |reason: String| PinsError::NoBpffs { path: at.into(), reason };
