@@ -8,6 +8,7 @@ use gdp::link::Role;
 use gdp_wire::{ErrorCode, FibEntry, Name};
 use serde_json::{Map, Value, json};
 
+use super::core::Core;
 use super::{Daemon, interfaces};
 
 /// `gdp-ctl status`.
@@ -16,50 +17,22 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
     let udp_links = daemon.core().links.values().filter(|l| matches!(l.via, crate::config::Via::Udp(_))).count();
     let core = daemon.core();
     let report = core.planes.report();
+    let (losses, mut errors) = match core.planes.losses() {
+        Ok(losses) => (losses, Vec::new()),
+        Err(reason) => (Default::default(), vec![reason]),
+    };
     let used: Vec<Value> = report
         .iter()
         .map(|plane| {
             let info = interfaces.iter().find(|i| i.name == plane.interface);
             json!({
                 "interface": plane.interface, "data_plane": plane.kind, "reason": plane.reason,
+                "redirect_lost": losses.get(&plane.interface).copied().unwrap_or(0),
                 "mtu": info.map(|i| i.mtu), "addresses": info.map(|i| &i.addresses), "stations": info.map(|i| &i.stations),
             })
         })
         .collect();
-    let mut links: Vec<_> = core
-        .links
-        .values()
-        .map(|state| {
-            let peer = state.link.peer();
-            json!({
-                "peer": peer.name,
-                "role": role(peer.role),
-                "via": state.via.to_string(),
-                "address": state.link.addr().to_string(),
-                "id": state.link.local_id(),
-                "mtu": state.link.mtu(),
-                "rtt_us": state.link.rtt().as_micros() as u64,
-                "errors_received": errors_received(&core, state.link.local_id()),
-            })
-        })
-        .collect();
-    links.sort_by_key(|link| link["id"].as_u64());
-    let mut held: Vec<_> = core
-        .held
-        .iter()
-        .map(|link| {
-            json!({
-                "peer": link.peer,
-                "role": role(link.role),
-                "address": link.to.to_string(),
-                "id": link.entry.id,
-                "errors_received": errors_received(&core, link.entry.id),
-            })
-        })
-        .collect();
-    held.sort_by_key(|link| link["id"].as_u64());
     let (mut counters, mut by_plane) = (Map::new(), Map::new());
-    let mut errors = Vec::new();
     match core.planes.counters() {
         Ok(counted) => {
             for (counter, kernel, userspace) in counted {
@@ -77,8 +50,8 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "data_plane": data_plane,
         "data_plane_reason": reason,
         "interfaces": used,
-        "links": links,
-        "links_held": held,
+        "links": links(&core),
+        "links_held": links_held(&core),
         "counters": counters,
         "counters_by_plane": by_plane,
         "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
@@ -90,6 +63,47 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
     })
 }
 
+/// `gdp-ctl link list`: every live link, by id.
+pub fn links(core: &Core) -> Vec<Value> {
+    let mut links: Vec<_> = core.links.values().collect();
+    links.sort_by_key(|state| state.link.local_id());
+    links
+        .into_iter()
+        .map(|state| {
+            let (link, peer) = (&state.link, state.link.peer());
+            json!({
+                "peer": peer.name,
+                "role": role(peer.role),
+                "via": state.via.to_string(),
+                "address": link.addr().to_string(),
+                "id": link.local_id(),
+                "mtu": link.mtu(),
+                "rtt_us": link.rtt().as_micros() as u64,
+                "age_s": state.since.elapsed().as_secs(),
+                "errors_received": errors_received(core, link.local_id()),
+                "plane": if core.planes.kernel_sends_on(link.local_id()) { "kernel" } else { "userspace" },
+            })
+        })
+        .collect()
+}
+
+/// Links whose peers fell silent or have a newer one, or that an earlier daemon left; by id.
+fn links_held(core: &Core) -> Vec<Value> {
+    let mut held: Vec<_> = core.held.iter().collect();
+    held.sort_by_key(|link| link.entry.id);
+    held.into_iter()
+        .map(|link| {
+            json!({
+                "peer": link.peer,
+                "role": role(link.role),
+                "address": link.to.to_string(),
+                "id": link.entry.id,
+                "errors_received": errors_received(core, link.entry.id),
+            })
+        })
+        .collect()
+}
+
 fn role(role: Role) -> &'static str {
     match role {
         Role::Endpoint => "endpoint",
@@ -98,7 +112,7 @@ fn role(role: Role) -> &'static str {
 }
 
 /// What a neighbour refused of what this switch sent it, by code.
-fn errors_received(core: &super::core::Core, link: u32) -> Map<String, Value> {
+fn errors_received(core: &Core, link: u32) -> Map<String, Value> {
     let errors = ErrorCode::ALL.iter().zip(core.planes.notices().errors(link));
     errors.filter(|(_, count)| *count > 0).map(|(code, count)| (code.as_str().into(), count.into())).collect()
 }
@@ -133,7 +147,7 @@ pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, 
     Ok(json!({"routes": page, "more": more}))
 }
 
-fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
+fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
     let own = core.routes.own_bit().map_or(0, |bit| 1u64 << bit);
     let names = |links: Vec<u32>| links.iter().filter_map(|link| peers.get(link)).copied().collect::<Vec<_>>();
     json!({
