@@ -11,6 +11,7 @@
 //! - [`fib`]: the names in the kernel, and room for more of them
 //! - [`groups`]: which links take copies of a frame
 //! - [`link_memory`]: what the two planes share; this and the FIB are [`mapping`]s
+//! - [`notices`]: what neighbours say to this node itself
 //! - [`pins`]: what stays in the kernel when the daemon dies
 
 pub mod device;
@@ -22,9 +23,10 @@ pub mod kernel;
 pub mod kernel_types;
 pub mod kernel_version;
 pub mod link_memory;
-mod mapping;
 pub mod losses;
+mod mapping;
 pub mod netlink;
+pub mod notices;
 pub mod object;
 pub mod pins;
 pub mod userspace;
@@ -36,13 +38,14 @@ use std::sync::{Arc, PoisonError, RwLockReadGuard, RwLockWriteGuard};
 
 use gdp::port::{DataSocket, Interface, LinkAddr};
 use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, PORT_USERSPACE, Tables, mac_bytes};
-use gdp_wire::{Counter, FibEntry, LinkEntry, Name, Permit, SwitchConfig};
+use gdp_wire::{Counter, FibEntry, Header, LinkEntry, Name, Permit, SwitchConfig};
 
 use device::Device;
 use forwarder::{Forwarder, Medium, Shared};
 use groups::Groups;
 use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
 use link_memory::LinkMemory;
+use notices::Notices;
 use pins::{Pins, PinsError};
 use userspace::UserTables;
 use xdp_features::XdpFeatures;
@@ -306,6 +309,7 @@ impl Planes {
         let mut tables = self.tables();
         if tables.link(entry.id).is_none() {
             self.link_memory.begin(entry.id);
+            self.shared.notices.begin(entry.id);
         }
         tables.set_link(entry, to);
         drop(tables);
@@ -313,6 +317,16 @@ impl Planes {
             kernel.set_link(&entry)?;
         }
         Ok(())
+    }
+
+    /// Asks the data plane of the neighbour on a link whether it lives.
+    pub fn ask(&self, link: u32, cookie: u64) {
+        self.shared.send_own(link, Header::echo(cookie));
+    }
+
+    /// What neighbours said to this node itself.
+    pub fn notices(&self) -> &Notices {
+        &self.shared.notices
     }
 
     /// An unknown link is no error.

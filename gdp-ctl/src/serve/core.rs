@@ -14,7 +14,7 @@ use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
 use gdp_wire::{LinkEntry, LinkRole, Name};
 
-use super::hold::{GRACE, HeldLink, Hold, Kept, SILENCE};
+use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::routes::{Change, Routes};
 use crate::config::{Neighbour, Via};
 use crate::plane::{PlaneError, PlaneRoute, Planes};
@@ -246,8 +246,9 @@ impl Core {
     }
 
     /// A link is closed. It goes out of service, unless frames may still come on it: because the peer is only about to learn
-    /// that another has replaced it, or because a neighbour said nothing, and may forward on without its daemon.
-    pub fn link_down(&mut self, link: &Link) {
+    /// that another has replaced it, or because the peer said nothing, and may forward on without its daemon: then it is held,
+    /// and to be [watched](super::liveness). Returns whether it is.
+    pub fn link_down(&mut self, link: &Link) -> bool {
         let (id, peer, role) = (link.local_id(), link.peer().name, link.peer().role);
         self.downstream.retain(|_, via| *via != id);
         if self.peers.get(&peer) == Some(&id) {
@@ -256,19 +257,24 @@ impl Core {
                 self.uplink_ready = false;
             }
         }
-        let Some(LinkState { link, entry, to, .. }) = self.links.remove(&id) else { return };
-        let time = if self.routes.is_replaced(role, &peer, id) {
-            Some(GRACE)
-        } else if role == Role::Switch && link.fell_silent() && self.routes.link_silent(role, &peer, id) {
-            Some(SILENCE)
-        } else {
-            None
-        };
-        let Some(time) = time else { return self.remove_link(role, peer, id) };
+        let Some(LinkState { link, entry, to, .. }) = self.links.remove(&id) else { return false };
+        let is_replaced = self.routes.is_replaced(role, &peer, id);
+        let is_silent = !is_replaced && link.fell_silent() && self.routes.link_silent(role, &peer, id);
+        if !is_replaced && !is_silent {
+            self.remove_link(role, peer, id);
+            return false;
+        }
+        let time = if is_replaced { GRACE } else { HOLD };
         let held = HeldLink { peer, role, entry, to, until: Instant::now() + time, id: Kept::Closed { _link: link } };
         if let Some(first) = self.held.keep(held) {
             self.release(first);
         }
+        is_silent
+    }
+
+    /// Whether a link is held whose peer has no other.
+    pub fn awaits(&self, link: &Link) -> bool {
+        self.held.contains(link.local_id()) && !self.peers.contains_key(&link.peer().name)
     }
 
     fn remove_link(&mut self, role: Role, peer: Name, id: u32) {
