@@ -15,6 +15,7 @@ use gdp_wire::table::{EGRESS_SET_SIZE, MAX_PORTS, link_index};
 use gdp_wire::{Counter, FibEntry, LinkEntry, Name, Permit, SwitchConfig};
 
 use super::explain;
+use super::fib::{self, Fib};
 use super::kernel_version::KernelVersion;
 use super::link_memory::{LinkMaps, LinkMemory};
 use super::losses::{self, Losses, LossesError};
@@ -42,6 +43,8 @@ pub enum LoadError {
     Map { path: PathBuf, map: &'static str, source: MapError },
     #[error("cannot map the counts and windows of links into memory: {0}")]
     LinkMemory(std::io::Error),
+    #[error(transparent)]
+    Fib(#[from] UpdateError),
     #[error("{}: {source}", path.display())]
     Read { path: PathBuf, source: std::io::Error },
     #[error("{}: {source}", path.display())]
@@ -68,6 +71,10 @@ pub enum AttachError {
 pub enum UpdateError {
     #[error("the FIB is full ({capacity} names): set `fib_capacity` higher")]
     FibFull { capacity: u32 },
+    #[error("no memory for a FIB of {names} names ({source}): set `fib_capacity` lower")]
+    FibMemory { names: u32, source: std::io::Error },
+    #[error("{}: the FIB cannot be made to outlive the daemon: {source}", path.display())]
+    FibPin { path: PathBuf, source: std::io::Error },
     #[error(
         "the FIB is full ({capacity} second and further writers of a name at one switch): set `fib_capacity` higher"
     )]
@@ -126,7 +133,7 @@ pub struct KernelPlane {
     program: &'static str,
     capacity: u32,
     links: Array<MapData, LinkEntry>,
-    fib: HashMap<MapData, Name, FibEntry>,
+    fib: Fib,
     permits: HashMap<MapData, Permit, u32>,
     next_hop: Array<MapData, u32>,
     config: Array<MapData, SwitchConfig>,
@@ -153,7 +160,7 @@ impl KernelPlane {
         }
         let object = |source| LoadError::Object { path: path.into(), source: Box::new(source) };
         let mut loader = EbpfLoader::new();
-        loader.map_max_entries("FIB", capacity).map_max_entries("PERMITS", capacity);
+        loader.map_max_entries("PERMITS", capacity);
         let net_devices = losses::net_devices();
         if let Ok(net_devices) = &net_devices {
             loader.override_global(losses::WHERE, net_devices, true);
@@ -166,7 +173,7 @@ impl KernelPlane {
             }
         }
         let loaded =
-            loader.load_file(path).map_err(object).and_then(|ebpf| Self::finish(path, version, capacity, ebpf));
+            loader.load_file(path).map_err(object).and_then(|ebpf| Self::finish(path, version, capacity, &pins, ebpf));
         match (loaded, pins) {
             (Ok(plane), pins) => Ok(Self { pins, uncounted: net_devices.err(), ..plane }),
             (Err(error), pins) => {
@@ -178,7 +185,13 @@ impl KernelPlane {
         }
     }
 
-    fn finish(path: &Path, version: KernelVersion, capacity: u32, mut ebpf: Ebpf) -> Result<Self, LoadError> {
+    fn finish(
+        path: &Path,
+        version: KernelVersion,
+        capacity: u32,
+        pins: &Option<Pins>,
+        mut ebpf: Ebpf,
+    ) -> Result<Self, LoadError> {
         let program = if version >= FRAGS { "gdp_switch" } else { "gdp_switch_linear" };
         switch(&mut ebpf, program)
             .ok_or(LoadError::Mismatch { path: path.into(), what: "program", name: program })?
@@ -194,7 +207,7 @@ impl KernelPlane {
             program,
             capacity,
             links: maps.take("LINKS")?,
-            fib: maps.take("FIB")?,
+            fib: Fib::open(maps.take("FIB")?, capacity, pins.as_ref())?,
             permits: maps.take("PERMITS")?,
             next_hop: maps.take("NEXT_HOP")?,
             config: maps.take("CONFIG")?,
@@ -229,7 +242,7 @@ impl KernelPlane {
         Ok(Some(Adopted {
             config,
             links: links.into_iter().filter(|link| link.id != 0).collect(),
-            routes: self.routes()?,
+            routes: self.routes().collect(),
             next_hops,
             ports,
         }))
@@ -292,6 +305,7 @@ impl KernelPlane {
 
     /// From now on everything ends with this process.
     pub fn unpin(&mut self) -> Result<(), PinsError> {
+        self.fib.unpin();
         self.pins.take().map_or(Ok(()), |pins| pins.remove())
     }
 
@@ -355,15 +369,12 @@ impl KernelPlane {
     }
 
     pub fn set_route(&mut self, name: &Name, entry: FibEntry) -> Result<(), UpdateError> {
-        match self.fib.insert(name, entry, 0) {
-            Err(error) if is_full(&error) => Err(UpdateError::FibFull { capacity: self.capacity }),
-            result => result.map_err(update("FIB")),
-        }
+        self.fib.insert(name, entry)
     }
 
-    /// Removing a name that is not there is no error.
-    pub fn remove_route(&mut self, name: &Name) -> Result<(), UpdateError> {
-        removed(self.fib.remove(name)).map_err(update("FIB"))
+    /// Whether the name was there.
+    pub fn remove_route(&mut self, name: &Name) -> bool {
+        self.fib.remove(name)
     }
 
     /// Lets frames of a link have a name in their header, where its entry says to look for that.
@@ -390,17 +401,13 @@ impl KernelPlane {
     }
 
     /// Where a name leads.
-    pub fn route(&self, name: &Name) -> Result<Option<FibEntry>, UpdateError> {
-        match self.fib.get(name, 0) {
-            Ok(entry) => Ok(Some(entry)),
-            Err(MapError::KeyNotFound | MapError::ElementNotFound) => Ok(None),
-            Err(error) => Err(update("FIB")(error)),
-        }
+    pub fn route(&self, name: &Name) -> Option<FibEntry> {
+        self.fib.get(name)
     }
 
-    /// What the kernel forwards by, read back from the map.
-    pub fn routes(&self) -> Result<Vec<(Name, FibEntry)>, UpdateError> {
-        self.fib.iter().collect::<Result<_, _>>().map_err(update("FIB"))
+    /// What the kernel forwards by, in no order.
+    pub fn routes(&self) -> impl Iterator<Item = (Name, FibEntry)> {
+        self.fib.iter()
     }
 
     /// The counters, summed over the CPUs, in the order of [`Counter::ALL`].
@@ -476,11 +483,10 @@ pub fn pinned_stats(folder: &Path) -> Result<PinnedStats, MapError> {
     let open = |name: &str| MapData::from_pin(folder.join(name));
     let counters: PerCpuArray<_, u64> = PerCpuArray::try_from(aya::maps::Map::PerCpuArray(open("COUNTERS")?))?;
     let links: Array<_, LinkEntry> = Array::try_from(aya::maps::Map::Array(open("LINKS")?))?;
-    let fib: HashMap<_, Name, FibEntry> = HashMap::try_from(aya::maps::Map::HashMap(open("FIB")?))?;
     let counted = (0..).zip(Counter::ALL).map(|(index, counter)| Ok((*counter, counters.get(&index, 0)?.iter().sum())));
     Ok(PinnedStats {
         links: links.iter().filter(|link| link.as_ref().is_ok_and(|link| link.id != 0)).count(),
-        names: fib.keys().filter(Result::is_ok).count(),
+        names: fib::names_pinned(folder)?,
         counters: counted.collect::<Result<_, MapError>>()?,
         losses: losses::pinned_counts(folder)?,
     })
@@ -496,7 +502,7 @@ fn maps_to_pin(path: &Path, capacity: u32, pins: &Pins) -> Result<Vec<String>, L
         if name.starts_with('.') {
             continue;
         }
-        let max_entries = if matches!(name.as_str(), "FIB" | "PERMITS") { capacity } else { map.max_entries() };
+        let max_entries = if name == "PERMITS" { capacity } else { map.max_entries() };
         pins.check(&name, &map, max_entries)?;
         names.push(name);
     }

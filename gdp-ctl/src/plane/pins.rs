@@ -53,6 +53,11 @@ pub enum PinsError {
     Layout { path: PathBuf, what: &'static str, found: u32, wanted: u32 },
     #[error("{}: {source}", path.display())]
     Map { path: PathBuf, source: MapError },
+    #[error(
+        "{}: it does not hold a FIB; `gdp-ctl xdp detach` removes what the last daemon left, and frames stop until one runs again",
+        .0.display()
+    )]
+    NotAFib(PathBuf),
 }
 
 impl PinsError {
@@ -116,6 +121,10 @@ impl Pins {
                 source => Err(PinsError::Io { path: folder, source }),
             },
         }
+    }
+
+    pub fn folder(&self) -> &Path {
+        &self.folder
     }
 
     pub fn map(&self, name: &str) -> PathBuf {

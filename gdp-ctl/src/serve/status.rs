@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use gdp::control::RecordPlace;
 use gdp::link::Role;
 use gdp_wire::{FibEntry, Name};
 use serde_json::{Map, Value, json};
@@ -122,14 +123,14 @@ fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry
         "egress_bits": format!("{:#x}", entry.egress_bits),
         "own": entry.egress_bits & own != 0,
         "toward": core.routes.neighbours_toward(entry.egress_bits & !own),
-        "local": names(core.planes.readers(entry)),
+        "readers": names(core.planes.readers(entry)),
         "writers": names(core.planes.writers(name)),
         "group": entry.group,
     })
 }
 
 /// One page of `gdp-ctl rib dump`, or why there is none.
-pub fn rib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, String> {
+pub fn rib(daemon: &Daemon, after: Option<RecordPlace>, limit: usize) -> Result<Value, String> {
     let core = daemon.core();
     let Some(rib) = &core.rib else {
         let uplink = core.uplink.unwrap_or_default();
