@@ -6,7 +6,7 @@ use gdp_wire::table::{PORT_ROUTED, PORT_USERSPACE, Tables};
 use gdp_wire::{FibEntry, LinkEntry, Name, Permit};
 
 use crate::next_hop::NextHop;
-use crate::{config, fib, links, windows};
+use crate::{config, fib, links, next_hops, permits, windows};
 
 /// The maps, asked about one frame.
 pub struct Maps<'p> {
@@ -33,7 +33,7 @@ impl Tables for Maps<'_> {
 
     #[inline(always)]
     fn next_hop(&self, bit: u32) -> u32 {
-        fib::next_hop(bit)
+        next_hops::next_hop(bit)
     }
 
     #[inline(always)]
@@ -43,7 +43,7 @@ impl Tables for Maps<'_> {
 
     #[inline(always)]
     fn is_permitted(&self, permit: &Permit) -> bool {
-        fib::is_permitted(permit)
+        permits::is_permitted(permit)
     }
 
     #[inline(always)]

@@ -23,13 +23,10 @@ impl FrameSize {
     }
 
     /// Takes note of an error that the switch sent.
-    pub fn learn(&self, error: &Header) {
+    pub fn learn(&self, code: ErrorCode, error: &Header) {
         let (mtu, _) = error.complaint();
         // No link has a smaller one.
-        if error.egress_set == ErrorCode::TooBig as u8
-            && mtu >= MIN_MTU
-            && self.0.fetch_min(mtu, Ordering::Relaxed) > mtu
-        {
+        if code == ErrorCode::TooBig && mtu >= MIN_MTU && self.0.fetch_min(mtu, Ordering::Relaxed) > mtu {
             tracing::info!(mtu, name = %format_args!("{:#}", error.destination), "frames were too big for a link further on; sending smaller ones");
         }
     }
@@ -45,7 +42,7 @@ mod tests {
         let learn = |code: ErrorCode, mtu: u32| {
             let mut error = Header::default();
             error.become_error(code, mtu);
-            size.learn(&error);
+            size.learn(code, &error);
             size.get()
         };
         assert_eq!(learn(ErrorCode::NoRoute, 0), u32::MAX);
