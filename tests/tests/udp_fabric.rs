@@ -40,17 +40,12 @@ fn messages_cross_three_carriers_without_leaving_the_kernel() -> Result<()> {
     let cert = issue(&owner, &cert)?;
 
     let reader = Inside::new(&site.far)?;
-    let (reading, mut subscription) = reader.runtime.block_on(async {
-        let node = Node::connect(NodeConfig::new(far, "udp://[2001:db8:3::9]:31415".parse()?)).await?;
-        let subscription = node.subscribe(card.proof(), grant, &key, SubscribeOptions::default()).await?;
-        anyhow::Ok((node, subscription))
-    })?;
+    let reading = reader.run(Node::connect(NodeConfig::new(far, "udp://[2001:db8:3::9]:31415".parse()?)))??;
+    let subscribe = reading.subscribe(card.proof(), grant, &key, SubscribeOptions::default());
+    let mut subscription = reader.runtime.block_on(subscribe)?;
     let writer = Inside::new(&site.robot)?;
-    let (writing, mut publisher) = writer.runtime.block_on(async {
-        let node = Node::connect(NodeConfig::new(robot, "eth://e0".parse()?)).await?;
-        let publisher = node.publish(card.proof(), cert, &key).await?;
-        anyhow::Ok((node, publisher))
-    })?;
+    let writing = writer.run(Node::connect(NodeConfig::new(robot, "eth://e0".parse()?)))??;
+    let mut publisher = writer.runtime.block_on(writing.publish(card.proof(), cert, &key))?;
     let mut exchange = |body: &[u8]| -> Result<bool> {
         writer.runtime.block_on(publisher.send(Encoding::Bytes, body))?;
         let next =
@@ -90,7 +85,7 @@ impl Inside {
         Ok(Self { runtime: builder.worker_threads(1).enable_all().on_thread_start(enter).build()? })
     }
 
-    /// Runs on a thread of the runtime.
+    /// On a thread of the runtime: `block_on` stays on the calling one, where sockets would be of another namespace.
     fn run<T: Send + 'static>(&self, future: impl Future<Output = T> + Send + 'static) -> Result<T> {
         Ok(self.runtime.block_on(self.runtime.spawn(future))?)
     }
