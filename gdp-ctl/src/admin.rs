@@ -32,6 +32,7 @@ const PATIENCE: Duration = Duration::from_secs(15);
 #[serde(tag = "op", rename_all = "lowercase")]
 pub enum Request {
     Status,
+    Links,
     /// A page of the data plane's routes, behind this name.
     Fib {
         after: Option<Name>,

@@ -2,20 +2,29 @@
 //! attaches, the kernel holds the same entries and forwards before the daemon sees a frame.
 //!
 //! Knows links and routes as `gdp-wire` has them, nothing of names' owners, certificates or the RIB. Called by the daemon
-//! (`serve`); [`kernel`] also by the kernel tests and `bench forward`.
+//! (`serve`); [`kernel`] and [`fib`] also by the kernel tests and `bench forward`.
 //!
-//! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`], [`explain`] and [`xdp_features`] serve it
+//! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`] and [`explain`] serve it
+//! - [`losses`]: what is lost after a redirect; [`kernel_types`] serves it
+//! - [`device`]: interfaces as the kernel describes them; [`xdp_features`] and [`netlink`] serve it
 //! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
+//! - [`fib`]: the names in the kernel, and room for more of them
 //! - [`groups`]: which links take copies of a frame
-//! - [`link_memory`]: what the two planes share
+//! - [`link_memory`]: what the two planes share; this and the FIB are [`mapping`]s
 //! - [`pins`]: what stays in the kernel when the daemon dies
 
+pub mod device;
 pub mod explain;
+pub mod fib;
 pub mod forwarder;
 pub mod groups;
 pub mod kernel;
+pub mod kernel_types;
 pub mod kernel_version;
 pub mod link_memory;
+mod mapping;
+pub mod losses;
+pub mod netlink;
 pub mod object;
 pub mod pins;
 pub mod userspace;
@@ -29,6 +38,7 @@ use gdp::port::{DataSocket, Interface, LinkAddr};
 use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, PORT_USERSPACE, Tables, mac_bytes};
 use gdp_wire::{Counter, FibEntry, LinkEntry, Name, Permit, SwitchConfig};
 
+use device::Device;
 use forwarder::{Forwarder, Medium, Shared};
 use groups::Groups;
 use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
@@ -37,7 +47,8 @@ use pins::{Pins, PinsError};
 use userspace::UserTables;
 use xdp_features::XdpFeatures;
 
-/// Names the FIB can hold unless configured otherwise; about 125 B of kernel memory each.
+/// Names the FIB can hold unless configured otherwise. The kernel's table begins with room for 1024 names and doubles as names
+/// come: 128 to 256 B of kernel memory each.
 pub const FIB_CAPACITY: u32 = 65536;
 
 /// Largest frame read from UDP.
@@ -345,7 +356,7 @@ impl Planes {
     /// An unknown name is no error.
     pub fn remove_route(&mut self, name: &Name) -> Result<(), PlaneError> {
         if let Ok(kernel) = &mut self.kernel {
-            kernel.remove_route(name)?;
+            kernel.remove_route(name);
         }
         let Some((before, permits)) = self.tables().remove_route(name) else { return Ok(()) };
         if let Ok(kernel) = &mut self.kernel {
@@ -365,6 +376,11 @@ impl Planes {
     /// The links of the local readers of a name.
     pub fn readers(&self, entry: &FibEntry) -> Vec<u32> {
         self.groups.readers(entry.group).to_vec()
+    }
+
+    /// Whether frames that leave by a link do so without the userspace plane, if they come in by XDP.
+    pub fn kernel_sends_on(&self, id: u32) -> bool {
+        self.kernel.is_ok() && self.read_tables().link(id).is_some_and(|link| link.port != PORT_USERSPACE)
     }
 
     /// For each egress bit the link toward that switch, or 0.
@@ -394,6 +410,18 @@ impl Planes {
         Ok(Counter::ALL.iter().zip(kernel.into_iter().zip(userspace)).map(|(c, (k, u))| (*c, k, u)).collect())
     }
 
+    /// Frames that were lost after a redirect, by the name of the interface they were to leave by; or why that is not known.
+    pub fn losses(&self) -> Result<HashMap<String, u64>, String> {
+        let Ok(kernel) = &self.kernel else { return Ok(HashMap::new()) };
+        if let Some(error) = kernel.uncounted() {
+            return Err(format!("frames that are lost after a redirect are not counted: {error}"));
+        }
+        let losses = kernel.losses().map_err(|error| error.to_string())?;
+        let named =
+            losses.into_iter().filter_map(|(ifindex, lost)| Some((self.ports.get(&ifindex)?.interface.clone(), lost)));
+        Ok(named.collect())
+    }
+
     /// What frames are forwarded by: read back from the kernel where XDP runs.
     pub fn routes(&self) -> Result<Vec<(Name, FibEntry)>, PlaneError> {
         Ok(self.routes_behind(None, usize::MAX)?.0)
@@ -419,7 +447,7 @@ impl Planes {
             Ok(kernel) if self.ports.values().any(|port| port.attached.is_some()) => {
                 let mut held = Vec::with_capacity(routes.len());
                 for (name, _) in routes {
-                    held.extend(kernel.route(&name)?.map(|entry| (name, entry)));
+                    held.extend(kernel.route(&name).map(|entry| (name, entry)));
                 }
                 Ok((held, more))
             }
@@ -466,10 +494,10 @@ impl Planes {
             Ok(()) => return (Some(Mode::Native), "the driver supports it".into()),
             Err(error) => error,
         };
-        let why = explain::attach(&native);
         if explain::is_occupied(&native) {
-            return (None, why);
+            return (None, occupied(interface.index));
         }
+        let why = explain::attach(&native);
         match kernel.attach(interface.index, Mode::Generic) {
             Ok(()) => (Some(Mode::Generic), format!("no native XDP: {why}")),
             Err(generic) => (None, format!("no native XDP: {why}; no generic XDP: {}", explain::attach(&generic))),
@@ -527,7 +555,7 @@ impl Planes {
     fn kernel_can_send_to(&self, ifindex: u32) -> bool {
         // What generic XDP redirects are ordinary packets, which every interface takes.
         let only_generic = self.ports.values().all(|port| port.attached != Some(Mode::Native));
-        let asked = self.features.as_ref().and_then(|features| features.takes_redirects(ifindex).ok());
+        let asked = self.features.as_ref().and_then(|features| Some(features.of(ifindex).ok()?.takes_redirects()));
         only_generic || asked.unwrap_or(true)
     }
 
@@ -610,6 +638,14 @@ fn adopted_route(entry: &FibEntry) -> PlaneRoute {
 /// Those that are not among `others`.
 fn without(permits: &[Permit], others: &[Permit]) -> Vec<Permit> {
     permits.iter().filter(|permit| !others.contains(permit)).copied().collect()
+}
+
+/// Whose program is in the way, and what removes it.
+fn occupied(ifindex: u32) -> String {
+    match Device::find(ifindex).ok().and_then(|device| device.program) {
+        Some(program) => format!("another XDP program is attached: {program}; {}", program.remedy()),
+        None => "another XDP program is attached, and gone by now".into(),
+    }
 }
 
 const NO_REDIRECT: &str = "; frames leave here through the userspace plane, because the interface takes no redirected frames (a \

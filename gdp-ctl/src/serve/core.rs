@@ -58,6 +58,7 @@ pub struct Core {
 pub struct LinkState {
     pub link: Link,
     pub via: Via,
+    pub since: Instant,
     entry: LinkEntry,
     to: LinkAddr,
 }
@@ -226,7 +227,7 @@ impl Core {
             return Err(error);
         }
         let replaced = self.peers.insert(peer, id).and_then(|old| self.links.get(&old)).map(|old| old.link.clone());
-        self.links.insert(id, LinkState { link: link.clone(), via, entry, to });
+        self.links.insert(id, LinkState { link: link.clone(), via, since: Instant::now(), entry, to });
         let changes = self.routes.link_up(link.peer().role, peer, id);
         self.carry_out(changes);
         if self.uplink == Some(peer) {
