@@ -26,6 +26,7 @@ use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
 use gdp_tests::netns::Namespace;
 use gdp_tests::process::Process;
 use gdp_tests::wait::wait_for;
+use gdp_wire::table::ABI;
 
 /// Between two messages.
 const PACE: Duration = Duration::from_millis(1);
@@ -205,7 +206,7 @@ fn maps_of_another_layout_or_version_are_refused_with_the_remedy() -> Result<()>
     // As if another build had left it.
     std::fs::write(&config, &text)?;
     let root = fabric.bpffs().join("gdp");
-    std::fs::rename(root.join("v1"), root.join("v0"))?;
+    std::fs::rename(root.join(format!("v{ABI}")), root.join("v0"))?;
     let refused = run(&mut fabric)?;
     ensure!(refused.contains("another version") && refused.contains("gdp-ctl xdp detach"), "{refused}");
     ensure!(fabric.xdp("detach")?["detached"].as_array().map(Vec::len) == Some(1));
