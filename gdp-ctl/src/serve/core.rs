@@ -289,16 +289,23 @@ impl Core {
         }
     }
 
-    /// Looks whether peers have moved to other addresses, as QUIC has validated.
+    /// Looks whether peers have moved to other addresses, as QUIC has validated; and what the paths to them take.
     pub fn follow_addresses(&mut self) {
         for state in self.links.values_mut() {
-            let to = state.link.addr();
+            let (to, mtu, carrier) = (state.link.addr(), state.link.mtu(), state.link.carrier());
+            if (to, mtu, carrier) == (state.to, state.entry.mtu, state.entry.carrier) {
+                continue;
+            }
+            let peer = format_args!("{:#}", state.link.peer().name).to_string();
             if to != state.to {
-                tracing::info!(peer = %format_args!("{:#}", state.link.peer().name), from = %state.to, %to, "a peer moved");
-                state.to = to;
-                if let Err(error) = self.planes.set_link(state.entry, to) {
-                    tracing::error!(%error, "the data plane did not take a link's new address");
-                }
+                tracing::info!(peer, from = %state.to, %to, "a peer moved");
+            }
+            if mtu != state.entry.mtu {
+                tracing::debug!(peer, from = state.entry.mtu, to = mtu, "the MTU of a link changed");
+            }
+            (state.to, state.entry.mtu, state.entry.carrier) = (to, mtu, carrier);
+            if let Err(error) = self.planes.set_link(state.entry, to) {
+                tracing::error!(%error, "the data plane did not take what changed on a link");
             }
         }
     }

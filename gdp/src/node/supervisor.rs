@@ -13,6 +13,7 @@ use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep, sleep_until, timeout_at};
 use zerocopy::IntoBytes;
 
+use super::frame_size::FrameSize;
 use super::receiver::Command;
 use super::state::{self, State, Status};
 use super::{LinkTarget, NodeError, Stated};
@@ -20,7 +21,7 @@ use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
 use crate::link::liveness::{Liveness, Pace, Step};
 use crate::link::{HOLD, Link, LinkError, Responder, Role};
-use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, UDP_MTU};
+use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig};
 
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -37,9 +38,6 @@ const REATTACH: Duration = Duration::from_secs(4);
 /// How often certificates and statements with a lifetime of [`state::LIFETIME`] are renewed.
 const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
 
-/// Largest frame sent, whatever the first link takes, until path MTUs are learnt: a link further on may be over UDP. Bytes.
-const MAX_FRAME: u32 = UDP_MTU;
-
 /// What the rest of the node tells the supervisor.
 pub enum Event {
     /// A publisher or subscription was dropped.
@@ -53,6 +51,10 @@ pub struct Attachment {
     pub link: Link,
     pub entry: LinkEntry,
     pub data: Arc<DataSocket>,
+    /// Bytes of the largest frame that may come.
+    pub largest: usize,
+    /// What links further on take, as far as it is known.
+    pub frame_size: FrameSize,
     count: AtomicU64,
     /// Cookie of the latest answer to an echo.
     answer: AtomicU64,
@@ -60,8 +62,9 @@ pub struct Attachment {
 
 impl Attachment {
     fn new(link: Link, port: &Port) -> Self {
-        let (entry, data) = (link.entry(PORT_USERSPACE), port.data());
-        Self { entry, link, data, count: AtomicU64::new(0), answer: AtomicU64::new(0) }
+        let (entry, data, largest) = (link.entry(PORT_USERSPACE), port.data(), port.mtu() as usize);
+        let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
+        Self { entry, link, data, largest, frame_size, count, answer }
     }
 
     /// The count for the next frame: 1 for the first.
@@ -93,9 +96,9 @@ impl Attachment {
         }
     }
 
-    /// Largest payload of a frame, in bytes.
+    /// Largest payload of a frame, in bytes: what this link takes now, and links further on as far as is known.
     pub fn max_payload(&self) -> usize {
-        (self.entry.mtu.min(MAX_FRAME) as usize).saturating_sub(Header::LEN)
+        (self.link.mtu().min(self.frame_size.get()) as usize).saturating_sub(Header::LEN)
     }
 }
 
