@@ -64,6 +64,7 @@ fn frames_cross_a_switch_in_userspace() -> Result<()> {
     let crossed = site.send_through(1400)?;
     ensure!(crossed.len() == 14 + 1400);
     ensure!(switch.counted(Counter::Delivered)? == (0, 1));
+    ensure!(switch.planes.arrivals(left_link().id)?[Counter::Delivered as usize] == 1);
     Ok(())
 }
 

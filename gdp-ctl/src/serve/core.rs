@@ -199,8 +199,9 @@ impl Core {
             return Err(format!("the peer has the key of this switch, {switch}: give each a key of its own"));
         }
         if peer.role == Role::Endpoint {
-            let endpoints = self.links.values().filter(|state| state.link.peer().role == Role::Endpoint).count();
-            return if endpoints < MAX_ENDPOINTS {
+            let live = self.links.values().filter(|state| state.link.peer().role == Role::Endpoint).count();
+            let held = self.held.iter().filter(|held| held.role == Role::Endpoint).count();
+            return if live + held < MAX_ENDPOINTS {
                 Ok(())
             } else {
                 Err(format!("{MAX_ENDPOINTS} endpoints have links to this switch, the most it takes"))

@@ -381,11 +381,14 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
     match event {
         Event::Withdraw { name, stated } => {
             let mut backoff = Backoff::new();
-            // With the link, the switch withdraws everything by itself.
-            while let Err(error) = state.state_withdrawal(&attachment, name, stated).await
-                && attachment.link.close_reason().is_none()
-            {
-                tracing::warn!(%name, %error, "could not be withdrawn; trying again");
+            while let Err(error) = state.state_withdrawal(&attachment, name, stated).await {
+                match error {
+                    // It went with an attachment that ended.
+                    NodeError::Refused(refusal) if refusal.code == RefusalCode::NotFound => return,
+                    // What was stated may outlive the link: that is for the next one to tell.
+                    _ if attachment.link.close_reason().is_some() => return state.withdraw_later(name, stated),
+                    error => tracing::warn!(%name, %error, "could not be withdrawn; trying again"),
+                }
                 backoff.wait().await;
             }
         }
