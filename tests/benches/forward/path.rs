@@ -3,22 +3,33 @@
 use std::path::Path as FilePath;
 
 use anyhow::{Context, Result, ensure};
+use aya::maps::{DevMap, MapData};
 use gdp::identity::Identity;
 use gdp::link::LinkIds;
-use gdp::port::{LinkAddr, Port, PortConfig};
+use gdp::port::{Interface, LinkAddr, Port, PortConfig};
 use gdp_ctl::plane::{PlaneConfig, Planes, Wanted};
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::frames::Frame;
 use gdp_tests::netns::{Namespace, execute};
+use gdp_tests::packet::ETHERNET;
 use gdp_wire::{Counter, FibEntry, LinkEntry, LinkRole, Name};
-use serde::Serialize;
+
+use crate::Bench;
+use crate::traffic::{Frames, Programs};
 
 /// What forwards.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
+    /// Nothing: a cable from the generator to the sink.
+    Cable,
+    /// An XDP program that does nothing but redirect.
+    Bare,
+    /// The XDP switch with a hop tag that costs nothing.
+    Untagged,
     Xdp,
+    /// The kernel's IPv4 routers.
     Ip,
+    /// The userspace plane, on packet sockets.
     Userspace,
 }
 
@@ -26,6 +37,7 @@ pub struct Path {
     kind: Kind,
     chain: Chain,
     switches: Vec<Switch>,
+    _redirects: Vec<Redirect>,
 }
 
 struct Switch {
@@ -34,90 +46,111 @@ struct Switch {
     _runtime: tokio::runtime::Runtime,
 }
 
+/// A bare redirect from `l0` to `r0`.
+struct Redirect {
+    _programs: Programs,
+    _out: DevMap<MapData>,
+}
+
 const TOPIC: Name = Name::from_bytes([0xd0; 32]);
 
 /// The index, and so the id, of each switch's link to the left and to the right.
 const LEFT: u32 = 1;
 const RIGHT: u32 = 2;
 
+/// Ethernet, IPv4 and UDP.
+const UDP_HEADERS: usize = 14 + 20 + 8;
+
 impl Path {
-    pub fn build(kind: Kind, hops: usize, ebpf_object: &FilePath) -> Result<Self> {
+    pub fn build(kind: Kind, hops: usize, bench: &Bench) -> Result<Self> {
         let chain = Chain::build(ChainOptions { switches: hops, ..Default::default() })?;
         for node in chain.nodes() {
             refresh_gro(node)?;
         }
-        let mut switches = Vec::new();
-        match kind {
-            Kind::Ip => {
-                chain.become_ip_routers()?;
-                let (_, cloud) = chain.ip_ends();
-                // The sink drops what the cloud would answer ARP with only if it is long: this resolves the last hop.
-                let last = &chain.switches()[hops - 1];
-                last.ip(&["neigh", "replace", &cloud, "lladdr", &mac_text(hops, 2), "dev", "r0", "nud", "permanent"])?;
-            }
-            Kind::Xdp | Kind::Userspace => {
-                let wanted = if kind == Kind::Xdp { Wanted::Xdp } else { Wanted::Userspace };
-                for (i, namespace) in chain.switches().iter().enumerate() {
-                    switches.push(Switch::start(namespace, wanted, ebpf_object, i, hops)?);
+        let (mut switches, mut redirects) = (Vec::new(), Vec::new());
+        for (i, namespace) in chain.switches().iter().enumerate() {
+            match kind {
+                Kind::Cable | Kind::Ip => {}
+                Kind::Bare => redirects.push(Redirect::start(namespace, bench)?),
+                Kind::Untagged => {
+                    switches.push(Switch::start(namespace, Wanted::Xdp, &bench.untagged_object, i, hops)?)
+                }
+                Kind::Xdp => switches.push(Switch::start(namespace, Wanted::Xdp, &bench.ebpf_object, i, hops)?),
+                Kind::Userspace => {
+                    switches.push(Switch::start(namespace, Wanted::Userspace, &bench.ebpf_object, i, hops)?);
                 }
             }
         }
-        Ok(Self { kind, chain, switches })
-    }
-
-    pub fn kind(&self) -> Kind {
-        self.kind
-    }
-
-    pub fn hops(&self) -> usize {
-        self.chain.switches().len()
+        if kind == Kind::Ip {
+            chain.become_ip_routers()?;
+            let (_, cloud) = chain.ip_ends();
+            // The sink drops what the cloud would answer ARP with only if it is long: this resolves the last hop.
+            let last = &chain.switches()[hops - 1];
+            last.ip(&["neigh", "replace", &cloud, "lladdr", &mac_text(hops, 2), "dev", "r0", "nud", "permanent"])?;
+        }
+        Ok(Self { kind, chain, switches, _redirects: redirects })
     }
 
     pub fn chain(&self) -> &Chain {
         &self.chain
     }
 
-    /// The frame to send from the robot.
-    pub fn frame(&self, payload: usize) -> Vec<u8> {
-        let ethertype = if self.kind == Kind::Ip { 0x0800 } else { gdp_wire::ETHERTYPE };
+    fn hops(&self) -> usize {
+        self.chain.switches().len()
+    }
+
+    /// What to send from the robot: frames of the same length for all kinds, and every one a GDP frame with its count and tag. The
+    /// routers get it in UDP, with less payload.
+    pub fn frames(&self, payload: usize) -> Frames {
+        let around = if self.kind == Kind::Ip { UDP_HEADERS - ETHERNET } else { 0 };
         let frame = Frame {
-            ethertype,
             to_mac: mac(0, 2),
             from_mac: mac(0, 1),
             link_id: LEFT,
-            key: key(0),
             destination: TOPIC.to_bytes(),
-            payload: vec![0x5a; payload],
+            payload: vec![0x5a; payload - around],
             ..Frame::default()
         };
-        match self.kind {
-            Kind::Xdp | Kind::Userspace => frame.bytes(),
-            Kind::Ip => ipv4(frame.ethernet(), frame.bytes().len(), self.hops() as u8),
+        let bytes = match self.kind {
+            Kind::Ip => in_udp(&frame, self.hops() as u8),
+            _ => frame.bytes(),
+        };
+        Frames {
+            frame: bytes,
+            header_at: ETHERNET + around,
+            link: LinkEntry { id: LEFT, peer_id: LEFT, tx_key: key(0), ..LinkEntry::default() },
+            tagged: self.kind != Kind::Untagged,
         }
     }
 
-    /// The link that the robot's frames leave by, as the robot holds it; none for IP.
-    pub fn robot_link(&self) -> LinkEntry {
-        match self.kind {
-            Kind::Ip => LinkEntry::default(),
-            Kind::Xdp | Kind::Userspace => {
-                LinkEntry { id: LEFT, peer_id: LEFT, tx_key: key(0), ..LinkEntry::default() }
-            }
-        }
-    }
-
-    /// The frames took the way that was to be measured, and no other.
-    pub fn check(&self) -> Result<()> {
+    /// The frames took the way that was to be measured, and no other. `may`: drops that belong to the measurement.
+    pub fn check(&self, may: Option<Counter>) -> Result<()> {
         for (i, switch) in self.switches.iter().enumerate() {
             let last = i + 1 == self.switches.len();
             let expected = if last { Counter::Delivered } else { Counter::Forwarded };
             for (counter, kernel, userspace) in switch.planes.counters()? {
-                let (ours, other) = if self.kind == Kind::Xdp { (kernel, userspace) } else { (userspace, kernel) };
-                let fine = if counter == expected { ours > 0 && other == 0 } else { !counter.is_drop() || ours == 0 };
+                let (ours, other) =
+                    if self.kind == Kind::Userspace { (userspace, kernel) } else { (kernel, userspace) };
+                let fine = if counter == expected {
+                    ours > 0 && other == 0
+                } else {
+                    !counter.is_drop() || ours == 0 || may == Some(counter)
+                };
                 ensure!(fine, "s{}: {} is {kernel} in the kernel, {userspace} in userspace", i + 1, counter.as_str());
             }
         }
         Ok(())
+    }
+}
+
+impl Redirect {
+    fn start(at: &Namespace, bench: &Bench) -> Result<Self> {
+        let _inside = at.enter()?;
+        let mut programs = Programs::load(&bench.bench_object, &["bare"])?;
+        let mut out: DevMap<MapData> = programs.map("OUT")?;
+        out.set(0, Interface::find("r0")?.index, None, 0)?;
+        programs.attach("bare", "l0")?;
+        Ok(Self { _programs: programs, _out: out })
     }
 }
 
@@ -178,22 +211,23 @@ fn link(
     }
 }
 
-/// An IPv4 and UDP packet of `length` bytes with its Ethernet header, from the robot to the cloud.
-fn ipv4(ethernet: [u8; 14], length: usize, hops: u8) -> Vec<u8> {
-    let mut frame = ethernet.to_vec();
-    let total = (length - 14) as u16;
+/// The frame in UDP over IPv4, from the robot to the cloud.
+fn in_udp(frame: &Frame, hops: u8) -> Vec<u8> {
+    let gdp = &frame.bytes()[ETHERNET..];
+    let mut packet = Frame { ethertype: 0x0800, ..frame.clone() }.ethernet().to_vec();
+    let total = (20 + 8 + gdp.len()) as u16;
     let mut ip = [0x45, 0, 0, 0, 0, 0, 0, 0, 64, 17, 0, 0, 10, 9, 0, 1, 10, 9, hops, 2];
     ip[2..4].copy_from_slice(&total.to_be_bytes());
     let sum: u32 = ip.chunks(2).map(|pair| u32::from(u16::from_be_bytes([pair[0], pair[1]]))).sum();
     let folded = (sum & 0xffff) + (sum >> 16);
     let checksum = !((folded & 0xffff) + (folded >> 16)) as u16;
     ip[10..12].copy_from_slice(&checksum.to_be_bytes());
-    frame.extend(ip);
-    frame.extend([0x7a, 0xb7, 0x7a, 0xb7]);
-    frame.extend((total - 20).to_be_bytes());
-    frame.extend([0, 0]); // no checksum
-    frame.resize(length, 0x5a);
-    frame
+    packet.extend(ip);
+    packet.extend([gdp_wire::UDP_PORT.to_be_bytes(), gdp_wire::UDP_PORT.to_be_bytes()].concat());
+    packet.extend((total - 20).to_be_bytes());
+    packet.extend([0, 0]); // no checksum
+    packet.extend(gdp);
+    packet
 }
 
 /// A veth takes redirected frames if its peer has GRO on; the kernel notices a change only while that peer is up.

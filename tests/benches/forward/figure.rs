@@ -1,0 +1,154 @@
+//! Results: what was measured, and how it compares. The JSON of `bench forward --json` is these types; a change of their meaning
+//! raises [`VERSION`]. How they look to people is in `table` and `plot`.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use serde::Serialize;
+
+/// Of the JSON.
+const VERSION: u32 = 2;
+
+#[derive(Serialize)]
+pub struct Report {
+    v: u32,
+    kernel: String,
+    cpus: usize,
+    pub figures: Vec<Figure>,
+}
+
+/// What was measured in turn in one unit, and the ratios of that.
+#[derive(Serialize)]
+pub struct Figure {
+    pub name: &'static str,
+    pub title: String,
+    pub unit: Unit,
+    pub measures: Vec<Measure>,
+    pub ratios: Vec<Ratio>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Unit {
+    FramesPerSecond,
+    Nanoseconds,
+}
+
+/// What one contender reached: median, lowest and highest of the rounds.
+#[derive(Serialize)]
+pub struct Measure {
+    /// Who.
+    pub series: &'static str,
+    /// At what, the same for all who are compared.
+    pub case: String,
+    #[serde(flatten)]
+    pub spread: Spread,
+    /// Of the frames sent, where they are followed to their end.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lost_percent: Option<f64>,
+    /// One value a round.
+    #[serde(skip)]
+    pub rounds: Vec<f64>,
+}
+
+/// How many times as much `series` reached as `over`: of the rounds' ratios, because what else the machine does changes both.
+#[derive(Serialize)]
+pub struct Ratio {
+    pub series: &'static str,
+    pub over: &'static str,
+    pub case: String,
+    #[serde(flatten)]
+    pub spread: Spread,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub aim: Option<Aim>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub met: Option<bool>,
+}
+
+#[derive(Clone, Copy, Serialize)]
+pub struct Spread {
+    pub median: f64,
+    pub low: f64,
+    pub high: f64,
+}
+
+#[derive(Clone, Copy, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Aim {
+    AtLeast(f64),
+    AtMost(f64),
+}
+
+impl Report {
+    pub fn new(figures: Vec<Figure>) -> Result<Self> {
+        let file = Path::new("/proc/sys/kernel/osrelease");
+        let kernel = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+        let cpus = std::thread::available_parallelism().context("cannot count the processors")?.get();
+        Ok(Self { v: VERSION, kernel: kernel.trim().to_owned(), cpus, figures })
+    }
+}
+
+impl Figure {
+    pub fn new(name: &'static str, title: impl Into<String>, unit: Unit, measures: Vec<Measure>) -> Self {
+        Self { name, title: title.into(), unit, measures, ratios: Vec::new() }
+    }
+
+    /// Adds the ratio of two series in each case that both have. `aim`: of a case, if it has one.
+    pub fn compare(mut self, series: &'static str, over: &'static str, aim: impl Fn(&str) -> Option<Aim>) -> Self {
+        for ours in self.measures.iter().filter(|measure| measure.series == series) {
+            let Some(theirs) = self.measure(over, &ours.case) else { continue };
+            let spread = Spread::of(ours.rounds.iter().zip(&theirs.rounds).map(|(ours, theirs)| ours / theirs));
+            let aim = aim(&ours.case);
+            let met = aim.map(|aim| aim.is_met_by(spread.median));
+            self.ratios.push(Ratio { series, over, case: ours.case.clone(), spread, aim, met });
+        }
+        self
+    }
+
+    pub fn measure(&self, series: &str, case: &str) -> Option<&Measure> {
+        self.measures.iter().find(|measure| measure.series == series && measure.case == case)
+    }
+}
+
+impl Measure {
+    /// `rounds`: at least one value.
+    pub fn new(series: &'static str, case: impl Into<String>, rounds: Vec<f64>) -> Self {
+        let spread = Spread::of(rounds.iter().copied());
+        Self { series, case: case.into(), spread, lost_percent: None, rounds }
+    }
+}
+
+impl Spread {
+    /// Of at least one value.
+    fn of(values: impl Iterator<Item = f64>) -> Self {
+        let mut sorted: Vec<f64> = values.collect();
+        sorted.sort_by(f64::total_cmp);
+        let (middle, last) = (sorted.len() / 2, sorted.len() - 1);
+        let median = if sorted.len() % 2 == 1 { sorted[middle] } else { (sorted[middle - 1] + sorted[middle]) / 2.0 };
+        Self { median, low: sorted[0], high: sorted[last] }
+    }
+}
+
+impl Aim {
+    fn is_met_by(self, value: f64) -> bool {
+        match self {
+            Self::AtLeast(least) => value >= least,
+            Self::AtMost(most) => value <= most,
+        }
+    }
+
+    pub fn value(self) -> f64 {
+        let (Self::AtLeast(value) | Self::AtMost(value)) = self;
+        value
+    }
+}
+
+impl Unit {
+    /// What values are divided by for people, and what they then are.
+    pub fn scale(self) -> (f64, &'static str) {
+        match self {
+            Self::FramesPerSecond => (1e6, "Mpps"),
+            Self::Nanoseconds => (1.0, "ns"),
+        }
+    }
+}
