@@ -25,6 +25,9 @@ pub struct Figure {
     pub unit: Unit,
     pub measures: Vec<Measure>,
     pub ratios: Vec<Ratio>,
+    /// Series of which each is the one before and something more, and what that is: for the plot.
+    #[serde(skip)]
+    pub stacked: Vec<(&'static str, &'static str)>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Serialize)]
@@ -90,7 +93,7 @@ impl Report {
 
 impl Figure {
     pub fn new(name: &'static str, title: impl Into<String>, unit: Unit, measures: Vec<Measure>) -> Self {
-        Self { name, title: title.into(), unit, measures, ratios: Vec::new() }
+        Self { name, title: title.into(), unit, measures, ratios: Vec::new(), stacked: Vec::new() }
     }
 
     /// Adds the ratio of two series in each case that both have. `aim`: of a case, if it has one.
@@ -102,6 +105,11 @@ impl Figure {
             let met = aim.map(|aim| aim.is_met_by(spread.median));
             self.ratios.push(Ratio { series, over, case: ours.case.clone(), spread, aim, met });
         }
+        self
+    }
+
+    pub fn stack(mut self, stacked: impl Into<Vec<(&'static str, &'static str)>>) -> Self {
+        self.stacked = stacked.into();
         self
     }
 
@@ -144,11 +152,22 @@ impl Aim {
 }
 
 impl Unit {
-    /// What values are divided by for people, and what they then are.
-    pub fn scale(self) -> (f64, &'static str) {
+    /// For people; of columns of numbers the name is [`Self::name`].
+    pub fn show(self, value: f64) -> String {
+        format!("{} {}", self.number(value), self.name())
+    }
+
+    pub fn number(self, value: f64) -> String {
         match self {
-            Self::FramesPerSecond => (1e6, "Mpps"),
-            Self::Nanoseconds => (1.0, "ns"),
+            Self::FramesPerSecond => format!("{:.3}", value / 1e6),
+            Self::Nanoseconds => format!("{value:.1}"),
+        }
+    }
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::FramesPerSecond => "Mpps",
+            Self::Nanoseconds => "ns",
         }
     }
 }

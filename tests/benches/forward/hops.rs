@@ -74,7 +74,7 @@ fn measure(bench: &Bench, hops: &[usize], payload: usize) -> Result<Vec<Measure>
     }
     let mut contenders = Vec::new();
     for (series, path) in &paths {
-        let mut traffic = Traffic::new(path.chain(), path.frames(payload), &bench.bench_object)?;
+        let mut traffic = Traffic::new(path.chain(), path.frames(payload), bench)?;
         let case = hops_text(path.chain().switches().len());
         contenders.push(Contender::new(series, case, move || traffic.rate(bench.duration())));
     }

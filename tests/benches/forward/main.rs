@@ -8,7 +8,7 @@
 //! - [`senders`]: what the first switch costs a program that sends by a socket
 //!
 //! They are made from [`path`] (what forwards), [`traffic`] (generators and sink), [`rounds`] (in turn), [`figure`] (results);
-//! [`table`] and [`plot`] show these.
+//! [`table`] and [`plot`] (on [`svg`]) show these.
 //!
 //! No daemons: the tables are what a RIB would have installed, put there through the same `Planes`.
 
@@ -20,6 +20,7 @@ mod path;
 mod plot;
 mod rounds;
 mod senders;
+mod svg;
 mod table;
 mod traffic;
 

@@ -10,7 +10,7 @@ use gdp::port::{Interface, LinkAddr, Port, PortConfig};
 use gdp_ctl::plane::{PlaneConfig, Planes, Wanted};
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::frames::Frame;
-use gdp_tests::netns::{Namespace, execute};
+use gdp_tests::netns::{Entered, Namespace, execute};
 use gdp_tests::packet::ETHERNET;
 use gdp_wire::{Counter, FibEntry, LinkEntry, LinkRole, Name};
 
@@ -42,8 +42,8 @@ pub struct Path {
 
 struct Switch {
     planes: Planes,
-    _ports: Vec<Port>,
-    _runtime: tokio::runtime::Runtime,
+    ports: Vec<Port>,
+    runtime: tokio::runtime::Runtime,
 }
 
 /// A bare redirect from `l0` to `r0`.
@@ -93,6 +93,17 @@ impl Path {
 
     pub fn chain(&self) -> &Chain {
         &self.chain
+    }
+
+    /// Where frames arrive that the robot sends: the first switch, or the cloud if there is none.
+    pub fn first_hop(&self) -> &Namespace {
+        &self.chain.nodes()[1]
+    }
+
+    /// Lets frames into the first switch by another interface. They come on the link that they name, as on any interface.
+    pub fn attach_to_first_switch(&mut self, interface: &str) -> Result<()> {
+        let switch = self.switches.first_mut().context("a path with switches")?;
+        switch.attach(&self.chain.nodes()[1].enter()?, interface).map(drop)
     }
 
     fn hops(&self) -> usize {
@@ -156,20 +167,18 @@ impl Redirect {
 
 impl Switch {
     fn start(at: &Namespace, wanted: Wanted, ebpf_object: &FilePath, i: usize, hops: usize) -> Result<Self> {
-        let _inside = at.enter()?;
+        let inside = at.enter()?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        let _runtime = runtime.enter();
+        let within = runtime.enter();
         let config = PlaneConfig { wanted, ebpf_object: Some(ebpf_object.into()), ..Default::default() };
-        let mut planes = Planes::open(config)?;
-        let mut ports = Vec::new();
+        let planes = Planes::open(config)?;
+        drop(within);
+        let mut switch = Self { planes, ports: Vec::new(), runtime };
         let mut addresses = Vec::new();
         for (interface, peer) in [("l0", mac(i, 1)), ("r0", mac(i + 1, 2))] {
-            let port = Port::ethernet(interface, &PortConfig::switch(Identity::generate("switch")?, LinkIds::new()))?;
-            let found = port.interface().context("an Ethernet port has an interface")?.clone();
-            planes.attach(&found, port.data())?;
-            addresses.push(LinkAddr::Ethernet { ifindex: found.index, mac: peer });
-            ports.push(port);
+            addresses.push(LinkAddr::Ethernet { ifindex: switch.attach(&inside, interface)?, mac: peer });
         }
+        let planes = &mut switch.planes;
         let (first, last) = (i == 0, i + 1 == hops);
         let own_bit = 1 << i;
         planes.set_own_bit(own_bit)?;
@@ -184,8 +193,17 @@ impl Switch {
         let mut next_hops = [0; 64];
         (i + 1..hops).for_each(|bit| next_hops[bit] = RIGHT);
         planes.set_next_hops(&next_hops)?;
-        drop(_runtime);
-        Ok(Self { planes, _ports: ports, _runtime: runtime })
+        Ok(switch)
+    }
+
+    /// Takes over what arrives on an interface of the network namespace that the calling thread is in; its index.
+    fn attach(&mut self, _inside: &Entered, interface: &str) -> Result<u32> {
+        let _within = self.runtime.enter();
+        let port = Port::ethernet(interface, &PortConfig::switch(Identity::generate("switch")?, LinkIds::new()))?;
+        let found = port.interface().context("an Ethernet port has an interface")?.clone();
+        self.planes.attach(&found, port.data())?;
+        self.ports.push(port);
+        Ok(found.index)
     }
 }
 

@@ -12,15 +12,14 @@ impl fmt::Display for Report {
 
 impl fmt::Display for Figure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (scale, unit) = self.unit.scale();
+        let unit = self.unit.name();
         writeln!(f, "\n{} [{}]", self.title, self.name)?;
         writeln!(f, "  {:<30}{:<34}{unit:>9}{:>21}", "", "", "min … max")?;
         for Measure { series, case, spread, lost_percent, .. } in &self.measures {
-            let [median, low, high] = [spread.median, spread.low, spread.high].map(|value| value / scale);
-            let digits = if scale > 1.0 { 3 } else { 1 };
-            let range = format!("{low:.digits$} … {high:.digits$}");
+            let [median, low, high] = [spread.median, spread.low, spread.high].map(|value| self.unit.number(value));
+            let range = format!("{low} … {high}");
             let lost = lost_percent.filter(|lost| *lost > 0.0).map(|lost| format!("  {lost:.2} % lost"));
-            writeln!(f, "  {series:<30}{case:<34}{median:>9.digits$}{range:>21}{}", lost.unwrap_or_default())?;
+            writeln!(f, "  {series:<30}{case:<34}{median:>9}{range:>21}{}", lost.unwrap_or_default())?;
         }
         for Ratio { series, over, case, spread, aim, met } in &self.ratios {
             write!(f, "  {series} / {over}, {case}: {:.2} × ({:.2} … {:.2})", spread.median, spread.low, spread.high)?;

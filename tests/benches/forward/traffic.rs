@@ -15,9 +15,11 @@ use aya::programs::{ProgramError, TestRun, TestRunAttrs, TestRunOptions, Xdp};
 use aya::{Ebpf, Pod};
 use gdp::port::Interface;
 use gdp_tests::chain::Chain;
+use gdp_tests::netns::Namespace;
 use gdp_tests::wait::wait_for;
 use gdp_wire::LinkEntry;
 
+use crate::Bench;
 use crate::rounds::Sample;
 
 /// Frames the kernel sends at a time: a quarter of a veth's ring.
@@ -35,10 +37,12 @@ pub struct Programs(Ebpf);
 impl Programs {
     pub fn load(object: &Path, names: &[&str]) -> Result<Self> {
         let mut programs = Self(Ebpf::load_file(object).with_context(|| format!("cannot load {}", object.display()))?);
-        for name in names {
-            programs.program(name)?.load().with_context(|| format!("cannot load {name}"))?;
-        }
+        names.iter().try_for_each(|name| programs.load_program(name))?;
         Ok(programs)
+    }
+
+    fn load_program(&mut self, name: &str) -> Result<()> {
+        self.program(name)?.load().with_context(|| format!("cannot load {name}"))
     }
 
     pub fn program(&mut self, name: &str) -> Result<&mut Xdp> {
@@ -94,23 +98,43 @@ pub struct Offered {
     pub unknown: u32,
 }
 
+/// Counts the frames that arrive at an interface, and drops them.
+pub struct Sink {
+    programs: Programs,
+    arrived: Array<MapData, u64>,
+}
+
+impl Sink {
+    pub fn attach(at: &Namespace, interface: &str, bench: &Bench) -> Result<Self> {
+        let _inside = at.enter()?;
+        let mut programs = Programs::load(&bench.bench_object, &["sink"])?;
+        programs.attach("sink", interface)?;
+        Ok(Self { arrived: programs.map("ARRIVED")?, programs })
+    }
+
+    /// Frames until now.
+    pub fn arrived(&self) -> Result<u64> {
+        Ok(self.arrived.get(&0, 0)?)
+    }
+}
+
 /// The generators on the robot's interface of a chain, and the sink on the cloud's.
 pub struct Traffic {
-    programs: Programs,
+    /// The generators are in the sink's object: they look at what has arrived.
+    sink: Sink,
     frames: Frames,
     pattern: Array<MapData, Pattern>,
     sent: Array<MapData, u64>,
-    arrived: Array<MapData, u64>,
     link_count: Array<MapData, u64>,
     _out: DevMap<MapData>,
 }
 
 impl Traffic {
-    pub fn new(chain: &Chain, frames: Frames, object: &Path) -> Result<Self> {
-        let mut programs = Programs::load(object, &["sink", "generate", "flood"])?;
-        {
-            let _inside = chain.cloud().enter()?;
-            programs.attach("sink", "l0")?;
+    pub fn new(chain: &Chain, frames: Frames, bench: &Bench) -> Result<Self> {
+        let mut sink = Sink::attach(chain.cloud(), "l0", bench)?;
+        let programs = &mut sink.programs;
+        for generator in ["generate", "flood"] {
+            programs.load_program(generator)?;
         }
         let mut out: DevMap<MapData> = programs.map("OUT")?;
         {
@@ -122,11 +146,10 @@ impl Traffic {
         Ok(Self {
             pattern: programs.map("PATTERN")?,
             sent: programs.map("SENT")?,
-            arrived: programs.map("ARRIVED")?,
             link_count: programs.map("LINK_COUNT")?,
             _out: out,
             frames,
-            programs,
+            sink,
         })
     }
 
@@ -141,18 +164,13 @@ impl Traffic {
         self.run("flood", offered, duration)
     }
 
-    /// Frames that have arrived, whoever sent them.
-    pub fn arrived(&self) -> Result<u64> {
-        Ok(self.arrived.get(&0, 0)?)
-    }
-
     fn run(&mut self, program: &str, offered: Offered, duration: Duration) -> Result<Run> {
         self.pattern.set(0, self.frames.pattern(offered), 0)?;
-        let before = self.arrived()?;
+        let before = self.sink.arrived()?;
         self.sent.set(0, before, 0)?;
 
-        let (generator, frame) = (self.programs.program(program)?, &self.frames.frame);
-        let (arrived, link_count, sent) = (&self.arrived, &self.link_count, &self.sent);
+        let (generator, frame) = (self.sink.programs.program(program)?, &self.frames.frame);
+        let (arrived, link_count, sent) = (&self.sink.arrived, &self.link_count, &self.sent);
         let now = || -> Result<_> {
             Ok((arrived.get(&0, 0)?, link_count.get(&0, 0)?.wrapping_sub(sent.get(&0, 0)?), Instant::now()))
         };
@@ -181,7 +199,7 @@ impl Traffic {
 
     /// Frames that do not arrive even when waited for.
     fn lost(&self, before: u64, sent: u64) -> Result<u64> {
-        let missing = || -> Result<u64> { Ok(sent - (self.arrived()? - before)) };
+        let missing = || -> Result<u64> { Ok(sent - (self.sink.arrived()? - before)) };
         let all = wait_for("the last frames", PATIENCE, || Ok((missing()? == 0).then_some(0)));
         if all.is_ok() { Ok(0) } else { missing() }
     }
