@@ -5,6 +5,7 @@
 //! that is valid, fresh and correctly tagged, and the program is the shipped one. Only the hop limit runs out, after which the
 //! packet begins again.
 
+use std::cell::RefCell;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -16,7 +17,7 @@ use gdp_tests::frames::Frame;
 use gdp_wire::{Counter, FibEntry, LinkEntry, LinkRole, Name, SwitchConfig};
 
 use crate::Bench;
-use crate::figure::{Aim, Figure, Unit};
+use crate::figure::{Aim, BARE, Figure, SWITCH, UNTAGGED, Unit};
 use crate::rounds::{Contender, Sample, alternate};
 use crate::traffic::Programs;
 
@@ -26,36 +27,33 @@ const RUNS: u32 = 250;
 /// Frames are never sent in a test run, but they need an interface to be sent by.
 const LOOPBACK: u32 = 1;
 
-const BARE: &str = "bare redirect";
-const OFF: &str = "switch, tag off";
-const ON: &str = "switch";
+const EDGE: &str = "edge: the name is looked up";
+const TRANSIT: &str = "transit: by egress bits";
 
 pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
-    let mut bare = Bare::load(&bench.bench_object)?;
+    let bare = RefCell::new(Bare::load(&bench.bench_object)?);
     let mut rings = Vec::new();
-    for role in [LinkRole::Endpoint, LinkRole::Switch] {
-        rings.push((OFF, Ring::load(&bench.untagged_object, role, false)?));
-        rings.push((ON, Ring::load(&bench.ebpf_object, role, true)?));
+    for (case, role) in [(EDGE, LinkRole::Endpoint), (TRANSIT, LinkRole::Switch)] {
+        rings.push((UNTAGGED, case, Ring::load(&bench.untagged_object, role, false)?));
+        rings.push((SWITCH, case, Ring::load(&bench.ebpf_object, role, true)?));
     }
-    let (edge, transit) = ("edge: the name is looked up", "transit: by egress bits");
     let mut contenders = Vec::new();
-    let bare = std::cell::RefCell::new(&mut bare);
-    for case in [edge, transit] {
-        contenders.push(Contender::new(BARE, case, || sample(bench.duration(), || bare.borrow_mut().time())));
-    }
-    for (series, ring) in &mut rings {
-        let case = if ring.role == LinkRole::Endpoint { edge } else { transit };
-        contenders.push(Contender::new(series, case, || sample(bench.duration(), || ring.time())));
+    for (series, case, ring) in &mut rings {
+        if *series == UNTAGGED {
+            let bare = &bare;
+            contenders.push(Contender::new(BARE, *case, || sample(bench.duration(), || bare.borrow_mut().time())));
+        }
+        contenders.push(Contender::new(series, *case, || sample(bench.duration(), || ring.time())));
     }
     let measures = alternate(bench.rounds, contenders)?;
-    rings.iter().try_for_each(|(_, ring)| ring.check())?;
+    rings.iter().try_for_each(|(.., ring)| ring.check())?;
     let figure = Figure::new("cost", "One frame in the switch, by test runs", Unit::Nanoseconds, measures)
-        .compare(OFF, BARE, |case| Some(Aim::AtMost(if case == edge { 2.0 } else { 1.5 })))
-        .compare(ON, BARE, |_| Some(Aim::AtMost(4.0)))
+        .compare(UNTAGGED, BARE, |case| Some(Aim::AtMost(if case == EDGE { 2.0 } else { 1.5 })))
+        .compare(SWITCH, BARE, |_| Some(Aim::AtMost(4.0)))
         .stack([
             (BARE, BARE),
-            (OFF, "decision, lookups, counters, replay window"),
-            (ON, "hop tag verified and made anew"),
+            (UNTAGGED, "decision: links, name or bits, replay window, counters"),
+            (SWITCH, "hop tag verified and made anew"),
         ]);
     Ok(vec![figure])
 }
@@ -75,7 +73,6 @@ fn sample(duration: Duration, mut time: impl FnMut() -> Result<f64>) -> Result<S
 /// A switch with two links that are one: what leaves by `OUT` comes in on `IN`.
 struct Ring {
     plane: KernelPlane,
-    role: LinkRole,
     tagged: bool,
     /// Of the next frame.
     count: u64,
@@ -104,7 +101,7 @@ impl Ring {
         plane.set_next_hops(&next_hops)?;
         let count = 1;
         plane.link_memory().set_count(OUT, count);
-        Ok(Self { plane, role, tagged, count, frames: 0 })
+        Ok(Self { plane, tagged, count, frames: 0 })
     }
 
     fn time(&mut self) -> Result<f64> {

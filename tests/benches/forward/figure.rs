@@ -6,6 +6,13 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use serde::Serialize;
 
+/// Who is compared in more than one figure.
+pub const BARE: &str = "bare redirect";
+pub const SWITCH: &str = "switch";
+pub const UNTAGGED: &str = "switch, tag off";
+pub const IPV4: &str = "kernel IPv4";
+pub const USERSPACE: &str = "AF_PACKET userspace";
+
 /// Of the JSON.
 const VERSION: u32 = 2;
 

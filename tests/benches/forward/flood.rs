@@ -39,7 +39,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
         // The first round was to warm up.
         measures.push(Measure::new(series, "to unknown names, sent", rounds.into_inner().split_off(1)));
     }
-    let title = "Frames to a known name, 0.1 Mpps offered, while an endpoint sends to a million unknown ones";
+    let title = "0.1 Mpps to a known name, beside a flood to a million unknown ones";
     let figure = Figure::new("flood", title, Unit::FramesPerSecond, measures);
     Ok(vec![FLOODS.iter().skip(1).fold(figure, |figure, (series, _)| figure.compare(series, CALM, |_| None))])
 }

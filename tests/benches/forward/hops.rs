@@ -12,20 +12,20 @@
 use anyhow::Result;
 
 use crate::Bench;
-use crate::figure::{Aim, Figure, Measure, Unit};
+use crate::figure::{Aim, BARE, Figure, IPV4, Measure, SWITCH, UNTAGGED, USERSPACE, Unit};
 use crate::path::{Kind, Path};
 use crate::rounds::{Contender, alternate};
 use crate::traffic::Traffic;
 
 const ALONE: &str = "generator and sink alone";
-const BARE: &str = "bare redirect";
-const OFF: &str = "switch, tag off";
-const ON: &str = "switch";
-const IP: &str = "kernel IPv4";
-const USERSPACE: &str = "AF_PACKET userspace";
 
-const KINDS: [(&str, Kind); 5] =
-    [(BARE, Kind::Bare), (OFF, Kind::Untagged), (ON, Kind::Xdp), (IP, Kind::Ip), (USERSPACE, Kind::Userspace)];
+const KINDS: [(&str, Kind); 5] = [
+    (BARE, Kind::Bare),
+    (UNTAGGED, Kind::Untagged),
+    (SWITCH, Kind::Xdp),
+    (IPV4, Kind::Ip),
+    (USERSPACE, Kind::Userspace),
+];
 
 /// With 64 bytes of payload.
 pub fn small_frames(bench: &Bench) -> Result<Vec<Figure>> {
@@ -39,8 +39,8 @@ pub fn small_frames(bench: &Bench) -> Result<Vec<Figure>> {
     });
     let costs = costs.collect();
     let hop = Figure::new("hop", "What a further hop costs a frame of 174 B", Unit::Nanoseconds, costs)
-        .compare(OFF, BARE, |_| None)
-        .compare(IP, ON, |_| None);
+        .compare(UNTAGGED, BARE, |_| None)
+        .compare(IPV4, SWITCH, |_| None);
     Ok(vec![hops, hop])
 }
 
@@ -59,10 +59,10 @@ fn compare(figure: Figure) -> Figure {
         }
     };
     figure
-        .compare(OFF, BARE, at_least([0.9; 3]))
-        .compare(ON, BARE, |_| None)
-        .compare(ON, IP, at_least([1.8, 2.2, 2.6]))
-        .compare(ON, USERSPACE, at_least([8.0; 3]))
+        .compare(UNTAGGED, BARE, at_least([0.9; 3]))
+        .compare(SWITCH, BARE, |_| None)
+        .compare(SWITCH, IPV4, at_least([1.8, 2.2, 2.6]))
+        .compare(SWITCH, USERSPACE, at_least([8.0; 3]))
 }
 
 fn measure(bench: &Bench, hops: &[usize], payload: usize) -> Result<Vec<Measure>> {

@@ -29,13 +29,14 @@ pub fn draw(figures: &[Figure], folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A group a case, a bar a series.
+/// A group a case, a bar a series; those that others are only there to be compared with are grey.
 fn values(figure: &Figure) -> Chart {
     let full = FULL * figure.measures.iter().map(|measure| measure.spread.high).fold(0.0, f64::max);
+    let is_compared = |series| figure.ratios.is_empty() || figure.ratios.iter().any(|ratio| ratio.series == series);
     let groups = distinct(figure.measures.iter().map(|measure| &*measure.case)).into_iter().map(|case| {
         let rows = figure.measures.iter().filter(|measure| measure.case == case).map(|measure| Row {
             label: measure.series.to_owned(),
-            segments: vec![(measure.spread.median, BLUE)],
+            segments: vec![(measure.spread.median, if is_compared(measure.series) { BLUE } else { GREY })],
             spread: Some((measure.spread.low, measure.spread.high)),
             mark: None,
             text: figure.unit.show(measure.spread.median),
@@ -52,7 +53,7 @@ fn stacks(figure: &Figure) -> Chart {
         let (mut segments, mut below) = (Vec::new(), 0.0);
         for ((series, _), colour) in figure.stacked.iter().zip(SEGMENTS) {
             let Some(measure) = figure.measure(series, case) else { continue };
-            segments.push(((measure.spread.median - below).max(0.0), colour));
+            segments.push((measure.spread.median - below, colour));
             below = measure.spread.median;
         }
         let parts: Vec<String> = segments.iter().map(|(length, _)| format!("{length:.0}")).collect();

@@ -84,7 +84,7 @@ enum Medium {
 
 /// Where a sender's frames leave.
 enum Exit {
-    Socket(Port, LinkAddr),
+    Socket(Box<Port>, LinkAddr),
     /// With the Ethernet header that the frames get.
     Tap(File, [u8; ETHERNET]),
 }
@@ -128,11 +128,11 @@ impl Sender {
             Medium::Ethernet => {
                 let to =
                     LinkAddr::Ethernet { ifindex: Interface::find("r0")?.index, mac: frames.frame[..6].try_into()? };
-                Exit::Socket(Port::ethernet("r0", &config)?, to)
+                Exit::Socket(Box::new(Port::ethernet("r0", &config)?), to)
             }
             Medium::Udp => {
                 let udp = |address: [u8; 4]| SocketAddr::from((address, gdp_wire::UDP_PORT));
-                Exit::Socket(Port::udp(udp([10, 9, 0, 1]), &config)?, LinkAddr::Udp(udp([10, 9, 0, 2])))
+                Exit::Socket(Box::new(Port::udp(udp([10, 9, 0, 1]), &config)?), LinkAddr::Udp(udp([10, 9, 0, 2])))
             }
             Medium::Tap => {
                 let device = tap(TAP)?;

@@ -72,8 +72,8 @@ impl Row {
         text(out, (BARS.0 - 8.0, y), "text-anchor=\"end\"", &self.label);
         let mut x = BARS.0;
         for (length, colour) in &self.segments {
-            rectangle(out, (x, top), (length * scale, BAR), colour);
-            x += length * scale;
+            rectangle(out, (x, top), (length.max(0.0) * scale, BAR), colour);
+            x += length.max(0.0) * scale;
         }
         if let Some((low, high)) = self.spread {
             line(out, (BARS.0 + low * scale, middle), (BARS.0 + high * scale, middle), 1.0);
