@@ -12,7 +12,7 @@ use aya_ebpf::bindings::BPF_F_NO_PREALLOC;
 use aya_ebpf::macros::map;
 use aya_ebpf::maps::{Array, HashMap};
 use gdp_wire::table::EGRESS_SET_SIZE;
-use gdp_wire::{FibEntry, LinkEntry, Name, Permit};
+use gdp_wire::{FibEntry, Name, Permit};
 
 /// User space sets the real capacity when it loads the object.
 #[map]
@@ -26,15 +26,15 @@ static PERMITS: HashMap<Permit, u32> = HashMap::with_max_entries(1024, BPF_F_NO_
 static NEXT_HOP: Array<u32> = Array::with_max_entries(EGRESS_SET_SIZE, 0);
 
 #[inline(always)]
-pub fn route(name: &Name) -> Option<&'static FibEntry> {
+pub fn route(name: &Name) -> Option<FibEntry> {
     // SAFETY: elements are preallocated, so the memory stays a `FibEntry` for the life of the map; see above for what
     // a racing removal means.
-    FIB.get_ptr(name).map(|entry| unsafe { &*entry })
+    FIB.get_ptr(name).map(|entry| unsafe { *entry })
 }
 
 #[inline(always)]
-pub fn is_permitted(link: &LinkEntry, name: &Name) -> bool {
-    PERMITS.get_ptr(Permit { name: *name, link: link.id, reserved: 0 }).is_some()
+pub fn is_permitted(permit: &Permit) -> bool {
+    PERMITS.get_ptr(permit).is_some()
 }
 
 #[inline(always)]

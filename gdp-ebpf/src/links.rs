@@ -4,12 +4,15 @@
 //!
 //! `TX_COUNTERS` is shared with the userspace plane, which maps it: a link has one sequence of counters, whichever
 //! plane sends. Hence atomic additions, and nothing else, on both sides.
+//!
+//! `COMPLAINTS` is shared likewise. Two that race write nearly the same time, and the link gets one error more.
 
 use aya_ebpf::bindings::BPF_F_MMAPABLE;
+use aya_ebpf::helpers::bpf_ktime_get_coarse_ns;
 use aya_ebpf::macros::map;
 use aya_ebpf::maps::Array;
 use gdp_wire::LinkEntry;
-use gdp_wire::table::{MAX_LINKS, link_index};
+use gdp_wire::table::{COMPLAINT_INTERVAL_NS, MAX_LINKS, link_index};
 
 #[map]
 static LINKS: Array<LinkEntry> = Array::with_max_entries(MAX_LINKS, 0);
@@ -17,6 +20,10 @@ static LINKS: Array<LinkEntry> = Array::with_max_entries(MAX_LINKS, 0);
 /// The count of frames sent by the link with the same index, of which frames carry the low 32 bits.
 #[map]
 static TX_COUNTERS: Array<u64> = Array::with_max_entries(MAX_LINKS, BPF_F_MMAPABLE);
+
+/// When the last error left by the link with the same index, in nanoseconds of the monotonic clock.
+#[map]
+static COMPLAINTS: Array<u64> = Array::with_max_entries(MAX_LINKS, BPF_F_MMAPABLE);
 
 #[inline(always)]
 pub fn get(id: u32) -> Option<&'static LinkEntry> {
@@ -31,6 +38,21 @@ pub fn next_count(link: &LinkEntry) -> u64 {
         // SAFETY: a live, aligned element of the map, only ever accessed atomically.
         Some(slot) => unsafe { fetch_add(slot, 1) }.wrapping_add(1),
         None => 0,
+    }
+}
+
+#[inline(always)]
+pub fn may_complain(link: &LinkEntry) -> bool {
+    let Some(last) = COMPLAINTS.get_ptr_mut(link_index(link.id)) else { return false };
+    // SAFETY: a helper without arguments.
+    let now = unsafe { bpf_ktime_get_coarse_ns() };
+    // SAFETY: a live, aligned element of the map; the kernel's JIT makes one load and one store; for races see above.
+    unsafe {
+        let may = now.wrapping_sub(last.read_volatile()) >= COMPLAINT_INTERVAL_NS;
+        if may {
+            last.write_volatile(now);
+        }
+        may
     }
 }
 

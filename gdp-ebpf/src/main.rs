@@ -20,8 +20,8 @@ mod windows;
 use aya_ebpf::bindings::xdp_action::{XDP_DROP, XDP_PASS, XDP_REDIRECT};
 use aya_ebpf::macros::xdp;
 use aya_ebpf::programs::XdpContext;
-use gdp_wire::Counter;
-use gdp_wire::forward::{self, Kind, Plane, Verdict};
+use gdp_wire::forward::{self, Kind, Verdict};
+use gdp_wire::{Counter, Header, LinkEntry};
 
 use crate::packet::Packet;
 use crate::tables::Maps;
@@ -74,7 +74,7 @@ fn handle(context: &XdpContext, length: usize) -> Outcome {
         return Outcome::Passed(Counter::Foreign);
     }
     match packet.first_byte().map(forward::classify) {
-        Some(Kind::Data) => forward_data(packet),
+        Some(Kind::Headed) => forward_frame(context, packet),
         Some(Kind::Control) => Outcome::Passed(Counter::Control),
         Some(Kind::Unknown) => Outcome::Dropped(Counter::Unknown),
         None => Outcome::Dropped(Counter::Truncated),
@@ -82,20 +82,30 @@ fn handle(context: &XdpContext, length: usize) -> Outcome {
 }
 
 #[inline(always)]
-fn forward_data(mut packet: Packet) -> Outcome {
+fn forward_frame(context: &XdpContext, mut packet: Packet) -> Outcome {
     let length = packet.frame_length();
     let Some(header) = packet.header() else { return Outcome::Dropped(Counter::Truncated) };
-    match forward::decide(header, length, &Maps, Plane::Kernel) {
+    match forward::decide(header, length, &Maps) {
         Verdict::Send(link, counter) => {
             packet.address(link);
-            if ports::redirect(link.port) {
-                Outcome::Redirected(counter)
-            } else {
-                Outcome::Dropped(Counter::RedirectFailed)
-            }
+            send(link, counter)
         }
-        Verdict::Slow => Outcome::Passed(Counter::Slow),
+        Verdict::Answer(link, counter) => {
+            packet.address(link);
+            if packet::cut(context, length - Header::LEN) { send(link, counter) } else { Outcome::Dropped(counter) }
+        }
+        // The kernel leaves these to the daemon, so they do not come up.
+        Verdict::Notice(_) | Verdict::Copies(_) | Verdict::Slow => Outcome::Passed(Counter::Slow),
         Verdict::Drop(counter) => Outcome::Dropped(counter),
+    }
+}
+
+#[inline(always)]
+fn send(link: &LinkEntry, counter: Counter) -> Outcome {
+    if ports::redirect(link.port) {
+        Outcome::Redirected(counter)
+    } else {
+        Outcome::Dropped(Counter::RedirectFailed)
     }
 }
 

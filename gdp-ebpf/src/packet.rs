@@ -1,6 +1,6 @@
 //! A packet as XDP hands it over: bounds checks, once, where the verifier sees them, and access in place.
 
-use aya_ebpf::helpers::bpf_xdp_get_buff_len;
+use aya_ebpf::helpers::{bpf_xdp_adjust_tail, bpf_xdp_get_buff_len};
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::{Header, LinkEntry};
 
@@ -69,8 +69,8 @@ impl Packet {
         while i < 3 {
             // SAFETY: `parse` checked the bounds. Word by word, because a copy of six bytes becomes a function call.
             unsafe {
-                (*self.ethernet()).destination[i] = link.peer_mac[i];
-                (*self.ethernet()).source[i] = link.local_mac[i];
+                (*self.ethernet()).destination[i] = link.carrier.peer_mac[i];
+                (*self.ethernet()).source[i] = link.carrier.local_mac[i];
             }
             i += 1;
         }
@@ -87,4 +87,11 @@ impl Packet {
 pub fn length(context: &XdpContext) -> usize {
     // SAFETY: a helper that reads the context it is given.
     unsafe { bpf_xdp_get_buff_len(context.ctx) as usize }
+}
+
+/// Takes so many bytes off the end; `false` if the kernel does not. References into the packet are void after.
+#[inline(always)]
+pub fn cut(context: &XdpContext, bytes: usize) -> bool {
+    // SAFETY: a helper on the context it is given; it checks the length.
+    bytes == 0 || unsafe { bpf_xdp_adjust_tail(context.ctx, -(bytes as i32)) == 0 }
 }

@@ -1,13 +1,13 @@
-//! The interfaces frames can leave by: `LinkEntry::port` is a key of `PORTS`. Written by user space before a link with
-//! that port exists. A port whose interface is gone is empty, and a redirect to it fails and is counted.
+//! The interfaces frames can leave by, by interface index. Written by user space before a link with that port exists. A
+//! port whose interface is gone is empty, and a redirect to it fails and is counted.
 
 use aya_ebpf::bindings::xdp_action::XDP_DROP;
 use aya_ebpf::macros::map;
-use aya_ebpf::maps::DevMap;
+use aya_ebpf::maps::DevMapHash;
 use gdp_wire::table::MAX_PORTS;
 
 #[map]
-static PORTS: DevMap = DevMap::with_max_entries(MAX_PORTS, 0);
+static PORTS: DevMapHash = DevMapHash::with_max_entries(MAX_PORTS, 0);
 
 /// Sends the packet to `port` when the program returns; `false` if there is no such interface.
 #[inline(always)]

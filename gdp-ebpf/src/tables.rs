@@ -1,21 +1,24 @@
 //! The BPF maps as the tables that the forwarding decision asks.
 
 use gdp_wire::replay::Words;
-use gdp_wire::table::Tables;
-use gdp_wire::{FibEntry, LinkEntry, Name};
+use gdp_wire::table::{PORT_USERSPACE, Tables};
+use gdp_wire::{FibEntry, LinkEntry, Name, Permit};
 
 use crate::{config, fib, links, windows};
 
 pub struct Maps;
 
 impl Tables for Maps {
+    /// There is the userspace plane.
+    const LAST: bool = false;
+
     #[inline(always)]
     fn link(&self, id: u32) -> Option<&LinkEntry> {
         links::get(id)
     }
 
     #[inline(always)]
-    fn route(&self, name: &Name) -> Option<&FibEntry> {
+    fn route(&self, name: &Name) -> Option<FibEntry> {
         fib::route(name)
     }
 
@@ -30,8 +33,8 @@ impl Tables for Maps {
     }
 
     #[inline(always)]
-    fn is_permitted(&self, link: &LinkEntry, name: &Name) -> bool {
-        fib::is_permitted(link, name)
+    fn is_permitted(&self, permit: &Permit) -> bool {
+        fib::is_permitted(permit)
     }
 
     #[inline(always)]
@@ -42,5 +45,20 @@ impl Tables for Maps {
     #[inline(always)]
     fn next_count(&self, link: &LinkEntry) -> u64 {
         links::next_count(link)
+    }
+
+    #[inline(always)]
+    fn can_send(&self, link: &LinkEntry) -> bool {
+        link.port != PORT_USERSPACE
+    }
+
+    #[inline(always)]
+    fn can_copy(&self, _group: u32, _available: usize) -> bool {
+        false
+    }
+
+    #[inline(always)]
+    fn may_complain(&self, link: &LinkEntry) -> bool {
+        links::may_complain(link)
     }
 }

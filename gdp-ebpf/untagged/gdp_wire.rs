@@ -6,7 +6,7 @@
 
 #[path = "../../gdp-wire/src/counter.rs"]
 pub mod counter;
-#[path = "../../gdp-wire/src/forward.rs"]
+#[path = "../../gdp-wire/src/forward/mod.rs"]
 pub mod forward;
 #[path = "../../gdp-wire/src/header.rs"]
 pub mod header;
@@ -27,9 +27,9 @@ pub mod siphash {
 }
 
 pub use counter::Counter;
-pub use header::{ControlHeader, FrameType, Header};
+pub use header::{ControlHeader, ErrorCode, FrameType, Header};
 pub use name::{Name, ParseNameError};
-pub use table::{FibEntry, LinkEntry, LinkRole, Permit, SwitchConfig};
+pub use table::{Carrier, FibEntry, LinkEntry, LinkRole, Permit, SwitchConfig};
 
 /// As in `gdp-wire`.
 pub const ETHERTYPE: u16 = 0x88B5;

@@ -25,7 +25,13 @@ counters! {
     Forwarded = "forwarded",
     /// Sent to the link of a local endpoint.
     Delivered = "delivered",
-    /// Left to the userspace plane, because the next link is not one the kernel can redirect to.
+    /// Copied to the links of a group. Each copy is counted as well, as forwarded, delivered or dropped.
+    Replicated = "replicated",
+    /// An echo, answered.
+    Echoed = "echoed",
+    /// An error or the answer to an echo, for this node itself.
+    Notice = "notice",
+    /// Left to the userspace plane, because the kernel cannot send by the next link, or the frame is for the daemon.
     Slow = "slow",
     /// A control frame, for the daemon.
     Control = "control",
@@ -43,18 +49,18 @@ counters! {
     Replayed = "drop_replayed",
     /// Dropped: the hop limit is used up.
     HopLimit = "drop_hop_limit",
-    /// Dropped: an endpoint sent it in the name of another source.
+    /// Dropped: the link may not send as this source.
     Source = "drop_source",
     /// Dropped: the name is not in the FIB, or the FIB has no link for it here.
     NoRoute = "drop_no_route",
-    /// Dropped: an endpoint sent it to a name that it does not publish.
+    /// Dropped: the link may not send to this name.
     NotPermitted = "drop_not_permitted",
     /// Dropped: no live neighbour leads to the egress switch, or the frame names none.
     NoEgress = "drop_no_egress",
-    /// Dropped: needs more than one copy, which this data plane does not make.
-    Replication = "drop_replication",
     /// Dropped: would leave by the link it came in on.
     Hairpin = "drop_hairpin",
+    /// Dropped: came from another domain and would leave for a third.
+    SplitHorizon = "drop_split_horizon",
     /// Dropped: larger than the next link's MTU.
     TooBig = "drop_too_big",
     /// Dropped: the decision was to redirect, and the kernel refused.

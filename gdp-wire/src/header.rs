@@ -23,12 +23,39 @@ pub enum FrameType {
     Data = 0,
     /// QUIC (and the discovery that precedes it) on Ethernet; never forwarded.
     Control = 1,
-    /// Reserved for errors to the ingress link.
+    /// Tells the neighbour a frame came from why it was dropped; never forwarded.
     Error = 2,
     /// Reserved for `trace`.
     Probe = 3,
-    /// Reserved for data-plane liveness.
+    /// Asks the neighbour's data plane whether it lives, and its answer; never forwarded.
     Echo = 4,
+}
+
+/// Why a frame drew an error: [`Header::egress_set`] of an error frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ErrorCode {
+    /// The name is not known, or nobody takes it.
+    NoRoute = 1,
+    /// The frame is larger than the next link takes.
+    TooBig = 2,
+    /// The hop limit is used up.
+    HopLimit = 3,
+    /// The link may not send to this name, or as this source.
+    NotAuthorised = 4,
+}
+
+impl ErrorCode {
+    /// The code with this number.
+    pub const fn from_number(number: u8) -> Option<Self> {
+        match number {
+            1 => Some(Self::NoRoute),
+            2 => Some(Self::TooBig),
+            3 => Some(Self::HopLimit),
+            4 => Some(Self::NotAuthorised),
+            _ => None,
+        }
+    }
 }
 
 impl FrameType {
@@ -48,11 +75,12 @@ impl FrameType {
 pub struct Header {
     /// Version (high 4 bits) and [`FrameType`] (low 4 bits).
     pub version_type: u8,
-    /// Flags (3 bits), traffic class (3 bits), ECN (2 bits). Carried, not interpreted yet.
+    /// [`Header::KEY_PHASE`], [`Header::FOREIGN`], a reserved flag, traffic class (3 bits), ECN (2 bits).
     pub flags: u8,
     /// Switches the frame may still cross; a switch drops a frame that arrives with 0 or 1.
     pub hop_limit: u8,
-    /// Which set of 64 egress switches `egress_bits` speaks of.
+    /// Which set of 64 egress switches `egress_bits` speaks of. Of an error its [`ErrorCode`]; of an echo [`Header::ASKS`] or
+    /// [`Header::ANSWERS`].
     pub egress_set: u8,
     payload_len: u16,
     /// Header length in units of 8 bytes: 12.
@@ -73,6 +101,48 @@ impl Header {
     /// Bytes of the header on the wire.
     pub const LEN: usize = 96;
 
+    /// Flag: which of the two link keys that are valid at a time made the tag.
+    pub const KEY_PHASE: u8 = 0x80;
+
+    /// Flag: the frame came into this domain from another one, so it does not leave for a third.
+    pub const FOREIGN: u8 = 0x40;
+
+    /// [`Header::egress_set`] of an echo that wants an answer.
+    pub const ASKS: u8 = 0;
+
+    /// [`Header::egress_set`] of the answer to an echo.
+    pub const ANSWERS: u8 = 1;
+
+    /// An echo that wants an answer with the same `cookie`, before a link's fields are filled in.
+    pub fn echo(cookie: u64) -> Self {
+        Self {
+            version_type: FrameType::Echo.first_byte(),
+            hop_limit: 1,
+            egress_set: Self::ASKS,
+            header_words: (Self::LEN / 8) as u8,
+            egress_bits: cookie.to_be(),
+            ..Self::default()
+        }
+    }
+
+    /// Turns a frame that was dropped into the error that says why. `mtu`: of the link it did not fit, otherwise 0.
+    #[inline(always)]
+    pub fn become_error(&mut self, code: ErrorCode, mtu: u32) {
+        self.version_type = FrameType::Error.first_byte();
+        self.flags &= !Self::FOREIGN;
+        self.hop_limit = 1;
+        self.egress_set = code as u8;
+        self.payload_len = 0;
+        self.reserved = 0;
+        self.egress_bits = (u64::from(mtu) << 32 | u64::from(self.link_counter())).to_be();
+    }
+
+    /// Of an error: the MTU it tells, and the low 32 bits of the count of the frame that drew it.
+    pub fn complaint(&self) -> (u32, u32) {
+        let both = self.egress_bits();
+        ((both >> 32) as u32, both as u32)
+    }
+
     /// A data frame from `source` to `destination` as its writer makes it, before a link's fields are filled in.
     pub fn data(destination: Name, source: Name, payload_len: u16) -> Self {
         Self {
@@ -90,6 +160,12 @@ impl Header {
     #[inline(always)]
     pub fn payload_len(&self) -> u16 {
         u16::from_be(self.payload_len)
+    }
+
+    /// Says that there is no payload.
+    #[inline(always)]
+    pub(crate) fn clear_payload_len(&mut self) {
+        self.payload_len = 0;
     }
 
     /// The receiver's id of the link the frame is on.

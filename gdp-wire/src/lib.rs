@@ -14,9 +14,9 @@ pub mod siphash;
 pub mod table;
 
 pub use counter::Counter;
-pub use header::{ControlHeader, FrameType, Header};
+pub use header::{ControlHeader, ErrorCode, FrameType, Header};
 pub use name::{Name, ParseNameError};
-pub use table::{FibEntry, LinkEntry, LinkRole, Permit, SwitchConfig};
+pub use table::{Carrier, FibEntry, LinkEntry, LinkRole, Permit, SwitchConfig};
 
 /// Ethertype of GDP frames carried directly on Ethernet: IEEE 802 local experimental 1.
 pub const ETHERTYPE: u16 = 0x88B5;

@@ -7,7 +7,7 @@ use crate::{Name, replay};
 
 /// The version of everything a data plane keeps in memory that outlives a daemon: the maps, and what their entries mean. To
 /// be raised with every change of meaning; of sizes as well, though a daemon compares those itself.
-pub const ABI: u32 = 1;
+pub const ABI: u32 = 2;
 
 /// Links a switch can have at once; the low bits of a link id are the index of its entry.
 pub const MAX_LINKS: u32 = 1024;
@@ -15,11 +15,26 @@ pub const MAX_LINKS: u32 = 1024;
 /// Egress switches a set of egress bits can name.
 pub const EGRESS_SET_SIZE: u32 = 64;
 
-/// Interfaces a switch can redirect to; a port is below it.
+/// Interfaces a switch can redirect to.
 pub const MAX_PORTS: u32 = 64;
 
-/// `LinkEntry::port` of a link that the kernel cannot redirect to: the userspace plane sends on it.
+/// `LinkEntry::port` of a link that the kernel cannot send on: the userspace plane does.
 pub const PORT_USERSPACE: u32 = u32::MAX;
+
+/// `LinkEntry::port` of a link over UDP: the kernel's routing table says which interface leads to the neighbour.
+pub const PORT_ROUTED: u32 = u32::MAX - 1;
+
+/// A neighbour is sent an error no sooner than this after the one before.
+pub const COMPLAINT_INTERVAL_NS: u64 = 10_000_000;
+
+/// The group of all neighbouring switches, and no endpoint.
+pub const NEIGHBOURS: u32 = 0;
+
+/// Groups of links that the kernel can copy frames to; a name with another one is the userspace plane's.
+pub const MAX_GROUPS: u32 = 256;
+
+/// Links in a group that the kernel copies frames to.
+pub const MAX_COPIES: u32 = 128;
 
 /// `FibEntry::writer_link` where any endpoint may send to the name, as its own source: while what a daemon left that is no more
 /// is held, which knew its writers by links that are being made anew.
@@ -33,6 +48,8 @@ pub enum LinkRole {
     Endpoint = 1,
     /// A switch of the same domain: it stamped the egress bits.
     Switch = 2,
+    /// A switch of another domain: names are looked up on what it sends, and none of that goes on to a third domain.
+    Border = 3,
 }
 
 /// One link: an authenticated adjacency with a neighbour. Its `Debug` form leaves the keys out.
@@ -45,32 +62,85 @@ pub struct LinkEntry {
     pub peer_id: u32,
     /// [`LinkRole`] of the neighbour; 0 for a free entry.
     pub role: u32,
-    /// Key of the neighbour's interface in the device map, or [`PORT_USERSPACE`].
+    /// Key in the device map of the interface the neighbour is behind, [`PORT_ROUTED`] or [`PORT_USERSPACE`].
     pub port: u32,
-    /// SipHash key of frames that arrive.
-    pub rx_key: [u64; 2],
-    /// SipHash key of frames that leave.
-    pub tx_key: [u64; 2],
+    /// SipHash keys of frames that arrive, by the key phase in their flags. Both are always keys of the link: the one in use and
+    /// the one that follows it.
+    pub rx_keys: [[u64; 2]; 2],
+    /// SipHash keys of frames that leave, by key phase.
+    pub tx_keys: [[u64; 2]; 2],
     /// Egress switches this neighbour leads to; 0 for an endpoint.
     pub reach: u64,
-    /// Largest GDP frame (header and payload, without what carries it) the link takes, in bytes.
-    pub mtu: u32,
-    /// The neighbour's MAC address, on Ethernet links.
-    pub peer_mac: [u16; 3],
-    /// Ours.
-    pub local_mac: [u16; 3],
     /// The neighbour's name. An endpoint's frames must have it as their source.
     pub peer: Name,
+    /// Largest GDP frame (header and payload, without what carries it) the link takes, in bytes.
+    pub mtu: u32,
+    /// Key phase of frames that leave: 0 or 1.
+    pub tx_phase: u32,
+    /// What carries frames to the neighbour.
+    pub carrier: Carrier,
 }
 
 impl fmt::Debug for LinkEntry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { id, peer_id, role, port, rx_key: _, tx_key: _, reach, mtu, peer_mac: _, local_mac: _, peer } = self;
+        let Self { id, peer_id, role, port, rx_keys: _, tx_keys: _, reach, peer, mtu, tx_phase, carrier } = self;
         write!(
             f,
-            "LinkEntry({id:#x} to {peer_id:#x} of {peer:#}, role {role}, port {port}, reach {reach:#x}, mtu {mtu})"
+            "LinkEntry({id:#x} to {peer_id:#x} of {peer:#}, role {role}, port {port}, reach {reach:#x}, mtu {mtu}, key phase \
+             {tx_phase}, {carrier:?})"
         )
     }
+}
+
+/// What carries the frames that leave by a link: Ethernet, or UDP on it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(C)]
+pub struct Carrier {
+    /// [`Carrier::ETHERNET`], [`Carrier::UDP4`] or [`Carrier::UDP6`].
+    pub kind: u8,
+    /// Zero.
+    pub reserved: u8,
+    /// IEEE 802.1Q tag control information, in host order; 0: no tag. On Ethernet only.
+    pub vlan: u16,
+    /// The neighbour's MAC address. On Ethernet only.
+    pub peer_mac: [u16; 3],
+    /// Ours. On Ethernet only.
+    pub local_mac: [u16; 3],
+    /// UDP port of the neighbour, in network order.
+    pub peer_port: u16,
+    /// Ours, in network order.
+    pub local_port: u16,
+    /// IP address of the neighbour, in network order; an IPv4 address is in the first word.
+    pub peer_ip: [u32; 4],
+    /// Ours, likewise.
+    pub local_ip: [u32; 4],
+    /// Zero.
+    pub reserved2: u32,
+}
+
+impl Carrier {
+    /// Frames are payload of Ethernet frames.
+    pub const ETHERNET: u8 = 0;
+    /// Frames are payload of UDP over IPv4.
+    pub const UDP4: u8 = 1;
+    /// Frames are payload of UDP over IPv6.
+    pub const UDP6: u8 = 2;
+
+    /// Untagged Ethernet between two stations.
+    pub fn ethernet(peer_mac: [u8; 6], local_mac: [u8; 6]) -> Self {
+        Self { peer_mac: mac_words(peer_mac), local_mac: mac_words(local_mac), ..Self::default() }
+    }
+}
+
+/// A MAC address as words that have the same bytes in memory.
+pub fn mac_words(mac: [u8; 6]) -> [u16; 3] {
+    [[mac[0], mac[1]], [mac[2], mac[3]], [mac[4], mac[5]]].map(u16::from_ne_bytes)
+}
+
+/// The bytes of a MAC address.
+pub fn mac_bytes(words: [u16; 3]) -> [u8; 6] {
+    let [a, b, c] = words.map(u16::to_ne_bytes);
+    [a[0], a[1], b[0], b[1], c[0], c[1]]
 }
 
 /// Where a name leads from this switch.
@@ -79,25 +149,36 @@ impl fmt::Debug for LinkEntry {
 pub struct FibEntry {
     /// Egress switches that want a copy, stamped at the ingress switch.
     pub egress_bits: u64,
-    /// Link id of the local endpoint that takes the name, or 0.
+    /// Link id of the local reader, if there is exactly one; otherwise 0.
     pub local_link: u32,
-    /// The egress set that `egress_bits` speaks of.
-    pub egress_set: u32,
+    /// The group of the local readers and all neighbouring switches; [`NEIGHBOURS`] if there are no local readers.
+    pub group: u32,
     /// Link id of a local endpoint that may send to the name, or 0, or [`ANY_WRITER`].
     pub writer_link: u32,
-    /// Not 0 if other local endpoints may, too: each has a [`Permit`].
-    pub more_writers: u32,
+    /// The egress set that `egress_bits` speaks of.
+    pub egress_set: u8,
+    /// Not 0 if other local endpoints may send to the name, too: each has a [`Permit`].
+    pub more_writers: u8,
+    /// Zero.
+    pub reserved: u16,
 }
 
-/// That an endpoint may send to a name, where that is not in the name's [`FibEntry`].
+/// That frames of a link may have a name in their header, where neither the link nor the name's [`FibEntry`] says so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(C)]
 pub struct Permit {
     pub name: Name,
-    /// Id of the endpoint's link.
+    /// Id of the link.
     pub link: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// [`Permit::DESTINATION`] or [`Permit::SOURCE`].
+    pub part: u32,
+}
+
+impl Permit {
+    /// As their destination.
+    pub const DESTINATION: u32 = 0;
+    /// As their source.
+    pub const SOURCE: u32 = 1;
 }
 
 /// What a switch knows of itself.
@@ -114,11 +195,14 @@ pub struct SwitchConfig {
 
 /// What [`crate::forward::decide`] asks of a data plane. Lookups must be bounded and must not block.
 pub trait Tables {
+    /// Whether there is no other plane to leave a frame to.
+    const LAST: bool;
+
     /// The link with this id, if it is live.
     fn link(&self, id: u32) -> Option<&LinkEntry>;
 
     /// Where this name leads.
-    fn route(&self, name: &Name) -> Option<&FibEntry>;
+    fn route(&self, name: &Name) -> Option<FibEntry>;
 
     /// Link id of the neighbour on the path to egress switch `bit` (0 … 63); 0 if there is none.
     fn next_hop(&self, bit: u32) -> u32;
@@ -126,14 +210,24 @@ pub trait Tables {
     /// This switch's own egress bit.
     fn own_bit(&self) -> u64;
 
-    /// Whether this link has a [`Permit`] for a name. Asked only where the name's entry says that there are some.
-    fn is_permitted(&self, link: &LinkEntry, name: &Name) -> bool;
+    /// Whether there is such a [`Permit`].
+    fn is_permitted(&self, permit: &Permit) -> bool;
 
     /// What frames have arrived on this link, shared by all planes that take frames from it.
     fn window(&self, link: &LinkEntry) -> Option<impl replay::Words>;
 
     /// The count for a frame that leaves by this link: 1 for the first.
     fn next_count(&self, link: &LinkEntry) -> u64;
+
+    /// Whether this plane can send by the link now. Asked only of a plane that is not the last.
+    fn can_send(&self, link: &LinkEntry) -> bool;
+
+    /// Whether this plane can copy a frame of `available` bytes to the links of a group. Asked only of a plane that is not the
+    /// last.
+    fn can_copy(&self, group: u32, available: usize) -> bool;
+
+    /// Whether an error may go to the neighbour on this link now. Each that may counts against a rate.
+    fn may_complain(&self, link: &LinkEntry) -> bool;
 }
 
 /// Index of the entry of link `id`.
@@ -143,8 +237,10 @@ pub const fn link_index(id: u32) -> u32 {
 }
 
 const _: () = {
-    // No more than two cache lines.
-    assert!(size_of::<LinkEntry>() == 104 && align_of::<LinkEntry>() == 8);
+    // What arrives is checked with the first two cache lines; the third is for what leaves.
+    assert!(size_of::<LinkEntry>() == 184 && align_of::<LinkEntry>() == 8);
+    assert!(core::mem::offset_of!(LinkEntry, carrier) == 128);
+    assert!(size_of::<Carrier>() == 56 && align_of::<Carrier>() == 4);
     // With its name and a generation, one.
     assert!(size_of::<FibEntry>() == 24 && align_of::<FibEntry>() == 8);
     assert!(size_of::<Permit>() == 40 && align_of::<Permit>() == 8);
@@ -172,7 +268,7 @@ mod tests {
 
     #[test]
     fn nothing_prints_a_link_key() {
-        let entry = LinkEntry { id: 7, rx_key: [0x4242; 2], tx_key: [0x5353; 2], ..LinkEntry::default() };
+        let entry = LinkEntry { id: 7, rx_keys: [[0x4242; 2]; 2], tx_keys: [[0x5353; 2]; 2], ..LinkEntry::default() };
         let text = format!("{entry:?} {entry:#x?}");
         for secret in ["4242", "5353", &0x4242.to_string(), &0x5353.to_string()] {
             assert!(!text.contains(secret), "{text}");

@@ -9,20 +9,19 @@ mod frames;
 mod tables;
 
 use frames::Frame;
-use frames::fixtures::{self, Bytes, Case, Expected, Fixtures, Link, NextHop, Role, Route, Switch, Verdict};
+use frames::fixtures::{self, Bytes, Case, CopyOut, Expected, Fixtures, Link, NextHop, Role, Route, Switch, Verdict};
 use gdp_wire::Counter;
-use gdp_wire::forward::Plane;
 use tables::PlainTables;
 
 #[test]
 fn every_case_through_decide() {
     let fixtures = fixtures::read();
     for case in &fixtures.cases {
-        let tables = PlainTables::new(&fixtures.switch);
-        assert_eq!(tables.run(&case.frame.bytes(), Plane::Kernel), case.kernel, "{} (kernel)", case.name);
-        let tables = PlainTables::new(&fixtures.switch);
+        let kernel = PlainTables::<true>::new(&fixtures.switch);
+        assert_eq!(kernel.run(&case.frame.bytes()), case.kernel, "{} (kernel)", case.name);
+        let userspace = PlainTables::<false>::new(&fixtures.switch);
         let expected = case.userspace.as_ref().unwrap_or(&case.kernel);
-        assert_eq!(tables.run(&case.frame.bytes(), Plane::Userspace), *expected, "{} (userspace)", case.name);
+        assert_eq!(userspace.run(&case.frame.bytes()), *expected, "{} (userspace)", case.name);
     }
 }
 
@@ -30,7 +29,9 @@ fn every_case_through_decide() {
 fn every_counter_has_a_case() {
     let cases = fixtures::read().cases;
     for counter in Counter::ALL {
-        assert!(cases.iter().any(|case| case.kernel.counter == counter.as_str()), "none for {counter:?}");
+        let counts = |expected: &Expected| expected.counter == counter.as_str();
+        let any = cases.iter().any(|case| counts(&case.kernel) || case.userspace.as_ref().is_some_and(counts));
+        assert!(any, "none for {counter:?}");
     }
 }
 
@@ -48,8 +49,9 @@ fn the_file_holds_the_cases_written_here() {
 fn about() -> Vec<String> {
     [
         "What one switch does with each of these Ethernet frames. Each case starts from the tables below.",
-        "`send`: by the link whose addresses the expected frame has. `pass`: to the host, unchanged.",
-        "Exactly one counter goes up, by one. `userspace` is there where the userspace plane differs from the kernel.",
+        "`send`: by the link whose addresses the expected frame has. `copy`: several such. `pass`: to the host, unchanged.",
+        "Exactly one counter goes up, by one, and one for each copy. No link was sent an error before.",
+        "`userspace` is there where the userspace plane differs from the kernel.",
     ]
     .map(String::from)
     .to_vec()
@@ -64,6 +66,9 @@ const JUMBO: u32 = 0xa1b2_0406;
 const NARROW: u32 = 0xa1b2_0407;
 const UNPLUGGED: u32 = 0xa1b2_07ff;
 const OLD: u32 = 0xa1b2_0409;
+const ABROAD: u32 = 0xa1b2_040a;
+const OVERSEAS: u32 = 0xa1b2_040b;
+const REKEYED: u32 = 0xa1b2_040c;
 
 const OWN_BIT: u32 = 2;
 const OWN: u64 = 1 << OWN_BIT;
@@ -78,7 +83,8 @@ const OWN: u64 = 1 << OWN_BIT;
 ///               JUMBO — bit 5   NARROW — bit 6   UNPLUGGED — bit 7
 /// ```
 ///
-/// `old` is a switch whose link has seen more than 2³² frames.
+/// `old` is a switch whose link has seen more than 2³² frames; `rekeyed` one to which frames leave under the second key.
+/// `abroad` and `overseas` are switches of other domains.
 fn switch() -> Switch {
     Switch {
         ethertype: 0x88b5,
@@ -93,34 +99,70 @@ fn switch() -> Switch {
             neighbour("narrow", NARROW, 5, &[6], 600),
             neighbour("unplugged", UNPLUGGED, 63, &[7], 1500),
             Link { taken: OLD_TAKEN.to_vec(), ..neighbour("old", OLD, 2, &[], 1500) },
+            Link { role: Role::Border, ..neighbour("abroad", ABROAD, 4, &[], 1500) },
+            Link { role: Role::Border, ..neighbour("overseas", OVERSEAS, 5, &[], 1500) },
+            Link { tx_phase: 1, ..neighbour("rekeyed", REKEYED, 1, &[12], 1500) },
         ],
         routes: vec![
-            Route { writers: vec![ROBOT, UDP, CLOUD ^ 0x8000_0000], ..route("far", &[3], 0, 0) },
-            Route { writers: vec![], ..route("read only", &[3], 0, 0) },
-            route("far in set 3", &[3], 3, 0),
-            route("last bit", &[63], 0, 0),
-            route("two behind one neighbour", &[3, 4], 0, 0),
-            route("two behind two neighbours", &[0, 3], 0, 0),
-            route("here and far", &[OWN_BIT, 3], 0, CLOUD),
-            route("here", &[OWN_BIT], 0, CLOUD),
-            route("here, link gone", &[OWN_BIT], 0, CLOUD ^ 0x8000_0000),
-            route("here, no link", &[OWN_BIT], 0, 0),
-            route("back", &[OWN_BIT], 0, ROBOT),
-            route("over udp", &[OWN_BIT], 0, UDP),
-            route("nobody", &[], 0, 0),
-            route("unreachable", &[9], 0, 0),
-            route("jumbo", &[5], 0, 0),
-            route("narrow", &[6], 0, 0),
-            route("unplugged", &[7], 0, 0),
+            Route { writers: vec![ROBOT, UDP, CLOUD ^ 0x8000_0000], ..route("far", &[3], &[]) },
+            Route { writers: vec![], ..route("read only", &[3], &[]) },
+            Route { egress_set: 3, ..route("far in set 3", &[3], &[]) },
+            route("last bit", &[63], &[]),
+            route("two behind one neighbour", &[3, 4], &[]),
+            route("two behind two neighbours", &[0, 3], &[]),
+            route("one of two is unreachable", &[3, 9], &[]),
+            route("wide and narrow", &[3, 6], &[]),
+            route("here and far", &[OWN_BIT, 3], &[CLOUD]),
+            route("here", &[OWN_BIT], &[CLOUD]),
+            route("here twice", &[OWN_BIT], &[ROBOT, CLOUD]),
+            route("here twice and far", &[OWN_BIT, 0, 3], &[CLOUD, UDP, ROBOT]),
+            route("here, link gone", &[OWN_BIT], &[CLOUD ^ 0x8000_0000]),
+            route("here, no link", &[OWN_BIT], &[]),
+            route("back", &[OWN_BIT], &[ROBOT]),
+            route("over udp", &[OWN_BIT], &[UDP]),
+            route("nobody", &[], &[]),
+            route("unreachable", &[9], &[]),
+            route("jumbo", &[5], &[]),
+            route("narrow", &[6], &[]),
+            route("unplugged", &[7], &[]),
+            route("under the second key", &[12], &[]),
+            Route { writers: vec![ROBOT, ABROAD], ..route("abroad", &[OWN_BIT], &[OVERSEAS]) },
+            Route { writers: vec![ROBOT, ABROAD], ..route("home and abroad", &[OWN_BIT, 3], &[CLOUD, OVERSEAS]) },
+            Route { sources: vec![ABROAD], ..route("writer", &[], &[]) },
         ],
-        next_hops: [(0, WEST), (1, WEST), (3, EAST), (4, EAST), (5, JUMBO), (6, NARROW), (7, UNPLUGGED), (63, EAST)]
-            .map(|(bit, link)| NextHop { bit, link })
-            .to_vec(),
+        next_hops: [
+            (0, WEST),
+            (1, WEST),
+            (3, EAST),
+            (4, EAST),
+            (5, JUMBO),
+            (6, NARROW),
+            (7, UNPLUGGED),
+            (12, REKEYED),
+            (63, EAST),
+        ]
+        .map(|(bit, link)| NextHop { bit, link })
+        .to_vec(),
     }
 }
 
 fn cases() -> Vec<Case> {
-    [forwarding(), delivery(), refusals(), permission(), links(), replays(), sizes(), tags(), other_frames()].concat()
+    [
+        forwarding(),
+        delivery(),
+        replication(),
+        refusals(),
+        permission(),
+        borders(),
+        links(),
+        keys_in_turn(),
+        replays(),
+        sizes(),
+        tags(),
+        echoes_and_errors(),
+        other_frames(),
+    ]
+    .concat()
 }
 
 fn forwarding() -> Vec<Case> {
@@ -132,7 +174,7 @@ fn forwarding() -> Vec<Case> {
     let east = from(WEST).bits(1 << 3);
     let west = from(EAST).bits(0b11);
     let set_7 = from(WEST).bits(1 << 4).with(|f| f.egress_set = 7);
-    let carried = from(WEST).bits(1 << 3).with(|f| (f.flags, f.reserved) = (0xff, 0x5a));
+    let carried = from(WEST).bits(1 << 3).with(|f| (f.flags, f.reserved) = (0x7f, 0x5a));
     let limit_2 = from(WEST).bits(1 << 3).with(|f| f.hop_limit = 2);
     let limit_255 = from(WEST).bits(1 << 3).with(|f| f.hop_limit = 255);
     let count = from(WEST).bits(1 << 3).with(|f| f.link_counter = 0xffff_ffff);
@@ -174,30 +216,58 @@ fn delivery() -> Vec<Case> {
     ]
 }
 
+fn replication() -> Vec<Case> {
+    let copies_of = |sent: &Sent, to: &[(u32, u64)]| {
+        let copy = |(by, bits): &(u32, u64)| {
+            let counter = if link(*by).role == Role::Switch { "forwarded" } else { "delivered" };
+            CopyOut { frame: Some(Bytes::new(&sends(sent, *by, *bits).0.bytes())), counter: counter.into() }
+        };
+        to.iter().map(copy).collect::<Vec<_>>()
+    };
+    let case = |sent: Sent, name: &str, to: &[(u32, u64)]| sent.case(name, copied(copies_of(&sent, to)));
+    let narrow = from(ROBOT).to("wide and narrow").with(|f| f.payload = vec![0x5a; 600]);
+    let too_big = CopyOut { frame: None, counter: "drop_too_big".into() };
+    vec![
+        case(from(ROBOT).to("two behind two neighbours"), "each neighbour gets its bits", &[(WEST, 1), (EAST, 1 << 3)]),
+        case(from(JUMBO).bits(0b11011), "in transit as well", &[(WEST, 0b11), (EAST, 0b11000)]),
+        case(from(WEST).bits(0b1001), "never back to where it came from", &[(EAST, 1 << 3)]),
+        case(from(ROBOT).to("one of two is unreachable"), "the others get theirs", &[(EAST, 1 << 3)]),
+        case(from(ROBOT).to("here and far"), "one copy here and one onward", &[(CLOUD, 0), (EAST, 1 << 3)]),
+        case(from(WEST).bits(OWN | 1 << 3).to("here"), "the same in transit", &[(CLOUD, 0), (EAST, 1 << 3)]),
+        case(from(WEST).bits(OWN | 1 << 3).to("unheard of"), "what is not known here goes onward", &[(EAST, 1 << 3)]),
+        case(from(EAST).bits(OWN).to("here twice"), "to two endpoints", &[(ROBOT, 0), (CLOUD, 0)]),
+        case(from(ROBOT).to("here twice"), "not to the one that sent it", &[(CLOUD, 0)]),
+        case(
+            from(ROBOT).to("here twice and far"),
+            "to endpoints with and without a port, and two ways onward",
+            &[(CLOUD, 0), (UDP, 0), (WEST, 1), (EAST, 1 << 3)],
+        ),
+        narrow.case("one copy does not fit", copied([copies_of(&narrow, &[(EAST, 1 << 3)]), vec![too_big]].concat())),
+    ]
+}
+
 fn refusals() -> Vec<Case> {
     let unplugged = from(ROBOT).to("unplugged");
     vec![
-        from(ROBOT).to("unheard of").case("a name that is not in the FIB", drop("drop_no_route")),
-        from(EAST).bits(OWN).to("far").case("arrived, but nobody here takes the name", drop("drop_no_route")),
-        from(EAST).bits(OWN).to("unheard of").case("arrived, and the name is not known", drop("drop_no_route")),
-        from(ROBOT).to("here, no link").case("a route without a local link", drop("drop_no_route")),
-        from(ROBOT).to("here, link gone").case("a route to a link that is gone", drop("drop_no_route")),
-        from(ROBOT).to("nobody").case("a name that nobody takes", drop("drop_no_egress")),
-        from(WEST).bits(0).to("here").case("no egress bits from a switch", drop("drop_no_egress")),
-        from(ROBOT).to("unreachable").case("no neighbour toward the egress switch", drop("drop_no_egress")),
-        from(WEST).bits(1 << 62).case("a bit that nobody has", drop("drop_no_egress")),
-        from(ROBOT).to("two behind two neighbours").case("two neighbours need copies", drop("drop_replication")),
-        from(ROBOT).to("here and far").case("one copy here and one onward", drop("drop_replication")),
-        from(WEST).bits(OWN | 1 << 3).to("here").case("the same in transit", drop("drop_replication")),
+        from(ROBOT).to("unheard of").refused("a name that is not in the FIB", "drop_no_route"),
+        from(EAST).bits(OWN).to("far").refused("arrived, but nobody here takes the name", "drop_no_route"),
+        from(EAST).bits(OWN).to("unheard of").refused("arrived, and the name is not known", "drop_no_route"),
+        from(ROBOT).to("here, no link").refused("a route without a local link", "drop_no_route"),
+        from(ROBOT).to("here, link gone").refused("a route to a link that is gone", "drop_no_route"),
+        from(ROBOT).to("nobody").refused("a name that nobody takes", "drop_no_egress"),
+        from(WEST).bits(0).to("here").refused("no egress bits from a switch", "drop_no_egress"),
+        from(ROBOT).to("unreachable").refused("no neighbour toward the egress switch", "drop_no_egress"),
+        from(WEST).bits(1 << 62).refused("a bit that nobody has", "drop_no_egress"),
+        from(WEST).bits(1 << 62 | 1 << 61).case("several bits that nobody has", copied(vec![])),
         from(ROBOT).to("back").case("back to the endpoint it came from", drop("drop_hairpin")),
         from(EAST).bits(1 << 3).case("back to the switch it came from", drop("drop_hairpin")),
-        from(WEST).bits(1 << 3).with(|f| f.hop_limit = 1).case("hop limit 1", drop("drop_hop_limit")),
-        from(WEST).bits(1 << 3).with(|f| f.hop_limit = 0).case("hop limit 0", drop("drop_hop_limit")),
+        from(WEST).bits(1 << 3).with(|f| f.hop_limit = 1).refused("hop limit 1", "drop_hop_limit"),
+        from(WEST).bits(1 << 3).with(|f| f.hop_limit = 0).refused("hop limit 0", "drop_hop_limit"),
         from(EAST)
             .bits(OWN)
             .to("here")
             .with(|f| f.hop_limit = 1)
-            .case("hop limit 1 at the egress", drop("drop_hop_limit")),
+            .refused("hop limit 1 at the egress", "drop_hop_limit"),
         Case {
             userspace: Some(sends(&unplugged, UNPLUGGED, 1 << 7).into()),
             ..unplugged.case("a port without an interface", drop("drop_redirect_failed"))
@@ -213,25 +283,51 @@ fn permission() -> Vec<Case> {
     let to_reader = from(EAST).bits(OWN).to("here").with(|f| f.source = own(ROBOT));
     let mut cases = vec![
         second.case("the second of two that publish a name", sends(&second, EAST, 1 << 3)),
-        from(CLOUD).to("far").case("a name that two others publish", drop("drop_not_permitted")),
-        from(CLOUD).to("last bit").case("a name that another publishes", drop("drop_not_permitted")),
-        from(CLOUD).to("here").case("a name that it reads", drop("drop_not_permitted")),
-        from(ROBOT).to("read only").case("a name that nobody here publishes", drop("drop_not_permitted")),
-        from(ROBOT).to("far").with(|f| f.source = own(CLOUD)).case("as another endpoint", drop("drop_source")),
-        from(ROBOT).to("far").with(|f| f.source = own(WEST)).case("as a switch", drop("drop_source")),
-        from(ROBOT).to("far").with(|f| f.source = [0; 32]).case("as nobody", drop("drop_source")),
+        from(CLOUD).to("far").refused("a name that two others publish", "drop_not_permitted"),
+        from(CLOUD).to("last bit").refused("a name that another publishes", "drop_not_permitted"),
+        from(CLOUD).to("here").refused("a name that it reads", "drop_not_permitted"),
+        from(ROBOT).to("read only").refused("a name that nobody here publishes", "drop_not_permitted"),
+        from(ROBOT).to("far").with(|f| f.source = own(CLOUD)).refused("as another endpoint", "drop_source"),
+        from(ROBOT).to("far").with(|f| f.source = own(WEST)).refused("as a switch", "drop_source"),
+        from(ROBOT).to("far").with(|f| f.source = [0; 32]).refused("as nobody", "drop_source"),
         from(CLOUD)
             .to("unheard of")
             .with(|f| f.source = own(ROBOT))
-            .case("the source is looked at before the name", drop("drop_source")),
+            .refused("the source is looked at before the name", "drop_source"),
         transit.case("a switch vouches for what endpoints beyond it sent", sends(&transit, EAST, 1 << 3)),
         to_reader.case("also where it is delivered", delivers(&to_reader, CLOUD)),
     ];
     for byte in [0, 7, 8, 31] {
         let altered = from(ROBOT).to("far").with(|f| f.source[byte] ^= 0x10);
-        cases.push(altered.case(&format!("byte {byte} of the source differs"), drop("drop_source")));
+        cases.push(altered.refused(&format!("byte {byte} of the source differs"), "drop_source"));
     }
     cases
+}
+
+/// Other domains: names are looked up on what they send, and none of it goes on to a third.
+fn borders() -> Vec<Case> {
+    let foreign = |sent: &Sent, by, bits| sends(sent, by, bits).with(|f| f.flags |= 0x40);
+    let abroad = |to| from(ABROAD).to(to);
+    let far = from(ABROAD).to("home and abroad");
+    let to_here = abroad("abroad").with(|f| f.source = name("far"));
+    let leaves = from(ROBOT).to("abroad");
+    let came = from(WEST).bits(OWN).to("abroad").with(|f| f.flags = 0x40);
+    let claimed = from(ROBOT).to("far").with(|f| f.flags = 0x40);
+    let carried = from(WEST).bits(1 << 3).with(|f| f.flags = 0x40);
+    let at_home = [(CLOUD, 0, "delivered"), (EAST, 1 << 3, "forwarded")].map(|(by, bits, counter)| CopyOut {
+        frame: Some(Bytes::new(&foreign(&far, by, bits).0.bytes())),
+        counter: counter.into(),
+    });
+    vec![
+        leaves.case("to another domain", delivers(&leaves, OVERSEAS)),
+        far.case("what comes from another domain is marked, and goes to no third", copied(at_home.to_vec())),
+        abroad("abroad").case("also if that is all there is", drop("drop_split_horizon")),
+        came.case("nor if it came in at another switch", drop("drop_split_horizon")),
+        carried.case("in transit the mark stays", sends(&carried, EAST, 1 << 3)),
+        claimed.case("an endpoint cannot set the mark", sends(&claimed, EAST, 1 << 3).with(|f| f.flags = 0)),
+        to_here.refused("a source that the domain may not send as", "drop_source"),
+        abroad("far").refused("a name that the domain may not send to", "drop_not_permitted"),
+    ]
 }
 
 /// What has arrived on the link [`OLD`]: around its 2³²nd frame.
@@ -270,6 +366,24 @@ fn replays() -> Vec<Case> {
     ]
 }
 
+/// Two keys are valid in each direction, told apart by a flag.
+fn keys_in_turn() -> Vec<Case> {
+    let second = from(WEST).bits(1 << 3).with(|f| (f.flags, f.key) = (0x80, fixtures::key(&link(WEST).rx_keys[1])));
+    let confused = second.clone().with(|f| f.flags = 0);
+    let to_second = from(ROBOT).to("under the second key");
+    let both = from(WEST).bits(1 << 12).with(|f| (f.flags, f.key) = (0x83, fixtures::key(&link(WEST).rx_keys[1])));
+    vec![
+        second.case("under the second key", sends(&second, EAST, 1 << 3).with(|f| f.flags = 0)),
+        confused.case("the second key, but the flag of the first", drop("drop_bad_tag")),
+        second
+            .clone()
+            .with(|f| f.key = keys(WEST).0)
+            .case("the flag of the second key, but the first", drop("drop_bad_tag")),
+        to_second.case("onto a link whose second key is in use", sends(&to_second, REKEYED, 1 << 12)),
+        both.case("from second key to second key", sends(&both, REKEYED, 1 << 12)),
+    ]
+}
+
 fn links() -> Vec<Case> {
     let on = |id| from(WEST).bits(1 << 3).with(move |f| f.link_id = id);
     vec![
@@ -291,13 +405,13 @@ fn sizes() -> Vec<Case> {
     let short = |claimed| from(WEST).bits(1 << 3).with(|f| f.payload_len = Some(claimed));
     let mut cases = vec![
         full.case("as large as the link takes", sends(&full, EAST, 1 << 3)),
-        sized("far", 1501).case("one byte too large", drop("drop_too_big")),
+        sized("far", 1501).too_big("one byte too large", 1500),
         narrow.case("as large as a narrow link takes", sends(&narrow, NARROW, 1 << 6)),
-        sized("narrow", 601).case("one byte too large for a narrow link", drop("drop_too_big")),
+        sized("narrow", 601).too_big("one byte too large for a narrow link", 600),
         large.case("more than an Ethernet MTU", sends(&large, JUMBO, 1 << 5)),
         jumbo.case("in several buffers", sends(&jumbo, JUMBO, 1 << 5)),
         padded.case("bytes behind the payload stay", sends(&padded, EAST, 1 << 3)),
-        full.with(|f| f.padding = 1).case("bytes behind the payload count", drop("drop_too_big")),
+        full.with(|f| f.padding = 1).too_big("bytes behind the payload count", 1500),
         short(7).case("one payload byte is missing", drop("drop_truncated")),
         short(0xffff).case("nearly all is missing", drop("drop_truncated")),
     ];
@@ -313,7 +427,7 @@ fn tags() -> Vec<Case> {
     let original = from(ROBOT).to("far").with(|f| f.payload = vec![0x5a; 600]);
     // The bits are chosen so that the length stays within the frame, and the low half of the id meets a free entry.
     let flips: [(&str, usize, u8, &str); 15] = [
-        ("type", 0, 0x02, "drop_unknown"),
+        ("type", 0, 0x08, "drop_unknown"),
         ("flags", 1, 0x01, "drop_bad_tag"),
         ("hop limit", 2, 0x01, "drop_bad_tag"),
         ("egress set", 3, 0x01, "drop_bad_tag"),
@@ -350,6 +464,37 @@ fn tags() -> Vec<Case> {
     cases
 }
 
+/// Frames between neighbours.
+fn echoes_and_errors() -> Vec<Case> {
+    let echo = |from: Sent| {
+        from.bits(0x1122_3344_5566_7788).with(|f| (f.version_type, f.hop_limit, f.payload) = (0x14, 1, vec![]))
+    };
+    let answer = |sent: &Sent, by: u32| Expected {
+        counter: "echoed".into(),
+        ..sends(sent, by, sent.frame.egress_bits).with(|f| (f.hop_limit, f.egress_set) = (1, 1)).into()
+    };
+    let notice = |sent: Sent, name: &str| Case { userspace: Some(pass("notice")), ..sent.case(name, pass("slow")) };
+    let asked = echo(from(WEST));
+    let by_endpoint = echo(from(ROBOT));
+    let loaded = echo(from(WEST)).with(|f| f.payload = vec![7; 100]);
+    let over_udp = echo(from(UDP));
+    let error =
+        from(EAST).bits(9).with(|f| (f.version_type, f.hop_limit, f.egress_set, f.payload) = (0x12, 1, 1, vec![]));
+    vec![
+        asked.case("an echo comes back", answer(&asked, WEST)),
+        by_endpoint.case("also to an endpoint", answer(&by_endpoint, ROBOT)),
+        loaded.case("without its payload", Expected { ..answer(&echo(from(WEST)), WEST) }),
+        Case {
+            userspace: Some(answer(&over_udp, UDP)),
+            ..over_udp.case("by the plane that can send it", pass("slow"))
+        },
+        asked.clone().with(|f| f.tag = Some(1)).case("an echo that the neighbour did not send", drop("drop_bad_tag")),
+        notice(echo(from(WEST)).with(|f| f.egress_set = 1), "the answer to an echo is for the daemon"),
+        notice(error.clone(), "and so is an error"),
+        error.with(|f| f.tag = Some(1)).case("but not one that the neighbour did not send", drop("drop_bad_tag")),
+    ]
+}
+
 fn other_frames() -> Vec<Case> {
     let transit = from(WEST).bits(1 << 3);
     let first_byte = |byte| transit.clone().with(|f| f.version_type = byte);
@@ -364,9 +509,7 @@ fn other_frames() -> Vec<Case> {
         raw("also a short one", &short_control, pass("control")),
         first_byte(0x00).case("version 0", drop("drop_unknown")),
         first_byte(0x20).case("version 2", drop("drop_unknown")),
-        first_byte(0x12).case("an error frame is not known yet", drop("drop_unknown")),
         first_byte(0x13).case("a probe is not known yet", drop("drop_unknown")),
-        first_byte(0x14).case("an echo is not known yet", drop("drop_unknown")),
         first_byte(0x1f).case("the last type", drop("drop_unknown")),
         first_byte(0x40).case("what would be QUIC on UDP", drop("drop_unknown")),
         first_byte(0xff).case("the last first byte", drop("drop_unknown")),
@@ -413,6 +556,29 @@ impl Sent {
     fn case(&self, name: &str, expected: impl Into<Expected>) -> Case {
         raw(name, &self.frame.bytes(), expected.into())
     }
+
+    /// Dropped, and the neighbour told why.
+    fn refused(&self, name: &str, counter: &str) -> Case {
+        let code = match counter {
+            "drop_no_route" | "drop_no_egress" => 1,
+            "drop_hop_limit" => 3,
+            _ => 4,
+        };
+        self.case(name, self.error(counter, code, 0))
+    }
+
+    fn too_big(&self, name: &str, mtu: u64) -> Case {
+        self.case(name, self.error("drop_too_big", 2, mtu))
+    }
+
+    fn error(&self, counter: &str, code: u8, mtu: u64) -> Expected {
+        let told = mtu << 32 | u64::from(self.frame.link_counter as u32);
+        let error = sends(self, self.frame.link_id, told).with(|f| {
+            (f.version_type, f.hop_limit, f.egress_set) = (0x12, 1, code);
+            (f.payload, f.payload_len, f.padding) = (vec![], None, 0);
+        });
+        Expected { counter: counter.into(), ..error.into() }
+    }
 }
 
 fn raw(name: &str, frame: &[u8], kernel: Expected) -> Case {
@@ -424,14 +590,16 @@ struct Forwarded(Frame);
 
 fn sends(sent: &Sent, by: u32, bits: u64) -> Forwarded {
     let link = link(by);
+    let phase = link.tx_phase as u8;
     Forwarded(Frame {
         to_mac: fixtures::array(&link.peer_mac.replace(':', "")),
         from_mac: fixtures::array(&link.local_mac.replace(':', "")),
-        hop_limit: sent.frame.hop_limit - 1,
+        flags: sent.frame.flags & 0x7f | phase << 7,
+        hop_limit: sent.frame.hop_limit.wrapping_sub(1),
         egress_bits: bits,
         link_id: link.peer_id,
         link_counter: link.tx_counter + 1,
-        key: fixtures::key(&link.tx_key),
+        key: fixtures::key(&link.tx_keys[usize::from(phase)]),
         ..sent.frame.clone()
     })
 }
@@ -445,7 +613,8 @@ impl Forwarded {
 
 impl From<Forwarded> for Expected {
     fn from(out: Forwarded) -> Self {
-        Self { verdict: Verdict::Send, counter: "forwarded".into(), frame: Some(Bytes::new(&out.0.bytes())) }
+        let frame = Some(Bytes::new(&out.0.bytes()));
+        Self { verdict: Verdict::Send, counter: "forwarded".into(), frame, copies: vec![] }
     }
 }
 
@@ -454,17 +623,22 @@ fn delivers(sent: &Sent, to: u32) -> Expected {
 }
 
 fn drop(counter: &str) -> Expected {
-    Expected { verdict: Verdict::Drop, counter: counter.into(), frame: None }
+    Expected { verdict: Verdict::Drop, counter: counter.into(), frame: None, copies: vec![] }
 }
 
 fn pass(counter: &str) -> Expected {
-    Expected { verdict: Verdict::Pass, counter: counter.into(), frame: None }
+    Expected { verdict: Verdict::Pass, ..drop(counter) }
 }
 
-/// The receive and the transmit key of a link.
+fn copied(mut copies: Vec<CopyOut>) -> Expected {
+    copies.sort();
+    Expected { verdict: Verdict::Copy, copies, ..drop("replicated") }
+}
+
+/// The first receive and transmit key of a link.
 fn keys(id: u32) -> ([u64; 2], [u64; 2]) {
     let link = link(id);
-    (fixtures::key(&link.rx_key), fixtures::key(&link.tx_key))
+    (fixtures::key(&link.rx_keys[0]), fixtures::key(&link.tx_keys[0]))
 }
 
 fn link(id: u32) -> Link {
@@ -485,8 +659,9 @@ fn neighbour(label: &str, id: u32, port: u32, reach: &[u32], mtu: u32) -> Link {
         peer_id: 0xbeef_0000 | u32::from(index),
         role: Role::Switch,
         port: Some(port),
-        rx_key: key(0),
-        tx_key: key(0x80),
+        rx_keys: [key(0), key(0x40)],
+        tx_keys: [key(0x80), key(0xc0)],
+        tx_phase: 0,
         reach: reach.to_vec(),
         mtu,
         peer_mac: format!("02:00:00:00:{index:02x}:01"),
@@ -498,9 +673,16 @@ fn neighbour(label: &str, id: u32, port: u32, reach: &[u32], mtu: u32) -> Link {
     }
 }
 
-fn route(label: &str, egress: &[u32], egress_set: u8, local_link: u32) -> Route {
-    let (label, name, egress) = (label.to_owned(), fixtures::hex(&name(label)), egress.to_vec());
-    Route { label, name, egress, egress_set, local_link, writers: vec![ROBOT] }
+fn route(label: &str, egress: &[u32], readers: &[u32]) -> Route {
+    Route {
+        label: label.into(),
+        name: fixtures::hex(&name(label)),
+        egress: egress.to_vec(),
+        egress_set: 0,
+        readers: readers.to_vec(),
+        writers: vec![ROBOT],
+        sources: vec![],
+    }
 }
 
 /// Any 32 bytes that differ for each label.

@@ -7,7 +7,7 @@ mod frames;
 
 use frames::Frame;
 use frames::fixtures::{array, hex, key, unhex};
-use gdp_wire::{ControlHeader, Counter, Header, LinkEntry, Name, forward, replay};
+use gdp_wire::{ControlHeader, Counter, FrameType, Header, LinkEntry, Name, forward, replay};
 use serde::{Deserialize, Serialize};
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -64,11 +64,11 @@ fn data_headers_are_read_as_the_vectors_say() {
         assert_eq!(hex(header.destination.as_bytes()), vector.destination);
         assert_eq!(hex(header.source.as_bytes()), vector.source);
 
-        let link = LinkEntry { id: vector.link_id, rx_key: key(&vector.key), ..LinkEntry::default() };
+        let link = LinkEntry { id: vector.link_id, rx_keys: [key(&vector.key); 2], ..LinkEntry::default() };
         let length = Header::LEN + usize::from(vector.payload_length);
         let window = replay::empty();
         assert_eq!(forward::accept(&header, length - 1, &link, &window), Err(Counter::Truncated));
-        assert_eq!(forward::accept(&header, length, &link, &window), Ok(()));
+        assert_eq!(forward::accept(&header, length, &link, &window), Ok(FrameType::Data));
         assert_eq!(forward::accept(&header, length, &link, &window), Err(Counter::Replayed));
     }
 }
@@ -81,7 +81,8 @@ fn data_headers_are_written_as_the_vectors_say() {
         (header.flags, header.hop_limit, header.egress_set) = (vector.flags, vector.hop_limit, vector.egress_set);
         header.reserved = vector.reserved;
         header.set_egress_bits(u64::from_be_bytes(array(&vector.egress_bits)));
-        let link = LinkEntry { peer_id: vector.link_id, tx_key: key(&vector.key), ..LinkEntry::default() };
+        let (tx_keys, tx_phase) = ([key(&vector.key); 2], u32::from(vector.flags >> 7));
+        let link = LinkEntry { peer_id: vector.link_id, tx_keys, tx_phase, ..LinkEntry::default() };
         forward::stamp(&mut header, &link, vector.link_counter.into());
         assert_eq!(hex(header.as_bytes()), vector.header);
     }

@@ -14,7 +14,7 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp_wire::{LinkEntry, LinkRole, Name};
+use gdp_wire::{Carrier, LinkEntry, LinkRole, Name};
 use serde::{Deserialize, Serialize};
 use tokio::sync::{Mutex, mpsc};
 use tokio::task::JoinHandle;
@@ -82,8 +82,8 @@ struct Inner {
     peer: Peer,
     local_id: LinkId,
     peer_id: u32,
-    rx_key: [u64; 2],
-    tx_key: [u64; 2],
+    rx_keys: [[u64; 2]; 2],
+    tx_keys: [[u64; 2]; 2],
     mtu: u32,
     place: Place,
     connection: quinn::Connection,
@@ -135,17 +135,17 @@ impl Link {
         peer_link: (u32, u32),
         dialled: bool,
     ) -> Result<Self, LinkError> {
-        let to_server = export_key(&connection, b"client to server")?;
-        let to_client = export_key(&connection, b"server to client")?;
-        let (rx_key, tx_key) = if dialled { (to_client, to_server) } else { (to_server, to_client) };
+        let to_server = export_keys(&connection, b"client to server")?;
+        let to_client = export_keys(&connection, b"server to client")?;
+        let (rx_keys, tx_keys) = if dialled { (to_client, to_server) } else { (to_server, to_client) };
         let (sender, requests) = mpsc::channel(MAX_STREAMS as usize);
         let streams = tokio::spawn(streams::serve(connection.clone(), sender));
         Ok(Self(Arc::new(Inner {
             peer,
             local_id: local.0,
             peer_id: peer_link.0,
-            rx_key,
-            tx_key,
+            rx_keys,
+            tx_keys,
             mtu: local.1.min(peer_link.1),
             place,
             connection,
@@ -179,22 +179,22 @@ impl Link {
     /// The link as a data plane holds it, with `port` as its key in a device map. A switch fills in what it reaches.
     pub fn entry(&self, port: u32) -> LinkEntry {
         let inner = &*self.0;
-        let (local_mac, peer_mac) = match inner.place {
-            Place::Ethernet { local_mac, peer_mac, .. } => (mac_words(local_mac), mac_words(peer_mac)),
-            Place::Udp => Default::default(),
+        let carrier = match inner.place {
+            Place::Ethernet { local_mac, peer_mac, .. } => Carrier::ethernet(peer_mac, local_mac),
+            Place::Udp => Carrier::default(),
         };
         LinkEntry {
             id: self.local_id(),
             peer_id: inner.peer_id,
             role: LinkRole::from(inner.peer.role) as u32,
             port,
-            rx_key: inner.rx_key,
-            tx_key: inner.tx_key,
+            rx_keys: inner.rx_keys,
+            tx_keys: inner.tx_keys,
             reach: 0,
-            mtu: inner.mtu,
-            peer_mac,
-            local_mac,
             peer: inner.peer.name,
+            mtu: inner.mtu,
+            tx_phase: 0,
+            carrier,
         }
     }
 
@@ -258,19 +258,15 @@ impl Response {
     }
 }
 
-/// RFC 5705: the same on both sides, unknown to anybody else.
-fn export_key(connection: &quinn::Connection, context: &[u8]) -> Result<[u64; 2], LinkError> {
-    let mut key = [0; 16];
+/// The first two keys of a direction. RFC 5705: the same on both sides, unknown to anybody else.
+fn export_keys(connection: &quinn::Connection, context: &[u8]) -> Result<[[u64; 2]; 2], LinkError> {
+    let mut keys = [0; 32];
     connection
-        .export_keying_material(&mut key, b"EXPORTER-gdp-link", context)
+        .export_keying_material(&mut keys, b"EXPORTER-gdp-link", context)
         .map_err(|_| LinkError::Handshake("TLS exports no keys".into()))?;
-    let (low, high) = key.split_at(8);
-    let word = |half: &[u8]| half.iter().rev().fold(0, |word, byte| word << 8 | u64::from(*byte));
-    Ok([word(low), word(high)])
-}
-
-fn mac_words(mac: [u8; 6]) -> [u16; 3] {
-    [[mac[0], mac[1]], [mac[2], mac[3]], [mac[4], mac[5]]].map(u16::from_ne_bytes)
+    let (words, _) = keys.as_chunks();
+    let word = |i: usize| u64::from_le_bytes(words[i]);
+    Ok([[word(0), word(1)], [word(2), word(3)]])
 }
 
 /// What a person should read. The peer's own words are bounded and made printable.

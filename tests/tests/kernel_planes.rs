@@ -11,13 +11,13 @@ use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
 use gdp::link::LinkIds;
 use gdp::port::{LinkAddr, Port, PortConfig};
-use gdp_ctl::plane::{PlaneConfig, PlaneError, Planes, Wanted};
+use gdp_ctl::plane::{PlaneConfig, PlaneError, PlaneRoute, Planes, Wanted};
 use gdp_tests::Tools;
 use gdp_tests::frames::Frame;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
 use gdp_tests::wait::wait_for;
-use gdp_wire::{Counter, FibEntry, LinkEntry, LinkRole, Name};
+use gdp_wire::{Carrier, Counter, LinkEntry, LinkRole, Name};
 
 const SOON: Duration = Duration::from_secs(10);
 
@@ -139,42 +139,40 @@ fn the_planes_share_the_window_of_a_link() -> Result<()> {
 fn permission_comes_and_goes_in_the_kernel() -> Result<()> {
     let site = Site::build(1500)?;
     let mut switch = site.switch(Wanted::Xdp)?;
-    let [first, second] = [left_link(), LinkEntry { id: 0x1003, rx_key: [9, 10], ..left_link() }];
+    let [first, second] = [left_link(), LinkEntry { id: 0x1003, rx_keys: [[9, 10]; 2], ..left_link() }];
     let at = switch.address_of_left()?;
     switch.planes.set_link(second, at)?;
-    let route = |writer_link, more_writers| FibEntry {
+    let route = |writers: &[u32]| PlaneRoute {
         egress_bits: OWN_BIT,
-        local_link: right_link().id,
-        writer_link,
-        more_writers,
-        ..FibEntry::default()
+        readers: vec![right_link().id],
+        writers: writers.to_vec(),
     };
     let (mut delivered, mut refused) = (0, 0);
-    for (entry, permitted, may) in [
-        (route(first.id, 0), &[][..], [true, false]),
-        (route(first.id, 1), &[second.id], [true, true]),
-        (route(second.id, 1), &[first.id], [true, true]),
-        (route(second.id, 0), &[], [false, true]),
-        (route(0, 1), &[first.id, second.id, 0x1004], [true, true]),
-        (route(0, 1), &[0x1004], [false, false]),
-        (route(0, 0), &[], [false, false]),
+    for (route, may) in [
+        (route(&[first.id]), [true, false]),
+        (route(&[first.id, second.id]), [true, true]),
+        (route(&[second.id, first.id]), [true, true]),
+        (route(&[second.id]), [false, true]),
+        (route(&[0x1004, first.id, second.id]), [true, true]),
+        (route(&[0x1004]), [false, false]),
+        (route(&[]), [false, false]),
     ] {
-        switch.planes.set_route(TOPIC, entry, permitted)?;
+        switch.planes.set_route(TOPIC, &route)?;
         let mut writers = switch.planes.writers(&TOPIC);
         writers.retain(|link| *link != 0x1004);
         ensure!(writers.len() == may.iter().filter(|may| **may).count(), "{writers:x?}");
         for (link, may) in [first, second].into_iter().zip(may) {
-            site.send(&Frame { link_id: link.id, key: link.rx_key, ..site.next_frame(200) })?;
+            site.send(&Frame { link_id: link.id, key: link.rx_keys[0], ..site.next_frame(200) })?;
             *(if may { &mut delivered } else { &mut refused }) += 1;
-            wait_for(&format!("{delivered} delivered, {refused} refused at {entry:?}"), SOON, || {
+            wait_for(&format!("{delivered} delivered, {refused} refused at {route:?}"), SOON, || {
                 let counts = (switch.count(Counter::Delivered)?, switch.count(Counter::NotPermitted)?);
                 Ok((counts == ((delivered, 0), (refused, 0))).then_some(()))
             })?;
         }
     }
     switch.planes.remove_route(&TOPIC)?;
-    switch.planes.set_route(TOPIC, route(0, 1), &[])?;
-    site.send(&Frame { link_id: first.id, key: first.rx_key, ..site.next_frame(200) })?;
+    switch.planes.set_route(TOPIC, &route(&[0x1004, 0x1005]))?;
+    site.send(&Frame { link_id: first.id, key: first.rx_keys[0], ..site.next_frame(200) })?;
     wait_for("a permit to go with its name", SOON, || {
         Ok((switch.count(Counter::NotPermitted)? == (refused + 1, 0)).then_some(()))
     })
@@ -290,10 +288,9 @@ impl Site {
         switch.planes.set_own_bit(OWN_BIT)?;
         switch.planes.set_link(left_link(), LinkAddr::Ethernet { ifindex: left, mac: LEFT_MAC })?;
         switch.planes.set_link(right_link(), LinkAddr::Ethernet { ifindex: right, mac: RIGHT_MAC })?;
-        let (local_link, writer_link) = (right_link().id, left_link().id);
-        let here = FibEntry { egress_bits: OWN_BIT, local_link, writer_link, ..FibEntry::default() };
-        switch.planes.set_route(TOPIC, here, &[])?;
-        ensure!(switch.planes.routes()? == [(TOPIC, here)]);
+        let (readers, writers) = (vec![right_link().id], vec![left_link().id]);
+        switch.planes.set_route(TOPIC, &PlaneRoute { egress_bits: OWN_BIT, readers, writers })?;
+        ensure!(matches!(switch.planes.routes()?[..], [(TOPIC, _)]));
         Ok(switch)
     }
 
@@ -310,7 +307,7 @@ impl Site {
             hop_limit: 63,
             link_id: right_link().peer_id,
             link_counter,
-            key: right_link().tx_key,
+            key: right_link().tx_keys[0],
             ..frame
         };
         ensure!(crossed == expected.bytes(), "{crossed:02x?}");
@@ -325,7 +322,7 @@ impl Site {
             from_mac: LEFT_MAC,
             link_id: left_link().id,
             link_counter: self.sent.get(),
-            key: left_link().rx_key,
+            key: left_link().rx_keys[0],
             destination: TOPIC.to_bytes(),
             payload: vec![0x5a; length - 96],
             ..Frame::default()
@@ -376,15 +373,28 @@ impl Switch {
 }
 
 fn left_link() -> LinkEntry {
-    LinkEntry { id: 0x1001, peer_id: 0x2001, mtu: 9000, rx_key: [1, 2], tx_key: [3, 4], ..endpoint(LEFT_MAC, L0_MAC) }
+    LinkEntry {
+        id: 0x1001,
+        peer_id: 0x2001,
+        mtu: 9000,
+        rx_keys: [[1, 2]; 2],
+        tx_keys: [[3, 4]; 2],
+        ..endpoint(LEFT_MAC, L0_MAC)
+    }
 }
 
 fn right_link() -> LinkEntry {
-    LinkEntry { id: 0x1002, peer_id: 0x2002, mtu: 9000, rx_key: [5, 6], tx_key: [7, 8], ..endpoint(RIGHT_MAC, R0_MAC) }
+    LinkEntry {
+        id: 0x1002,
+        peer_id: 0x2002,
+        mtu: 9000,
+        rx_keys: [[5, 6]; 2],
+        tx_keys: [[7, 8]; 2],
+        ..endpoint(RIGHT_MAC, R0_MAC)
+    }
 }
 
 fn endpoint(peer_mac: [u8; 6], local_mac: [u8; 6]) -> LinkEntry {
-    let words = |mac: [u8; 6]| [0, 2, 4].map(|i| u16::from_ne_bytes([mac[i], mac[i + 1]]));
-    let role = LinkRole::Endpoint as u32;
-    LinkEntry { role, peer_mac: words(peer_mac), local_mac: words(local_mac), ..LinkEntry::default() }
+    let carrier = Carrier::ethernet(peer_mac, local_mac);
+    LinkEntry { role: LinkRole::Endpoint as u32, carrier, ..LinkEntry::default() }
 }

@@ -33,8 +33,11 @@ async fn an_endpoint_finds_its_switch_and_exchanges_frames_with_it() -> Result<(
     assert_eq!((server.peer().name, server.peer().role), (cable.endpoint.name(), Role::Endpoint));
     assert_eq!((client.mtu(), server.mtu()), (1500, 1500));
     let (at_client, at_server) = (client.entry(0), server.entry(0));
-    assert_eq!((at_client.local_mac, at_client.peer_mac), (at_server.peer_mac, at_server.local_mac));
-    assert_eq!(at_client.peer_mac.as_bytes(), SWITCH_MAC);
+    assert_eq!(
+        (at_client.carrier.local_mac, at_client.carrier.peer_mac),
+        (at_server.carrier.peer_mac, at_server.carrier.local_mac)
+    );
+    assert_eq!(at_client.carrier.peer_mac.as_bytes(), SWITCH_MAC);
 
     // Shorter than Ethernet's minimum without the payload, and as large as the MTU allows.
     for payload in [vec![], vec![1; 7], vec![2; 1500 - Header::LEN]] {
@@ -161,7 +164,7 @@ fn exchange(from: &Port, out: &Link, to: &Port, input: &Link, payload: &[u8], co
         to.data().try_recv_batch(&mut batch).expect("a socket");
         for (frame, _) in batch.frames() {
             let (header, rest) = Header::ref_from_prefix(frame).expect("a header");
-            assert_eq!(forward::accept(header, frame.len(), &ingress, &window), Ok(()));
+            assert_eq!(forward::accept(header, frame.len(), &ingress, &window), Ok(gdp_wire::FrameType::Data));
             assert_eq!((header.link_counter(), &rest[..payload.len()]), (received, payload));
             received += 1;
         }

@@ -9,9 +9,10 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use gdp::port::{BATCH, DataSocket, LinkAddr, OutFrame, RecvBatch};
-use gdp_wire::Counter;
+use gdp_wire::{Counter, Header};
+use zerocopy::IntoBytes;
 
-use super::userspace::{Outcome, UserTables, handle};
+use super::userspace::{CopyOut, Outcome, UserTables, copies, handle};
 
 /// How long a thread takes to notice that it should end.
 const NOTICE: Duration = Duration::from_millis(100);
@@ -78,7 +79,7 @@ impl Forwarder {
             shared: shared.clone(),
             stop: stop.clone(),
             batch: RecvBatch::new(largest),
-            sends: [None; BATCH],
+            sends: Vec::with_capacity(BATCH),
         };
         let thread = std::thread::Builder::new().name("gdp-forward".into()).spawn(move || worker.run())?;
         Ok(Self { medium, shared: shared.clone(), stop, thread: Some(thread) })
@@ -105,8 +106,18 @@ struct Worker {
     shared: Arc<Shared>,
     stop: Arc<AtomicBool>,
     batch: RecvBatch,
-    /// For each frame of the batch, where it goes.
-    sends: [Option<(LinkAddr, Counter)>; BATCH],
+    /// What is to be sent of the batch.
+    sends: Vec<Send>,
+}
+
+/// A frame of the batch, or a copy of it.
+struct Send {
+    frame: usize,
+    to: LinkAddr,
+    length: usize,
+    /// In place of the frame's own.
+    header: Option<Header>,
+    counter: Counter,
 }
 
 impl Worker {
@@ -132,13 +143,23 @@ impl Worker {
     }
 
     fn decide(&mut self) {
-        self.sends = [None; BATCH];
         let mut counts = [0u64; Counter::COUNT];
         let tables = self.shared.tables.read().unwrap_or_else(PoisonError::into_inner);
-        for ((frame, _), send) in self.batch.frames().zip(&mut self.sends) {
+        for (index, (frame, _)) in self.batch.frames().enumerate() {
             match handle(frame, &tables) {
-                Outcome::Send { to, counter, .. } => *send = Some((to, counter)),
+                Outcome::Send { to, length, counter, .. } => {
+                    self.sends.push(Send { frame: index, to, length, header: None, counter });
+                }
+                Outcome::Copies { ingress, group } => {
+                    counts[Counter::Replicated as usize] += 1;
+                    let length = frame.len();
+                    let send = |CopyOut { to, header, counter, .. }| {
+                        self.sends.push(Send { frame: index, to, length, header: Some(header), counter });
+                    };
+                    copies(frame, (ingress, group), &tables, send, |counter| counts[counter as usize] += 1);
+                }
                 Outcome::Control => counts[Counter::Control as usize] += 1,
+                Outcome::Notice { .. } => counts[Counter::Notice as usize] += 1,
                 Outcome::Drop(counter) => counts[counter as usize] += 1,
             }
         }
@@ -150,24 +171,28 @@ impl Worker {
 
     fn send(&mut self) {
         // As a rule all frames of a batch leave by one socket, so this loop runs once.
-        while let Some((first, _)) = self.sends.iter().flatten().next() {
-            let medium = Medium::from(*first);
+        while let Some(first) = self.sends.first() {
+            let medium = Medium::from(first.to);
             let socket = {
                 let sockets = self.shared.sockets.read().unwrap_or_else(PoisonError::into_inner);
                 sockets.get(&medium).cloned()
             };
-            let batch = &self.batch;
             let mut intended = [0u64; Counter::COUNT];
-            let frames = self.sends.iter_mut().enumerate().filter_map(|(index, send)| {
-                let (to, counter) = send.take_if(|(to, _)| Medium::from(*to) == medium)?;
-                intended[counter as usize] += 1;
-                Some(OutFrame { to, head: batch.frame(index), body: &[] })
+            let here = self.sends.iter().filter(|send| Medium::from(send.to) == medium);
+            here.clone().for_each(|send| intended[send.counter as usize] += 1);
+            let frames = here.map(|send| {
+                let frame = &self.batch.frame(send.frame)[..send.length];
+                match &send.header {
+                    Some(header) => OutFrame { to: send.to, head: header.as_bytes(), body: &frame[Header::LEN..] },
+                    None => OutFrame { to: send.to, head: frame, body: &[] },
+                }
             });
             let lost = match socket {
                 Some(socket) => socket.send_batch(frames).lost as u64,
                 None => frames.count() as u64,
             };
             self.account(intended, lost);
+            self.sends.retain(|send| Medium::from(send.to) != medium);
         }
     }
 

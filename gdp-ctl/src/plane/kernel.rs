@@ -4,7 +4,7 @@
 use std::collections::HashMap as Table;
 use std::path::{Path, PathBuf};
 
-use aya::maps::{Array, DevMap, HashMap, MapData, MapError, PerCpuArray};
+use aya::maps::{Array, DevMapHash, HashMap, MapData, MapError, PerCpuArray};
 use aya::pin::PinError;
 use aya::programs::links::{FdLink, LinkError, PinnedLink};
 use aya::programs::xdp::{XdpLink, XdpLinkId, XdpMode};
@@ -16,7 +16,7 @@ use gdp_wire::{Counter, FibEntry, LinkEntry, Name, Permit, SwitchConfig};
 
 use super::explain;
 use super::kernel_version::KernelVersion;
-use super::link_memory::LinkMemory;
+use super::link_memory::{LinkMaps, LinkMemory};
 use super::pins::{Pins, PinsError};
 
 /// The oldest kernel the programs are meant for.
@@ -71,8 +71,8 @@ pub enum UpdateError {
         "the FIB is full ({capacity} second and further writers of a name at one switch): set `fib_capacity` higher"
     )]
     PermitsFull { capacity: u32 },
-    #[error("port {port} is not below {MAX_PORTS}: XDP runs on at most that many interfaces")]
-    NoSuchPort { port: u32 },
+    #[error("XDP runs on {MAX_PORTS} interfaces already, the most it does")]
+    PortsFull,
     #[error("port {port} cannot lead to interface {ifindex}: {source}")]
     Port { port: u32, ifindex: u32, source: aya::maps::xdp::XdpMapError },
     #[error("BPF map {map}: {source}")]
@@ -129,7 +129,7 @@ pub struct KernelPlane {
     permits: HashMap<MapData, Permit, u32>,
     next_hop: Array<MapData, u32>,
     config: Array<MapData, SwitchConfig>,
-    ports: DevMap<MapData>,
+    ports: DevMapHash<MapData>,
     counters: PerCpuArray<MapData, u64>,
     link_memory: LinkMemory,
 }
@@ -180,6 +180,8 @@ impl KernelPlane {
         let mut maps = Maps { ebpf: &mut ebpf, path };
         let tx_counters: Array<MapData, u64> = maps.take("TX_COUNTERS")?;
         let windows: Array<MapData, [u64; WORDS]> = maps.take("WINDOWS")?;
+        let complaints: Array<MapData, u64> = maps.take("COMPLAINTS")?;
+        let shared = LinkMaps { counts: &tx_counters, windows: &windows, complaints: &complaints };
         Ok(Self {
             program,
             capacity,
@@ -190,7 +192,7 @@ impl KernelPlane {
             config: maps.take("CONFIG")?,
             ports: maps.take("PORTS")?,
             counters: maps.take("COUNTERS")?,
-            link_memory: LinkMemory::map(&tx_counters, &windows).map_err(LoadError::LinkMemory)?,
+            link_memory: LinkMemory::map(shared).map_err(LoadError::LinkMemory)?,
             ebpf,
             pins: None,
             attached: Table::new(),
@@ -209,13 +211,17 @@ impl KernelPlane {
             *link = self.next_hop.get(&bit, 0).map_err(update("NEXT_HOP"))?;
         }
         let links: Vec<LinkEntry> = self.links.iter().collect::<Result<_, _>>().map_err(update("LINKS"))?;
-        let ports = (0..MAX_PORTS).filter_map(|port| Some((port, self.ports.get(port, 0).ok()?.if_index)));
+        let mut ports = Vec::new();
+        for port in self.ports.keys() {
+            let port = port.map_err(update("PORTS"))?;
+            ports.extend(self.ports.get(port, 0).ok().map(|value| (port, value.if_index)));
+        }
         Ok(Some(Adopted {
             config,
             links: links.into_iter().filter(|link| link.id != 0).collect(),
             routes: self.routes()?,
             next_hops,
-            ports: ports.filter(|(_, ifindex)| *ifindex != 0).collect(),
+            ports,
         }))
     }
 
@@ -285,15 +291,15 @@ impl KernelPlane {
 
     /// Makes `port` lead to an interface of this network namespace.
     pub fn set_port(&mut self, port: u32, ifindex: u32) -> Result<(), UpdateError> {
-        if port >= MAX_PORTS {
-            return Err(UpdateError::NoSuchPort { port });
-        }
-        self.ports.set(port, ifindex, None, 0).map_err(|source| UpdateError::Port { port, ifindex, source })
+        self.ports.insert(port, ifindex, None, 0).map_err(|source| match &source {
+            aya::maps::xdp::XdpMapError::MapError(error) if is_full(error) => UpdateError::PortsFull,
+            _ => UpdateError::Port { port, ifindex, source },
+        })
     }
 
     /// Frames for `port` are then dropped and counted. An empty port is no error.
     pub fn clear_port(&mut self, port: u32) -> Result<(), UpdateError> {
-        self.set_port(port, 0)
+        removed(self.ports.remove(port)).map_err(update("PORTS"))
     }
 
     pub fn set_config(&mut self, config: SwitchConfig) -> Result<(), UpdateError> {
@@ -320,23 +326,23 @@ impl KernelPlane {
         removed(self.fib.remove(name)).map_err(update("FIB"))
     }
 
-    /// Lets a link send to a name whose entry has `more_writers`.
-    pub fn permit(&mut self, name: &Name, link: u32) -> Result<(), UpdateError> {
-        match self.permits.insert(Permit { name: *name, link, reserved: 0 }, 0, 0) {
+    /// Lets frames of a link have a name in their header, where its entry says to look for that.
+    pub fn permit(&mut self, permit: &Permit) -> Result<(), UpdateError> {
+        match self.permits.insert(permit, 0, 0) {
             Err(error) if is_full(&error) => Err(UpdateError::PermitsFull { capacity: self.capacity }),
             result => result.map_err(update("PERMITS")),
         }
     }
 
+    /// Takes back what [`Self::permit`] did; if it did not, that is no error.
+    pub fn forbid(&mut self, permit: &Permit) -> Result<(), UpdateError> {
+        removed(self.permits.remove(permit)).map_err(update("PERMITS"))
+    }
+
     /// Takes back every permission.
     pub fn forbid_all(&mut self) -> Result<(), UpdateError> {
         let permits: Vec<Permit> = self.permits.keys().collect::<Result<_, _>>().map_err(update("PERMITS"))?;
-        permits.iter().try_for_each(|permit| removed(self.permits.remove(permit))).map_err(update("PERMITS"))
-    }
-
-    /// Takes back what [`Self::permit`] did; if it did not, that is no error.
-    pub fn forbid(&mut self, name: &Name, link: u32) -> Result<(), UpdateError> {
-        removed(self.permits.remove(&Permit { name: *name, link, reserved: 0 })).map_err(update("PERMITS"))
+        permits.iter().try_for_each(|permit| self.forbid(permit))
     }
 
     pub fn set_next_hops(&mut self, next_hops: &[u32; EGRESS_SET_SIZE as usize]) -> Result<(), UpdateError> {

@@ -1,5 +1,5 @@
-//! What changes with every frame of a link, shared by the planes: the count of frames sent and the replay window. A link has
-//! one of each, whichever plane sends and receives. Where XDP runs, this is the memory of its BPF maps; otherwise it is
+//! What changes with the frames of a link, shared by the planes: the count of frames sent, the replay window, and when an error
+//! was sent. A link has one of each, whichever plane sends and receives. Where XDP runs, this is the memory of its BPF maps; otherwise it is
 //! ordinary memory. Only ever accessed atomically.
 
 use std::io;
@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use aya::maps::{Array, IterableMap, MapData};
 use gdp_wire::replay::{WORDS, Window};
-use gdp_wire::table::{MAX_LINKS, link_index};
+use gdp_wire::table::{COMPLAINT_INTERVAL_NS, MAX_LINKS, link_index};
 
 const LINKS: usize = MAX_LINKS as usize;
 
@@ -19,17 +19,27 @@ const LINKS: usize = MAX_LINKS as usize;
 pub struct LinkMemory {
     counts: Arc<Memory>,
     windows: Arc<Memory>,
+    complaints: Arc<Memory>,
+}
+
+/// The BPF maps whose memory it can be.
+pub struct LinkMaps<'a> {
+    pub counts: &'a Array<MapData, u64>,
+    pub windows: &'a Array<MapData, [u64; WORDS]>,
+    pub complaints: &'a Array<MapData, u64>,
 }
 
 impl LinkMemory {
     /// Memory that no kernel plane shares.
     pub fn new() -> Self {
-        Self { counts: Arc::new(Memory::own(LINKS)), windows: Arc::new(Memory::own(LINKS * WORDS)) }
+        let own = |words| Arc::new(Memory::own(words));
+        Self { counts: own(LINKS), windows: own(LINKS * WORDS), complaints: own(LINKS) }
     }
 
     /// The memory of the BPF maps. The mappings outlive the maps' descriptors.
-    pub fn map(counts: &Array<MapData, u64>, windows: &Array<MapData, [u64; WORDS]>) -> io::Result<Self> {
-        for length in [counts.len(), windows.len()] {
+    pub fn map(maps: LinkMaps<'_>) -> io::Result<Self> {
+        let LinkMaps { counts, windows, complaints } = maps;
+        for length in [counts.len(), windows.len(), complaints.len()] {
             if length != MAX_LINKS {
                 return Err(io::Error::other(format!("a map has {length} entries instead of {MAX_LINKS}")));
             }
@@ -37,12 +47,14 @@ impl LinkMemory {
         Ok(Self {
             counts: Arc::new(Memory::map(counts.map(), LINKS)?),
             windows: Arc::new(Memory::map(windows.map(), LINKS * WORDS)?),
+            complaints: Arc::new(Memory::map(complaints.map(), LINKS)?),
         })
     }
 
     /// Forgets the link that had the index before. For a link that no plane takes frames from yet.
     pub fn begin(&self, id: u32) {
         self.set_count(id, 0);
+        self.complaint(id).store(0, Ordering::Relaxed);
         self.window(id).iter().for_each(|word| word.store(0, Ordering::Relaxed));
     }
 
@@ -62,6 +74,20 @@ impl LinkMemory {
         &windows[link_index(id) as usize]
     }
 
+    /// Whether an error may leave by the link now; it then counts as sent.
+    pub fn may_complain(&self, id: u32) -> bool {
+        let (last, now) = (self.complaint(id), coarse_monotonic_ns());
+        let may = now.wrapping_sub(last.load(Ordering::Relaxed)) >= COMPLAINT_INTERVAL_NS;
+        if may {
+            last.store(now, Ordering::Relaxed);
+        }
+        may
+    }
+
+    fn complaint(&self, id: u32) -> &AtomicU64 {
+        &self.complaints.words()[link_index(id) as usize]
+    }
+
     fn count(&self, id: u32) -> &AtomicU64 {
         &self.counts.words()[link_index(id) as usize]
     }
@@ -71,6 +97,14 @@ impl Default for LinkMemory {
     fn default() -> Self {
         Self::new()
     }
+}
+
+/// The clock that the XDP programs read.
+fn coarse_monotonic_ns() -> u64 {
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: a structure that outlives the call.
+    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC_COARSE, &raw mut time) };
+    time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
 }
 
 enum Memory {
@@ -135,6 +169,7 @@ mod tests {
         let successor = a ^ 0x2000_0000;
         memory.begin(successor);
         assert_eq!(memory.next_count(successor), 1);
+        assert!(memory.may_complain(a) && !memory.may_complain(a) && memory.may_complain(b), "each has its rate");
         assert!(replay::take(memory.window(successor), 5));
         assert!(!replay::take(memory.window(b), 5));
     }

@@ -6,11 +6,13 @@
 //!
 //! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`], [`explain`] and [`xdp_features`] serve it
 //! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
+//! - [`groups`]: which links take copies of a frame
 //! - [`link_memory`]: what the two planes share
 //! - [`pins`]: what stays in the kernel when the daemon dies
 
 pub mod explain;
 pub mod forwarder;
+pub mod groups;
 pub mod kernel;
 pub mod kernel_version;
 pub mod link_memory;
@@ -19,15 +21,16 @@ pub mod pins;
 pub mod userspace;
 pub mod xdp_features;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLockReadGuard, RwLockWriteGuard};
 
 use gdp::port::{DataSocket, Interface, LinkAddr};
-use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, MAX_PORTS, PORT_USERSPACE, Tables};
-use gdp_wire::{Counter, FibEntry, LinkEntry, Name, SwitchConfig};
+use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, PORT_USERSPACE, Tables, mac_bytes};
+use gdp_wire::{Counter, FibEntry, LinkEntry, Name, Permit, SwitchConfig};
 
 use forwarder::{Forwarder, Medium, Shared};
+use groups::Groups;
 use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
 use link_memory::LinkMemory;
 use pins::{Pins, PinsError};
@@ -104,6 +107,17 @@ pub enum PlaneError {
     Thread { interface: String, source: std::io::Error },
 }
 
+/// Where a name leads from this switch, in links.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct PlaneRoute {
+    /// Egress switches that want a copy, this one's own bit included if there are readers here.
+    pub egress_bits: u64,
+    /// Links of the local readers, sorted, without duplicates.
+    pub readers: Vec<u32>,
+    /// Links of the local endpoints that may send to the name, sorted, without duplicates; or [`ANY_WRITER`] alone.
+    pub writers: Vec<u32>,
+}
+
 /// All planes of a daemon. Dropping it detaches the XDP programs and ends the threads; but what was taken over from an earlier
 /// daemon stays in the kernel as long as that has not been brought to an end.
 pub struct Planes {
@@ -113,6 +127,7 @@ pub struct Planes {
     shared: Arc<Shared>,
     link_memory: LinkMemory,
     own_bit: u64,
+    groups: Groups,
     ports: HashMap<u32, Port>,
     udp: Option<Forwarder>,
     left: Option<Left>,
@@ -122,16 +137,16 @@ pub struct Planes {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Left {
     pub links: Vec<LinkEntry>,
-    pub routes: Vec<(Name, FibEntry)>,
+    pub routes: Vec<(Name, PlaneRoute)>,
     pub next_hops: [u32; EGRESS_SET_SIZE as usize],
-    /// Ports by interface.
-    pub ports: HashMap<u32, u32>,
+    /// Interfaces.
+    pub ports: HashSet<u32>,
 }
 
 /// An interface that frames come and go by.
 struct Port {
-    /// Its key in the device map; `None` without a kernel plane.
-    number: Option<u32>,
+    /// Whether the kernel can be told to send there; its key in the device map is the index of the interface.
+    in_kernel: bool,
     attached: Option<Mode>,
     interface: String,
     /// Why it got this plane.
@@ -164,6 +179,7 @@ impl Planes {
             shared: Arc::new(Shared::new(UserTables::new(link_memory.clone()))),
             link_memory,
             own_bit: 0,
+            groups: Groups::default(),
             ports: HashMap::new(),
             udp: None,
             left: None,
@@ -185,8 +201,8 @@ impl Planes {
     pub fn end_adoption(&mut self) -> Result<(), PlaneError> {
         let Some(left) = self.left.take() else { return Ok(()) };
         if let Ok(kernel) = &mut self.kernel {
-            for (_, number) in left.ports.iter().filter(|(ifindex, _)| !self.ports.contains_key(ifindex)) {
-                kernel.clear_port(*number)?;
+            for ifindex in left.ports.iter().filter(|ifindex| !self.ports.contains_key(ifindex)) {
+                kernel.clear_port(*ifindex)?;
             }
             if let Err(error) = kernel.drop_left_over() {
                 tracing::warn!(%error, "a program of an earlier daemon stays on an interface");
@@ -205,8 +221,8 @@ impl Planes {
         let medium = Medium::Ethernet(interface.index);
         let forwarder = Forwarder::start(medium, socket, interface.mtu as usize, &self.shared)
             .map_err(|source| PlaneError::Thread { interface: interface.name.clone(), source })?;
-        let number = self.make_port(interface.index)?;
-        let port = Port { number, attached, interface: interface.name.clone(), reason, forwarder };
+        let in_kernel = self.make_port(interface.index)?;
+        let port = Port { in_kernel, attached, interface: interface.name.clone(), reason, forwarder };
         self.ports.insert(interface.index, port);
         self.refresh()?;
         Ok(self.report_of(interface.index, &self.ports[&interface.index]))
@@ -221,8 +237,8 @@ impl Planes {
             // As when the interface was deleted.
             tracing::debug!(interface = port.interface, %error, "the XDP program was already gone");
         }
-        if let (Some(number), Ok(kernel)) = (port.number, &mut self.kernel) {
-            let _ = kernel.clear_port(number);
+        if let (true, Ok(kernel)) = (port.in_kernel, &mut self.kernel) {
+            let _ = kernel.clear_port(ifindex);
         }
         if let Some(left) = &mut self.left {
             left.ports.remove(&ifindex);
@@ -296,28 +312,31 @@ impl Planes {
     }
 
     /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold the same number.
-    /// `permitted`: links that may send to the name besides `entry.writer_link`; if any, `entry.more_writers` says so.
-    pub fn set_route(&mut self, name: Name, entry: FibEntry, permitted: &[u32]) -> Result<(), PlaneError> {
+    pub fn set_route(&mut self, name: Name, route: &PlaneRoute) -> Result<(), PlaneError> {
         let capacity = self.config.fib_capacity;
         if !self.read_tables().has_room_for(&name, capacity as usize) {
             return Err(UpdateError::FibFull { capacity }.into());
         }
-        let before = self.tables().set_route(name, entry, permitted);
-        let Ok(kernel) = &mut self.kernel else { return Ok(()) };
-        let held = before.as_ref().map_or(&[][..], |(_, permitted)| permitted);
-        let (come, gone) = (without(permitted, held), without(held, permitted));
-        let set = come.iter().try_for_each(|link| kernel.permit(&name, *link));
-        match set.and_then(|()| kernel.set_route(&name, entry)) {
-            Ok(()) => Ok(gone.iter().try_for_each(|link| kernel.forbid(&name, *link))?),
-            Err(error) => {
-                let undone = come.iter().try_for_each(|link| kernel.forbid(&name, *link));
-                match before {
-                    Some((before, permitted)) => self.tables().set_route(name, before, &permitted),
-                    None => self.tables().remove_route(&name),
-                };
-                Err(undone.err().unwrap_or(error).into())
-            }
+        let (group, is_new) = self.groups.take(&route.readers);
+        if is_new {
+            self.tables().set_group(group, &route.readers);
         }
+        let (entry, permits) = entry_of(&name, route, group);
+        let before = self.tables().set_route(name, entry, &permits);
+        let set = self.set_kernel_route(&name, entry, &permits, before.as_ref().map_or(&[], |(_, permits)| permits));
+        let released = match (&set, before) {
+            (Ok(()), before) => before.map(|(before, _)| before.group),
+            (Err(_), Some((before, permits))) => {
+                self.tables().set_route(name, before, &permits);
+                Some(group)
+            }
+            (Err(_), None) => {
+                self.tables().remove_route(&name);
+                Some(group)
+            }
+        };
+        released.into_iter().for_each(|group| self.release_group(group));
+        Ok(set?)
     }
 
     /// An unknown name is no error.
@@ -325,10 +344,11 @@ impl Planes {
         if let Ok(kernel) = &mut self.kernel {
             kernel.remove_route(name)?;
         }
-        let before = self.tables().remove_route(name);
-        if let (Ok(kernel), Some((_, permitted))) = (&mut self.kernel, before) {
-            permitted.iter().try_for_each(|link| kernel.forbid(name, *link))?;
+        let Some((before, permits)) = self.tables().remove_route(name) else { return Ok(()) };
+        if let Ok(kernel) = &mut self.kernel {
+            permits.iter().try_for_each(|permit| kernel.forbid(permit))?;
         }
+        self.release_group(before.group);
         Ok(())
     }
 
@@ -336,7 +356,12 @@ impl Planes {
     pub fn writers(&self, name: &Name) -> Vec<u32> {
         let tables = self.read_tables();
         let first = tables.route(name).map(|entry| entry.writer_link).filter(|link| ![0, ANY_WRITER].contains(link));
-        first.into_iter().chain(tables.permitted(name).iter().copied()).collect()
+        first.into_iter().chain(tables.permits(name).iter().map(|permit| permit.link)).collect()
+    }
+
+    /// The links of the local readers of a name.
+    pub fn readers(&self, entry: &FibEntry) -> Vec<u32> {
+        self.groups.readers(entry.group).to_vec()
     }
 
     /// For each egress bit the link toward that switch, or 0.
@@ -448,35 +473,52 @@ impl Planes {
         }
     }
 
-    /// Gives an interface a key in the device map.
-    fn make_port(&mut self, ifindex: u32) -> Result<Option<u32>, PlaneError> {
-        let Ok(kernel) = &mut self.kernel else { return Ok(None) };
-        let left = self.left.as_ref().map(|left| &left.ports);
-        if let Some(number) = left.and_then(|left| left.get(&ifindex)) {
-            // Links from before lead there.
-            return Ok(Some(*number));
-        }
-        let taken = |number| {
-            self.ports.values().any(|port| port.number == Some(number))
-                || left.is_some_and(|left| left.values().any(|other| *other == number))
-        };
-        let Some(number) = (0..MAX_PORTS).find(|number| !taken(*number)) else {
+    /// Tells the kernel that it may send to an interface; `false` if it cannot be told.
+    fn make_port(&mut self, ifindex: u32) -> Result<bool, PlaneError> {
+        let Ok(kernel) = &mut self.kernel else { return Ok(false) };
+        match kernel.set_port(ifindex, ifindex) {
             // What leaves here goes through the userspace plane.
-            return Ok(None);
-        };
-        kernel.set_port(number, ifindex)?;
-        Ok(Some(number))
+            Err(UpdateError::PortsFull) => Ok(false),
+            result => Ok(result.map(|()| true)?),
+        }
     }
 
     /// The port by which the kernel can send to `to`, or [`PORT_USERSPACE`].
     fn port_for(&self, to: LinkAddr) -> u32 {
         let LinkAddr::Ethernet { ifindex, .. } = to else { return PORT_USERSPACE };
-        let Some(port) = self.ports.get(&ifindex) else {
+        let sends = match self.ports.get(&ifindex) {
+            Some(port) => port.in_kernel && self.kernel_can_send_to(ifindex),
             // Not taken over yet, perhaps.
-            let left = self.left.as_ref().and_then(|left| left.ports.get(&ifindex));
-            return left.copied().unwrap_or(PORT_USERSPACE);
+            None => self.left.as_ref().is_some_and(|left| left.ports.contains(&ifindex)),
         };
-        port.number.filter(|_| self.kernel_can_send_to(ifindex)).unwrap_or(PORT_USERSPACE)
+        if sends { ifindex } else { PORT_USERSPACE }
+    }
+
+    /// Permits come before the entry that says to look for them, and go after.
+    fn set_kernel_route(
+        &mut self,
+        name: &Name,
+        entry: FibEntry,
+        permits: &[Permit],
+        held: &[Permit],
+    ) -> Result<(), UpdateError> {
+        let Ok(kernel) = &mut self.kernel else { return Ok(()) };
+        let (come, gone) = (without(permits, held), without(held, permits));
+        let set = come.iter().try_for_each(|permit| kernel.permit(permit));
+        match set.and_then(|()| kernel.set_route(name, entry)) {
+            Ok(()) => gone.iter().try_for_each(|permit| kernel.forbid(permit)),
+            Err(error) => {
+                let undone = come.iter().try_for_each(|permit| kernel.forbid(permit));
+                Err(undone.err().unwrap_or(error))
+            }
+        }
+    }
+
+    /// One name less takes copies by this group.
+    fn release_group(&mut self, group: u32) {
+        if self.groups.release(group) {
+            self.tables().set_group(group, &[]);
+        }
     }
 
     fn kernel_can_send_to(&self, ifindex: u32) -> bool {
@@ -489,46 +531,30 @@ impl Planes {
     fn adopt(&mut self, adopted: Adopted) -> Result<(), PlaneError> {
         let Adopted { config, links, routes, next_hops, ports } = adopted;
         self.own_bit = config.own_bit;
-        let interfaces: HashMap<u32, u32> = ports.iter().copied().collect();
-        let routes = self.let_any_write(routes)?;
-        let mut left =
-            Left { links: Vec::new(), routes, next_hops, ports: ports.into_iter().map(|(p, i)| (i, p)).collect() };
+        let mut left = Left { links: Vec::new(), routes: Vec::new(), next_hops, ports: HashSet::new() };
+        left.ports.extend(ports.into_iter().map(|(port, _)| port));
         for entry in links {
-            match interfaces.get(&entry.port) {
-                Some(ifindex) => {
-                    let to = LinkAddr::Ethernet { ifindex: *ifindex, mac: mac_bytes(entry.peer_mac) };
-                    self.tables().set_link(entry, to);
-                    left.links.push(entry);
-                }
+            if left.ports.contains(&entry.port) {
+                let to = LinkAddr::Ethernet { ifindex: entry.port, mac: mac_bytes(entry.carrier.peer_mac) };
+                self.tables().set_link(entry, to);
+                left.links.push(entry);
+            } else if let Ok(kernel) = &mut self.kernel {
                 // Only the daemon that died knew where it leads.
-                None => {
-                    if let Ok(kernel) = &mut self.kernel {
-                        kernel.remove_link(entry.id)?;
-                    }
-                }
+                kernel.remove_link(entry.id)?;
             }
         }
-        let mut tables = self.tables();
-        tables.set_own_bit(config.own_bit);
-        tables.set_next_hops(&next_hops);
-        for (name, entry) in &left.routes {
-            tables.set_route(*name, *entry, &[]);
+        self.tables().set_own_bit(config.own_bit);
+        self.tables().set_next_hops(&next_hops);
+        if let Ok(kernel) = &mut self.kernel {
+            kernel.forbid_all()?;
         }
-        drop(tables);
+        for (name, entry) in routes {
+            let route = adopted_route(&entry);
+            self.set_route(name, &route)?;
+            left.routes.push((name, route));
+        }
         self.left = Some(left);
         Ok(())
-    }
-
-    /// Writers of adopted routes are known by their old links, and come back on new ones before the RIB says so: until it has
-    /// replaced a route, every endpoint may send to the name, as itself; readers know who may write.
-    fn let_any_write(&mut self, mut routes: Vec<(Name, FibEntry)>) -> Result<Vec<(Name, FibEntry)>, UpdateError> {
-        let Ok(kernel) = &mut self.kernel else { return Ok(routes) };
-        for (name, entry) in routes.iter_mut().filter(|(_, entry)| entry.writer_link != 0) {
-            (entry.writer_link, entry.more_writers) = (ANY_WRITER, 0);
-            kernel.set_route(name, *entry)?;
-        }
-        kernel.forbid_all()?;
-        Ok(routes)
     }
 
     fn read_tables(&self) -> RwLockReadGuard<'_, UserTables> {
@@ -549,14 +575,34 @@ impl Drop for Planes {
     }
 }
 
-fn mac_bytes(words: [u16; 3]) -> [u8; 6] {
-    let [a, b, c] = words.map(u16::to_ne_bytes);
-    [a[0], a[1], b[0], b[1], c[0], c[1]]
+/// What the data planes hold of a route, and the permits beside it.
+fn entry_of(name: &Name, route: &PlaneRoute, group: u32) -> (FibEntry, Vec<Permit>) {
+    let (writer_link, others) = route.writers.split_first().unwrap_or((&0, &[]));
+    let entry = FibEntry {
+        egress_bits: route.egress_bits,
+        local_link: if let [link] = route.readers[..] { link } else { 0 },
+        group,
+        writer_link: *writer_link,
+        egress_set: 0,
+        more_writers: u8::from(!others.is_empty()),
+        reserved: 0,
+    };
+    (entry, others.iter().map(|link| Permit { name: *name, link: *link, part: Permit::DESTINATION }).collect())
 }
 
-/// Those of `links` that are not among `others`.
-fn without(links: &[u32], others: &[u32]) -> Vec<u32> {
-    links.iter().filter(|link| !others.contains(link)).copied().collect()
+/// A route that an earlier daemon left. Its writers are known by their old links, and come back on new ones before the RIB says
+/// so: until it has replaced the route, every endpoint may send to the name, as itself; readers know who may write.
+fn adopted_route(entry: &FibEntry) -> PlaneRoute {
+    PlaneRoute {
+        egress_bits: entry.egress_bits,
+        readers: Some(entry.local_link).filter(|link| *link != 0).into_iter().collect(),
+        writers: Some(ANY_WRITER).filter(|_| entry.writer_link != 0).into_iter().collect(),
+    }
+}
+
+/// Those that are not among `others`.
+fn without(permits: &[Permit], others: &[Permit]) -> Vec<Permit> {
+    permits.iter().filter(|permit| !others.contains(permit)).copied().collect()
 }
 
 const NO_REDIRECT: &str = "; frames leave here through the userspace plane, because the interface takes no redirected frames (a \
@@ -601,11 +647,12 @@ mod tests {
         let mut planes = Planes::open(config).unwrap();
         let name = |i: u8| Name::from_bytes(std::array::from_fn(|at| if at == 0 { i } else { 255 - i }));
         for i in [3, 1, 5, 2, 4] {
-            planes.set_route(name(i), FibEntry::default(), &[]).unwrap();
+            planes.set_route(name(i), &PlaneRoute::default()).unwrap();
         }
-        let error = planes.set_route(name(6), FibEntry::default(), &[]).unwrap_err().to_string();
+        let error = planes.set_route(name(6), &PlaneRoute::default()).unwrap_err().to_string();
         assert!(error.contains("the FIB is full (5 names)"), "{error}");
-        planes.set_route(name(5), FibEntry { local_link: 7, ..FibEntry::default() }, &[]).expect("it is there already");
+        let read = PlaneRoute { readers: vec![7], ..PlaneRoute::default() };
+        planes.set_route(name(5), &read).expect("it is there already");
 
         let page = |after: Option<u8>, limit| {
             let (page, more) = planes.routes_behind(after.map(name), limit).unwrap();

@@ -11,12 +11,12 @@ use gdp::link::{Link, LinkIds, Peer, Role};
 use gdp::name::NameProof;
 use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
-use gdp_wire::{FibEntry, LinkEntry, Name};
+use gdp_wire::{LinkEntry, Name};
 
 use super::hold::{Hold, NextHops};
 use super::routes::{Change, Routes};
 use crate::config::{Neighbour, Via};
-use crate::plane::{PlaneError, Planes};
+use crate::plane::{PlaneError, PlaneRoute, Planes};
 use crate::rib::fib::Pushed;
 use crate::rib::{Effect, Limits, Now, Rib};
 
@@ -45,7 +45,7 @@ pub struct Core {
     /// Endpoints that the RIB has attached here.
     pub attached: HashSet<Name>,
     /// Routes that the data plane refused, and why it refused the last.
-    unplaced: (BTreeMap<Name, (FibEntry, Vec<u32>)>, String),
+    unplaced: (BTreeMap<Name, PlaneRoute>, String),
     /// What an earlier daemon left, and the next hops that are known since.
     hold: (Hold, NextHops),
     start: Instant,
@@ -194,7 +194,7 @@ impl Core {
         }
         let replaced = self.peers.insert(peer, id).and_then(|old| self.links.get(&old)).map(|old| old.link.clone());
         self.links.insert(id, LinkState { link: link.clone(), via, entry, to });
-        let changes = self.routes.link_up(link.peer().role.into(), peer, id);
+        let changes = self.routes.link_up(link.peer().role, peer, id);
         self.carry_out(changes);
         if self.uplink == Some(peer) {
             self.uplink_ready = false;
@@ -205,7 +205,7 @@ impl Core {
     /// Takes a link out of service.
     pub fn link_down(&mut self, link: &Link) {
         let (id, peer) = (link.local_id(), link.peer().name);
-        let changes = self.routes.link_down(link.peer().role.into(), peer, id);
+        let changes = self.routes.link_down(link.peer().role, peer, id);
         self.carry_out(changes);
         self.downstream.retain(|_, via| *via != id);
         if self.peers.get(&peer) == Some(&id) {
@@ -468,9 +468,9 @@ impl Core {
                     self.hold.1 = *next_hops;
                     self.planes.set_next_hops(&self.hold.0.next_hops(&next_hops))
                 }
-                Change::Set(name, entry, permitted) => {
-                    let entry = self.hold.0.set(&name, entry, self.routes.awaits(&name));
-                    self.unplaced.0.insert(name, (entry, permitted));
+                Change::Set(name, route) => {
+                    let route = self.hold.0.set(&name, route, self.routes.awaits(&name));
+                    self.unplaced.0.insert(name, route);
                     Ok(())
                 }
                 Change::Remove(name) => {
@@ -491,8 +491,7 @@ impl Core {
     /// Gives the data planes the routes they do not hold yet, as far as they take them.
     fn place(&mut self) {
         while let Some(route) = self.unplaced.0.first_entry() {
-            let (entry, permitted) = route.get();
-            if let Err(error) = self.planes.set_route(*route.key(), *entry, permitted) {
+            if let Err(error) = self.planes.set_route(*route.key(), route.get()) {
                 self.unplaced.1 = error.to_string();
                 break;
             }

@@ -6,10 +6,10 @@ use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
 
 use gdp::link::{HOLD, LinkId, LinkIds};
+use gdp_wire::Name;
 use gdp_wire::table::EGRESS_SET_SIZE;
-use gdp_wire::{FibEntry, Name};
 
-use crate::plane::Left;
+use crate::plane::{Left, PlaneRoute};
 
 /// Link by egress bit.
 pub type NextHops = [u32; EGRESS_SET_SIZE as usize];
@@ -19,7 +19,7 @@ pub struct Hold {
     /// Kept so that no new link gets the same index.
     links: HashMap<u32, LinkId>,
     /// Routes that nobody has confirmed or taken back.
-    routes: BTreeMap<Name, FibEntry>,
+    routes: BTreeMap<Name, PlaneRoute>,
     next_hops: NextHops,
     until: Option<Instant>,
 }
@@ -35,7 +35,7 @@ impl Hold {
     pub fn new(left: &Left, ids: &LinkIds, now: Instant) -> Self {
         Self {
             links: left.links.iter().filter_map(|entry| Some((entry.id, ids.reserve(entry.id)?))).collect(),
-            routes: left.routes.iter().copied().collect(),
+            routes: left.routes.iter().cloned().collect(),
             next_hops: left.next_hops,
             until: Some(now + HOLD),
         }
@@ -54,19 +54,21 @@ impl Hold {
         })
     }
 
-    /// The route to set where `entry` is known of the name. `awaits`: its endpoint here has no link yet; it then still
+    /// The route to set where `route` is known of the name. `awaits`: its endpoint here has no link yet; it then still
     /// gets its frames on the one from before.
-    pub fn set(&mut self, name: &Name, entry: FibEntry, awaits: bool) -> FibEntry {
+    pub fn set(&mut self, name: &Name, mut route: PlaneRoute, awaits: bool) -> PlaneRoute {
         match self.routes.get(name) {
             Some(held) if awaits => {
-                let writer_link = if entry.writer_link == 0 { held.writer_link } else { entry.writer_link };
-                FibEntry { local_link: held.local_link, writer_link, ..entry }
+                route.readers.clone_from(&held.readers);
+                if route.writers.is_empty() {
+                    route.writers.clone_from(&held.writers);
+                }
             }
             _ => {
                 self.routes.remove(name);
-                entry
             }
         }
+        route
     }
 
     /// Whether the name's route goes, when nothing is known that leads there.
@@ -95,11 +97,12 @@ mod tests {
     #[test]
     fn a_route_stays_on_the_old_link_until_its_endpoint_has_a_new_one() {
         let (mut hold, _) = held();
-        let known = FibEntry { egress_bits: 3, local_link: 0, egress_set: 0, ..FibEntry::default() };
+        let known = PlaneRoute { egress_bits: 3, ..PlaneRoute::default() };
         assert!(!hold.remove(&name(1), true), "the endpoint is not back yet");
-        assert_eq!(hold.set(&name(1), known, true), FibEntry { local_link: OLD, ..known });
-        let found = FibEntry { local_link: 0x2405, ..known };
-        assert_eq!(hold.set(&name(1), found, false), found);
+        let old = PlaneRoute { readers: vec![OLD], ..known.clone() };
+        assert_eq!(hold.set(&name(1), known.clone(), true), old);
+        let found = PlaneRoute { readers: vec![0x2405], ..known };
+        assert_eq!(hold.set(&name(1), found.clone(), false), found);
         assert!(hold.remove(&name(1), true), "it is no longer the old one");
         assert!(hold.remove(&name(2), false), "taken back by the RIB");
         assert_eq!(hold.len(), (1, 0));
@@ -118,7 +121,7 @@ mod tests {
     #[test]
     fn what_nobody_confirmed_is_removed_in_the_end() {
         let (mut hold, ids) = held();
-        hold.set(&name(1), FibEntry::default(), false);
+        hold.set(&name(1), PlaneRoute::default(), false);
         let start = hold.until.expect("there is something") - HOLD;
         assert_eq!(hold.expire(start + HOLD / 2), None);
         assert!(ids.reserve(OLD + MAX_LINKS).is_none(), "no new link takes its place in the tables");
@@ -140,11 +143,11 @@ mod tests {
 
     fn held() -> (Hold, LinkIds) {
         let ids = LinkIds::new();
-        let route = |i| (name(i), FibEntry { egress_bits: 1, local_link: OLD, egress_set: 0, ..FibEntry::default() });
+        let route = |i| (name(i), PlaneRoute { egress_bits: 1, readers: vec![OLD], writers: vec![] });
         let mut next_hops = [0; EGRESS_SET_SIZE as usize];
         next_hops[1..3].copy_from_slice(&[OLD, 0x1499]);
         let links = vec![gdp_wire::LinkEntry { id: OLD, ..Default::default() }];
-        let left = Left { links, routes: vec![route(1), route(2)], next_hops, ports: HashMap::new() };
+        let left = Left { links, routes: vec![route(1), route(2)], next_hops, ports: Default::default() };
         (Hold::new(&left, &ids, Instant::now()), ids)
     }
 

@@ -4,8 +4,11 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use gdp::control::{Extent, FibPush, Route};
+use gdp::link::Role;
+use gdp_wire::Name;
 use gdp_wire::table::EGRESS_SET_SIZE;
-use gdp_wire::{FibEntry, LinkRole, Name};
+
+use crate::plane::PlaneRoute;
 
 /// One change of the data plane's tables. To be carried out in order.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,8 +21,7 @@ pub enum Change {
         bits: u64,
     },
     NextHops(Box<[u32; EGRESS_SET_SIZE as usize]>),
-    /// With the links that may send to the name, besides the one in the entry.
-    Set(Name, FibEntry, Vec<u32>),
+    Set(Name, PlaneRoute),
     Remove(Name),
 }
 
@@ -82,14 +84,14 @@ impl Routes {
     }
 
     /// A link is up; it replaces one to the same peer.
-    pub fn link_up(&mut self, role: LinkRole, peer: Name, link: u32) -> Vec<Change> {
+    pub fn link_up(&mut self, role: Role, peer: Name, link: u32) -> Vec<Change> {
         match role {
-            LinkRole::Switch => {
+            Role::Switch => {
                 self.switches.insert(peer, link);
                 let bits = self.reach.get(&peer).copied().unwrap_or(0);
                 vec![Change::Reach { link, bits }, self.next_hops()]
             }
-            LinkRole::Endpoint => {
+            Role::Endpoint => {
                 self.endpoints.insert(peer, link);
                 self.resolve_all_of(&peer)
             }
@@ -97,13 +99,13 @@ impl Routes {
     }
 
     /// A link is gone. Nothing happens if another one to the same peer has replaced it.
-    pub fn link_down(&mut self, role: LinkRole, peer: Name, link: u32) -> Vec<Change> {
+    pub fn link_down(&mut self, role: Role, peer: Name, link: u32) -> Vec<Change> {
         match role {
-            LinkRole::Switch if self.switches.get(&peer) == Some(&link) => {
+            Role::Switch if self.switches.get(&peer) == Some(&link) => {
                 self.switches.remove(&peer);
                 vec![self.next_hops()]
             }
-            LinkRole::Endpoint if self.endpoints.get(&peer) == Some(&link) => {
+            Role::Endpoint if self.endpoints.get(&peer) == Some(&link) => {
                 self.endpoints.remove(&peer);
                 self.resolve_all_of(&peer)
             }
@@ -218,22 +220,18 @@ impl Routes {
 
     /// A name without bits and without a link here leads nowhere: then the data plane need not hold it.
     fn resolve(&self, route: &Route) -> Change {
-        let local_link = route.local.and_then(|local| self.endpoints.get(&local)).copied().unwrap_or(0);
-        if route.egress_bits == 0 && local_link == 0 {
+        let readers: Vec<u32> = route.local.iter().filter_map(|local| self.endpoints.get(local)).copied().collect();
+        if route.egress_bits == 0 && readers.is_empty() {
             return Change::Remove(route.name);
         }
-        let mut writers = route.writers.iter().filter_map(|writer| self.endpoints.get(writer)).copied();
-        let writer_link = writers.next().unwrap_or(0);
-        let others: Vec<u32> = writers.collect();
-        let entry = FibEntry {
-            egress_bits: route.egress_bits,
-            local_link,
-            egress_set: 0,
-            writer_link,
-            more_writers: u32::from(!others.is_empty()),
-        };
-        Change::Set(route.name, entry, others)
+        let writers = sorted(route.writers.iter().filter_map(|writer| self.endpoints.get(writer)));
+        Change::Set(route.name, PlaneRoute { egress_bits: route.egress_bits, readers, writers })
     }
+}
+
+fn sorted<'a>(links: impl Iterator<Item = &'a u32>) -> Vec<u32> {
+    let set: BTreeSet<u32> = links.copied().collect();
+    set.into_iter().collect()
 }
 
 /// The local endpoints that read or write a name.
@@ -252,17 +250,17 @@ mod tests {
         let changes = r.push(&first).unwrap();
         assert_eq!(changes[0], Change::OwnBit(2));
         assert!(changes.contains(&Change::Remove(name(1))), "its endpoint has no link yet");
-        assert!(changes.contains(&set(2, entry(4, 0), &[])));
+        assert!(changes.contains(&set(2, 4, &[], &[])));
 
-        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 70), [set(1, entry(0, 70), &[])]);
-        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 71), [set(1, entry(0, 71), &[])], "it moved");
-        assert_eq!(r.link_down(LinkRole::Endpoint, name(7), 70), [], "the old link no longer matters");
-        assert_eq!(r.link_down(LinkRole::Endpoint, name(7), 71), [Change::Remove(name(1))]);
+        assert_eq!(r.link_up(Role::Endpoint, name(7), 70), [set(1, 0, &[70], &[])]);
+        assert_eq!(r.link_up(Role::Endpoint, name(7), 71), [set(1, 0, &[71], &[])], "it moved");
+        assert_eq!(r.link_down(Role::Endpoint, name(7), 70), [], "the old link no longer matters");
+        assert_eq!(r.link_down(Role::Endpoint, name(7), 71), [Change::Remove(name(1))]);
 
-        let changes = r.link_up(LinkRole::Switch, name(9), 90);
+        let changes = r.link_up(Role::Switch, name(9), 90);
         assert_eq!(changes[0], Change::Reach { link: 90, bits: 0b101 });
         assert_eq!(hops(&changes[1])[..4], [90, 0, 90, 0]);
-        let changes = r.link_down(LinkRole::Switch, name(9), 90);
+        let changes = r.link_down(Role::Switch, name(9), 90);
         assert_eq!(hops(&changes[0])[..4], [0; 4]);
     }
 
@@ -270,17 +268,17 @@ mod tests {
     fn writers_become_links_and_lose_their_permission_with_them() {
         let mut r = Routes::default();
         let written = |by: &[u8]| Route { writers: by.iter().copied().map(name).collect(), ..route(1, 4, None) };
-        let by = |writer_link, more_writers| FibEntry { writer_link, more_writers, ..entry(4, 0) };
+        let by = |writers: &[u32]| set(1, 4, &[], writers);
         let first = r.push(&push(1, Extent::Full { part: 0, last: true }, vec![written(&[7, 8, 9])])).unwrap();
-        assert!(first.contains(&set(1, by(0, 0), &[])), "none of them has a link");
-        assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 80), [set(1, by(80, 0), &[])]);
-        assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 70), [set(1, by(70, 1), &[80])]);
-        assert_eq!(r.link_up(LinkRole::Endpoint, name(9), 90), [set(1, by(70, 1), &[80, 90])]);
-        assert_eq!(r.link_up(LinkRole::Endpoint, name(6), 60), [], "this one does not publish it");
-        assert_eq!(r.push(&push(2, Extent::Delta, vec![written(&[8, 9])])).unwrap(), [set(1, by(80, 1), &[90])]);
-        assert_eq!(r.link_down(LinkRole::Endpoint, name(7), 70), [], "nor does this one any more");
-        assert_eq!(r.link_down(LinkRole::Endpoint, name(8), 80), [set(1, by(90, 0), &[])]);
-        assert_eq!(r.link_down(LinkRole::Endpoint, name(9), 90), [set(1, by(0, 0), &[])]);
+        assert!(first.contains(&by(&[])), "none of them has a link");
+        assert_eq!(r.link_up(Role::Endpoint, name(8), 80), [by(&[80])]);
+        assert_eq!(r.link_up(Role::Endpoint, name(7), 70), [by(&[70, 80])]);
+        assert_eq!(r.link_up(Role::Endpoint, name(9), 90), [by(&[70, 80, 90])]);
+        assert_eq!(r.link_up(Role::Endpoint, name(6), 60), [], "this one does not publish it");
+        assert_eq!(r.push(&push(2, Extent::Delta, vec![written(&[8, 9])])).unwrap(), [by(&[80, 90])]);
+        assert_eq!(r.link_down(Role::Endpoint, name(7), 70), [], "nor does this one any more");
+        assert_eq!(r.link_down(Role::Endpoint, name(8), 80), [by(&[90])]);
+        assert_eq!(r.link_down(Role::Endpoint, name(9), 90), [by(&[])]);
     }
 
     #[test]
@@ -288,7 +286,7 @@ mod tests {
         let mut r = Routes::default();
         r.push(&push(1, Extent::Full { part: 0, last: true }, vec![route(1, 1, None), route(2, 1, None)])).unwrap();
         let changes = r.push(&push(9, Extent::Full { part: 0, last: false }, vec![route(3, 1, None)])).unwrap();
-        assert_eq!(changes, [set(3, entry(1, 0), &[])], "nothing is swept before the last part");
+        assert_eq!(changes, [set(3, 1, &[], &[])], "nothing is swept before the last part");
         let changes = r.push(&push(10, Extent::Full { part: 1, last: true }, vec![route(2, 1, None)])).unwrap();
         assert_eq!(changes, [Change::Remove(name(1))], "and what was confirmed is not touched");
         assert_eq!(r.len(), 2);
@@ -320,12 +318,8 @@ mod tests {
         Route { name: name(i), egress_bits, local: local.map(name), writers: vec![] }
     }
 
-    fn set(i: u8, entry: FibEntry, permitted: &[u32]) -> Change {
-        Change::Set(name(i), entry, permitted.to_vec())
-    }
-
-    fn entry(egress_bits: u64, local_link: u32) -> FibEntry {
-        FibEntry { egress_bits, local_link, ..FibEntry::default() }
+    fn set(i: u8, egress_bits: u64, readers: &[u32], writers: &[u32]) -> Change {
+        Change::Set(name(i), PlaneRoute { egress_bits, readers: readers.into(), writers: writers.into() })
     }
 
     fn hops(change: &Change) -> &[u32; 64] {

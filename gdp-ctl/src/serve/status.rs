@@ -105,15 +105,15 @@ pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, 
 
 fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
     let own = core.routes.own_bit().map_or(0, |bit| 1u64 << bit);
-    let local = (entry.local_link != 0).then(|| peers.get(&entry.local_link)).flatten();
+    let names = |links: Vec<u32>| links.iter().filter_map(|link| peers.get(link)).copied().collect::<Vec<_>>();
     json!({
         "name": name,
         "egress_bits": format!("{:#x}", entry.egress_bits),
         "own": entry.egress_bits & own != 0,
         "toward": core.routes.neighbours_toward(entry.egress_bits & !own),
-        "local": local,
-        "writers": core.planes.writers(name).iter().filter_map(|link| peers.get(link)).collect::<Vec<_>>(),
-        "local_link": entry.local_link,
+        "local": names(core.planes.readers(entry)),
+        "writers": names(core.planes.writers(name)),
+        "group": entry.group,
     })
 }
 

@@ -3,18 +3,20 @@
 use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
 
-use gdp_wire::forward::{self, Kind, Plane};
+use gdp_wire::forward::{self, Copy, Kind};
 use gdp_wire::replay::{self, Window};
-use gdp_wire::table::Tables;
-use gdp_wire::{Counter, FibEntry, Header, LinkEntry, Name};
+use gdp_wire::table::{PORT_USERSPACE, Tables};
+use gdp_wire::{Counter, FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
 use zerocopy::{FromBytes, IntoBytes};
 
-use crate::frames::fixtures::{Bytes, Expected, Switch, Verdict};
+use crate::frames::fixtures::{Bytes, CopyOut, Expected, Switch, Verdict};
 
-pub struct PlainTables {
+/// `KERNEL`: leaves to another plane what it cannot send.
+pub struct PlainTables<const KERNEL: bool> {
     links: HashMap<u32, LinkEntry>,
     routes: HashMap<Name, FibEntry>,
-    permits: HashSet<(u32, Name)>,
+    permits: HashSet<Permit>,
+    groups: HashMap<u32, Vec<u32>>,
     next_hops: [u32; 64],
     own_bit: u64,
     ethertype: u16,
@@ -22,12 +24,13 @@ pub struct PlainTables {
     windows: HashMap<u32, Window>,
 }
 
-impl PlainTables {
+impl<const KERNEL: bool> PlainTables<KERNEL> {
     pub fn new(switch: &Switch) -> Self {
         Self {
             links: switch.links().map(|link| (link.id, link)).collect(),
             routes: switch.routes().map(|(name, entry, _)| (name, entry)).collect(),
-            permits: switch.routes().flat_map(|(name, _, more)| more.iter().map(move |link| (*link, name))).collect(),
+            permits: switch.routes().flat_map(|(_, _, permits)| permits).collect(),
+            groups: switch.groups().map(|(group, readers)| (group, readers.to_vec())).collect(),
             next_hops: switch.next_hops(),
             own_bit: switch.config().own_bit,
             ethertype: switch.ethertype,
@@ -37,44 +40,83 @@ impl PlainTables {
     }
 
     /// What becomes of an Ethernet frame.
-    pub fn run(&self, frame: &[u8], plane: Plane) -> Expected {
-        let outcome = |verdict, counter: Counter| Expected { verdict, counter: counter.as_str().into(), frame: None };
+    pub fn run(&self, frame: &[u8]) -> Expected {
         if frame[12..14] != self.ethertype.to_be_bytes() {
             return outcome(Verdict::Pass, Counter::Foreign);
         }
         match frame.get(14).copied().map(forward::classify) {
-            Some(Kind::Data) => {}
+            Some(Kind::Headed) => {}
             Some(Kind::Control) => return outcome(Verdict::Pass, Counter::Control),
             Some(Kind::Unknown) => return outcome(Verdict::Drop, Counter::Unknown),
             None => return outcome(Verdict::Drop, Counter::Truncated),
         }
-        let Ok((mut header, _)) = Header::read_from_prefix(&frame[14..]) else {
+        let Ok((mut header, payload)) = Header::read_from_prefix(&frame[14..]) else {
             return outcome(Verdict::Drop, Counter::Truncated);
         };
-        match forward::decide(&mut header, frame.len() - 14, self, plane) {
+        let ingress = header.link_id();
+        let send = |link: &LinkEntry, header: &Header, payload: &[u8], counter| {
             // The fixtures leave this port without an interface.
-            forward::Verdict::Send(LinkEntry { port: 63, .. }, _) if plane == Plane::Kernel => {
-                outcome(Verdict::Drop, Counter::RedirectFailed)
+            if KERNEL && link.port == 63 {
+                return outcome(Verdict::Drop, Counter::RedirectFailed);
             }
-            forward::Verdict::Send(link, counter) => {
-                let mut out = frame.to_vec();
-                out[..12].copy_from_slice([link.peer_mac, link.local_mac].as_bytes());
-                out[14..14 + Header::LEN].copy_from_slice(header.as_bytes());
-                Expected { frame: Some(Bytes::new(&out)), ..outcome(Verdict::Send, counter) }
+            let frame = Some(self.carried(link, header, payload));
+            Expected { frame, ..outcome(Verdict::Send, counter) }
+        };
+        match forward::decide(&mut header, frame.len() - 14, self) {
+            forward::Verdict::Send(link, counter) => send(link, &header, payload, counter),
+            forward::Verdict::Answer(link, counter) => send(link, &header, &[], counter),
+            forward::Verdict::Copies(group) => {
+                let copies = self.copies(&header, payload, group, ingress);
+                Expected { copies, ..outcome(Verdict::Copy, Counter::Replicated) }
             }
+            forward::Verdict::Notice(_) => outcome(Verdict::Pass, Counter::Notice),
             forward::Verdict::Slow => outcome(Verdict::Pass, Counter::Slow),
             forward::Verdict::Drop(counter) => outcome(Verdict::Drop, counter),
         }
     }
+
+    fn copies(&self, header: &Header, payload: &[u8], group: u32, ingress: u32) -> Vec<CopyOut> {
+        let neighbours = self.links.values().filter(|link| link.role == LinkRole::Switch as u32).map(|link| link.id);
+        let members = self.groups.get(&group).into_iter().flatten().copied().chain(neighbours);
+        let links = members.filter_map(|id| self.links.get(&id));
+        let mut copies: Vec<CopyOut> = links
+            .filter_map(|link| {
+                let mut header = *header;
+                let length = Header::LEN + payload.len();
+                match forward::copy(&mut header, length, link, &self.links[&ingress], self) {
+                    Copy::Send(counter) => {
+                        let frame = Some(self.carried(link, &header, payload));
+                        Some(CopyOut { frame, counter: counter.as_str().into() })
+                    }
+                    Copy::Drop(counter) => Some(CopyOut { frame: None, counter: counter.as_str().into() }),
+                    Copy::None => None,
+                }
+            })
+            .collect();
+        copies.sort();
+        copies
+    }
+
+    fn carried(&self, link: &LinkEntry, header: &Header, payload: &[u8]) -> Bytes {
+        let addresses = [link.carrier.peer_mac, link.carrier.local_mac];
+        let ethertype = self.ethertype.to_be_bytes();
+        Bytes::new(&[addresses.as_bytes(), &ethertype, header.as_bytes(), payload].concat())
+    }
 }
 
-impl Tables for PlainTables {
+fn outcome(verdict: Verdict, counter: Counter) -> Expected {
+    Expected { verdict, counter: counter.as_str().into(), frame: None, copies: vec![] }
+}
+
+impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
+    const LAST: bool = !KERNEL;
+
     fn link(&self, id: u32) -> Option<&LinkEntry> {
         self.links.get(&id)
     }
 
-    fn route(&self, name: &Name) -> Option<&FibEntry> {
-        self.routes.get(name)
+    fn route(&self, name: &Name) -> Option<FibEntry> {
+        self.routes.get(name).copied()
     }
 
     fn next_hop(&self, bit: u32) -> u32 {
@@ -85,8 +127,8 @@ impl Tables for PlainTables {
         self.own_bit
     }
 
-    fn is_permitted(&self, link: &LinkEntry, name: &Name) -> bool {
-        self.permits.contains(&(link.id, *name))
+    fn is_permitted(&self, permit: &Permit) -> bool {
+        self.permits.contains(permit)
     }
 
     fn window(&self, link: &LinkEntry) -> Option<impl replay::Words> {
@@ -98,6 +140,18 @@ impl Tables for PlainTables {
         let count = sent.entry(link.id).or_default();
         *count += 1;
         *count
+    }
+
+    fn can_send(&self, link: &LinkEntry) -> bool {
+        link.port != PORT_USERSPACE
+    }
+
+    fn can_copy(&self, _: u32, _: usize) -> bool {
+        true
+    }
+
+    fn may_complain(&self, _: &LinkEntry) -> bool {
+        true
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
-use gdp_wire::{Counter, Header, forward, replay};
+use gdp_wire::{Counter, FrameType, Header, forward, replay};
 use quinn::VarInt;
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -33,9 +33,9 @@ async fn both_sides_prove_their_names_and_share_keys() {
         let mut header = Header::data(switch.name(), endpoint.name(), 0);
         forward::stamp(&mut header, from, 1);
         let window = replay::empty();
-        assert_eq!(forward::accept(&header, Header::LEN, to, &window), Ok(()));
+        assert_eq!(forward::accept(&header, Header::LEN, to, &window), Ok(FrameType::Data));
         assert_eq!(forward::accept(&header, Header::LEN, to, &window), Err(Counter::Replayed));
-        assert_ne!(from.tx_key, from.rx_key);
+        assert_ne!(from.tx_keys[0], from.rx_keys[0]);
         header.set_link_id(other_way.id);
         assert_eq!(forward::accept(&header, Header::LEN, other_way, &window), Err(Counter::BadTag), "reflected");
     }
@@ -48,7 +48,7 @@ async fn every_link_has_keys_and_ids_of_its_own() {
     for _ in 0..4 {
         let (client, server) = link(&dialler, &listener).await;
         let entry = server.entry(0);
-        for key in [entry.rx_key, entry.tx_key] {
+        for key in [entry.rx_keys, entry.tx_keys].concat() {
             assert!(seen.insert(key));
         }
         assert!(seen.insert([entry.id.into(), 0]), "an id used again at once");
@@ -236,7 +236,7 @@ async fn data_frames_pass_beside_quic() {
             socket.try_recv_batch(&mut batch).unwrap();
             for (frame, _) in batch.frames() {
                 let header = Header::ref_from_prefix(frame).expect("aligned").0;
-                assert_eq!(forward::accept(header, frame.len(), &input, &window), Ok(()));
+                assert_eq!(forward::accept(header, frame.len(), &input, &window), Ok(FrameType::Data));
                 assert_eq!(header.link_counter(), count);
                 assert_eq!(frame[Header::LEN..], payload);
                 count += 1;

@@ -31,6 +31,8 @@ pub struct Counters {
     pub frames_unsent: Count,
     pub frames_received: Count,
     pub links: Count,
+    /// Errors and echoes from the switch.
+    pub notices: Count,
     /// Frames refused before their payload was looked at, by [`Counter`].
     pub refused: [Count; Counter::COUNT],
     /// Frames for a name nobody here subscribed to.
@@ -54,6 +56,8 @@ pub struct NodeCounters {
     pub frames_received: u64,
     /// Links made so far; all but the first are reconnections.
     pub links: u64,
+    /// Errors and echoes from the switch.
+    pub notices: u64,
     /// Frames, segments and messages that were dropped on arrival, by reason. Reasons without a drop are left out.
     pub drops: BTreeMap<&'static str, u64>,
 }
@@ -76,6 +80,7 @@ impl Counters {
             frames_unsent: self.frames_unsent.get(),
             frames_received: self.frames_received.get(),
             links: self.links.get(),
+            notices: self.notices.get(),
             drops: refused.chain(dropped).chain(own).filter(|(_, count)| *count > 0).collect(),
         }
     }

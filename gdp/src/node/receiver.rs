@@ -7,7 +7,7 @@ use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use gdp_wire::replay::{self, Window};
-use gdp_wire::{Header, LinkEntry, Name, forward};
+use gdp_wire::{FrameType, Header, LinkEntry, Name, forward};
 use tokio::sync::mpsc as async_mpsc;
 use zerocopy::FromBytes;
 
@@ -194,9 +194,16 @@ impl Intakes {
                 continue;
             };
             let link = links.of(header);
-            if let Err(counter) = forward::accept(header, frame.len(), &link.entry, &*link.window) {
-                counters.refused[counter as usize].add(1);
-                continue;
+            match forward::accept(header, frame.len(), &link.entry, &*link.window) {
+                Ok(FrameType::Data) => {}
+                Ok(_) => {
+                    counters.notices.add(1);
+                    continue;
+                }
+                Err(counter) => {
+                    counters.refused[counter as usize].add(1);
+                    continue;
+                }
             }
             let Some(intake) = self.intakes.get_mut(&header.destination) else {
                 counters.not_subscribed.add(1);

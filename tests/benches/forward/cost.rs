@@ -91,7 +91,7 @@ impl Ring {
         let mut plane = KernelPlane::load(object, 1024)?;
         plane.set_port(0, LOOPBACK)?;
         plane.set_config(SwitchConfig { own_bit: 1, ethertype: gdp_wire::ETHERTYPE.into(), reserved: 0 })?;
-        let link = LinkEntry { peer_id: IN, rx_key: KEY, tx_key: KEY, mtu: 1500, ..LinkEntry::default() };
+        let link = LinkEntry { peer_id: IN, rx_keys: [KEY; 2], tx_keys: [KEY; 2], mtu: 1500, ..LinkEntry::default() };
         plane.set_link(&LinkEntry { id: IN, role: role as u32, peer: Name::from_bytes(WRITER), ..link })?;
         plane.set_link(&LinkEntry { id: OUT, role: LinkRole::Switch as u32, reach: 1 << EGRESS, ..link })?;
         let entry = FibEntry { egress_bits: 1 << EGRESS, writer_link: IN, ..FibEntry::default() };

@@ -7,12 +7,12 @@ use aya::maps::{DevMap, MapData};
 use gdp::identity::Identity;
 use gdp::link::LinkIds;
 use gdp::port::{Interface, LinkAddr, Port, PortConfig};
-use gdp_ctl::plane::{PlaneConfig, Planes, Wanted};
+use gdp_ctl::plane::{PlaneConfig, PlaneRoute, Planes, Wanted};
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::frames::Frame;
 use gdp_tests::netns::{Entered, Namespace, execute};
 use gdp_tests::packet::ETHERNET;
-use gdp_wire::{Counter, FibEntry, LinkEntry, LinkRole, Name};
+use gdp_wire::{Carrier, Counter, LinkEntry, LinkRole, Name};
 
 use crate::Bench;
 use crate::traffic::{Frames, Programs};
@@ -129,7 +129,7 @@ impl Path {
         Frames {
             frame: bytes,
             header_at: ETHERNET + around,
-            link: LinkEntry { id: LEFT, peer_id: LEFT, tx_key: key(0), ..LinkEntry::default() },
+            link: LinkEntry { id: LEFT, peer_id: LEFT, tx_keys: [key(0); 2], ..LinkEntry::default() },
             tagged: self.kind != Kind::Untagged,
         }
     }
@@ -186,9 +186,8 @@ impl Switch {
         let beyond = ((1 << hops) - 1) & !(own_bit | (own_bit - 1));
         planes.set_link(link(RIGHT, last, (beyond, key(i + 1)), (mac(i + 1, 2), mac(i + 1, 1))), addresses[1])?;
         if first || last {
-            let local_link = if last { RIGHT } else { 0 };
-            let entry = FibEntry { egress_bits: 1 << (hops - 1), local_link, writer_link: LEFT, ..FibEntry::default() };
-            planes.set_route(TOPIC, entry, &[])?;
+            let readers = if last { vec![RIGHT] } else { vec![] };
+            planes.set_route(TOPIC, &PlaneRoute { egress_bits: 1 << (hops - 1), readers, writers: vec![LEFT] })?;
         }
         let mut next_hops = [0; 64];
         (i + 1..hops).for_each(|bit| next_hops[bit] = RIGHT);
@@ -214,17 +213,15 @@ fn link(
     (reach, key): (u64, [u64; 2]),
     (peer_mac, local_mac): ([u8; 6], [u8; 6]),
 ) -> LinkEntry {
-    let words = |mac: [u8; 6]| [0, 2, 4].map(|i| u16::from_ne_bytes([mac[i], mac[i + 1]]));
     LinkEntry {
         id,
         peer_id: LEFT,
         role: if endpoint { LinkRole::Endpoint } else { LinkRole::Switch } as u32,
-        rx_key: key,
-        tx_key: key,
+        rx_keys: [key; 2],
+        tx_keys: [key; 2],
         reach: if endpoint { 0 } else { reach },
         mtu: 1500,
-        peer_mac: words(peer_mac),
-        local_mac: words(local_mac),
+        carrier: Carrier::ethernet(peer_mac, local_mac),
         ..LinkEntry::default()
     }
 }

@@ -30,9 +30,12 @@ pub struct Link {
     pub role: Role,
     /// `null`: no interface the kernel can redirect to.
     pub port: Option<u32>,
-    /// SipHash keys, 16 bytes.
-    pub rx_key: String,
-    pub tx_key: String,
+    /// SipHash keys, 16 bytes, by key phase.
+    pub rx_keys: [String; 2],
+    pub tx_keys: [String; 2],
+    /// Key phase of frames that leave.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub tx_phase: u32,
     /// Numbers of egress bits.
     pub reach: Vec<u32>,
     pub mtu: u32,
@@ -52,6 +55,7 @@ pub struct Link {
 pub enum Role {
     Endpoint,
     Switch,
+    Border,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -61,10 +65,13 @@ pub struct Route {
     /// Numbers of egress bits.
     pub egress: Vec<u32>,
     pub egress_set: u8,
-    /// 0: none.
-    pub local_link: u32,
-    /// The links of the endpoints that may send to the name.
+    /// The links of the local readers.
+    pub readers: Vec<u32>,
+    /// The links that may send to the name.
     pub writers: Vec<u32>,
+    /// The links of other domains that may send as this name.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sources: Vec<u32>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -83,7 +90,7 @@ pub struct Case {
     pub userspace: Option<Expected>,
 }
 
-/// What becomes of a frame. Exactly one counter goes up, by one.
+/// What becomes of a frame. Exactly one counter goes up, by one; and those of its copies, each by one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Expected {
     pub verdict: Verdict,
@@ -91,18 +98,33 @@ pub struct Expected {
     /// The frame as it leaves, of a frame that is sent. What passes is unchanged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<Bytes>,
+    /// In the order of their bytes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub copies: Vec<CopyOut>,
+}
+
+/// What becomes of a copy of a frame.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct CopyOut {
+    /// `None`: dropped.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<Bytes>,
+    pub counter: String,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
+    /// As it was rewritten; or an answer to the neighbour it came from.
     Send,
+    /// Copies of it.
+    Copy,
     /// To the host, which the daemon is part of.
     Pass,
     Drop,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Bytes {
     pub hex: String,
     #[serde(default, skip_serializing_if = "is_zero")]
@@ -141,20 +163,33 @@ impl Switch {
         self.links.iter().map(Link::entry)
     }
 
-    /// With the links that need a permit, because the entry has room for one only.
-    pub fn routes(&self) -> impl Iterator<Item = (gdp_wire::Name, gdp_wire::FibEntry, &[u32])> {
-        self.routes.iter().map(|route| {
+    /// With the permits that the entry has no room for.
+    pub fn routes(&self) -> impl Iterator<Item = (gdp_wire::Name, gdp_wire::FibEntry, Vec<gdp_wire::Permit>)> {
+        (0..).zip(&self.routes).map(|(index, route)| {
             let name = gdp_wire::Name::from_bytes(array(&route.name));
             let (first, more) = route.writers.split_first().unwrap_or((&0, &[]));
             let entry = gdp_wire::FibEntry {
                 egress_bits: bits(&route.egress),
-                local_link: route.local_link,
-                egress_set: route.egress_set.into(),
+                local_link: if let [link] = route.readers[..] { link } else { 0 },
+                group: if route.readers.is_empty() { gdp_wire::table::NEIGHBOURS } else { index + 1 },
                 writer_link: *first,
-                more_writers: u32::from(!more.is_empty()),
+                egress_set: route.egress_set,
+                more_writers: u8::from(!more.is_empty()),
+                reserved: 0,
             };
-            (name, entry, more)
+            let permit = |part: u32| move |link: &u32| gdp_wire::Permit { name, link: *link, part };
+            let destinations = more.iter().map(permit(gdp_wire::Permit::DESTINATION));
+            let sources = route.sources.iter().map(permit(gdp_wire::Permit::SOURCE));
+            (name, entry, destinations.chain(sources).collect())
         })
+    }
+
+    /// The links of the local readers of each group.
+    pub fn groups(&self) -> impl Iterator<Item = (u32, &[u32])> {
+        (1..)
+            .zip(&self.routes)
+            .filter(|(_, route)| !route.readers.is_empty())
+            .map(|(group, route)| (group, &route.readers[..]))
     }
 
     pub fn next_hops(&self) -> [u32; 64] {
@@ -172,15 +207,16 @@ impl Link {
             role: match self.role {
                 Role::Endpoint => gdp_wire::LinkRole::Endpoint,
                 Role::Switch => gdp_wire::LinkRole::Switch,
+                Role::Border => gdp_wire::LinkRole::Border,
             } as u32,
             port: self.port.unwrap_or(gdp_wire::table::PORT_USERSPACE),
-            rx_key: key(&self.rx_key),
-            tx_key: key(&self.tx_key),
+            rx_keys: self.rx_keys.each_ref().map(|text| key(text)),
+            tx_keys: self.tx_keys.each_ref().map(|text| key(text)),
             reach: bits(&self.reach),
-            mtu: self.mtu,
-            peer_mac: mac(&self.peer_mac),
-            local_mac: mac(&self.local_mac),
             peer: gdp_wire::Name::from_bytes(array(&self.peer)),
+            mtu: self.mtu,
+            tx_phase: self.tx_phase,
+            carrier: gdp_wire::Carrier::ethernet(mac(&self.peer_mac), mac(&self.local_mac)),
         }
     }
 }
@@ -204,15 +240,14 @@ pub fn key(text: &str) -> [u64; 2] {
     [0, 8].map(|i| u64::from_le_bytes(bytes[i..i + 8].try_into().expect("eight bytes")))
 }
 
-fn mac(text: &str) -> [u16; 3] {
-    let bytes: [u8; 6] = array(&text.replace(':', ""));
-    [0, 2, 4].map(|i| u16::from_ne_bytes([bytes[i], bytes[i + 1]]))
+fn mac(text: &str) -> [u8; 6] {
+    array(&text.replace(':', ""))
 }
 
 fn bits(numbers: &[u32]) -> u64 {
     numbers.iter().fold(0, |bits, number| bits | 1 << number)
 }
 
-fn is_zero(number: &usize) -> bool {
-    *number == 0
+fn is_zero<T: PartialEq + Default>(number: &T) -> bool {
+    *number == T::default()
 }

@@ -1,0 +1,85 @@
+//! Which group of links takes the copies of a name: names with the same local readers share one. Sans-IO; the numbers are
+//! [`gdp_wire::FibEntry::group`]. Called by [`super::Planes`].
+
+use std::collections::{BTreeSet, HashMap};
+
+use gdp_wire::table::NEIGHBOURS;
+
+/// The groups in use.
+#[derive(Default)]
+pub struct Groups {
+    by_readers: HashMap<Box<[u32]>, u32>,
+    used: HashMap<u32, Group>,
+    free: BTreeSet<u32>,
+}
+
+struct Group {
+    readers: Box<[u32]>,
+    names: usize,
+}
+
+impl Groups {
+    /// The group of these readers, for one more name; and whether it is new. `readers`: link ids, sorted, without duplicates.
+    /// The lowest free number is taken first: the kernel holds only so many groups.
+    pub fn take(&mut self, readers: &[u32]) -> (u32, bool) {
+        if readers.is_empty() {
+            return (NEIGHBOURS, false);
+        }
+        if let Some(number) = self.by_readers.get(readers) {
+            if let Some(group) = self.used.get_mut(number) {
+                group.names += 1;
+            }
+            return (*number, false);
+        }
+        // Numbers are used without gaps, but for those that are free.
+        let number = self.free.pop_first().unwrap_or(self.used.len() as u32 + 1);
+        self.by_readers.insert(readers.into(), number);
+        self.used.insert(number, Group { readers: readers.into(), names: 1 });
+        (number, true)
+    }
+
+    /// One name less; `true` if it was the last of its group, which is then free.
+    pub fn release(&mut self, number: u32) -> bool {
+        let Some(group) = self.used.get_mut(&number) else { return false };
+        group.names -= 1;
+        if group.names > 0 {
+            return false;
+        }
+        if let Some(group) = self.used.remove(&number) {
+            self.by_readers.remove(&group.readers);
+        }
+        self.free.insert(number);
+        true
+    }
+
+    /// The local readers of a group.
+    pub fn readers(&self, number: u32) -> &[u32] {
+        self.used.get(&number).map_or(&[], |group| &group.readers)
+    }
+
+    /// All groups in use, with their local readers.
+    pub fn iter(&self) -> impl Iterator<Item = (u32, &[u32])> {
+        self.used.iter().map(|(number, group)| (*number, &*group.readers))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_with_the_same_readers_share_a_group() {
+        let mut groups = Groups::default();
+        assert_eq!(groups.take(&[]), (NEIGHBOURS, false));
+        assert_eq!(groups.take(&[7, 9]), (1, true));
+        assert_eq!(groups.take(&[7]), (2, true));
+        assert_eq!(groups.take(&[7, 9]), (1, false));
+        assert_eq!(groups.readers(1), [7, 9]);
+        assert!(!groups.release(1) && groups.release(1), "the second name was the last");
+        assert_eq!((groups.readers(1), groups.readers(2)), (&[][..], &[7][..]));
+        assert_eq!(groups.take(&[8]), (1, true), "a free number is used again");
+        assert_eq!(groups.take(&[9]), (3, true));
+        assert!(!groups.release(NEIGHBOURS) && !groups.release(99), "not ours to free");
+        assert_eq!(groups.iter().count(), 3);
+    }
+}

@@ -1,0 +1,64 @@
+//! What must be true of a frame before anything is looked up for it: its form, its link, its tag, and that it is new.
+
+use super::{FrameType, frame_type};
+use crate::replay::{self, Words};
+use crate::siphash::siphash24;
+use crate::table::Tables;
+use crate::{Counter, Header, LinkEntry};
+
+/// A frame that an authenticated neighbour sent.
+pub struct Arrival<'t, W> {
+    pub link: &'t LinkEntry,
+    pub window: W,
+    /// The whole count of the frame on its link.
+    pub count: u64,
+}
+
+/// The link a frame came in on, its replay window and the frame's count, if it is well-formed, authentic and not known.
+#[inline(always)]
+pub fn arrival<'t, T: Tables>(
+    header: &Header,
+    available: usize,
+    tables: &'t T,
+) -> Result<Arrival<'t, impl Words + use<'t, T>>, Counter> {
+    well_formed(header, available)?;
+    let link = tables.link(header.link_id()).ok_or(Counter::NoLink)?;
+    let window = tables.window(link).ok_or(Counter::NoLink)?;
+    let count = authentic(header, link, &window)?;
+    if replay::is_fresh(&window, count) { Ok(Arrival { link, window, count }) } else { Err(Counter::Replayed) }
+}
+
+/// Takes a frame as an endpoint receives it on `link`: checks its form, that the neighbour sent it, and that it was not
+/// taken before. What it is: data, an error or an echo.
+pub fn accept(header: &Header, available: usize, link: &LinkEntry, window: &impl Words) -> Result<FrameType, Counter> {
+    let frame_type = well_formed(header, available)?;
+    if header.link_id() != link.id {
+        return Err(Counter::NoLink);
+    }
+    let count = authentic(header, link, window)?;
+    if replay::take(window, count) { Ok(frame_type) } else { Err(Counter::Replayed) }
+}
+
+#[inline(always)]
+fn well_formed(header: &Header, available: usize) -> Result<FrameType, Counter> {
+    let frame_type = match frame_type(header.version_type) {
+        Some(FrameType::Control) | None => return Err(Counter::Unknown),
+        Some(frame_type) => frame_type,
+    };
+    if header.header_words as usize * 8 != Header::LEN {
+        return Err(Counter::Unknown);
+    }
+    if Header::LEN + header.payload_len() as usize > available {
+        return Err(Counter::Truncated);
+    }
+    Ok(frame_type)
+}
+
+/// The frame's count on its link, if the neighbour made the tag.
+#[inline(always)]
+fn authentic(header: &Header, link: &LinkEntry, window: &impl Words) -> Result<u64, Counter> {
+    let count = replay::whole(window, header.link_counter());
+    let key = if header.flags & Header::KEY_PHASE != 0 { link.rx_keys[1] } else { link.rx_keys[0] };
+    let tag = siphash24(key, &header.tagged_words(count));
+    if tag == header.tag() { Ok(count) } else { Err(Counter::BadTag) }
+}

@@ -1,0 +1,164 @@
+//! The forwarding decision. "Names at the edge, bits inside": the ingress switch looks the destination up and stamps
+//! the egress switches as bits (after BIER, RFC 8279); a switch in transit only looks at bits; the egress switch finds
+//! its own bit and looks the name up for its local links.
+//!
+//! [`decide`] is the order of things; [`arrival`], [`route`] and [`answer`] are its parts, and [`copy()`] is what it leaves
+//! to be done for each link of a group.
+
+mod answer;
+mod arrival;
+mod copy;
+mod route;
+
+pub use arrival::accept;
+pub use copy::{Copy, copy};
+
+use crate::header::FrameType;
+use crate::replay;
+use crate::siphash::siphash24;
+use crate::table::Tables;
+use crate::{Counter, Header, LinkEntry};
+
+use arrival::{Arrival, arrival};
+use route::{Egress, Refusal, is_foreign, route};
+
+/// What a data plane must do with a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict<'t> {
+    /// Send it by this link; the header has been rewritten for it.
+    Send(&'t LinkEntry, Counter),
+    /// For each link of this group that [`copy()`] says so, send what that makes of it; count it as
+    /// [`Counter::Replicated`].
+    Copies(u32),
+    /// The header has become an answer to the neighbour: send it by this link, without a payload.
+    Answer(&'t LinkEntry, Counter),
+    /// It is for this node itself, unchanged; counted as [`Counter::Notice`].
+    Notice(&'t LinkEntry),
+    /// Leave it, untouched, to the next plane; counted as [`Counter::Slow`].
+    Slow,
+    /// Drop it and count why.
+    Drop(Counter),
+}
+
+/// What the first bytes of a frame say it is, before its header is read whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Has a [`Header`]: for [`decide`], or [`accept`].
+    Headed,
+    Control,
+    Unknown,
+}
+
+/// Tells frames apart by the first byte.
+#[inline(always)]
+pub fn classify(first_byte: u8) -> Kind {
+    match frame_type(first_byte) {
+        Some(FrameType::Control) => Kind::Control,
+        Some(_) => Kind::Headed,
+        None => Kind::Unknown,
+    }
+}
+
+/// Decides what happens to a frame of which `available` bytes are there, header included, and rewrites its header
+/// accordingly. If the verdict is [`Verdict::Notice`], [`Verdict::Slow`] or [`Verdict::Drop`], the header is unchanged.
+#[inline(always)]
+pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, tables: &'t T) -> Verdict<'t> {
+    let Arrival { link: ingress, window, count } = match arrival(header, available, tables) {
+        Ok(arrival) => arrival,
+        Err(counter) => return Verdict::Drop(counter),
+    };
+    let fate = fate(header, available, ingress, tables);
+    // What is left to another plane is left as it came. Its window is the same: taken here, it would be refused there.
+    if !T::LAST && !is_for_this_plane(&fate, available, ingress, tables) {
+        return Verdict::Slow;
+    }
+    if !replay::take(&window, count) {
+        return Verdict::Drop(Counter::Replayed);
+    }
+    match fate {
+        Fate::Leaves(Egress::One { link, bits, set, counter }) => {
+            travel(header, ingress, bits, set);
+            stamp(header, link, tables.next_count(link));
+            Verdict::Send(link, counter)
+        }
+        Fate::Leaves(Egress::Many { group, bits, set }) => {
+            travel(header, ingress, bits, set);
+            Verdict::Copies(group)
+        }
+        Fate::Refused(refusal) => answer::complain(header, refusal, ingress, tables),
+        Fate::Echo => answer::echo(header, ingress, tables),
+        Fate::Notice => Verdict::Notice(ingress),
+    }
+}
+
+enum Fate<'t> {
+    Leaves(Egress<'t>),
+    Refused(Refusal),
+    Echo,
+    Notice,
+}
+
+#[inline(always)]
+fn fate<'t, T: Tables>(header: &Header, available: usize, ingress: &LinkEntry, tables: &'t T) -> Fate<'t> {
+    if header.version_type == FrameType::Data.first_byte() {
+        match route(header, available, ingress, tables) {
+            Ok(egress) => Fate::Leaves(egress),
+            Err(refusal) => Fate::Refused(refusal),
+        }
+    } else if header.version_type == FrameType::Echo.first_byte() && header.egress_set == Header::ASKS {
+        Fate::Echo
+    } else {
+        Fate::Notice
+    }
+}
+
+#[inline(always)]
+fn is_for_this_plane<T: Tables>(fate: &Fate<'_>, available: usize, ingress: &LinkEntry, tables: &T) -> bool {
+    match fate {
+        Fate::Leaves(Egress::One { link, .. }) => tables.can_send(link),
+        Fate::Leaves(Egress::Many { group, .. }) => tables.can_copy(*group, available),
+        Fate::Refused(_) => true,
+        Fate::Echo => tables.can_send(ingress),
+        Fate::Notice => false,
+    }
+}
+
+/// Writes the fields that belong to `link` into a frame that leaves by it, and the hop tag over the whole. `count`: frames
+/// sent on the link, with this one.
+#[inline(always)]
+pub fn stamp(header: &mut Header, link: &LinkEntry, count: u64) {
+    let second = link.tx_phase & 1 != 0;
+    header.flags = header.flags & !Header::KEY_PHASE | if second { Header::KEY_PHASE } else { 0 };
+    header.set_link_id(link.peer_id);
+    header.set_link_counter(count as u32);
+    let key = if second { link.tx_keys[1] } else { link.tx_keys[0] };
+    header.set_tag(siphash24(key, &header.tagged_words(count)));
+}
+
+/// What changes in a frame on its way through a switch, whatever link it leaves by.
+#[inline(always)]
+fn travel(header: &mut Header, ingress: &LinkEntry, bits: u64, set: u8) {
+    header.hop_limit -= 1;
+    header.egress_set = set;
+    header.set_egress_bits(bits);
+    if ingress.role == crate::LinkRole::Border as u32 {
+        header.flags |= Header::FOREIGN;
+    } else if ingress.role == crate::LinkRole::Endpoint as u32 {
+        header.flags &= !Header::FOREIGN;
+    }
+}
+
+#[inline(always)]
+fn frame_type(first_byte: u8) -> Option<FrameType> {
+    const DATA: u8 = FrameType::Data.first_byte();
+    const CONTROL: u8 = FrameType::Control.first_byte();
+    const ERROR: u8 = FrameType::Error.first_byte();
+    const ECHO: u8 = FrameType::Echo.first_byte();
+    match first_byte {
+        DATA => Some(FrameType::Data),
+        CONTROL => Some(FrameType::Control),
+        ERROR => Some(FrameType::Error),
+        ECHO => Some(FrameType::Echo),
+        _ => None,
+    }
+}

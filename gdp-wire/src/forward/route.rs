@@ -1,0 +1,134 @@
+//! Where a data frame goes: one link, or the links of a group. Changes nothing.
+
+use crate::header::ErrorCode;
+use crate::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS, Tables};
+use crate::{Counter, Header, LinkEntry, LinkRole, Permit};
+
+/// Where a frame leaves.
+pub enum Egress<'t> {
+    One { link: &'t LinkEntry, bits: u64, set: u8, counter: Counter },
+    Many { group: u32, bits: u64, set: u8 },
+}
+
+/// Why a frame goes nowhere, and what its neighbour is told.
+pub struct Refusal {
+    pub counter: Counter,
+    pub code: Option<ErrorCode>,
+    /// Of the link that the frame did not fit; otherwise 0.
+    pub mtu: u32,
+}
+
+impl Refusal {
+    #[inline(always)]
+    fn told(counter: Counter, code: ErrorCode) -> Self {
+        Self { counter, code: Some(code), mtu: 0 }
+    }
+}
+
+impl From<Counter> for Refusal {
+    #[inline(always)]
+    fn from(counter: Counter) -> Self {
+        Self { counter, code: None, mtu: 0 }
+    }
+}
+
+#[inline(always)]
+pub fn route<'t, T: Tables>(
+    header: &Header,
+    available: usize,
+    ingress: &LinkEntry,
+    tables: &'t T,
+) -> Result<Egress<'t>, Refusal> {
+    if header.hop_limit <= 1 {
+        return Err(Refusal::told(Counter::HopLimit, ErrorCode::HopLimit));
+    }
+    let (bits, set) = if ingress.role == LinkRole::Switch as u32 {
+        (header.egress_bits(), header.egress_set)
+    } else {
+        looked_up(header, ingress, tables)?
+    };
+    if bits == 0 {
+        return Err(Refusal::told(Counter::NoEgress, ErrorCode::NoRoute));
+    }
+
+    let own = tables.own_bit();
+    let rest = bits & !own;
+    if bits == rest {
+        return match tables.link(tables.next_hop(lowest_bit(bits))) {
+            Some(link) if rest & !link.reach == 0 => {
+                checked(Egress::One { link, bits, set, counter: Counter::Forwarded }, header, available, ingress)
+            }
+            None if rest & (rest - 1) == 0 => Err(Refusal::told(Counter::NoEgress, ErrorCode::NoRoute)),
+            _ => Ok(Egress::Many { group: NEIGHBOURS, bits, set }),
+        };
+    }
+    match tables.route(&header.destination) {
+        Some(entry) => match tables.link(entry.local_link) {
+            Some(link) if rest == 0 => {
+                checked(Egress::One { link, bits: 0, set, counter: Counter::Delivered }, header, available, ingress)
+            }
+            // Nobody here takes the name; or the one who does is just gone.
+            None if rest == 0 && (entry.group == NEIGHBOURS || entry.local_link != 0) => {
+                Err(Refusal::told(Counter::NoRoute, ErrorCode::NoRoute))
+            }
+            _ => Ok(Egress::Many { group: entry.group, bits, set }),
+        },
+        None if rest == 0 => Err(Refusal::told(Counter::NoRoute, ErrorCode::NoRoute)),
+        None => Ok(Egress::Many { group: NEIGHBOURS, bits: rest, set }),
+    }
+}
+
+/// The egress bits and set of the frame's name, if its link may send to that, as this source.
+#[inline(always)]
+fn looked_up<T: Tables>(header: &Header, ingress: &LinkEntry, tables: &T) -> Result<(u64, u8), Refusal> {
+    let may_be_source = if ingress.role == LinkRole::Endpoint as u32 {
+        header.source.is(&ingress.peer)
+    } else {
+        tables.is_permitted(&Permit { name: header.source, link: ingress.id, part: Permit::SOURCE })
+    };
+    if !may_be_source {
+        return Err(Refusal::told(Counter::Source, ErrorCode::NotAuthorised));
+    }
+    let entry = tables.route(&header.destination).ok_or(Refusal::told(Counter::NoRoute, ErrorCode::NoRoute))?;
+    let listed = entry.writer_link == ingress.id || entry.writer_link == ANY_WRITER;
+    let permit = || Permit { name: header.destination, link: ingress.id, part: Permit::DESTINATION };
+    if !listed && (entry.more_writers == 0 || !tables.is_permitted(&permit())) {
+        return Err(Refusal::told(Counter::NotPermitted, ErrorCode::NotAuthorised));
+    }
+    Ok((entry.egress_bits, entry.egress_set))
+}
+
+/// Whether the frame may and can leave by the one link.
+#[inline(always)]
+fn checked<'t>(
+    egress: Egress<'t>,
+    header: &Header,
+    available: usize,
+    ingress: &LinkEntry,
+) -> Result<Egress<'t>, Refusal> {
+    let Egress::One { link, .. } = &egress else { return Ok(egress) };
+    if link.id == ingress.id {
+        return Err(Counter::Hairpin.into());
+    }
+    if link.role == LinkRole::Border as u32 && is_foreign(header, ingress) {
+        return Err(Counter::SplitHorizon.into());
+    }
+    // All of it leaves, also what lies behind the payload.
+    if available > link.mtu as usize {
+        return Err(Refusal { counter: Counter::TooBig, code: Some(ErrorCode::TooBig), mtu: link.mtu });
+    }
+    Ok(egress)
+}
+
+/// Whether a frame came from another domain, here or at another switch of this one.
+#[inline(always)]
+pub fn is_foreign(header: &Header, ingress: &LinkEntry) -> bool {
+    ingress.role == LinkRole::Border as u32
+        || ingress.role == LinkRole::Switch as u32 && header.flags & Header::FOREIGN != 0
+}
+
+/// Index of the lowest set bit of a value that is not zero.
+#[inline(always)]
+fn lowest_bit(bits: u64) -> u32 {
+    bits.trailing_zeros() & (EGRESS_SET_SIZE - 1)
+}
