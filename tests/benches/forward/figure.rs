@@ -21,7 +21,7 @@ pub struct Report {
     v: u32,
     kernel: String,
     cpus: usize,
-    pub figures: Vec<Figure>,
+    figures: Vec<Figure>,
 }
 
 /// What was measured in turn in one unit, and the ratios of that.

@@ -95,17 +95,18 @@ fn main() -> Result<()> {
     let mut figures = Vec::new();
     for (name, row) in ROWS {
         if options.only.is_empty() || options.only.iter().any(|only| only == name) {
-            figures.extend(row(&options.bench).with_context(|| format!("row {name}"))?);
+            let row = row(&options.bench).with_context(|| format!("row {name}"))?;
+            if !options.json {
+                row.iter().for_each(|figure| print!("{figure}"));
+            }
+            figures.extend(row);
         }
     }
     if let Some(folder) = &options.plots {
         plot::draw(&figures, folder)?;
     }
-    let report = Report::new(figures)?;
     if options.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
-    } else {
-        print!("{report}");
+        println!("{}", serde_json::to_string_pretty(&Report::new(figures)?)?);
     }
     Ok(())
 }

@@ -2,13 +2,7 @@
 
 use std::fmt;
 
-use crate::figure::{Aim, Figure, Measure, Ratio, Report};
-
-impl fmt::Display for Report {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.figures.iter().try_for_each(|figure| figure.fmt(f))
-    }
-}
+use crate::figure::{Aim, Figure, Measure, Ratio};
 
 impl fmt::Display for Figure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -25,7 +25,10 @@ use crate::rounds::Sample;
 /// Frames the kernel sends at a time: a quarter of a veth's ring.
 const BATCH: u32 = 64;
 
-/// The kernel takes some milliseconds to begin with a test run; then caches fill.
+/// How long the kernel may take to begin with a test run.
+const START: Duration = Duration::from_secs(5);
+
+/// Then caches fill.
 const RUN_UP: Duration = Duration::from_millis(50);
 
 /// How long nothing may arrive before what is missing is taken as lost.
@@ -171,8 +174,9 @@ impl Traffic {
 
         let (generator, frame) = (self.sink.programs.program(program)?, &self.frames.frame);
         let (arrived, link_count, sent) = (&self.sink.arrived, &self.link_count, &self.sent);
-        let now = || -> Result<_> {
-            Ok((arrived.get(&0, 0)?, link_count.get(&0, 0)?.wrapping_sub(sent.get(&0, 0)?), Instant::now()))
+        let now = || -> Result<Moment> {
+            let unknown = link_count.get(&0, 0)?.wrapping_sub(sent.get(&0, 0)?);
+            Ok(Moment { arrived: arrived.get(&0, 0)?, unknown, at: Instant::now() })
         };
         let (known, unknown) = std::thread::scope(|scope| -> Result<(f64, f64)> {
             let (itself, thread) = mpsc::channel();
@@ -182,17 +186,24 @@ impl Traffic {
                 send_until_signalled(generator, frame)
             });
             let thread = thread.recv()?;
-            std::thread::sleep(RUN_UP);
-            let first = now()?;
-            std::thread::sleep(duration);
-            let last = now()?;
+            let measured = (|| -> Result<(Moment, Moment)> {
+                let begun = || Ok((arrived.get(&0, 0)? > before).then_some(()));
+                wait_for("the first frame to arrive", START, begun)?;
+                std::thread::sleep(RUN_UP);
+                let first = now()?;
+                std::thread::sleep(duration);
+                Ok((first, now()?))
+            })();
+            // Also after a failure: the generator does not end by itself.
             stop(thread, running)?;
-            let seconds = (last.2 - first.2).as_secs_f64();
-            Ok(((last.0 - first.0) as f64 / seconds, last.1.wrapping_sub(first.1) as f64 / seconds))
+            let (first, last) = measured?;
+            let seconds = (last.at - first.at).as_secs_f64();
+            let per_second = |of: fn(&Moment) -> u64| of(&last).wrapping_sub(of(&first)) as f64 / seconds;
+            Ok((per_second(|moment| moment.arrived), per_second(|moment| moment.unknown)))
         })?;
 
         let sent = self.sent.get(&0, 0)? - before;
-        ensure!(known > 0.0, "no frame of {sent} arrived");
+        ensure!(known > 0.0, "no frame arrived within {duration:?}");
         let lost = self.lost(before, sent)?;
         Ok(Run { known: Sample { value: known, sent, lost }, unknown })
     }
@@ -203,6 +214,14 @@ impl Traffic {
         let all = wait_for("the last frames", PATIENCE, || Ok((missing()? == 0).then_some(0)));
         if all.is_ok() { Ok(0) } else { missing() }
     }
+}
+
+/// What was counted until a moment.
+struct Moment {
+    arrived: u64,
+    /// But for a constant.
+    unknown: u64,
+    at: Instant,
 }
 
 /// What became of the frames of a flood.
