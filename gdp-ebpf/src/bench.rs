@@ -1,10 +1,15 @@
-//! What `cargo xtask bench forward` loads beside the switch: generators, a sink, and the least a switch can do.
+//! What `cargo xtask bench forward` and kernel tests load beside the switch: generators, a sink, the least a switch can do, and
+//! [`bench_lookups`].
 //!
 //! Generators run under `BPF_PROG_TEST_RUN` with live frames: the kernel hands them frames, they send them by an interface. The
 //! sink sits on the interface where the frames should arrive. A generator is an endpoint: it counts and tags each frame.
 //! It does the same whatever forwards behind it, also where nothing will look at the tag, so that its own work weighs the same
 //! on all that are compared.
-#![cfg_attr(target_arch = "bpf", no_std, no_main)]
+#![cfg_attr(target_arch = "bpf", no_std, no_main, feature(asm_experimental_arch))]
+
+mod bench_lookups;
+mod bench_names;
+mod fib;
 
 use aya_ebpf::bindings::xdp_action::{XDP_ABORTED, XDP_DROP, XDP_PASS};
 use aya_ebpf::helpers::bpf_ktime_get_ns;

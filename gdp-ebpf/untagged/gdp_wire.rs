@@ -6,10 +6,14 @@
 
 #[path = "../../gdp-wire/src/counter.rs"]
 pub mod counter;
+#[path = "../../gdp-wire/src/flat/mod.rs"]
+pub mod flat;
 #[path = "../../gdp-wire/src/forward/mod.rs"]
 pub mod forward;
 #[path = "../../gdp-wire/src/header.rs"]
 pub mod header;
+#[path = "../../gdp-wire/src/losses.rs"]
+pub mod losses;
 #[path = "../../gdp-wire/src/name.rs"]
 mod name;
 #[path = "../../gdp-wire/src/replay.rs"]

@@ -35,7 +35,7 @@ use self::receiver::{Command, Receiver};
 use self::state::{State, Statement, lock, unix_now};
 use self::supervisor::Supervisor;
 use crate::cert::{AdCert, CertError, ReadGrant, Signed};
-use crate::control::{Record, Refusal};
+use crate::control::{Record, RecordPlace, Refusal};
 use crate::crypto::Backend;
 use crate::identity::Identity;
 use crate::link::LinkError;
@@ -189,11 +189,16 @@ impl Node {
         Ok(subscription)
     }
 
-    /// Who publishes and reads the names with this prefix, as far as it verifies; and whether there are more.
-    pub async fn query(&self, prefix: NamePrefix) -> Result<(Vec<Record>, bool), NodeError> {
+    /// Who publishes and reads the names with this prefix, as far as it verifies: as many as fit an answer, from the one behind
+    /// `after` on; and whether there are more.
+    pub async fn query(
+        &self,
+        prefix: NamePrefix,
+        after: Option<RecordPlace>,
+    ) -> Result<(Vec<Record>, bool), NodeError> {
         let state = &self.0.state;
         let attachment = state.attached().await?;
-        let (mut records, truncated) = state.query(&attachment, prefix.clone()).await?;
+        let (mut records, truncated) = state.query(&attachment, prefix.clone(), after).await?;
         records.retain(|record| {
             let verdict = record.verify(unix_now());
             if let Err(error) = &verdict {

@@ -1,14 +1,17 @@
 //! The XDP switch under `BPF_PROG_TEST_RUN`: the real program in the real kernel, one frame at a time, no interfaces.
 
+use std::process::Command;
 use std::sync::Barrier;
 
 use anyhow::{Context, Result, ensure};
-use gdp_ctl::plane::kernel::{Action, KernelPlane, LoadError, UpdateError};
+use gdp_ctl::plane::kernel::{self, Action, KernelPlane, LoadError, UpdateError};
 use gdp_ctl::plane::link_memory::LinkMemory;
+use gdp_ctl::plane::pins::{self, Pins};
 use gdp_ctl::plane::userspace::{Outcome, UserTables, copies, handle};
 use gdp_tests::Tools;
 use gdp_tests::frames::Frame;
 use gdp_tests::frames::fixtures::{self, Bytes, CopyOut, Expected, Fixtures, Switch, Verdict};
+use gdp_tests::netns::execute;
 use gdp_wire::{Counter, FibEntry, Header, LinkEntry, Name, replay};
 use zerocopy::IntoBytes;
 
@@ -84,8 +87,8 @@ fn random_frames_get_the_same_verdict_from_both_planes() -> Result<()> {
         );
     }
     for (counter, seen) in Counter::ALL.iter().zip(seen) {
-        if matches!(counter, Counter::Notice | Counter::Replicated) {
-            // The kernel leaves these to the userspace plane.
+        if matches!(counter, Counter::Notice | Counter::Replicated | Counter::RedirectLost) {
+            // The kernel leaves the first two to the userspace plane; what a redirect loses is known only after it.
             continue;
         }
         ensure!(seen > 20, "the random frames reached {counter:?} only {seen} times");
@@ -160,11 +163,12 @@ fn the_map_is_the_fib() -> Result<()> {
         routes.sort_by_key(|(name, _)| *name);
         routes
     };
-    ensure!(sorted(plane.routes()?) == sorted(switch.routes().map(|(name, entry, _)| (name, entry)).collect()));
+    ensure!(
+        sorted(plane.routes().collect()) == sorted(switch.routes().map(|(name, entry, _)| (name, entry)).collect())
+    );
     let (name, ..) = switch.routes().next().context("a route")?;
-    plane.remove_route(&name)?;
-    plane.remove_route(&name)?;
-    ensure!(plane.routes()?.iter().all(|(present, _)| *present != name), "removed, and removing again is no error");
+    ensure!(plane.remove_route(&name) && !plane.remove_route(&name));
+    ensure!(plane.routes().all(|(present, _)| present != name));
     Ok(())
 }
 
@@ -179,7 +183,61 @@ fn a_full_fib_refuses_and_forgets_nothing() -> Result<()> {
     let refused = plane.set_route(&name(100), entry);
     ensure!(matches!(refused, Err(UpdateError::FibFull { capacity: 100 })), "{refused:?}");
     plane.set_route(&name(7), FibEntry { egress_bits: 2, ..entry })?;
-    ensure!(plane.routes()?.len() == 100);
+    ensure!(plane.routes().count() == 100);
+    Ok(())
+}
+
+/// A daemon that dies leaves its table, which may be about to replace a smaller one.
+#[test]
+fn a_successor_takes_over_a_fib_that_has_grown() -> Result<()> {
+    const NAMES: u32 = 5000;
+    let Fixtures { switch, cases, .. } = fixtures::read();
+    let case = cases.iter().find(|case| case.kernel.verdict == Verdict::Send).context("a frame that is sent")?;
+    let bpffs = Bpffs(tempfile::tempdir()?);
+    let open = || -> Result<KernelPlane> {
+        let pins = Pins::open(bpffs.0.path(), &Name::default())?;
+        Ok(KernelPlane::load_pinned(&Tools::beside_this_test()?.ebpf_object()?, 3 * NAMES, Some(pins))?)
+    };
+    let forwards = |plane: &mut KernelPlane| -> Result<()> {
+        reset(plane.link_memory(), &switch);
+        let got = run(plane, &case.frame.bytes())?;
+        ensure!(got == case.kernel, "{got:?}");
+        Ok(())
+    };
+    let name = |i: u32| Name::from_bytes(std::array::from_fn(|at| i.to_be_bytes()[at % 4]));
+    let sorted = |plane: &KernelPlane| {
+        let mut routes: Vec<_> = plane.routes().collect();
+        routes.sort_by_key(|(name, _)| *name);
+        routes
+    };
+
+    let mut plane = open()?;
+    ensure!(plane.adopted()?.is_none());
+    fill(&mut plane, &switch)?;
+    for i in 0..NAMES {
+        plane.set_route(&name(i), FibEntry { egress_bits: i.into(), ..FibEntry::default() })?;
+    }
+    forwards(&mut plane)?;
+    let left = sorted(&plane);
+    drop(plane);
+    let found = pins::find(bpffs.0.path())?.pop().context("something is pinned")?;
+    ensure!(kernel::pinned_stats(&found.folder)?.names == left.len());
+
+    let mut plane = open()?;
+    ensure!(plane.adopted()?.context("something was left")?.routes.len() == left.len() && sorted(&plane) == left);
+    forwards(&mut plane)?;
+    drop(plane);
+    // As if the daemon had died when the larger table was ready, and before it was in the place of the other.
+    std::fs::rename(found.folder.join("FIB_TABLE"), found.folder.join("FIB_TABLE_NEW"))?;
+
+    let mut plane = open()?;
+    ensure!(sorted(&plane) == left);
+    (NAMES..2 * NAMES).try_for_each(|i| plane.set_route(&name(i), FibEntry::default()))?;
+    forwards(&mut plane)?;
+    ensure!(plane.routes().count() == left.len() + NAMES as usize, "it can grow further");
+    ensure!(kernel::pinned_stats(&found.folder)?.names == plane.routes().count());
+    plane.unpin()?;
+    ensure!(!found.folder.exists());
     Ok(())
 }
 
@@ -196,8 +254,13 @@ fn what_cannot_be_loaded_is_named() -> Result<()> {
 
 /// The fixtures' switch in the kernel. Ports below 6 lead to `lo`: in a test run nothing is sent.
 fn kernel_plane(switch: &Switch) -> Result<KernelPlane> {
-    const LOOPBACK: u32 = 1;
     let mut plane = KernelPlane::load(&Tools::beside_this_test()?.ebpf_object()?, 1024)?;
+    fill(&mut plane, switch)?;
+    Ok(plane)
+}
+
+fn fill(plane: &mut KernelPlane, switch: &Switch) -> Result<()> {
+    const LOOPBACK: u32 = 1;
     (0..6).try_for_each(|port| plane.set_port(port, LOOPBACK))?;
     plane.set_config(switch.config())?;
     switch.links().try_for_each(|link| plane.set_link(&link))?;
@@ -206,7 +269,16 @@ fn kernel_plane(switch: &Switch) -> Result<KernelPlane> {
         plane.set_route(&name, entry)?;
     }
     plane.set_next_hops(&switch.next_hops())?;
-    Ok(plane)
+    Ok(())
+}
+
+/// A folder in which [`Pins`] mounts a BPF file system.
+struct Bpffs(tempfile::TempDir);
+
+impl Drop for Bpffs {
+    fn drop(&mut self) {
+        let _ = execute(Command::new("umount").arg("--lazy").arg(self.0.path()));
+    }
 }
 
 fn user_tables(switch: &Switch) -> (UserTables, LinkMemory) {

@@ -56,6 +56,12 @@ fn describe(status: &Value) -> String {
     if !counters.is_empty() {
         out += &format!("\n{}\n", table(["frames", "kernel", "userspace"], &counters));
     }
+    for interface in items(&status["interfaces"]).iter().filter(|interface| interface["redirect_lost"] != 0) {
+        let (lost, name) = (&interface["redirect_lost"], text(&interface["interface"]));
+        out += &format!(
+            "{lost} frames lost that {name} did not take; `gdp-ctl doctor --interface {name}` looks for the cause\n"
+        );
+    }
     for error in items(&status["errors"]) {
         out += &format!("error: {}\n", text(&error));
     }

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use gdp::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
 use gdp::link::{Link, Responder, Role};
+use gdp_wire::Name;
 use tokio::time::timeout;
 
 use super::Daemon;
@@ -42,9 +43,17 @@ pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     tracing::info!(peer = %format_args!("{peer:#}"), role, %via, addr = %link.addr(), "link up");
     if switch {
         daemon.topology_changed();
+        daemon.spawn(say_ready(link.clone()));
         daemon.spawn(serve_switch(daemon.clone(), link));
     } else {
         daemon.spawn(serve_endpoint(daemon.clone(), link));
+    }
+}
+
+/// The neighbour goes on sending on an earlier link until it hears this.
+async fn say_ready(link: Link) {
+    if let Err(error) = link.request(&Request::Ready).await {
+        tracing::debug!(peer = %format_args!("{:#}", link.peer().name), %error, "the neighbour did not hear that this switch is ready");
     }
 }
 
@@ -62,17 +71,36 @@ async fn serve_endpoint(daemon: Arc<Daemon>, link: Link) {
         answer(responder, response).await;
     }
     end(&daemon, &link);
-    let attached = daemon.core().attached.contains(&entity);
-    if attached {
-        let next = daemon.core().detach(entity);
-        if let Response::Refused(refusal) = daemon.complete(next).await {
-            tracing::warn!(%refusal, "the RIB could not be told of a lost attachment; reporting in full");
-            daemon.report_in_full();
-        }
-    }
+    detach(&daemon, entity).await;
     drop(turn);
     drop(lane);
     daemon.leave_lane(entity);
+}
+
+/// Ends the attachment of an endpoint that has no link.
+pub async fn detach_lost(daemon: Arc<Daemon>, entity: Name) {
+    let lane = daemon.lane(entity);
+    let turn = lane.lock().await;
+    detach(&daemon, entity).await;
+    drop(turn);
+    drop(lane);
+    daemon.leave_lane(entity);
+}
+
+/// Tells the RIB of a lost attachment. An entity that is back on another link says itself whether what it stated still stands.
+async fn detach(daemon: &Arc<Daemon>, entity: Name) {
+    let lost = {
+        let core = daemon.core();
+        core.attached.contains(&entity) && core.link_to(&entity).is_none() && !core.held.keeps(&entity)
+    };
+    if !lost {
+        return;
+    }
+    let next = daemon.core().detach(entity);
+    if let Response::Refused(refusal) = daemon.complete(next).await {
+        tracing::warn!(%refusal, "the RIB could not be told of a lost attachment; reporting in full");
+        daemon.report_in_full();
+    }
 }
 
 async fn entity_request(daemon: &Arc<Daemon>, link: &Link, request: EntityRequest) -> Response {
@@ -86,7 +114,11 @@ async fn entity_request(daemon: &Arc<Daemon>, link: &Link, request: EntityReques
         }
         next
     };
-    daemon.complete(next).await
+    let response = daemon.complete(next).await;
+    if attach && matches!(response, Response::Attached { .. }) {
+        daemon.core().link_ready(link);
+    }
+    response
 }
 
 /// Switches speak for many: their requests are answered side by side, as many as the link has streams.
@@ -127,6 +159,23 @@ async fn answer(responder: Responder, response: Response) {
     }
 }
 
+/// An endpoint was asked to attach again. One that could not is asked again, because the RIB answers the next report so; one
+/// that would not has to begin with a new link.
+fn reattached(daemon: &Daemon, link: &Link, response: Option<Response>) {
+    let entity = link.peer().name;
+    match response {
+        Some(Response::Done) => {
+            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB did not know the attachment; it was made again");
+        }
+        None => daemon.report_in_full(),
+        Some(Response::Refused(refusal)) if refusal.code == RefusalCode::Unreachable => daemon.report_in_full(),
+        Some(_) => {
+            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB does not know the attachment; closing the link");
+            link.close("the RIB does not know this attachment: attach again");
+        }
+    }
+}
+
 impl Daemon {
     /// Does what a request needs before it can be answered, and what follows from it.
     pub(super) async fn complete(self: &Arc<Self>, next: Next) -> Response {
@@ -137,6 +186,10 @@ impl Daemon {
                 Ok(()) => response,
                 Err(refusal) => refusal.into(),
             },
+            Next::Reattach(link, request) => {
+                reattached(self, &link, link.request(&request).await.ok());
+                Response::Done
+            }
             Next::Forward(link, request) => match link.request(&request).await {
                 Ok(response) => response,
                 Err(error) => {
@@ -187,7 +240,7 @@ impl Daemon {
         for message in outgoing {
             let daemon = self.clone();
             self.spawn(async move {
-                let response = match message.link {
+                let response = match &message.link {
                     Some(link) => link
                         .request(&message.request)
                         .await
@@ -195,7 +248,9 @@ impl Daemon {
                         .ok(),
                     None => None,
                 };
-                if !matches!(message.expects, Expects::Nothing) {
+                if let (Expects::Reattach, Some(link)) = (&message.expects, &message.link) {
+                    reattached(&daemon, link, response);
+                } else if !matches!(message.expects, Expects::Nothing) {
                     daemon.core().answered(message.expects, response);
                     daemon.send_effects();
                 }

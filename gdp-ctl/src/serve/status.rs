@@ -3,10 +3,12 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use gdp::control::RecordPlace;
 use gdp::link::Role;
 use gdp_wire::{FibEntry, Name};
 use serde_json::{Map, Value, json};
 
+use super::core::Core;
 use super::{Daemon, interfaces};
 
 /// `gdp-ctl status`.
@@ -15,35 +17,22 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
     let udp_links = daemon.core().links.values().filter(|l| matches!(l.via, crate::config::Via::Udp(_))).count();
     let core = daemon.core();
     let report = core.planes.report();
+    let (losses, mut errors) = match core.planes.losses() {
+        Ok(losses) => (losses, Vec::new()),
+        Err(reason) => (Default::default(), vec![reason]),
+    };
     let used: Vec<Value> = report
         .iter()
         .map(|plane| {
             let info = interfaces.iter().find(|i| i.name == plane.interface);
             json!({
                 "interface": plane.interface, "data_plane": plane.kind, "reason": plane.reason,
+                "redirect_lost": losses.get(&plane.interface).copied().unwrap_or(0),
                 "mtu": info.map(|i| i.mtu), "addresses": info.map(|i| &i.addresses), "stations": info.map(|i| &i.stations),
             })
         })
         .collect();
-    let mut links: Vec<_> = core
-        .links
-        .values()
-        .map(|state| {
-            let peer = state.link.peer();
-            json!({
-                "peer": peer.name,
-                "role": match peer.role { Role::Endpoint => "endpoint", Role::Switch => "switch" },
-                "via": state.via.to_string(),
-                "address": state.link.addr().to_string(),
-                "id": state.link.local_id(),
-                "mtu": state.link.mtu(),
-                "rtt_us": state.link.rtt().as_micros() as u64,
-            })
-        })
-        .collect();
-    links.sort_by_key(|link| link["id"].as_u64());
     let (mut counters, mut by_plane) = (Map::new(), Map::new());
-    let mut errors = Vec::new();
     match core.planes.counters() {
         Ok(counted) => {
             for (counter, kernel, userspace) in counted {
@@ -61,7 +50,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "data_plane": data_plane,
         "data_plane_reason": reason,
         "interfaces": used,
-        "links": links,
+        "links": links(&core),
         "counters": counters,
         "counters_by_plane": by_plane,
         "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
@@ -71,6 +60,29 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         })),
         "errors": errors,
     })
+}
+
+/// `gdp-ctl link list`: every live link, by id.
+pub fn links(core: &Core) -> Vec<Value> {
+    let mut links: Vec<_> = core.links.values().collect();
+    links.sort_by_key(|state| state.link.local_id());
+    links
+        .into_iter()
+        .map(|state| {
+            let (link, peer) = (&state.link, state.link.peer());
+            json!({
+                "peer": peer.name,
+                "role": match peer.role { Role::Endpoint => "endpoint", Role::Switch => "switch" },
+                "via": state.via.to_string(),
+                "address": link.addr().to_string(),
+                "id": link.local_id(),
+                "mtu": link.mtu(),
+                "rtt_us": link.rtt().as_micros() as u64,
+                "age_s": state.since.elapsed().as_secs(),
+                "plane": if core.planes.kernel_sends_on(link.local_id()) { "kernel" } else { "userspace" },
+            })
+        })
+        .collect()
 }
 
 /// One word for all interfaces, and why.
@@ -103,7 +115,7 @@ pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, 
     Ok(json!({"routes": page, "more": more}))
 }
 
-fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
+fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
     let own = core.routes.own_bit().map_or(0, |bit| 1u64 << bit);
     let names = |links: Vec<u32>| links.iter().filter_map(|link| peers.get(link)).copied().collect::<Vec<_>>();
     json!({
@@ -111,14 +123,14 @@ fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, ent
         "egress_bits": format!("{:#x}", entry.egress_bits),
         "own": entry.egress_bits & own != 0,
         "toward": core.routes.neighbours_toward(entry.egress_bits & !own),
-        "local": names(core.planes.readers(entry)),
+        "readers": names(core.planes.readers(entry)),
         "writers": names(core.planes.writers(name)),
         "group": entry.group,
     })
 }
 
 /// One page of `gdp-ctl rib dump`, or why there is none.
-pub fn rib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, String> {
+pub fn rib(daemon: &Daemon, after: Option<RecordPlace>, limit: usize) -> Result<Value, String> {
     let core = daemon.core();
     let Some(rib) = &core.rib else {
         let uplink = core.uplink.unwrap_or_default();

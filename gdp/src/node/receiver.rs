@@ -29,9 +29,9 @@ pub enum Command {
     /// Frames now come from this socket, on this link, which is new.
     Attach {
         data: Arc<DataSocket>,
-        entry: LinkEntry,
+        entry: Box<LinkEntry>,
         /// A link that this one replaces, and until when the switch may still send on it.
-        held: Option<(LinkEntry, Instant)>,
+        held: Option<(Box<LinkEntry>, Instant)>,
     },
     Subscribe {
         name: Name,
@@ -72,7 +72,8 @@ impl Receiver {
                 match command {
                     Ok(Command::Attach { data, entry, held }) => {
                         let earlier = attached.take().map(|(_, links)| links);
-                        attached = Some((data, Links::after(earlier, entry, held)));
+                        let held = held.map(|(entry, until)| (*entry, until));
+                        attached = Some((data, Links::after(earlier, *entry, held)));
                     }
                     Ok(Command::Subscribe { name, intake }) => drop(state.intakes.insert(name, intake)),
                     Ok(Command::Unsubscribe { name }) => drop(state.intakes.remove(&name)),
@@ -124,17 +125,22 @@ impl Links {
         Self { current: Ingress::new(entry), held: Vec::new() }
     }
 
-    /// A new link; `held` is the one that fell silent, which goes on as it was among `earlier` ones.
+    /// A new link; `held` is the one that fell silent, which goes on as it was among `earlier` ones. The current one of these
+    /// may be another, that never came into service.
     fn after(earlier: Option<Self>, entry: LinkEntry, held: Option<(LinkEntry, Instant)>) -> Self {
         let mut links = Self::new(entry);
         let Some((silent, until)) = held else { return links };
-        match earlier {
-            Some(earlier) if earlier.current.entry.id == silent.id => {
-                links.held = earlier.held;
-                links.held.push((earlier.current, until));
+        let mut before = Vec::new();
+        if let Some(earlier) = earlier {
+            before = earlier.held;
+            if earlier.current.entry.id == silent.id {
+                before.push((earlier.current, until));
             }
-            _ => links.held.push((Ingress::new(silent), until)),
         }
+        if before.iter().all(|(link, _)| link.entry.id != silent.id) {
+            before.push((Ingress::new(silent), until));
+        }
+        links.held = before;
         links
     }
 
@@ -290,6 +296,19 @@ mod tests {
         assert_eq!(take(&link, &[1, 3, 2, 1]), 1);
         assert_eq!(take(&link, &[4, 3, 2]), 3, "in another batch");
         assert_eq!(take(&Links::new(entry), &[1, 2]), 3, "a new link counts anew");
+    }
+
+    #[test]
+    fn a_link_that_fell_silent_keeps_its_window_through_attempts_to_replace_it() {
+        let entry = |id| LinkEntry { id, ..LinkEntry::default() };
+        let until = Instant::now() + Duration::from_secs(60);
+        let first = Links::new(entry(1));
+        assert!(replay::take(&*first.current.window, 7));
+        let second = Links::after(Some(first), entry(2), Some((entry(1), until)));
+        let third = Links::after(Some(second), entry(3), Some((entry(1), until)));
+        let ids: Vec<u32> = third.held.iter().map(|(link, _)| link.entry.id).collect();
+        assert_eq!((third.current.entry.id, ids), (3, vec![1]), "2 never came into service");
+        assert!(!replay::is_fresh(&*third.held[0].0.window, 7));
     }
 
     fn subscribed() -> Intakes {

@@ -14,7 +14,7 @@ use super::receiver::Command;
 use super::supervisor::{Attachment, Event};
 use super::{NodeError, Stated};
 use crate::cert::{AdCert, Advert, AdvertOp, CertError, ReadGrant, RtCert, Signed, issue};
-use crate::control::{Credential, EntityRequest, Record, RefusalCode, Request, Response};
+use crate::control::{Credential, EntityRequest, Record, RecordPlace, RefusalCode, Request, Response};
 use crate::identity::Identity;
 use crate::name::{NamePrefix, NameProof};
 
@@ -159,7 +159,9 @@ impl State {
         let switch = attachment.link.peer().name;
         let not_after = unix_now() + u64::from(LIFETIME);
         let rt_cert = issue(self.identity.key(), &RtCert { entity: self.identity.name(), switch, not_after })?;
-        match ask(attachment, EntityRequest::Attach { rt_cert }).await? {
+        // A node that has spoken before goes on; one that has just started does not know what another process had stated.
+        let resumes = *serial != 0;
+        match ask(attachment, EntityRequest::Attach { rt_cert, resumes }).await? {
             Response::Attached { serial: floor } => *serial = floor.max(*serial),
             _ => return Err(NodeError::Protocol("to an attachment")),
         }
@@ -217,16 +219,22 @@ impl State {
         Ok(())
     }
 
-    pub async fn query(&self, attachment: &Attachment, prefix: NamePrefix) -> Result<(Vec<Record>, bool), NodeError> {
-        match ask(attachment, EntityRequest::Query { prefix }).await? {
+    /// The records of the names that begin so, from the one behind `after` on, and whether there are more.
+    pub async fn query(
+        &self,
+        attachment: &Attachment,
+        prefix: NamePrefix,
+        after: Option<RecordPlace>,
+    ) -> Result<(Vec<Record>, bool), NodeError> {
+        match ask(attachment, EntityRequest::Query { prefix, after }).await? {
             Response::Records { records, truncated } => Ok((records, truncated)),
             _ => Err(NodeError::Protocol("to a query")),
         }
     }
 
-    /// Asks the RIB who writes a name.
+    /// Asks the RIB who writes a name: its writers come first, and all fit an answer.
     pub async fn learn_writers(&self, attachment: &Attachment, name: Name) -> Result<(), NodeError> {
-        let (records, _) = self.query(attachment, name.into()).await?;
+        let (records, _) = self.query(attachment, name.into(), None).await?;
         self.authorise(name, &records);
         Ok(())
     }

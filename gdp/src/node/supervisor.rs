@@ -29,6 +29,9 @@ const MAX_CANDIDATES: usize = 8;
 /// Between attempts to get the link back, and to state what was refused: doubled from the first to the second.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
+/// How long the node tries to attach again over the link it has; the switch waits a little longer for its answer.
+const REATTACH: Duration = Duration::from_secs(4);
+
 /// How often certificates and statements with a lifetime of [`state::LIFETIME`] are renewed.
 const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
 
@@ -164,7 +167,7 @@ impl Supervisor {
             tokio::select! {
                 reason = link.closed() => return reason,
                 Some((request, responder)) = link.accept_request() => {
-                    tokio::spawn(answer(self.state.clone(), request, responder));
+                    tokio::spawn(answer(self.state.clone(), attachment.clone(), request, responder));
                 }
                 Some(event) = events.recv() => {
                     tokio::spawn(handle(self.state.clone(), attachment.clone(), event));
@@ -173,15 +176,16 @@ impl Supervisor {
         }
     }
 
-    /// Makes a link and attaches. Frames on the link that is held are taken for as long as the switch may send them.
+    /// Makes a link and attaches: from then on the switch may send on it, so frames are taken on it before. Those on the link
+    /// that is held are taken for as long as the switch may send them.
     async fn attempt(&mut self, held: Option<&Held>) -> Result<Arc<Attachment>, NodeError> {
         let (port, candidates) = self.locate().await?;
         let link = self.dial_first(&port, &candidates).await?;
         let attachment = Arc::new(Attachment::new(link, &port));
+        let held = held.map(|held| (Box::new(held.attachment.entry), held.until.into_std()));
+        self.state.command(Command::Attach { data: attachment.data.clone(), entry: Box::new(attachment.entry), held });
         self.state.attach(&attachment).await?;
         self.state.counters.links.add(1);
-        let held = held.map(|held| (held.attachment.entry, held.until.into_std()));
-        self.state.command(Command::Attach { data: attachment.data.clone(), entry: attachment.entry, held });
         self.state.set_status(Status::Up(attachment.clone()));
         Ok(attachment)
     }
@@ -273,7 +277,7 @@ async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
 }
 
 /// Answers what the switch asks.
-async fn answer(state: Arc<State>, request: Request, responder: Responder) {
+async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request, responder: Responder) {
     let response = match request {
         Request::Writers(push) if push.entity == state.identity.name() && state.subscribes_to(&push.name) => {
             state.authorise(push.name, &push.records);
@@ -282,9 +286,30 @@ async fn answer(state: Arc<State>, request: Request, responder: Responder) {
         Request::Writers(push) => {
             Refusal::new(RefusalCode::NotFound, format!("no subscription to {} here", push.name)).into()
         }
-        _ => Refusal::new(RefusalCode::Unsupported, "an endpoint is only told about writers").into(),
+        // The RIB has forgotten what was stated, as after a restart. Frames go on meanwhile.
+        Request::Detach { entity, .. } if entity == state.identity.name() => {
+            match tokio::time::timeout(REATTACH, attach_again(&state, &attachment)).await {
+                Ok(Ok(())) => Response::Done,
+                Ok(Err(error)) => Refusal::new(RefusalCode::NotAttached, error.to_string()).into(),
+                Err(_) => Refusal::new(RefusalCode::Unreachable, "the RIB did not answer").into(),
+            }
+        }
+        _ => Refusal::new(RefusalCode::Unsupported, "an endpoint is told about writers and its attachment only").into(),
     };
     let _ = responder.respond(response).await;
+}
+
+/// Attaches over the link there is, and has everything stated again. The switch may only be about to find its way to the RIB.
+async fn attach_again(state: &State, attachment: &Attachment) -> Result<(), NodeError> {
+    let mut backoff = Backoff::new();
+    while let Err(error) = state.attach(attachment).await {
+        if !worth_another_attempt(&error) || attachment.link.close_reason().is_some() {
+            return Err(error);
+        }
+        backoff.wait().await;
+    }
+    state.unstated.notify_one();
+    Ok(())
 }
 
 async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {

@@ -41,6 +41,7 @@ pub struct Figure {
 #[serde(rename_all = "snake_case")]
 pub enum Unit {
     FramesPerSecond,
+    NamesPerSecond,
     Nanoseconds,
 }
 
@@ -56,6 +57,8 @@ pub struct Measure {
     /// Of the frames sent, where they are followed to their end.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lost_percent: Option<f64>,
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    pub verdict: Option<Verdict>,
     /// One value a round.
     #[serde(skip)]
     pub rounds: Vec<f64>,
@@ -69,10 +72,15 @@ pub struct Ratio {
     pub case: String,
     #[serde(flatten)]
     pub spread: Spread,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub aim: Option<Aim>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub met: Option<bool>,
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    pub verdict: Option<Verdict>,
+}
+
+/// What was to be reached, and whether the median did.
+#[derive(Clone, Copy, Serialize)]
+pub struct Verdict {
+    pub aim: Aim,
+    pub met: bool,
 }
 
 #[derive(Clone, Copy, Serialize)]
@@ -108,9 +116,16 @@ impl Figure {
         for ours in self.measures.iter().filter(|measure| measure.series == series) {
             let Some(theirs) = self.measure(over, &ours.case) else { continue };
             let spread = Spread::of(ours.rounds.iter().zip(&theirs.rounds).map(|(ours, theirs)| ours / theirs));
-            let aim = aim(&ours.case);
-            let met = aim.map(|aim| aim.is_met_by(spread.median));
-            self.ratios.push(Ratio { series, over, case: ours.case.clone(), spread, aim, met });
+            let verdict = aim(&ours.case).map(|aim| aim.verdict(spread.median));
+            self.ratios.push(Ratio { series, over, case: ours.case.clone(), spread, verdict });
+        }
+        self
+    }
+
+    /// What a series is to reach in a case, in the figure's unit.
+    pub fn aim(mut self, series: &str, case: &str, aim: Aim) -> Self {
+        for measure in self.measures.iter_mut().filter(|measure| measure.series == series && measure.case == case) {
+            measure.verdict = Some(aim.verdict(measure.spread.median));
         }
         self
     }
@@ -129,7 +144,7 @@ impl Measure {
     /// `rounds`: at least one value.
     pub fn new(series: &'static str, case: impl Into<String>, rounds: Vec<f64>) -> Self {
         let spread = Spread::of(rounds.iter().copied());
-        Self { series, case: case.into(), spread, lost_percent: None, rounds }
+        Self { series, case: case.into(), spread, lost_percent: None, verdict: None, rounds }
     }
 }
 
@@ -145,10 +160,19 @@ impl Spread {
 }
 
 impl Aim {
-    fn is_met_by(self, value: f64) -> bool {
-        match self {
+    fn verdict(self, value: f64) -> Verdict {
+        let met = match self {
             Self::AtLeast(least) => value >= least,
             Self::AtMost(most) => value <= most,
+        };
+        Verdict { aim: self, met }
+    }
+
+    /// For people.
+    pub fn shown(self, number: impl Fn(f64) -> String) -> String {
+        match self {
+            Self::AtLeast(least) => format!("≥ {}", number(least)),
+            Self::AtMost(most) => format!("≤ {}", number(most)),
         }
     }
 
@@ -166,7 +190,7 @@ impl Unit {
 
     pub fn number(self, value: f64) -> String {
         match self {
-            Self::FramesPerSecond => format!("{:.3}", value / 1e6),
+            Self::FramesPerSecond | Self::NamesPerSecond => format!("{:.3}", value / 1e6),
             Self::Nanoseconds => format!("{value:.1}"),
         }
     }
@@ -174,6 +198,7 @@ impl Unit {
     pub fn name(self) -> &'static str {
         match self {
             Self::FramesPerSecond => "Mpps",
+            Self::NamesPerSecond => "M names/s",
             Self::Nanoseconds => "ns",
         }
     }

@@ -3,6 +3,7 @@
 //! One file a row of the figures, each a function from [`Bench`] to [`Figure`]s:
 //!
 //! - [`cost`]: nanoseconds of one frame in the switch, by test runs
+//! - [`fib`]: lookups in a FIB of a million names (programs and tables: [`lookups`]), and changes of it
 //! - [`hops`]: frames per second through chains of switches
 //! - [`flood`]: frames to known names while others ask for unknown ones
 //! - [`senders`]: what the first switch costs a program that sends by a socket
@@ -13,9 +14,11 @@
 //! No daemons: the tables are what a RIB would have installed, put there through the same `Planes`.
 
 mod cost;
+mod fib;
 mod figure;
 mod flood;
 mod hops;
+mod lookups;
 mod path;
 mod plot;
 mod rounds;
@@ -77,8 +80,9 @@ impl Bench {
 
 type Row = fn(&Bench) -> Result<Vec<Figure>>;
 
-const ROWS: [(&str, Row); 5] = [
+const ROWS: [(&str, Row); 6] = [
     ("cost", cost::run),
+    ("fib", fib::run),
     ("hops", hops::small_frames),
     ("large", hops::large_frames),
     ("flood", flood::run),

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 
-use crate::figure::{Aim, Figure, Ratio};
+use crate::figure::{Figure, Measure, Ratio, Verdict};
 use crate::svg::{Chart, Group, Row};
 
 const BLUE: &str = "#4878a8";
@@ -31,15 +31,16 @@ pub fn draw(figures: &[Figure], folder: &Path) -> Result<()> {
 
 /// A group a case, a bar a series; those that others are only there to be compared with are grey.
 fn values(figure: &Figure) -> Chart {
-    let full = FULL * figure.measures.iter().map(|measure| measure.spread.high).fold(0.0, f64::max);
+    let longest = |measure: &Measure| measure.spread.high.max(measure.verdict.map_or(0.0, |verdict| verdict.aim.value()));
+    let full = FULL * figure.measures.iter().map(longest).fold(0.0, f64::max);
     let is_compared = |series| figure.ratios.is_empty() || figure.ratios.iter().any(|ratio| ratio.series == series);
     let groups = distinct(figure.measures.iter().map(|measure| &*measure.case)).into_iter().map(|case| {
         let rows = figure.measures.iter().filter(|measure| measure.case == case).map(|measure| Row {
             label: measure.series.to_owned(),
-            segments: vec![(measure.spread.median, if is_compared(measure.series) { BLUE } else { GREY })],
+            segments: vec![(measure.spread.median, colour(measure.verdict, is_compared(measure.series)))],
             spread: Some((measure.spread.low, measure.spread.high)),
-            mark: None,
-            text: figure.unit.show(measure.spread.median),
+            mark: measure.verdict.map(|verdict| verdict.aim.value()),
+            text: figure.unit.show(measure.spread.median) + &aim(measure.verdict, |aim| figure.unit.number(aim)),
         });
         Group { heading: case.to_owned(), full, rows: rows.collect() }
     });
@@ -71,7 +72,8 @@ fn ratios(figure: &Figure) -> Chart {
     let pairs: Vec<String> = figure.ratios.iter().map(pair).collect();
     let groups = distinct(pairs.iter().map(String::as_str)).into_iter().map(|heading| {
         let of_pair = || figure.ratios.iter().filter(|ratio| pair(ratio) == heading);
-        let longest = of_pair().map(|ratio| ratio.spread.high.max(ratio.aim.map_or(0.0, Aim::value)));
+        let longest =
+            of_pair().map(|ratio| ratio.spread.high.max(ratio.verdict.map_or(0.0, |verdict| verdict.aim.value())));
         Group {
             heading: heading.to_owned(),
             full: FULL * longest.fold(0.0, f64::max),
@@ -87,23 +89,26 @@ fn ratios(figure: &Figure) -> Chart {
 }
 
 fn ratio_row(ratio: &Ratio) -> Row {
-    let aim = match ratio.aim {
-        Some(Aim::AtLeast(aim)) => format!(" (aim ≥ {aim})"),
-        Some(Aim::AtMost(aim)) => format!(" (aim ≤ {aim})"),
-        None => String::new(),
-    };
-    let colour = match ratio.met {
-        Some(true) => BLUE,
-        Some(false) => ORANGE,
-        None => GREY,
-    };
     Row {
         label: ratio.case.clone(),
-        segments: vec![(ratio.spread.median, colour)],
+        segments: vec![(ratio.spread.median, colour(ratio.verdict, false))],
         spread: Some((ratio.spread.low, ratio.spread.high)),
-        mark: ratio.aim.map(Aim::value),
-        text: format!("{:.2} ×{aim}", ratio.spread.median),
+        mark: ratio.verdict.map(|verdict| verdict.aim.value()),
+        text: format!("{:.2} ×{}", ratio.spread.median, aim(ratio.verdict, |aim| aim.to_string())),
     }
+}
+
+fn colour(verdict: Option<Verdict>, is_compared: bool) -> &'static str {
+    match verdict {
+        Some(Verdict { met: false, .. }) => ORANGE,
+        Some(_) => BLUE,
+        None if is_compared => BLUE,
+        None => GREY,
+    }
+}
+
+fn aim(verdict: Option<Verdict>, number: impl Fn(f64) -> String) -> String {
+    verdict.map_or(String::new(), |verdict| format!(" (aim {})", verdict.aim.shown(number)))
 }
 
 fn write(folder: &Path, name: &str, chart: &Chart) -> Result<()> {
