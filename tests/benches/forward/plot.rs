@@ -29,15 +29,15 @@ pub fn draw(figures: &[Figure], folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A group a case, a bar a series; those that others are only there to be compared with are grey.
+/// A group a case, a bar a series.
 fn values(figure: &Figure) -> Chart {
-    let longest = |measure: &Measure| measure.spread.high.max(measure.verdict.map_or(0.0, |verdict| verdict.aim.value()));
+    let longest =
+        |measure: &Measure| measure.spread.high.max(measure.verdict.map_or(0.0, |verdict| verdict.aim.value()));
     let full = FULL * figure.measures.iter().map(longest).fold(0.0, f64::max);
-    let is_compared = |series| figure.ratios.is_empty() || figure.ratios.iter().any(|ratio| ratio.series == series);
     let groups = distinct(figure.measures.iter().map(|measure| &*measure.case)).into_iter().map(|case| {
         let rows = figure.measures.iter().filter(|measure| measure.case == case).map(|measure| Row {
             label: measure.series.to_owned(),
-            segments: vec![(measure.spread.median, colour(measure.verdict, is_compared(measure.series)))],
+            segments: vec![(measure.spread.median, colour(measure.verdict, BLUE))],
             spread: Some((measure.spread.low, measure.spread.high)),
             mark: measure.verdict.map(|verdict| verdict.aim.value()),
             text: figure.unit.show(measure.spread.median) + &aim(measure.verdict, |aim| figure.unit.number(aim)),
@@ -91,19 +91,18 @@ fn ratios(figure: &Figure) -> Chart {
 fn ratio_row(ratio: &Ratio) -> Row {
     Row {
         label: ratio.case.clone(),
-        segments: vec![(ratio.spread.median, colour(ratio.verdict, false))],
+        segments: vec![(ratio.spread.median, colour(ratio.verdict, GREY))],
         spread: Some((ratio.spread.low, ratio.spread.high)),
         mark: ratio.verdict.map(|verdict| verdict.aim.value()),
         text: format!("{:.2} ×{}", ratio.spread.median, aim(ratio.verdict, |aim| aim.to_string())),
     }
 }
 
-fn colour(verdict: Option<Verdict>, is_compared: bool) -> &'static str {
+fn colour(verdict: Option<Verdict>, without: &'static str) -> &'static str {
     match verdict {
         Some(Verdict { met: false, .. }) => ORANGE,
         Some(_) => BLUE,
-        None if is_compared => BLUE,
-        None => GREY,
+        None => without,
     }
 }
 
