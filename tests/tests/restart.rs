@@ -176,10 +176,10 @@ fn a_daemon_that_is_to_be_kept_leaves_the_kernel_to_its_successor() -> Result<()
     ensure!(stats["daemon"] == false && stats["programs"].as_array().map(Vec::len) == Some(2), "{stats}");
 
     fabric.start_again(0)?;
-    wait_for("the daemon to answer", PATIENCE, || Ok(fabric.status(0).ok())).with_context(|| fabric.report())?;
-    let reason = fabric.status(0)?["data_plane_reason"].to_string();
-    ensure!(reason.contains("taken over"), "{reason}");
-    Ok(())
+    // It answers before it has looked at its interfaces.
+    let taken_over = |status: serde_json::Value| status["data_plane_reason"].to_string().contains("taken over");
+    wait_for("the daemon to take over", PATIENCE, || Ok(fabric.status(0).ok().is_some_and(taken_over).then_some(())))
+        .with_context(|| fabric.report())
 }
 
 #[test]
@@ -205,7 +205,8 @@ fn maps_of_another_layout_or_version_are_refused_with_the_remedy() -> Result<()>
     // As if another build had left it.
     std::fs::write(&config, &text)?;
     let root = fabric.bpffs().join("gdp");
-    std::fs::rename(root.join("v1"), root.join("v0"))?;
+    let held = root.join(format!("v{}", gdp_wire::table::ABI));
+    std::fs::rename(held, root.join("v0"))?;
     let refused = run(&mut fabric)?;
     ensure!(refused.contains("another version") && refused.contains("gdp-ctl xdp detach"), "{refused}");
     ensure!(fabric.xdp("detach")?["detached"].as_array().map(Vec::len) == Some(1));

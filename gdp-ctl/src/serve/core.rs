@@ -14,7 +14,7 @@ use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
 use gdp_wire::{LinkEntry, LinkRole, Name};
 
-use super::hold::{GRACE, HeldLink, Hold, Kept, SILENCE};
+use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::routes::{Change, Routes};
 use crate::config::{Neighbour, Via};
 use crate::plane::{PlaneError, PlaneRoute, Planes};
@@ -199,8 +199,9 @@ impl Core {
             return Err(format!("the peer has the key of this switch, {switch}: give each a key of its own"));
         }
         if peer.role == Role::Endpoint {
-            let endpoints = self.links.values().filter(|state| state.link.peer().role == Role::Endpoint).count();
-            return if endpoints < MAX_ENDPOINTS {
+            let live = self.links.values().filter(|state| state.link.peer().role == Role::Endpoint).count();
+            let held = self.held.iter().filter(|held| held.role == Role::Endpoint).count();
+            return if live + held < MAX_ENDPOINTS {
                 Ok(())
             } else {
                 Err(format!("{MAX_ENDPOINTS} endpoints have links to this switch, the most it takes"))
@@ -246,8 +247,9 @@ impl Core {
     }
 
     /// A link is closed. It goes out of service, unless frames may still come on it: because the peer is only about to learn
-    /// that another has replaced it, or because a neighbour said nothing, and may forward on without its daemon.
-    pub fn link_down(&mut self, link: &Link) {
+    /// that another has replaced it, or because the peer said nothing, and may forward on without its daemon: then it is held,
+    /// and to be [watched](super::liveness). Returns whether it is.
+    pub fn link_down(&mut self, link: &Link) -> bool {
         let (id, peer, role) = (link.local_id(), link.peer().name, link.peer().role);
         self.downstream.retain(|_, via| *via != id);
         if self.peers.get(&peer) == Some(&id) {
@@ -256,19 +258,24 @@ impl Core {
                 self.uplink_ready = false;
             }
         }
-        let Some(LinkState { link, entry, to, .. }) = self.links.remove(&id) else { return };
-        let time = if self.routes.is_replaced(role, &peer, id) {
-            Some(GRACE)
-        } else if role == Role::Switch && link.fell_silent() && self.routes.link_silent(role, &peer, id) {
-            Some(SILENCE)
-        } else {
-            None
-        };
-        let Some(time) = time else { return self.remove_link(role, peer, id) };
+        let Some(LinkState { link, entry, to, .. }) = self.links.remove(&id) else { return false };
+        let is_replaced = self.routes.is_replaced(role, &peer, id);
+        let is_silent = !is_replaced && link.fell_silent() && self.routes.link_silent(role, &peer, id);
+        if !is_replaced && !is_silent {
+            self.remove_link(role, peer, id);
+            return false;
+        }
+        let time = if is_replaced { GRACE } else { HOLD };
         let held = HeldLink { peer, role, entry, to, until: Instant::now() + time, id: Kept::Closed { _link: link } };
         if let Some(first) = self.held.keep(held) {
             self.release(first);
         }
+        is_silent
+    }
+
+    /// Whether a link is held whose peer has no other.
+    pub fn awaits(&self, link: &Link) -> bool {
+        self.held.contains(link.local_id()) && !self.peers.contains_key(&link.peer().name)
     }
 
     fn remove_link(&mut self, role: Role, peer: Name, id: u32) {
@@ -282,16 +289,23 @@ impl Core {
         }
     }
 
-    /// Looks whether peers have moved to other addresses, as QUIC has validated.
+    /// Looks whether peers have moved to other addresses, as QUIC has validated; and what the paths to them take.
     pub fn follow_addresses(&mut self) {
         for state in self.links.values_mut() {
-            let to = state.link.addr();
+            let (to, mtu, carrier) = (state.link.addr(), state.link.mtu(), state.link.carrier());
+            if (to, mtu, carrier) == (state.to, state.entry.mtu, state.entry.carrier) {
+                continue;
+            }
+            let peer = format_args!("{:#}", state.link.peer().name).to_string();
             if to != state.to {
-                tracing::info!(peer = %format_args!("{:#}", state.link.peer().name), from = %state.to, %to, "a peer moved");
-                state.to = to;
-                if let Err(error) = self.planes.set_link(state.entry, to) {
-                    tracing::error!(%error, "the data plane did not take a link's new address");
-                }
+                tracing::info!(peer, from = %state.to, %to, "a peer moved");
+            }
+            if mtu != state.entry.mtu {
+                tracing::debug!(peer, from = state.entry.mtu, to = mtu, "the MTU of a link changed");
+            }
+            (state.to, state.entry.mtu, state.entry.carrier) = (to, mtu, carrier);
+            if let Err(error) = self.planes.set_link(state.entry, to) {
+                tracing::error!(%error, "the data plane did not take what changed on a link");
             }
         }
     }

@@ -11,10 +11,6 @@ use gdp_wire::{LinkEntry, Name};
 /// How long a link is kept that another has replaced: until frames that were sent on it have arrived.
 pub const GRACE: Duration = Duration::from_secs(5);
 
-/// How long the link to a neighbouring switch is kept that fell silent. Its daemon may be restarting while its kernel forwards;
-/// or the cable is cut, and then no path leads around it for as long.
-pub const SILENCE: Duration = Duration::from_secs(10);
-
 /// Links to one peer that are kept.
 const MOST: usize = 8;
 
@@ -51,6 +47,10 @@ impl Hold {
 
     pub fn take(&mut self, id: u32) -> Option<HeldLink> {
         self.0.remove(&id)
+    }
+
+    pub fn contains(&self, id: u32) -> bool {
+        self.0.contains_key(&id)
     }
 
     pub fn get_mut(&mut self, id: u32) -> Option<&mut HeldLink> {

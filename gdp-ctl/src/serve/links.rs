@@ -8,8 +8,8 @@ use gdp::link::{Link, Responder, Role};
 use gdp_wire::Name;
 use tokio::time::timeout;
 
-use super::Daemon;
 use super::core::{Expects, Next, Statement};
+use super::{Daemon, liveness};
 use crate::config::Via;
 
 /// How long an accepted statement waits for switches to take their routes.
@@ -150,7 +150,9 @@ fn end(daemon: &Arc<Daemon>, link: &Link) {
     let reason = link.close_reason().unwrap_or_else(|| "closed".into());
     let name = link.peer().name;
     tracing::info!(peer = %format_args!("{name:#}"), reason, "link down");
-    daemon.core().link_down(link);
+    if daemon.core().link_down(link) {
+        daemon.spawn(liveness::watch(daemon.clone(), link.clone()));
+    }
 }
 
 async fn answer(responder: Responder, response: Response) {
@@ -167,6 +169,7 @@ fn reattached(daemon: &Daemon, link: &Link, response: Option<Response>) {
         Some(Response::Done) => {
             tracing::info!(entity = %format_args!("{entity:#}"), "the RIB did not know the attachment; it was made again");
         }
+        _ if link.close_reason().is_some() => {}
         None => daemon.report_in_full(),
         Some(Response::Refused(refusal)) if refusal.code == RefusalCode::Unreachable => daemon.report_in_full(),
         Some(_) => {

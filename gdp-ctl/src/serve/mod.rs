@@ -7,6 +7,7 @@ mod ends;
 mod hold;
 pub mod interfaces;
 mod links;
+mod liveness;
 mod ports;
 pub mod routes;
 mod status;
@@ -135,7 +136,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         daemon.spawn(ports::run_ethernet(daemon.clone(), name, port, changes.clone()));
     }
     if let Some((bind, port)) = &udp {
-        daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind));
+        daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind, changes.clone()));
     }
     daemon.spawn(uplink::report(daemon.clone()));
     daemon.spawn(uplink::rib_clock(daemon.clone()));
@@ -243,7 +244,7 @@ async fn follow_addresses(daemon: Arc<Daemon>) {
             daemon.topology_changed();
         }
         for entity in lost {
-            tracing::info!(entity = %format_args!("{entity:#}"), "an endpoint of the daemon before this one did not come back");
+            tracing::info!(entity = %format_args!("{entity:#}"), "an endpoint did not come back");
             daemon.spawn(links::detach_lost(daemon.clone(), entity));
         }
     }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use gdp::control::RecordPlace;
 use gdp::link::Role;
-use gdp_wire::{FibEntry, Name};
+use gdp_wire::{ErrorCode, FibEntry, Name};
 use serde_json::{Map, Value, json};
 
 use super::core::Core;
@@ -51,12 +51,13 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "data_plane_reason": reason,
         "interfaces": used,
         "links": links(&core),
+        "links_held": links_held(&core),
         "counters": counters,
         "counters_by_plane": by_plane,
         "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
         "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
         "uplink": core.uplink.map(|switch| json!({
-            "switch": switch, "connected": core.peers.contains_key(&switch), "ready": core.uplink_ready,
+            "switch": switch, "connected": core.link_to(&switch).is_some(), "ready": core.uplink_ready,
         })),
         "errors": errors,
     })
@@ -72,17 +73,48 @@ pub fn links(core: &Core) -> Vec<Value> {
             let (link, peer) = (&state.link, state.link.peer());
             json!({
                 "peer": peer.name,
-                "role": match peer.role { Role::Endpoint => "endpoint", Role::Switch => "switch" },
+                "role": role(peer.role),
                 "via": state.via.to_string(),
                 "address": link.addr().to_string(),
                 "id": link.local_id(),
                 "mtu": link.mtu(),
                 "rtt_us": link.rtt().as_micros() as u64,
                 "age_s": state.since.elapsed().as_secs(),
+                "errors_received": errors_received(core, link.local_id()),
                 "plane": if core.planes.kernel_sends_on(link.local_id()) { "kernel" } else { "userspace" },
             })
         })
         .collect()
+}
+
+/// Links whose peers fell silent or have a newer one, or that an earlier daemon left; by id.
+fn links_held(core: &Core) -> Vec<Value> {
+    let mut held: Vec<_> = core.held.iter().collect();
+    held.sort_by_key(|link| link.entry.id);
+    held.into_iter()
+        .map(|link| {
+            json!({
+                "peer": link.peer,
+                "role": role(link.role),
+                "address": link.to.to_string(),
+                "id": link.entry.id,
+                "errors_received": errors_received(core, link.entry.id),
+            })
+        })
+        .collect()
+}
+
+fn role(role: Role) -> &'static str {
+    match role {
+        Role::Endpoint => "endpoint",
+        Role::Switch => "switch",
+    }
+}
+
+/// What a neighbour refused of what this switch sent it, by code.
+fn errors_received(core: &Core, link: u32) -> Map<String, Value> {
+    let errors = ErrorCode::ALL.iter().zip(core.planes.notices().errors(link));
+    errors.filter(|(_, count)| *count > 0).map(|(code, count)| (code.as_str().into(), count.into())).collect()
 }
 
 /// One word for all interfaces, and why.

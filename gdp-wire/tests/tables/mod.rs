@@ -4,11 +4,13 @@ use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
 
 use gdp_wire::forward::{self, Copy, Kind};
+use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::replay::{self, Window};
-use gdp_wire::table::{PORT_USERSPACE, Tables};
+use gdp_wire::table::Tables;
 use gdp_wire::{Counter, FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
 use zerocopy::{FromBytes, IntoBytes};
 
+use crate::frames::carrier::Place;
 use crate::frames::fixtures::{Bytes, CopyOut, Expected, Switch, Verdict};
 
 /// `KERNEL`: leaves to another plane what it cannot send.
@@ -19,7 +21,7 @@ pub struct PlainTables<const KERNEL: bool> {
     groups: HashMap<u32, Vec<u32>>,
     next_hops: [u32; 64],
     own_bit: u64,
-    ethertype: u16,
+    switch: Switch,
     sent: RefCell<HashMap<u32, u64>>,
     windows: HashMap<u32, Window>,
 }
@@ -33,7 +35,7 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             groups: switch.groups().map(|(group, readers)| (group, readers.to_vec())).collect(),
             next_hops: switch.next_hops(),
             own_bit: switch.config().own_bit,
-            ethertype: switch.ethertype,
+            switch: switch.clone(),
             sent: RefCell::new(switch.links.iter().map(|link| (link.id, link.tx_counter)).collect()),
             windows: switch.links.iter().map(|link| (link.id, window(&link.taken))).collect(),
         }
@@ -41,19 +43,24 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
 
     /// What becomes of an Ethernet frame.
     pub fn run(&self, frame: &[u8]) -> Expected {
-        if frame[12..14] != self.ethertype.to_be_bytes() {
+        let Some(Place { at, length, over_udp }) = self.switch.find(frame) else {
             return outcome(Verdict::Pass, Counter::Foreign);
-        }
-        match frame.get(14).copied().map(forward::classify) {
-            Some(Kind::Headed) => {}
-            Some(Kind::Control) => return outcome(Verdict::Pass, Counter::Control),
-            Some(Kind::Unknown) => return outcome(Verdict::Drop, Counter::Unknown),
+        };
+        let gdp = &frame[at..at + length];
+        match gdp.first().copied() {
+            Some(FIRST_QUIC_BYTE..) if over_udp => return outcome(Verdict::Pass, Counter::Control),
+            Some(first) => match forward::classify(first) {
+                Kind::Headed => {}
+                Kind::Control => return outcome(Verdict::Pass, Counter::Control),
+                Kind::Unknown => return outcome(Verdict::Drop, Counter::Unknown),
+            },
             None => return outcome(Verdict::Drop, Counter::Truncated),
         }
-        let Ok((mut header, payload)) = Header::read_from_prefix(&frame[14..]) else {
+        let Ok((mut header, payload)) = Header::read_from_prefix(gdp) else {
             return outcome(Verdict::Drop, Counter::Truncated);
         };
         let ingress = header.link_id();
+        let payload = payload.get(..header.payload_len().into()).unwrap_or(payload);
         let send = |link: &LinkEntry, header: &Header, payload: &[u8], counter| {
             // The fixtures leave this port without an interface.
             if KERNEL && link.port == 63 {
@@ -62,7 +69,7 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             let frame = Some(self.carried(link, header, payload));
             Expected { frame, ..outcome(Verdict::Send, counter) }
         };
-        match forward::decide(&mut header, frame.len() - 14, self) {
+        match forward::decide(&mut header, length, self) {
             forward::Verdict::Send(link, counter) => send(link, &header, payload, counter),
             forward::Verdict::Answer(link, counter) => send(link, &header, &[], counter),
             forward::Verdict::Copies(group) => {
@@ -98,9 +105,8 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
     }
 
     fn carried(&self, link: &LinkEntry, header: &Header, payload: &[u8]) -> Bytes {
-        let addresses = [link.carrier.peer_mac, link.carrier.local_mac];
-        let ethertype = self.ethertype.to_be_bytes();
-        Bytes::new(&[addresses.as_bytes(), &ethertype, header.as_bytes(), payload].concat())
+        let link = self.switch.link(link.id).expect("a link of the switch");
+        Bytes::new(&link.carry(self.switch.ethertype, &[header.as_bytes(), payload].concat()))
     }
 }
 
@@ -143,7 +149,7 @@ impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
     }
 
     fn can_send(&self, link: &LinkEntry) -> bool {
-        link.port != PORT_USERSPACE
+        self.switch.link(link.id).is_some_and(|link| link.port.is_some())
     }
 
     fn can_copy(&self, _: u32, _: usize) -> bool {

@@ -9,6 +9,7 @@ use gdp_wire::Name;
 use tokio::sync::{Notify, mpsc, watch};
 
 use super::counters::Counters;
+use super::feedback::Feedbacks;
 use super::intake::Writer as KnownWriter;
 use super::receiver::Command;
 use super::supervisor::{Attachment, Event};
@@ -28,6 +29,7 @@ const LINK_PATIENCE: Duration = Duration::from_secs(10);
 pub struct State {
     pub identity: Identity,
     pub counters: Arc<Counters>,
+    pub feedback: Arc<Feedbacks>,
     status: watch::Sender<Status>,
     /// Everything the RIB is to know, stated again after each reconnection; and whether it was, on the present link.
     statements: Mutex<HashMap<(Name, Stated), (Statement, bool)>>,
@@ -60,13 +62,13 @@ impl State {
     /// Not attached yet.
     pub fn new(
         identity: Identity,
-        counters: Arc<Counters>,
         commands: std::sync::mpsc::Sender<Command>,
         events: mpsc::UnboundedSender<Event>,
     ) -> Self {
         Self {
+            feedback: Arc::new(Feedbacks::new(identity.name())),
             identity,
-            counters,
+            counters: Arc::default(),
             status: watch::Sender::new(Status::Down("connecting".into())),
             statements: Mutex::default(),
             unstated: Notify::new(),
@@ -78,6 +80,24 @@ impl State {
 
     pub fn set_status(&self, status: Status) {
         self.status.send_replace(status);
+    }
+
+    /// Why there is still no link.
+    pub fn still_lost(&self, why: String) {
+        self.status.send_modify(|status| {
+            if let Status::Down(reason) | Status::Held(_, reason) = status {
+                *reason = why;
+            }
+        });
+    }
+
+    /// The link that fell silent is of no use any more.
+    pub fn end_hold(&self) {
+        self.status.send_modify(|status| {
+            if let Status::Held(_, reason) = status {
+                *status = Status::Down(std::mem::take(reason));
+            }
+        });
     }
 
     pub fn command(&self, command: Command) {
@@ -141,9 +161,15 @@ impl State {
     /// A handle was dropped. The RIB is told by the supervisor, or by the loss of the link.
     pub fn withdraw(&self, name: Name, stated: Stated) {
         lock(&self.statements).remove(&(name, stated));
-        if stated == Stated::Subscribed {
-            self.command(Command::Unsubscribe { name });
+        match stated {
+            Stated::Subscribed => self.command(Command::Unsubscribe { name }),
+            Stated::Published => self.feedback.forget(&name),
         }
+        self.withdraw_later(name, stated);
+    }
+
+    /// Has the supervisor tell the RIB that this is withdrawn, once there is a link.
+    pub fn withdraw_later(&self, name: Name, stated: Stated) {
         let _ = self.events.send(Event::Withdraw { name, stated });
     }
 

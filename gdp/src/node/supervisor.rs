@@ -7,18 +7,21 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use gdp_wire::table::PORT_USERSPACE;
-use gdp_wire::{Header, LinkEntry, Name};
+use gdp_wire::{Header, LinkEntry, Name, forward};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::{Instant, sleep, sleep_until, timeout_at};
+use zerocopy::IntoBytes;
 
+use super::frame_size::FrameSize;
 use super::receiver::Command;
 use super::state::{self, State, Status};
 use super::{LinkTarget, NodeError, Stated};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
+use crate::link::liveness::{Liveness, Pace, Step};
 use crate::link::{HOLD, Link, LinkError, Responder, Role};
-use crate::port::{DataSocket, Interface, LinkAddr, Port, PortConfig, UDP_MTU};
+use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig};
 
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -35,9 +38,6 @@ const REATTACH: Duration = Duration::from_secs(4);
 /// How often certificates and statements with a lifetime of [`state::LIFETIME`] are renewed.
 const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
 
-/// Largest frame sent, whatever the first link takes, until path MTUs are learnt: a link further on may be over UDP. Bytes.
-const MAX_FRAME: u32 = UDP_MTU;
-
 /// What the rest of the node tells the supervisor.
 pub enum Event {
     /// A publisher or subscription was dropped.
@@ -51,12 +51,20 @@ pub struct Attachment {
     pub link: Link,
     pub entry: LinkEntry,
     pub data: Arc<DataSocket>,
+    /// Bytes of the largest frame that may come.
+    pub largest: usize,
+    /// What links further on take, as far as it is known.
+    pub frame_size: FrameSize,
     count: AtomicU64,
+    /// Cookie of the latest answer to an echo.
+    answer: AtomicU64,
 }
 
 impl Attachment {
     fn new(link: Link, port: &Port) -> Self {
-        Self { entry: link.entry(PORT_USERSPACE), link, data: port.data(), count: AtomicU64::new(0) }
+        let (entry, data, largest) = (link.entry(PORT_USERSPACE), port.data(), port.mtu() as usize);
+        let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
+        Self { entry, link, data, largest, frame_size, count, answer }
     }
 
     /// The count for the next frame: 1 for the first.
@@ -64,22 +72,49 @@ impl Attachment {
         self.count.fetch_add(1, Ordering::Relaxed).wrapping_add(1)
     }
 
-    /// Largest payload of a frame, in bytes.
+    /// Sends a frame without a payload to the switch itself; if it is lost, so be it.
+    pub fn send(&self, mut header: Header) {
+        forward::stamp(&mut header, &self.entry, self.next_count());
+        self.data.send_batch([OutFrame { to: self.link.addr(), head: header.as_bytes(), body: &[] }]);
+    }
+
+    /// The switch has answered the echo with this cookie.
+    pub fn answered(&self, cookie: u64) {
+        self.answer.store(cookie, Ordering::Relaxed);
+    }
+
+    /// Asks the data plane of the switch whether it lives, and returns when it does not answer.
+    async fn until_silent(&self) {
+        let mut liveness = Liveness::new(Pace::of(self.link.addr()));
+        loop {
+            let cookie = crypto::random().map_or(0, u64::from_le_bytes);
+            match liveness.step(self.answer.load(Ordering::Relaxed), cookie) {
+                Step::Ask => self.send(Header::echo(cookie)),
+                Step::Silent => return,
+            }
+            sleep(liveness.pace().interval).await;
+        }
+    }
+
+    /// Largest payload of a frame, in bytes: what this link takes now, and links further on as far as is known.
     pub fn max_payload(&self) -> usize {
-        (self.entry.mtu.min(MAX_FRAME) as usize).saturating_sub(Header::LEN)
+        (self.link.mtu().min(self.frame_size.get()) as usize).saturating_sub(Header::LEN)
     }
 }
 
-/// A link whose switch fell silent, still in use until then.
+/// A link whose switch fell silent, in use until then at the latest.
 struct Held {
     attachment: Arc<Attachment>,
     until: Instant,
 }
 
-fn lost(held: Option<&Held>, reason: String) -> Status {
-    match held {
-        Some(held) => Status::Held(held.attachment.clone(), reason),
-        None => Status::Down(reason),
+impl Held {
+    /// Returns when the link is of no use any more, and says why.
+    async fn end(&self) -> &'static str {
+        match timeout_at(self.until, self.attachment.until_silent()).await {
+            Ok(()) => "its data plane does not answer either",
+            Err(_) => "its daemon has been silent for too long",
+        }
     }
 }
 
@@ -141,21 +176,44 @@ impl Supervisor {
         loop {
             let reason = self.serve(attachment.clone(), events).await;
             tracing::warn!(switch = %self.target, %reason, "lost the link to the switch");
-            let mut held = attachment.link.fell_silent().then(|| Held { attachment, until: Instant::now() + HOLD });
-            self.state.set_status(lost(held.as_ref(), reason));
-            let mut backoff = Backoff::new();
-            attachment = loop {
-                backoff.wait().await;
-                match self.attempt(held.as_ref()).await {
-                    Ok(attachment) => break attachment,
-                    Err(error) => {
-                        tracing::debug!(switch = %self.target, %error, "no link to the switch");
-                        held = held.filter(|held| Instant::now() < held.until);
-                        self.state.set_status(lost(held.as_ref(), error.to_string()));
-                    }
-                }
+            attachment = if attachment.link.fell_silent() {
+                self.state.set_status(Status::Held(attachment.clone(), reason));
+                let held = Held { attachment, until: Instant::now() + HOLD };
+                self.reconnect_while_held(&held).await
+            } else {
+                self.state.set_status(Status::Down(reason));
+                self.reconnect(None).await
             };
             tracing::info!(switch = %attachment.link.peer().name, "the link to the switch is back");
+        }
+    }
+
+    /// A new link. What the application sends in the meantime goes out on the one that is held, as long as that is of use.
+    async fn reconnect_while_held(&mut self, held: &Held) -> Arc<Attachment> {
+        let state = self.state.clone();
+        let hold = async {
+            let reason = held.end().await;
+            tracing::warn!("nothing is sent to the switch any more: {reason}");
+            state.end_hold();
+            std::future::pending().await
+        };
+        tokio::select! {
+            attachment = self.reconnect(Some(held)) => attachment,
+            attachment = hold => attachment,
+        }
+    }
+
+    async fn reconnect(&mut self, held: Option<&Held>) -> Arc<Attachment> {
+        let mut backoff = Backoff::new();
+        loop {
+            backoff.wait().await;
+            match self.attempt(held).await {
+                Ok(attachment) => return attachment,
+                Err(error) => {
+                    tracing::debug!(switch = %self.target, %error, "no link to the switch");
+                    self.state.still_lost(error.to_string());
+                }
+            }
         }
     }
 
@@ -182,8 +240,8 @@ impl Supervisor {
         let (port, candidates) = self.locate().await?;
         let link = self.dial_first(&port, &candidates).await?;
         let attachment = Arc::new(Attachment::new(link, &port));
-        let held = held.map(|held| (Box::new(held.attachment.entry), held.until.into_std()));
-        self.state.command(Command::Attach { data: attachment.data.clone(), entry: Box::new(attachment.entry), held });
+        let held = held.map(|held| (held.attachment.clone(), held.until.into_std()));
+        self.state.command(Command::Attach { attachment: attachment.clone(), held });
         self.state.attach(&attachment).await?;
         self.state.counters.links.add(1);
         self.state.set_status(Status::Up(attachment.clone()));
@@ -316,11 +374,14 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
     match event {
         Event::Withdraw { name, stated } => {
             let mut backoff = Backoff::new();
-            // With the link, the switch withdraws everything by itself.
-            while let Err(error) = state.state_withdrawal(&attachment, name, stated).await
-                && attachment.link.close_reason().is_none()
-            {
-                tracing::warn!(%name, %error, "could not be withdrawn; trying again");
+            while let Err(error) = state.state_withdrawal(&attachment, name, stated).await {
+                match error {
+                    // It went with an attachment that ended.
+                    NodeError::Refused(refusal) if refusal.code == RefusalCode::NotFound => return,
+                    // What was stated may outlive the link: that is for the next one to tell.
+                    _ if attachment.link.close_reason().is_some() => return state.withdraw_later(name, stated),
+                    error => tracing::warn!(%name, %error, "could not be withdrawn; trying again"),
+                }
                 backoff.wait().await;
             }
         }
