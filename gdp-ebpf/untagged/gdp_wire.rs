@@ -30,10 +30,10 @@ pub mod siphash {
     }
 }
 
-pub use counter::Counter;
-pub use header::{ControlHeader, ErrorCode, FrameType, Header};
-pub use name::{Name, ParseNameError};
-pub use table::{Carrier, FibEntry, LinkEntry, LinkRole, Permit, SwitchConfig};
+pub use counter::*;
+pub use header::*;
+pub use name::*;
+pub use table::*;
 
 /// As in `gdp-wire`.
 pub const ETHERTYPE: u16 = 0x88B5;
