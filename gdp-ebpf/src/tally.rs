@@ -35,9 +35,9 @@ pub fn sample(tag: u64, header: &Header) {
     if !is_sampled(tag) {
         return;
     }
-    match BUSIEST.get_ptr_mut(&header.destination) {
+    match BUSIEST.get_ptr_mut(header.destination) {
         // SAFETY: this CPU's value; that the element is reused meanwhile costs at most this count.
         Some(count) => unsafe { *count += 1 },
-        None => _ = BUSIEST.insert(&header.destination, &1, BPF_ANY.into()),
+        None => _ = BUSIEST.insert(header.destination, 1, BPF_ANY.into()),
     }
 }
