@@ -63,6 +63,11 @@ impl LinkMemory {
         self.count(id).fetch_add(1, Ordering::Relaxed).wrapping_add(1)
     }
 
+    /// How many frames have left by the link.
+    pub fn sent(&self, id: u32) -> u64 {
+        self.count(id).load(Ordering::Relaxed)
+    }
+
     /// Says how many frames have left by the link.
     pub fn set_count(&self, id: u32, count: u64) {
         self.count(id).store(count, Ordering::Relaxed);

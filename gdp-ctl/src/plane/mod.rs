@@ -301,6 +301,11 @@ impl Planes {
         Ok(())
     }
 
+    /// Frames sent on a link by any plane.
+    pub fn frames_sent(&self, id: u32) -> u64 {
+        self.link_memory.sent(id)
+    }
+
     /// An unknown link is no error.
     pub fn remove_link(&mut self, id: u32) -> Result<(), PlaneError> {
         if self.tables().remove_link(id).is_some()

@@ -7,7 +7,7 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use gdp::control::{EntityRequest, FibPush, Refusal, RefusalCode, Request, Response};
 use gdp::identity::Identity;
-use gdp::link::{Link, LinkIds, Peer, Role};
+use gdp::link::{Link, LinkIds, LinkKeys, Peer, Role};
 use gdp::name::NameProof;
 use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
@@ -220,6 +220,17 @@ impl Core {
         self.links.remove(&id);
     }
 
+    /// Writes the keys that a link has from now on to the data planes; `false` if it is gone, or a plane refuses.
+    pub fn put_keys(&mut self, id: u32, keys: &LinkKeys) -> bool {
+        let Some(state) = self.links.get_mut(&id) else { return false };
+        keys.put(&mut state.entry);
+        let result = self.planes.set_link(state.entry, state.to);
+        if let Err(error) = &result {
+            tracing::error!(link = id, %error, "the data plane did not take a link's new keys; it keeps those it has");
+        }
+        result.is_ok()
+    }
+
     /// Looks whether peers have moved to other addresses, as QUIC has validated.
     pub fn follow_addresses(&mut self) {
         for state in self.links.values_mut() {
@@ -295,7 +306,7 @@ impl Core {
                     return refuse(RefusalCode::Unreachable, reason);
                 }
             }
-            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) => {
+            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) | Request::Ratcheted { .. } => {
                 let reason = "only the uplink of a switch may send it this; check uplink in the configuration of both";
                 return refuse(RefusalCode::Malformed, reason);
             }
@@ -315,7 +326,7 @@ impl Core {
                 rib.report(now, &switch, &neighbours, attached.as_deref())
             }
             Request::Detach { switch, entity } => rib.detach(now, &switch, &entity),
-            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) => {
+            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) | Request::Ratcheted { .. } => {
                 Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into()
             }
         })

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
-use gdp::link::{Link, Responder, Role};
+use gdp::link::{Link, LinkKeys, Responder, Role};
 use tokio::time::timeout;
 
 use super::Daemon;
@@ -40,12 +40,20 @@ pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     }
     let role = if switch { "switch" } else { "endpoint" };
     tracing::info!(peer = %format_args!("{peer:#}"), role, %via, addr = %link.addr(), "link up");
+    daemon.spawn(keep_keys(daemon.clone(), link.clone()));
     if switch {
         daemon.topology_changed();
         daemon.spawn(serve_switch(daemon.clone(), link));
     } else {
         daemon.spawn(serve_endpoint(daemon.clone(), link));
     }
+}
+
+/// Replaces the link's keys in the data planes now and then, as long as it lives.
+async fn keep_keys(daemon: Arc<Daemon>, link: Link) {
+    let id = link.local_id();
+    let put = |keys: &LinkKeys| daemon.core().put_keys(id, keys);
+    link.keep_keys(|| daemon.core().planes.frames_sent(id), put).await;
 }
 
 /// An endpoint's requests are answered one after the other: its statements carry serials.

@@ -30,6 +30,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         .values()
         .map(|state| {
             let peer = state.link.peer();
+            let (rx_keys, tx_keys) = state.link.key_generations();
             json!({
                 "peer": peer.name,
                 "role": match peer.role { Role::Endpoint => "endpoint", Role::Switch => "switch" },
@@ -37,6 +38,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
                 "address": state.link.addr().to_string(),
                 "id": state.link.local_id(),
                 "mtu": state.link.mtu(),
+                "key_generations": {"rx": rx_keys, "tx": tx_keys},
                 "rtt_us": state.link.rtt().as_micros() as u64,
             })
         })

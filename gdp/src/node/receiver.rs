@@ -14,6 +14,7 @@ use zerocopy::FromBytes;
 use super::counters::Counters;
 use super::held::Held;
 use super::intake::{Intake, Writer};
+use super::shared_entry::SharedEntry;
 use super::supervisor::Event;
 use crate::port::{DataSocket, RecvBatch};
 use crate::seal::DropReason;
@@ -29,9 +30,9 @@ pub enum Command {
     /// Frames now come from this socket, on this link, which is new.
     Attach {
         data: Arc<DataSocket>,
-        entry: LinkEntry,
+        entry: SharedEntry,
         /// A link that this one replaces, and until when the switch may still send on it.
-        held: Option<(LinkEntry, Instant)>,
+        held: Option<(SharedEntry, Instant)>,
     },
     Subscribe {
         name: Name,
@@ -95,7 +96,10 @@ impl Receiver {
                         continue;
                     }
                 }
-                Ok(_) => state.take(batch, links, &self.counters, &self.events),
+                Ok(_) => {
+                    links.refresh();
+                    state.take(batch, links, &self.counters, &self.events);
+                }
                 Err(error) => {
                     // The link is about to be lost as well; the next one brings its socket.
                     tracing::debug!(%error, "the data socket failed");
@@ -120,22 +124,28 @@ struct Links {
 }
 
 impl Links {
-    fn new(entry: LinkEntry) -> Self {
+    fn new(entry: SharedEntry) -> Self {
         Self { current: Ingress::new(entry), held: Vec::new() }
     }
 
     /// A new link; `held` is the one that fell silent, which goes on as it was among `earlier` ones.
-    fn after(earlier: Option<Self>, entry: LinkEntry, held: Option<(LinkEntry, Instant)>) -> Self {
+    fn after(earlier: Option<Self>, entry: SharedEntry, held: Option<(SharedEntry, Instant)>) -> Self {
         let mut links = Self::new(entry);
         let Some((silent, until)) = held else { return links };
         match earlier {
-            Some(earlier) if earlier.current.entry.id == silent.id => {
+            Some(earlier) if earlier.current.entry.id == silent.get().id => {
                 links.held = earlier.held;
                 links.held.push((earlier.current, until));
             }
             _ => links.held.push((Ingress::new(silent), until)),
         }
         links
+    }
+
+    /// Meets the keys that were put before; to be called after frames were received.
+    fn refresh(&mut self) {
+        let held = self.held.iter_mut().map(|(link, _)| link);
+        held.chain([&mut self.current]).for_each(|link| link.entry = link.shared.get());
     }
 
     /// The link a frame says it is on; the current one for a frame that is on none, to be refused by it.
@@ -147,13 +157,15 @@ impl Links {
 
 /// A link that frames come from, and which of them came.
 struct Ingress {
+    shared: SharedEntry,
+    /// As it is for the batch at hand.
     entry: LinkEntry,
     window: Box<Window>,
 }
 
 impl Ingress {
-    fn new(entry: LinkEntry) -> Self {
-        Self { entry, window: Box::new(replay::empty()) }
+    fn new(shared: SharedEntry) -> Self {
+        Self { entry: shared.get(), shared, window: Box::new(replay::empty()) }
     }
 }
 
@@ -257,7 +269,7 @@ mod tests {
     #[test]
     fn many_unknown_sources_cause_one_question() {
         let (name, mut intakes) = (NAME, subscribed());
-        let (link, counters) = (Links::new(LinkEntry::default()), Counters::default());
+        let (link, counters) = (Links::new(SharedEntry::new(LinkEntry::default())), Counters::default());
         let (events, mut asked) = async_mpsc::unbounded_channel();
         let mut batch = RecvBatch::new(1500);
         for source in 0..50 {
@@ -274,7 +286,8 @@ mod tests {
     #[test]
     fn a_frame_that_comes_again_on_its_link_is_refused() {
         let mut intakes = subscribed();
-        let (entry, counters) = (LinkEntry::default(), Counters::default());
+        let (shared, counters) = (SharedEntry::new(LinkEntry::default()), Counters::default());
+        let entry = shared.get();
         let (events, _asked) = async_mpsc::unbounded_channel();
         let mut take = |link: &Links, counts: &[u64]| {
             let mut batch = RecvBatch::new(1500);
@@ -286,10 +299,10 @@ mod tests {
             intakes.take(&mut batch, link, &counters, &events);
             counters.refused[gdp_wire::Counter::Replayed as usize].get()
         };
-        let link = Links::new(entry);
+        let link = Links::new(shared.clone());
         assert_eq!(take(&link, &[1, 3, 2, 1]), 1);
         assert_eq!(take(&link, &[4, 3, 2]), 3, "in another batch");
-        assert_eq!(take(&Links::new(entry), &[1, 2]), 3, "a new link counts anew");
+        assert_eq!(take(&Links::new(shared), &[1, 2]), 3, "a new link counts anew");
     }
 
     fn subscribed() -> Intakes {

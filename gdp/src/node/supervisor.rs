@@ -7,17 +7,18 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use gdp_wire::table::PORT_USERSPACE;
-use gdp_wire::{Header, LinkEntry, Name};
+use gdp_wire::{Header, Name};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep, sleep_until};
 
 use super::receiver::Command;
+use super::shared_entry::SharedEntry;
 use super::state::{self, State, Status};
 use super::{LinkTarget, NodeError, Stated};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
-use crate::link::{HOLD, Link, LinkError, Responder, Role};
+use crate::link::{HOLD, Link, LinkError, LinkKeys, RekeySchedule, Responder, Role};
 use crate::port::{DataSocket, Interface, LinkAddr, Port, PortConfig, UDP_MTU};
 
 /// How long a switch may take to answer discovery.
@@ -46,14 +47,14 @@ pub enum Event {
 /// The link as publishers use it.
 pub struct Attachment {
     pub link: Link,
-    pub entry: LinkEntry,
+    pub entry: SharedEntry,
     pub data: Arc<DataSocket>,
     count: AtomicU64,
 }
 
 impl Attachment {
     fn new(link: Link, port: &Port) -> Self {
-        Self { entry: link.entry(PORT_USERSPACE), link, data: port.data(), count: AtomicU64::new(0) }
+        Self { entry: SharedEntry::new(link.entry(PORT_USERSPACE)), link, data: port.data(), count: AtomicU64::new(0) }
     }
 
     /// The count for the next frame: 1 for the first.
@@ -63,7 +64,16 @@ impl Attachment {
 
     /// Largest payload of a frame, in bytes.
     pub fn max_payload(&self) -> usize {
-        (self.entry.mtu.min(MAX_FRAME) as usize).saturating_sub(Header::LEN)
+        (self.link.mtu().min(MAX_FRAME) as usize).saturating_sub(Header::LEN)
+    }
+
+    /// Replaces the keys of the link now and then, as long as it lives.
+    async fn keep_keys(self: Arc<Self>) {
+        let put = |keys: &LinkKeys| {
+            self.entry.update(|entry| keys.put(entry));
+            true
+        };
+        self.link.keep_keys(|| self.count.load(Ordering::Relaxed), put).await;
     }
 }
 
@@ -89,8 +99,8 @@ pub struct Supervisor {
 }
 
 impl Supervisor {
-    pub fn new(state: Arc<State>, target: LinkTarget, pinned: Option<Name>) -> Self {
-        let port_config = PortConfig::endpoint(state.identity.clone());
+    pub fn new(state: Arc<State>, target: LinkTarget, pinned: Option<Name>, rekey: RekeySchedule) -> Self {
+        let port_config = PortConfig { rekey, ..PortConfig::endpoint(state.identity.clone()) };
         Self { state, target, pinned, port_config, port: None }
     }
 
@@ -159,6 +169,7 @@ impl Supervisor {
     /// One link's life; returns why it ended.
     async fn serve(&self, attachment: Arc<Attachment>, events: &mut mpsc::UnboundedReceiver<Event>) -> String {
         let _upkeep = AbortOnDrop(tokio::spawn(keep_stated(self.state.clone(), attachment.clone())));
+        let _keys = AbortOnDrop(tokio::spawn(attachment.clone().keep_keys()));
         let link = &attachment.link;
         loop {
             tokio::select! {
@@ -180,8 +191,8 @@ impl Supervisor {
         let attachment = Arc::new(Attachment::new(link, &port));
         self.state.attach(&attachment).await?;
         self.state.counters.links.add(1);
-        let held = held.map(|held| (held.attachment.entry, held.until.into_std()));
-        self.state.command(Command::Attach { data: attachment.data.clone(), entry: attachment.entry, held });
+        let held = held.map(|held| (held.attachment.entry.clone(), held.until.into_std()));
+        self.state.command(Command::Attach { data: attachment.data.clone(), entry: attachment.entry.clone(), held });
         self.state.set_status(Status::Up(attachment.clone()));
         Ok(attachment)
     }
