@@ -54,7 +54,7 @@ impl LinkMemory {
     /// Forgets the link that had the index before. For a link that no plane takes frames from yet.
     pub fn begin(&self, id: u32) {
         self.set_count(id, 0);
-        self.complaint(id).store(0, Ordering::Relaxed);
+        self.forgive(id);
         self.window(id).iter().for_each(|word| word.store(0, Ordering::Relaxed));
     }
 
@@ -87,6 +87,11 @@ impl LinkMemory {
             last.store(now, Ordering::Relaxed);
         }
         may
+    }
+
+    /// Lets the next error leave by the link at once.
+    pub fn forgive(&self, id: u32) {
+        self.complaint(id).store(0, Ordering::Relaxed);
     }
 
     fn complaint(&self, id: u32) -> &AtomicU64 {
