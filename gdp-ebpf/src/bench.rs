@@ -1,10 +1,15 @@
-//! Generator and sink of `cargo xtask bench forward`. The generator runs under `BPF_PROG_TEST_RUN` with live frames: the
-//! kernel hands it frames, it sends them by an interface, as long as not too many are under way. The sink sits on the
-//! interface where they should arrive.
+//! What `cargo xtask bench forward` and kernel tests run around the switch: generator and sink, and [`bench_lookups`].
+//!
+//! The generator runs under `BPF_PROG_TEST_RUN` with live frames: the kernel hands it frames, it sends them by an interface, as
+//! long as not too many are under way. The sink sits on the interface where they should arrive.
 //!
 //! Toward a switch the generator is an endpoint, which counts and tags each frame; that is work of its own for each frame, beside
 //! what is measured.
-#![cfg_attr(target_arch = "bpf", no_std, no_main)]
+#![cfg_attr(target_arch = "bpf", no_std, no_main, feature(asm_experimental_arch))]
+
+mod bench_lookups;
+mod bench_names;
+mod fib;
 
 use aya_ebpf::bindings::xdp_action::{XDP_ABORTED, XDP_DROP, XDP_PASS};
 use aya_ebpf::macros::{map, xdp};

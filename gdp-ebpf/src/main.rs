@@ -12,7 +12,10 @@ mod config;
 mod counters;
 mod fib;
 mod links;
+mod next_hops;
+mod losses;
 mod packet;
+mod permits;
 mod ports;
 mod tables;
 mod windows;
@@ -102,11 +105,7 @@ fn forward_frame(context: &XdpContext, mut packet: Packet) -> Outcome {
 
 #[inline(always)]
 fn send(link: &LinkEntry, counter: Counter) -> Outcome {
-    if ports::redirect(link.port) {
-        Outcome::Redirected(counter)
-    } else {
-        Outcome::Dropped(Counter::RedirectFailed)
-    }
+    if ports::redirect(link.port) { Outcome::Redirected(counter) } else { Outcome::Dropped(Counter::RedirectFailed) }
 }
 
 #[cfg(all(target_arch = "bpf", not(test)))]

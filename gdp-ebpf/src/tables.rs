@@ -4,7 +4,7 @@ use gdp_wire::replay::Words;
 use gdp_wire::table::{PORT_USERSPACE, Tables};
 use gdp_wire::{FibEntry, LinkEntry, Name, Permit};
 
-use crate::{config, fib, links, windows};
+use crate::{config, fib, links, next_hops, permits, windows};
 
 pub struct Maps;
 
@@ -24,7 +24,7 @@ impl Tables for Maps {
 
     #[inline(always)]
     fn next_hop(&self, bit: u32) -> u32 {
-        fib::next_hop(bit)
+        next_hops::next_hop(bit)
     }
 
     #[inline(always)]
@@ -34,7 +34,7 @@ impl Tables for Maps {
 
     #[inline(always)]
     fn is_permitted(&self, permit: &Permit) -> bool {
-        fib::is_permitted(permit)
+        permits::is_permitted(permit)
     }
 
     #[inline(always)]

@@ -1,5 +1,5 @@
-//! Every frame a data plane sees ends in exactly one of these counters. One enum, one per-CPU array, one metric
-//! family, the same for all planes.
+//! Every frame a data plane sees ends in exactly one of these counters, and every copy; what is lost after that is counted once more,
+//! see [`Counter::RedirectLost`]. One enum, one per-CPU array, one metric family, the same for all planes.
 
 macro_rules! counters {
     ($($(#[$doc:meta])* $variant:ident = $text:literal,)*) => {
@@ -65,6 +65,9 @@ counters! {
     TooBig = "drop_too_big",
     /// Dropped: the decision was to redirect, and the kernel refused.
     RedirectFailed = "drop_redirect_failed",
+    /// Dropped after the decision: the interface it was redirected to did not take it. It is counted already, as
+    /// [`Counter::Forwarded`], [`Counter::Delivered`] or [`Counter::Echoed`], or, if it is an error, as the drop that it answers.
+    RedirectLost = "drop_redirect_lost",
 }
 
 impl Counter {

@@ -6,8 +6,10 @@
 #![cfg_attr(not(test), no_std)]
 
 pub mod counter;
+pub mod flat;
 pub mod forward;
 pub mod header;
+pub mod losses;
 mod name;
 pub mod replay;
 pub mod siphash;

@@ -28,7 +28,8 @@ fn every_case_through_decide() {
 #[test]
 fn every_counter_has_a_case() {
     let cases = fixtures::read().cases;
-    for counter in Counter::ALL {
+    // What a redirect loses is known only after it.
+    for counter in Counter::ALL.iter().filter(|counter| **counter != Counter::RedirectLost) {
         let counts = |expected: &Expected| expected.counter == counter.as_str();
         let any = cases.iter().any(|case| counts(&case.kernel) || case.userspace.as_ref().is_some_and(counts));
         assert!(any, "none for {counter:?}");

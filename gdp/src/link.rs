@@ -6,6 +6,7 @@
 
 mod hello;
 mod ids;
+pub mod liveness;
 mod ratchet;
 mod rekey;
 mod streams;
@@ -50,7 +51,8 @@ pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 pub const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Silence is no proof that nothing forwards: the daemon of a switch may have died and its kernel not. So after a link was
-/// lost by silence, its keys and routes stay in use on both sides until a new link is up, and for this long at most.
+/// lost by silence, its keys and routes stay in use on both sides until a new link is up, as long as the neighbour's data plane
+/// answers echoes ([`liveness`]), and for this long at most.
 pub const HOLD: Duration = Duration::from_secs(60);
 
 /// Requests a peer can have open at once.

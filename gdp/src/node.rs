@@ -13,6 +13,7 @@
 //! certificates of the name's owner alone.
 
 mod counters;
+mod feedback;
 mod held;
 mod intake;
 mod publisher;
@@ -30,13 +31,12 @@ use gdp_wire::Name;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
-use self::counters::Counters;
 use self::intake::Intake;
 use self::receiver::{Command, Receiver};
 use self::state::{State, Statement, lock, unix_now};
 use self::supervisor::Supervisor;
 use crate::cert::{AdCert, CertError, ReadGrant, Signed};
-use crate::control::{Record, Refusal};
+use crate::control::{Record, RecordPlace, Refusal};
 use crate::crypto::Backend;
 use crate::identity::Identity;
 use crate::link::{LinkError, RekeySchedule};
@@ -45,6 +45,8 @@ use crate::port::LinkAddr;
 use crate::seal::{EpochKey, Reader, SealError, Writer};
 
 pub use counters::NodeCounters;
+pub use feedback::{Feedback, FrameError};
+pub use gdp_wire::ErrorCode;
 pub use publisher::Publisher;
 pub use subscription::{SubscribeOptions, Subscription};
 pub use target::{LinkTarget, LinkTargetError};
@@ -133,9 +135,13 @@ impl Node {
     pub async fn connect(config: NodeConfig) -> Result<Self, NodeError> {
         let (commands, command_queue) = std::sync::mpsc::channel();
         let (events, event_queue) = mpsc::unbounded_channel();
-        let counters = Arc::new(Counters::default());
-        let state = Arc::new(State::new(config.identity, counters.clone(), commands, events.clone()));
-        let receiver = Receiver { commands: command_queue, events, counters };
+        let state = Arc::new(State::new(config.identity, commands, events.clone()));
+        let receiver = Receiver {
+            commands: command_queue,
+            events,
+            counters: state.counters.clone(),
+            feedback: state.feedback.clone(),
+        };
         std::thread::Builder::new()
             .name("gdp-receive".into())
             .spawn(move || receiver.run())
@@ -162,7 +168,7 @@ impl Node {
         let entity = state.identity.name();
         let writer = Writer::new(name, entity, key, state.identity.key().clone(), Backend::default())?;
         state.begin(name, Stated::Published, Statement::Publish { proof, ad_cert })?;
-        let publisher = Publisher::new(self.0.clone(), name, writer);
+        let publisher = Publisher::new(self.0.clone(), name, writer, state.feedback.of(name));
         // From here on, dropping the publisher ends the statement.
         let attachment = state.attached().await?;
         state.state(&attachment, name, Stated::Published).await?;
@@ -193,11 +199,16 @@ impl Node {
         Ok(subscription)
     }
 
-    /// Who publishes and reads the names with this prefix, as far as it verifies; and whether there are more.
-    pub async fn query(&self, prefix: NamePrefix) -> Result<(Vec<Record>, bool), NodeError> {
+    /// Who publishes and reads the names with this prefix, as far as it verifies: as many as fit an answer, from the one behind
+    /// `after` on; and whether there are more.
+    pub async fn query(
+        &self,
+        prefix: NamePrefix,
+        after: Option<RecordPlace>,
+    ) -> Result<(Vec<Record>, bool), NodeError> {
         let state = &self.0.state;
         let attachment = state.attached().await?;
-        let (mut records, truncated) = state.query(&attachment, prefix.clone()).await?;
+        let (mut records, truncated) = state.query(&attachment, prefix.clone(), after).await?;
         records.retain(|record| {
             let verdict = record.verify(unix_now());
             if let Err(error) = &verdict {

@@ -5,6 +5,7 @@
 //! ```
 
 use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
@@ -176,6 +177,37 @@ fn permission_comes_and_goes_in_the_kernel() -> Result<()> {
     wait_for("a permit to go with its name", SOON, || {
         Ok((switch.count(Counter::NotPermitted)? == (refused + 1, 0)).then_some(()))
     })
+}
+
+/// The FIB begins small and is replaced by larger ones. One frame is under way at a time, so each that is lost is missed.
+#[test]
+fn no_frame_is_lost_while_the_fib_grows() -> Result<()> {
+    const NAMES: u32 = 40_000;
+    let site = Site::build(1500)?;
+    let mut switch = site.switch(Wanted::Xdp)?;
+    let (from, to) = (PacketSocket::open(&site.left, "e0")?, PacketSocket::open(&site.right, "e0")?);
+    let (template, over) = (site.next_frame(200), AtomicBool::new(false));
+    let (sent, grown) = std::thread::scope(|scope| {
+        let traffic = scope.spawn(|| -> Result<u64> {
+            let mut sent = 0;
+            while sent < 1000 || !over.load(Ordering::Relaxed) {
+                sent += 1;
+                from.send(&Frame { link_counter: sent, ..template.clone() }.bytes())?;
+                to.receive(SOON, gdp_tests::packet::is_gdp_data).with_context(|| format!("frame {sent} was lost"))?;
+            }
+            Ok(sent)
+        });
+        let grown = (0..NAMES).try_for_each(|i| {
+            let name = Name::from_bytes(std::array::from_fn(|at| i.to_be_bytes()[at % 4]));
+            switch.planes.set_route(name, &PlaneRoute { egress_bits: 1 << 9, ..PlaneRoute::default() })
+        });
+        over.store(true, Ordering::Relaxed);
+        (traffic.join().expect("no panic"), grown)
+    });
+    grown?;
+    ensure!(switch.planes.routes()?.len() == NAMES as usize + 1);
+    ensure!(switch.count(Counter::Delivered)? == (sent?, 0), "{:?}", switch.planes.counters());
+    Ok(())
 }
 
 /// A bridge has no native XDP and takes no redirected frames, but those of generic XDP are ordinary packets.

@@ -12,6 +12,7 @@ use gdp::port::{BATCH, DataSocket, LinkAddr, OutFrame, RecvBatch};
 use gdp_wire::{Counter, Header};
 use zerocopy::IntoBytes;
 
+use super::notices::Notices;
 use super::userspace::{CopyOut, Outcome, UserTables, copies, handle};
 
 /// How long a thread takes to notice that it should end.
@@ -36,6 +37,7 @@ impl From<LinkAddr> for Medium {
 /// What all threads share.
 pub struct Shared {
     pub tables: RwLock<UserTables>,
+    pub notices: Notices,
     sockets: RwLock<HashMap<Medium, Arc<DataSocket>>>,
     counters: [AtomicU64; Counter::COUNT],
 }
@@ -44,6 +46,7 @@ impl Shared {
     pub fn new(tables: UserTables) -> Self {
         Self {
             tables: RwLock::new(tables),
+            notices: Notices::default(),
             sockets: RwLock::new(HashMap::new()),
             counters: [const { AtomicU64::new(0) }; Counter::COUNT],
         }
@@ -52,6 +55,16 @@ impl Shared {
     /// In the order of [`Counter::ALL`].
     pub fn counters(&self) -> [u64; Counter::COUNT] {
         std::array::from_fn(|i| self.counters[i].load(Ordering::Relaxed))
+    }
+
+    /// Sends a frame of this node itself, without a payload, to the neighbour on link `id`; if it is lost, so be it.
+    pub fn send_own(&self, id: u32, header: Header) {
+        let made = self.tables.read().unwrap_or_else(PoisonError::into_inner).address_frame(id, header);
+        let Some((header, to)) = made else { return };
+        let sockets = self.sockets.read().unwrap_or_else(PoisonError::into_inner);
+        if let Some(socket) = sockets.get(&Medium::from(to)) {
+            socket.send_batch([OutFrame { to, head: header.as_bytes(), body: &[] }]);
+        }
     }
 
     fn count(&self, counter: Counter, frames: u64) {
@@ -159,7 +172,10 @@ impl Worker {
                     copies(frame, (ingress, group), &tables, send, |counter| counts[counter as usize] += 1);
                 }
                 Outcome::Control => counts[Counter::Control as usize] += 1,
-                Outcome::Notice { .. } => counts[Counter::Notice as usize] += 1,
+                Outcome::Notice { link, header } => {
+                    let known = self.shared.notices.take(link, &header);
+                    counts[if known { Counter::Notice } else { Counter::Unknown } as usize] += 1;
+                }
                 Outcome::Drop(counter) => counts[counter as usize] += 1,
             }
         }

@@ -15,8 +15,10 @@ use gdp_wire::table::{EGRESS_SET_SIZE, MAX_PORTS, link_index};
 use gdp_wire::{Counter, FibEntry, LinkEntry, Name, Permit, SwitchConfig};
 
 use super::explain;
+use super::fib::{self, Fib};
 use super::kernel_version::KernelVersion;
 use super::link_memory::{LinkMaps, LinkMemory};
+use super::losses::{self, Losses, LossesError};
 use super::pins::{Pins, PinsError};
 
 /// The oldest kernel the programs are meant for.
@@ -41,6 +43,8 @@ pub enum LoadError {
     Map { path: PathBuf, map: &'static str, source: MapError },
     #[error("cannot map the counts and windows of links into memory: {0}")]
     LinkMemory(std::io::Error),
+    #[error(transparent)]
+    Fib(#[from] UpdateError),
     #[error("{}: {source}", path.display())]
     Read { path: PathBuf, source: std::io::Error },
     #[error("{}: {source}", path.display())]
@@ -67,6 +71,10 @@ pub enum AttachError {
 pub enum UpdateError {
     #[error("the FIB is full ({capacity} names): set `fib_capacity` higher")]
     FibFull { capacity: u32 },
+    #[error("no memory for a FIB of {names} names ({source}): set `fib_capacity` lower")]
+    FibMemory { names: u32, source: std::io::Error },
+    #[error("{}: the FIB cannot be made to outlive the daemon: {source}", path.display())]
+    FibPin { path: PathBuf, source: std::io::Error },
     #[error(
         "the FIB is full ({capacity} second and further writers of a name at one switch): set `fib_capacity` higher"
     )]
@@ -125,13 +133,16 @@ pub struct KernelPlane {
     program: &'static str,
     capacity: u32,
     links: Array<MapData, LinkEntry>,
-    fib: HashMap<MapData, Name, FibEntry>,
+    fib: Fib,
     permits: HashMap<MapData, Permit, u32>,
     next_hop: Array<MapData, u32>,
     config: Array<MapData, SwitchConfig>,
     ports: DevMapHash<MapData>,
     counters: PerCpuArray<MapData, u64>,
     link_memory: LinkMemory,
+    losses: Losses,
+    /// Why lost redirects are not counted, if they are not.
+    uncounted: Option<LossesError>,
 }
 
 impl KernelPlane {
@@ -149,7 +160,11 @@ impl KernelPlane {
         }
         let object = |source| LoadError::Object { path: path.into(), source: Box::new(source) };
         let mut loader = EbpfLoader::new();
-        loader.map_max_entries("FIB", capacity).map_max_entries("PERMITS", capacity);
+        loader.map_max_entries("PERMITS", capacity);
+        let net_devices = losses::net_devices();
+        if let Ok(net_devices) = &net_devices {
+            loader.override_global(losses::WHERE, net_devices, true);
+        }
         let fresh = pins.as_ref().is_none_or(|pins| !pins.any());
         let to_pin = pins.as_ref().map_or(Ok(Vec::new()), |pins| maps_to_pin(path, capacity, pins))?;
         for name in &to_pin {
@@ -158,9 +173,9 @@ impl KernelPlane {
             }
         }
         let loaded =
-            loader.load_file(path).map_err(object).and_then(|ebpf| Self::finish(path, version, capacity, ebpf));
+            loader.load_file(path).map_err(object).and_then(|ebpf| Self::finish(path, version, capacity, &pins, ebpf));
         match (loaded, pins) {
-            (Ok(plane), pins) => Ok(Self { pins, ..plane }),
+            (Ok(plane), pins) => Ok(Self { pins, uncounted: net_devices.err(), ..plane }),
             (Err(error), pins) => {
                 if let Some(pins) = pins.filter(|_| fresh) {
                     let _ = pins.remove();
@@ -170,7 +185,13 @@ impl KernelPlane {
         }
     }
 
-    fn finish(path: &Path, version: KernelVersion, capacity: u32, mut ebpf: Ebpf) -> Result<Self, LoadError> {
+    fn finish(
+        path: &Path,
+        version: KernelVersion,
+        capacity: u32,
+        pins: &Option<Pins>,
+        mut ebpf: Ebpf,
+    ) -> Result<Self, LoadError> {
         let program = if version >= FRAGS { "gdp_switch" } else { "gdp_switch_linear" };
         switch(&mut ebpf, program)
             .ok_or(LoadError::Mismatch { path: path.into(), what: "program", name: program })?
@@ -186,13 +207,15 @@ impl KernelPlane {
             program,
             capacity,
             links: maps.take("LINKS")?,
-            fib: maps.take("FIB")?,
+            fib: Fib::open(maps.take("FIB")?, capacity, pins.as_ref())?,
             permits: maps.take("PERMITS")?,
             next_hop: maps.take("NEXT_HOP")?,
             config: maps.take("CONFIG")?,
             ports: maps.take("PORTS")?,
             counters: maps.take("COUNTERS")?,
             link_memory: LinkMemory::map(shared).map_err(LoadError::LinkMemory)?,
+            losses: Losses::new(maps.take(losses::MAP)?),
+            uncounted: None,
             ebpf,
             pins: None,
             attached: Table::new(),
@@ -219,7 +242,7 @@ impl KernelPlane {
         Ok(Some(Adopted {
             config,
             links: links.into_iter().filter(|link| link.id != 0).collect(),
-            routes: self.routes()?,
+            routes: self.routes().collect(),
             next_hops,
             ports,
         }))
@@ -253,6 +276,7 @@ impl KernelPlane {
         match self.switch().attach_to_link(XdpLink::try_from(pinned)?) {
             Ok(link) => {
                 self.attached.insert(ifindex, (link, mode));
+                self.watch_losses();
                 Ok(Some(mode))
             }
             // The interface was deleted, and this one has inherited its number.
@@ -281,6 +305,7 @@ impl KernelPlane {
 
     /// From now on everything ends with this process.
     pub fn unpin(&mut self) -> Result<(), PinsError> {
+        self.fib.unpin();
         self.pins.take().map_or(Ok(()), |pins| pins.remove())
     }
 
@@ -289,12 +314,41 @@ impl KernelPlane {
         self.pins.is_some()
     }
 
+    /// Whether the kernel has compiled the switch; `None` if it does not say.
+    pub fn is_jitted(&self) -> Option<bool> {
+        let program: &Xdp = self.ebpf.program(self.program)?.try_into().ok()?;
+        Some(program.info().ok()?.size_jitted() != 0)
+    }
+
     /// Makes `port` lead to an interface of this network namespace.
     pub fn set_port(&mut self, port: u32, ifindex: u32) -> Result<(), UpdateError> {
         self.ports.insert(port, ifindex, None, 0).map_err(|source| match &source {
             aya::maps::xdp::XdpMapError::MapError(error) if is_full(error) => UpdateError::PortsFull,
             _ => UpdateError::Port { port, ifindex, source },
-        })
+        })?;
+        self.watch_losses();
+        Ok(())
+    }
+
+    /// Counts what is lost between the interfaces that ports lead to. Forwarding does not depend on it.
+    fn watch_losses(&mut self) {
+        if self.uncounted.is_some() {
+            return;
+        }
+        let ports = self.ports.keys().filter_map(|port| Some(self.ports.get(port.ok()?, 0).ok()?.if_index));
+        let interfaces: Vec<u32> = ports.collect();
+        let started = self.losses.start(&mut self.ebpf, self.pins.as_ref());
+        self.uncounted = started.and_then(|()| self.losses.watch(&interfaces)).err();
+    }
+
+    /// Frames that were lost after a redirect, by interface.
+    pub fn losses(&self) -> Result<Table<u32, u64>, UpdateError> {
+        self.losses.counts().map_err(update(losses::MAP))
+    }
+
+    /// Why [`Self::losses`] are not counted, if they are not.
+    pub fn uncounted(&self) -> Option<&LossesError> {
+        self.uncounted.as_ref()
     }
 
     /// Frames for `port` are then dropped and counted. An empty port is no error.
@@ -315,15 +369,12 @@ impl KernelPlane {
     }
 
     pub fn set_route(&mut self, name: &Name, entry: FibEntry) -> Result<(), UpdateError> {
-        match self.fib.insert(name, entry, 0) {
-            Err(error) if is_full(&error) => Err(UpdateError::FibFull { capacity: self.capacity }),
-            result => result.map_err(update("FIB")),
-        }
+        self.fib.insert(name, entry)
     }
 
-    /// Removing a name that is not there is no error.
-    pub fn remove_route(&mut self, name: &Name) -> Result<(), UpdateError> {
-        removed(self.fib.remove(name)).map_err(update("FIB"))
+    /// Whether the name was there.
+    pub fn remove_route(&mut self, name: &Name) -> bool {
+        self.fib.remove(name)
     }
 
     /// Lets frames of a link have a name in their header, where its entry says to look for that.
@@ -350,17 +401,13 @@ impl KernelPlane {
     }
 
     /// Where a name leads.
-    pub fn route(&self, name: &Name) -> Result<Option<FibEntry>, UpdateError> {
-        match self.fib.get(name, 0) {
-            Ok(entry) => Ok(Some(entry)),
-            Err(MapError::KeyNotFound | MapError::ElementNotFound) => Ok(None),
-            Err(error) => Err(update("FIB")(error)),
-        }
+    pub fn route(&self, name: &Name) -> Option<FibEntry> {
+        self.fib.get(name)
     }
 
-    /// What the kernel forwards by, read back from the map.
-    pub fn routes(&self) -> Result<Vec<(Name, FibEntry)>, UpdateError> {
-        self.fib.iter().collect::<Result<_, _>>().map_err(update("FIB"))
+    /// What the kernel forwards by, in no order.
+    pub fn routes(&self) -> impl Iterator<Item = (Name, FibEntry)> {
+        self.fib.iter()
     }
 
     /// The counters, summed over the CPUs, in the order of [`Counter::ALL`].
@@ -427,6 +474,8 @@ pub struct PinnedStats {
     pub links: usize,
     pub names: usize,
     pub counters: Vec<(Counter, u64)>,
+    /// Frames lost after a redirect, by interface.
+    pub losses: Table<u32, u64>,
 }
 
 /// Reads the maps in a folder of pins of this version. A daemon may be at work on them.
@@ -434,12 +483,12 @@ pub fn pinned_stats(folder: &Path) -> Result<PinnedStats, MapError> {
     let open = |name: &str| MapData::from_pin(folder.join(name));
     let counters: PerCpuArray<_, u64> = PerCpuArray::try_from(aya::maps::Map::PerCpuArray(open("COUNTERS")?))?;
     let links: Array<_, LinkEntry> = Array::try_from(aya::maps::Map::Array(open("LINKS")?))?;
-    let fib: HashMap<_, Name, FibEntry> = HashMap::try_from(aya::maps::Map::HashMap(open("FIB")?))?;
     let counted = (0..).zip(Counter::ALL).map(|(index, counter)| Ok((*counter, counters.get(&index, 0)?.iter().sum())));
     Ok(PinnedStats {
         links: links.iter().filter(|link| link.as_ref().is_ok_and(|link| link.id != 0)).count(),
-        names: fib.keys().filter(Result::is_ok).count(),
+        names: fib::names_pinned(folder)?,
         counters: counted.collect::<Result<_, MapError>>()?,
+        losses: losses::pinned_counts(folder)?,
     })
 }
 
@@ -453,7 +502,7 @@ fn maps_to_pin(path: &Path, capacity: u32, pins: &Pins) -> Result<Vec<String>, L
         if name.starts_with('.') {
             continue;
         }
-        let max_entries = if matches!(name.as_str(), "FIB" | "PERMITS") { capacity } else { map.max_entries() };
+        let max_entries = if name == "PERMITS" { capacity } else { map.max_entries() };
         pins.check(&name, &map, max_entries)?;
         names.push(name);
     }

@@ -2,20 +2,31 @@
 //! attaches, the kernel holds the same entries and forwards before the daemon sees a frame.
 //!
 //! Knows links and routes as `gdp-wire` has them, nothing of names' owners, certificates or the RIB. Called by the daemon
-//! (`serve`); [`kernel`] also by the kernel tests and `bench forward`.
+//! (`serve`); [`kernel`] and [`fib`] also by the kernel tests and `bench forward`.
 //!
-//! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`], [`explain`] and [`xdp_features`] serve it
+//! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`] and [`explain`] serve it
+//! - [`losses`]: what is lost after a redirect; [`kernel_types`] serves it
+//! - [`device`]: interfaces as the kernel describes them; [`xdp_features`] and [`netlink`] serve it
 //! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
+//! - [`fib`]: the names in the kernel, and room for more of them
 //! - [`groups`]: which links take copies of a frame
-//! - [`link_memory`]: what the two planes share
+//! - [`link_memory`]: what the two planes share; this and the FIB are [`mapping`]s
+//! - [`notices`]: what neighbours say to this node itself
 //! - [`pins`]: what stays in the kernel when the daemon dies
 
+pub mod device;
 pub mod explain;
+pub mod fib;
 pub mod forwarder;
 pub mod groups;
 pub mod kernel;
+pub mod kernel_types;
 pub mod kernel_version;
 pub mod link_memory;
+pub mod losses;
+mod mapping;
+pub mod netlink;
+pub mod notices;
 pub mod object;
 pub mod pins;
 pub mod userspace;
@@ -27,17 +38,20 @@ use std::sync::{Arc, PoisonError, RwLockReadGuard, RwLockWriteGuard};
 
 use gdp::port::{DataSocket, Interface, LinkAddr};
 use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, PORT_USERSPACE, Tables, mac_bytes};
-use gdp_wire::{Counter, FibEntry, LinkEntry, Name, Permit, SwitchConfig};
+use gdp_wire::{Counter, FibEntry, Header, LinkEntry, Name, Permit, SwitchConfig};
 
+use device::Device;
 use forwarder::{Forwarder, Medium, Shared};
 use groups::Groups;
 use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
 use link_memory::LinkMemory;
+use notices::Notices;
 use pins::{Pins, PinsError};
 use userspace::UserTables;
 use xdp_features::XdpFeatures;
 
-/// Names the FIB can hold unless configured otherwise; about 125 B of kernel memory each.
+/// Names the FIB can hold unless configured otherwise. The kernel's table begins with room for 1024 names and doubles as names
+/// come: 128 to 256 B of kernel memory each.
 pub const FIB_CAPACITY: u32 = 65536;
 
 /// Largest frame read from UDP.
@@ -136,7 +150,10 @@ pub struct Planes {
 /// What an earlier daemon left in the kernel, and nobody has confirmed or removed yet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Left {
-    pub links: Vec<LinkEntry>,
+    /// This switch's egress bit.
+    pub own_bit: u64,
+    /// With where frames of each go.
+    pub links: Vec<(LinkEntry, LinkAddr)>,
     pub routes: Vec<(Name, PlaneRoute)>,
     pub next_hops: [u32; EGRESS_SET_SIZE as usize],
     /// Interfaces.
@@ -292,6 +309,7 @@ impl Planes {
         let mut tables = self.tables();
         if tables.link(entry.id).is_none() {
             self.link_memory.begin(entry.id);
+            self.shared.notices.begin(entry.id);
         }
         tables.set_link(entry, to);
         drop(tables);
@@ -304,6 +322,16 @@ impl Planes {
     /// Frames sent on a link by any plane.
     pub fn frames_sent(&self, id: u32) -> u64 {
         self.link_memory.sent(id)
+    }
+
+    /// Asks the data plane of the neighbour on a link whether it lives.
+    pub fn ask(&self, link: u32, cookie: u64) {
+        self.shared.send_own(link, Header::echo(cookie));
+    }
+
+    /// What neighbours said to this node itself.
+    pub fn notices(&self) -> &Notices {
+        &self.shared.notices
     }
 
     /// An unknown link is no error.
@@ -347,7 +375,7 @@ impl Planes {
     /// An unknown name is no error.
     pub fn remove_route(&mut self, name: &Name) -> Result<(), PlaneError> {
         if let Ok(kernel) = &mut self.kernel {
-            kernel.remove_route(name)?;
+            kernel.remove_route(name);
         }
         let Some((before, permits)) = self.tables().remove_route(name) else { return Ok(()) };
         if let Ok(kernel) = &mut self.kernel {
@@ -367,6 +395,11 @@ impl Planes {
     /// The links of the local readers of a name.
     pub fn readers(&self, entry: &FibEntry) -> Vec<u32> {
         self.groups.readers(entry.group).to_vec()
+    }
+
+    /// Whether frames that leave by a link do so without the userspace plane, if they come in by XDP.
+    pub fn kernel_sends_on(&self, id: u32) -> bool {
+        self.kernel.is_ok() && self.read_tables().link(id).is_some_and(|link| link.port != PORT_USERSPACE)
     }
 
     /// For each egress bit the link toward that switch, or 0.
@@ -396,6 +429,18 @@ impl Planes {
         Ok(Counter::ALL.iter().zip(kernel.into_iter().zip(userspace)).map(|(c, (k, u))| (*c, k, u)).collect())
     }
 
+    /// Frames that were lost after a redirect, by the name of the interface they were to leave by; or why that is not known.
+    pub fn losses(&self) -> Result<HashMap<String, u64>, String> {
+        let Ok(kernel) = &self.kernel else { return Ok(HashMap::new()) };
+        if let Some(error) = kernel.uncounted() {
+            return Err(format!("frames that are lost after a redirect are not counted: {error}"));
+        }
+        let losses = kernel.losses().map_err(|error| error.to_string())?;
+        let named =
+            losses.into_iter().filter_map(|(ifindex, lost)| Some((self.ports.get(&ifindex)?.interface.clone(), lost)));
+        Ok(named.collect())
+    }
+
     /// What frames are forwarded by: read back from the kernel where XDP runs.
     pub fn routes(&self) -> Result<Vec<(Name, FibEntry)>, PlaneError> {
         Ok(self.routes_behind(None, usize::MAX)?.0)
@@ -421,7 +466,7 @@ impl Planes {
             Ok(kernel) if self.ports.values().any(|port| port.attached.is_some()) => {
                 let mut held = Vec::with_capacity(routes.len());
                 for (name, _) in routes {
-                    held.extend(kernel.route(&name)?.map(|entry| (name, entry)));
+                    held.extend(kernel.route(&name).map(|entry| (name, entry)));
                 }
                 Ok((held, more))
             }
@@ -468,10 +513,10 @@ impl Planes {
             Ok(()) => return (Some(Mode::Native), "the driver supports it".into()),
             Err(error) => error,
         };
-        let why = explain::attach(&native);
         if explain::is_occupied(&native) {
-            return (None, why);
+            return (None, occupied(interface.index));
         }
+        let why = explain::attach(&native);
         match kernel.attach(interface.index, Mode::Generic) {
             Ok(()) => (Some(Mode::Generic), format!("no native XDP: {why}")),
             Err(generic) => (None, format!("no native XDP: {why}; no generic XDP: {}", explain::attach(&generic))),
@@ -529,20 +574,20 @@ impl Planes {
     fn kernel_can_send_to(&self, ifindex: u32) -> bool {
         // What generic XDP redirects are ordinary packets, which every interface takes.
         let only_generic = self.ports.values().all(|port| port.attached != Some(Mode::Native));
-        let asked = self.features.as_ref().and_then(|features| features.takes_redirects(ifindex).ok());
+        let asked = self.features.as_ref().and_then(|features| Some(features.of(ifindex).ok()?.takes_redirects()));
         only_generic || asked.unwrap_or(true)
     }
 
     fn adopt(&mut self, adopted: Adopted) -> Result<(), PlaneError> {
         let Adopted { config, links, routes, next_hops, ports } = adopted;
         self.own_bit = config.own_bit;
-        let mut left = Left { links: Vec::new(), routes: Vec::new(), next_hops, ports: HashSet::new() };
-        left.ports.extend(ports.into_iter().map(|(port, _)| port));
+        let ports = ports.into_iter().map(|(port, _)| port).collect();
+        let mut left = Left { own_bit: config.own_bit, links: Vec::new(), routes: Vec::new(), next_hops, ports };
         for entry in links {
             if left.ports.contains(&entry.port) {
                 let to = LinkAddr::Ethernet { ifindex: entry.port, mac: mac_bytes(entry.carrier.peer_mac) };
                 self.tables().set_link(entry, to);
-                left.links.push(entry);
+                left.links.push((entry, to));
             } else if let Ok(kernel) = &mut self.kernel {
                 // Only the daemon that died knew where it leads.
                 kernel.remove_link(entry.id)?;
@@ -595,19 +640,31 @@ fn entry_of(name: &Name, route: &PlaneRoute, group: u32) -> (FibEntry, Vec<Permi
     (entry, others.iter().map(|link| Permit { name: *name, link: *link, part: Permit::DESTINATION }).collect())
 }
 
-/// A route that an earlier daemon left. Its writers are known by their old links, and come back on new ones before the RIB says
-/// so: until it has replaced the route, every endpoint may send to the name, as itself; readers know who may write.
+/// A route that an earlier daemon left. If there are several writers here, their permits cannot be read back: until the RIB has
+/// said them again, every endpoint may send to the name, as itself; readers know who may write.
 fn adopted_route(entry: &FibEntry) -> PlaneRoute {
     PlaneRoute {
         egress_bits: entry.egress_bits,
         readers: Some(entry.local_link).filter(|link| *link != 0).into_iter().collect(),
-        writers: Some(ANY_WRITER).filter(|_| entry.writer_link != 0).into_iter().collect(),
+        writers: match (entry.writer_link, entry.more_writers) {
+            (0, _) => Vec::new(),
+            (writer, 0) => vec![writer],
+            _ => vec![ANY_WRITER],
+        },
     }
 }
 
 /// Those that are not among `others`.
 fn without(permits: &[Permit], others: &[Permit]) -> Vec<Permit> {
     permits.iter().filter(|permit| !others.contains(permit)).copied().collect()
+}
+
+/// Whose program is in the way, and what removes it.
+fn occupied(ifindex: u32) -> String {
+    match Device::find(ifindex).ok().and_then(|device| device.program) {
+        Some(program) => format!("another XDP program is attached: {program}; {}", program.remedy()),
+        None => "another XDP program is attached, and gone by now".into(),
+    }
 }
 
 const NO_REDIRECT: &str = "; frames leave here through the userspace plane, because the interface takes no redirected frames (a \

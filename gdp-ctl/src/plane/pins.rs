@@ -53,6 +53,11 @@ pub enum PinsError {
     Layout { path: PathBuf, what: &'static str, found: u32, wanted: u32 },
     #[error("{}: {source}", path.display())]
     Map { path: PathBuf, source: MapError },
+    #[error(
+        "{}: it does not hold a FIB; `gdp-ctl xdp detach` removes what the last daemon left, and frames stop until one runs again",
+        .0.display()
+    )]
+    NotAFib(PathBuf),
 }
 
 impl PinsError {
@@ -116,6 +121,10 @@ impl Pins {
                 source => Err(PinsError::Io { path: folder, source }),
             },
         }
+    }
+
+    pub fn folder(&self) -> &Path {
+        &self.folder
     }
 
     pub fn map(&self, name: &str) -> PathBuf {
@@ -192,6 +201,11 @@ pub fn find(bpffs: &Path) -> Result<Vec<Found>, PinsError> {
         }
     }
     Ok(found)
+}
+
+/// Whether there is a BPF file system.
+pub fn is_mounted(at: &Path) -> bool {
+    CString::new(at.as_os_str().as_bytes()).is_ok_and(|path| is_bpffs(&path))
 }
 
 /// Sees to it that there is a BPF file system.

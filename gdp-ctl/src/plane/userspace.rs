@@ -32,6 +32,7 @@ pub enum Outcome {
     /// It tells this node something: an error, or the answer to an echo, from the neighbour on this link.
     Notice {
         link: u32,
+        header: Header,
     },
     Drop(Counter),
 }
@@ -76,7 +77,7 @@ pub fn handle(frame: &mut [u8], tables: &UserTables) -> Outcome {
             frame[..Header::LEN].copy_from_slice(header.as_bytes());
             return Outcome::Copies { ingress, group };
         }
-        Verdict::Notice(link) => return Outcome::Notice { link: link.id },
+        Verdict::Notice(link) => return Outcome::Notice { link: link.id, header },
         // Only the kernel has someone to leave a frame to.
         Verdict::Slow => return Outcome::Drop(Counter::RedirectFailed),
         Verdict::Drop(counter) => return Outcome::Drop(counter),
@@ -177,6 +178,13 @@ impl UserTables {
 
     pub fn set_own_bit(&mut self, own_bit: u64) {
         self.own_bit = own_bit;
+    }
+
+    /// The header of a frame of this node itself as it leaves by a link, and where to.
+    pub fn address_frame(&self, id: u32, mut header: Header) -> Option<(Header, LinkAddr)> {
+        let link = self.link(id)?;
+        forward::stamp(&mut header, link, self.next_count(link));
+        Some((header, self.address(id)?))
     }
 
     fn address(&self, id: u32) -> Option<LinkAddr> {

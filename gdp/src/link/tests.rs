@@ -380,7 +380,7 @@ async fn answer_all(link: &Link) {
 }
 
 fn query() -> Request {
-    Request::Entity(EntityRequest::Query { prefix: "75e".parse().unwrap() })
+    Request::Entity(EntityRequest::Query { prefix: "75e".parse().unwrap(), after: None })
 }
 
 fn random(state: &mut u64) -> u8 {

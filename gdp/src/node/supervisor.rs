@@ -7,10 +7,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use gdp_wire::table::PORT_USERSPACE;
-use gdp_wire::{Header, Name};
+use gdp_wire::{Header, Name, forward};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::{Instant, sleep, sleep_until, timeout_at};
+use zerocopy::IntoBytes;
 
 use super::receiver::Command;
 use super::shared_entry::SharedEntry;
@@ -18,8 +19,9 @@ use super::state::{self, State, Status};
 use super::{LinkTarget, NodeError, Stated};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
+use crate::link::liveness::{Liveness, Pace, Step};
 use crate::link::{HOLD, Link, LinkError, LinkKeys, RekeySchedule, Responder, Role};
-use crate::port::{DataSocket, Interface, LinkAddr, Port, PortConfig, UDP_MTU};
+use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, UDP_MTU};
 
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -29,6 +31,9 @@ const MAX_CANDIDATES: usize = 8;
 
 /// Between attempts to get the link back, and to state what was refused: doubled from the first to the second.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
+
+/// How long the node tries to attach again over the link it has; the switch waits a little longer for its answer.
+const REATTACH: Duration = Duration::from_secs(4);
 
 /// How often certificates and statements with a lifetime of [`state::LIFETIME`] are renewed.
 const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
@@ -50,16 +55,43 @@ pub struct Attachment {
     pub entry: SharedEntry,
     pub data: Arc<DataSocket>,
     count: AtomicU64,
+    /// Cookie of the latest answer to an echo.
+    answer: AtomicU64,
 }
 
 impl Attachment {
     fn new(link: Link, port: &Port) -> Self {
-        Self { entry: SharedEntry::new(link.entry(PORT_USERSPACE)), link, data: port.data(), count: AtomicU64::new(0) }
+        let (entry, data) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data());
+        Self { entry, link, data, count: AtomicU64::new(0), answer: AtomicU64::new(0) }
     }
 
     /// The count for the next frame: 1 for the first.
     pub fn next_count(&self) -> u64 {
         self.count.fetch_add(1, Ordering::Relaxed).wrapping_add(1)
+    }
+
+    /// Sends a frame without a payload to the switch itself; if it is lost, so be it.
+    pub fn send(&self, mut header: Header) {
+        forward::stamp(&mut header, &self.entry.get(), self.next_count());
+        self.data.send_batch([OutFrame { to: self.link.addr(), head: header.as_bytes(), body: &[] }]);
+    }
+
+    /// The switch has answered the echo with this cookie.
+    pub fn answered(&self, cookie: u64) {
+        self.answer.store(cookie, Ordering::Relaxed);
+    }
+
+    /// Asks the data plane of the switch whether it lives, and returns when it does not answer.
+    async fn until_silent(&self) {
+        let mut liveness = Liveness::new(Pace::of(self.link.addr()));
+        loop {
+            let cookie = crypto::random().map_or(0, u64::from_le_bytes);
+            match liveness.step(self.answer.load(Ordering::Relaxed), cookie) {
+                Step::Ask => self.send(Header::echo(cookie)),
+                Step::Silent => return,
+            }
+            sleep(liveness.pace().interval).await;
+        }
     }
 
     /// Largest payload of a frame, in bytes.
@@ -77,16 +109,19 @@ impl Attachment {
     }
 }
 
-/// A link whose switch fell silent, still in use until then.
+/// A link whose switch fell silent, in use until then at the latest.
 struct Held {
     attachment: Arc<Attachment>,
     until: Instant,
 }
 
-fn lost(held: Option<&Held>, reason: String) -> Status {
-    match held {
-        Some(held) => Status::Held(held.attachment.clone(), reason),
-        None => Status::Down(reason),
+impl Held {
+    /// Returns when the link is of no use any more, and says why.
+    async fn end(&self) -> &'static str {
+        match timeout_at(self.until, self.attachment.until_silent()).await {
+            Ok(()) => "its data plane does not answer either",
+            Err(_) => "its daemon has been silent for too long",
+        }
     }
 }
 
@@ -148,21 +183,44 @@ impl Supervisor {
         loop {
             let reason = self.serve(attachment.clone(), events).await;
             tracing::warn!(switch = %self.target, %reason, "lost the link to the switch");
-            let mut held = attachment.link.fell_silent().then(|| Held { attachment, until: Instant::now() + HOLD });
-            self.state.set_status(lost(held.as_ref(), reason));
-            let mut backoff = Backoff::new();
-            attachment = loop {
-                backoff.wait().await;
-                match self.attempt(held.as_ref()).await {
-                    Ok(attachment) => break attachment,
-                    Err(error) => {
-                        tracing::debug!(switch = %self.target, %error, "no link to the switch");
-                        held = held.filter(|held| Instant::now() < held.until);
-                        self.state.set_status(lost(held.as_ref(), error.to_string()));
-                    }
-                }
+            attachment = if attachment.link.fell_silent() {
+                self.state.set_status(Status::Held(attachment.clone(), reason));
+                let held = Held { attachment, until: Instant::now() + HOLD };
+                self.reconnect_while_held(&held).await
+            } else {
+                self.state.set_status(Status::Down(reason));
+                self.reconnect(None).await
             };
             tracing::info!(switch = %attachment.link.peer().name, "the link to the switch is back");
+        }
+    }
+
+    /// A new link. What the application sends in the meantime goes out on the one that is held, as long as that is of use.
+    async fn reconnect_while_held(&mut self, held: &Held) -> Arc<Attachment> {
+        let state = self.state.clone();
+        let hold = async {
+            let reason = held.end().await;
+            tracing::warn!("nothing is sent to the switch any more: {reason}");
+            state.end_hold();
+            std::future::pending().await
+        };
+        tokio::select! {
+            attachment = self.reconnect(Some(held)) => attachment,
+            attachment = hold => attachment,
+        }
+    }
+
+    async fn reconnect(&mut self, held: Option<&Held>) -> Arc<Attachment> {
+        let mut backoff = Backoff::new();
+        loop {
+            backoff.wait().await;
+            match self.attempt(held).await {
+                Ok(attachment) => return attachment,
+                Err(error) => {
+                    tracing::debug!(switch = %self.target, %error, "no link to the switch");
+                    self.state.still_lost(error.to_string());
+                }
+            }
         }
     }
 
@@ -175,7 +233,7 @@ impl Supervisor {
             tokio::select! {
                 reason = link.closed() => return reason,
                 Some((request, responder)) = link.accept_request() => {
-                    tokio::spawn(answer(self.state.clone(), request, responder));
+                    tokio::spawn(answer(self.state.clone(), attachment.clone(), request, responder));
                 }
                 Some(event) = events.recv() => {
                     tokio::spawn(handle(self.state.clone(), attachment.clone(), event));
@@ -184,15 +242,16 @@ impl Supervisor {
         }
     }
 
-    /// Makes a link and attaches. Frames on the link that is held are taken for as long as the switch may send them.
+    /// Makes a link and attaches: from then on the switch may send on it, so frames are taken on it before. Those on the link
+    /// that is held are taken for as long as the switch may send them.
     async fn attempt(&mut self, held: Option<&Held>) -> Result<Arc<Attachment>, NodeError> {
         let (port, candidates) = self.locate().await?;
         let link = self.dial_first(&port, &candidates).await?;
         let attachment = Arc::new(Attachment::new(link, &port));
+        let held = held.map(|held| (held.attachment.clone(), held.until.into_std()));
+        self.state.command(Command::Attach { attachment: attachment.clone(), held });
         self.state.attach(&attachment).await?;
         self.state.counters.links.add(1);
-        let held = held.map(|held| (held.attachment.entry.clone(), held.until.into_std()));
-        self.state.command(Command::Attach { data: attachment.data.clone(), entry: attachment.entry.clone(), held });
         self.state.set_status(Status::Up(attachment.clone()));
         Ok(attachment)
     }
@@ -284,7 +343,7 @@ async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
 }
 
 /// Answers what the switch asks.
-async fn answer(state: Arc<State>, request: Request, responder: Responder) {
+async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request, responder: Responder) {
     let response = match request {
         Request::Writers(push) if push.entity == state.identity.name() && state.subscribes_to(&push.name) => {
             state.authorise(push.name, &push.records);
@@ -293,9 +352,30 @@ async fn answer(state: Arc<State>, request: Request, responder: Responder) {
         Request::Writers(push) => {
             Refusal::new(RefusalCode::NotFound, format!("no subscription to {} here", push.name)).into()
         }
-        _ => Refusal::new(RefusalCode::Unsupported, "an endpoint is only told about writers").into(),
+        // The RIB has forgotten what was stated, as after a restart. Frames go on meanwhile.
+        Request::Detach { entity, .. } if entity == state.identity.name() => {
+            match tokio::time::timeout(REATTACH, attach_again(&state, &attachment)).await {
+                Ok(Ok(())) => Response::Done,
+                Ok(Err(error)) => Refusal::new(RefusalCode::NotAttached, error.to_string()).into(),
+                Err(_) => Refusal::new(RefusalCode::Unreachable, "the RIB did not answer").into(),
+            }
+        }
+        _ => Refusal::new(RefusalCode::Unsupported, "an endpoint is told about writers and its attachment only").into(),
     };
     let _ = responder.respond(response).await;
+}
+
+/// Attaches over the link there is, and has everything stated again. The switch may only be about to find its way to the RIB.
+async fn attach_again(state: &State, attachment: &Attachment) -> Result<(), NodeError> {
+    let mut backoff = Backoff::new();
+    while let Err(error) = state.attach(attachment).await {
+        if !worth_another_attempt(&error) || attachment.link.close_reason().is_some() {
+            return Err(error);
+        }
+        backoff.wait().await;
+    }
+    state.unstated.notify_one();
+    Ok(())
 }
 
 async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {

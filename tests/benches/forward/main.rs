@@ -12,7 +12,11 @@
 //! the routers run on the generator's core, which is how veths work; the userspace plane's threads take whatever is left.
 //! Toward switches the generator counts and tags every frame, as an endpoint must; toward routers it is spared that. So the first
 //! hop of XDP pays for a tag more than it computes.
+//!
+//! Then the FIB alone, with a million names.
 
+mod fib;
+mod lookups;
 mod path;
 mod report;
 mod traffic;
@@ -82,7 +86,7 @@ fn main() -> Result<()> {
     for (path, _) in &paths {
         path.check()?;
     }
-    let report = Report::new(rows);
+    let report = Report::new(rows, fib::measure(&options.bench_object, options.rounds)?);
     if options.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
     } else {

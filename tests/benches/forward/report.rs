@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
+use crate::fib::FibFigures;
 use crate::path::Kind;
 use crate::traffic::Rate;
 
@@ -13,6 +14,7 @@ pub struct Report {
     v: u32,
     rows: Vec<Row>,
     ratios: Vec<Ratio>,
+    fib: FibFigures,
 }
 
 /// All measurements of one path at one size.
@@ -63,7 +65,7 @@ impl Row {
 
 impl Report {
     /// Every row must have at least one round.
-    pub fn new(mut rows: Vec<Row>) -> Self {
+    pub fn new(mut rows: Vec<Row>, fib: FibFigures) -> Self {
         rows.iter_mut().for_each(Row::summarise);
         let mut ratios = Vec::new();
         for xdp in rows.iter().filter(|row| row.kind == Kind::Xdp) {
@@ -74,7 +76,7 @@ impl Report {
                 ratios.push(Ratio { over: other.kind, hops: xdp.hops, payload: xdp.payload, times });
             }
         }
-        Self { v: 1, rows, ratios }
+        Self { v: 2, rows, ratios, fib }
     }
 }
 
@@ -90,7 +92,7 @@ impl fmt::Display for Report {
             let (over, hops) = (ratio.over.as_str(), ratio.hops);
             writeln!(f, "XDP over {over}, {hops} hops, {} B of payload: {:.1} ×", ratio.payload, ratio.times)?;
         }
-        Ok(())
+        write!(f, "{}", self.fib)
     }
 }
 

@@ -1,0 +1,60 @@
+//! `gdp-ctl link list`: the daemon's live links.
+
+use clap::Subcommand;
+use serde_json::Value;
+
+use super::Context;
+use super::output::{short, table};
+use crate::admin::Request;
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Print every live link: who is at its other end, how it is reached, and whether the kernel sends on it.
+    List,
+}
+
+pub fn run(command: &Command, context: &Context) -> anyhow::Result<()> {
+    let Command::List = command;
+    let reply = context.client()?.ask_value(&Request::Links)?;
+    context.output.print(reply.clone(), || describe(&reply))
+}
+
+fn describe(reply: &Value) -> String {
+    let rows: Vec<_> = reply["links"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .map(|link| {
+            let text = |key: &str| link[key].as_str().unwrap_or_default().to_owned();
+            let id = format!("{:#x}", link["id"].as_u64().unwrap_or_default());
+            let age = duration(link["age_s"].as_u64().unwrap_or_default());
+            let (mtu, rtt) = (link["mtu"].to_string(), format!("{} µs", link["rtt_us"]));
+            [id, short(&link["peer"]), text("role"), text("via"), text("address"), mtu, rtt, age, text("plane")]
+        })
+        .collect();
+    table(["id", "link to", "role", "via", "address", "MTU", "RTT", "age", "plane"], &rows)
+}
+
+/// In the two largest units, as `3h 20m`.
+fn duration(seconds: u64) -> String {
+    let units = [(86400, "d"), (3600, "h"), (60, "m"), (1, "s")];
+    let first = units.iter().position(|(size, _)| seconds >= *size).unwrap_or(3);
+    let parts = units[first..].iter().take(2).scan(seconds, |left, (size, unit)| {
+        let count = *left / size;
+        *left %= size;
+        Some(format!("{count}{unit}"))
+    });
+    parts.collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::duration;
+
+    #[test]
+    fn ages_are_told_in_two_units() {
+        for (seconds, text) in [(0, "0s"), (59, "59s"), (61, "1m 1s"), (12_000, "3h 20m"), (90_000, "1d 1h")] {
+            assert_eq!(duration(seconds), text);
+        }
+    }
+}
