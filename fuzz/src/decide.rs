@@ -7,9 +7,9 @@
 use std::collections::HashSet;
 use std::sync::OnceLock;
 
-use gdp_wire::{Counter, LinkRole};
+use gdp_wire::Counter;
 
-use crate::frames::fixtures::{self, Switch, Verdict};
+use crate::frames::fixtures::{self, Link, Role, Switch, Verdict};
 use crate::frames::hop_tag;
 use crate::tables::{Fate, PlainTables};
 
@@ -65,48 +65,43 @@ fn check(frame: &[u8], fate: &Fate, switch: &Switch) {
 }
 
 /// A frame that leaves does so by a link, tagged for it, and is no longer than it came. Only what has come with a good tag leaves.
-fn check_sent(frame: &[u8], sent: &[u8], switch: &Switch) {
-    let link = link_of(sent, switch);
-    assert!(sent.len() <= frame.len() && sent.len() >= ETHERNET + HEADER, "{} became {}", frame.len(), sent.len());
-    let (came, left) = (header(frame), header(sent));
-    let ingress = switch.links.iter().find(|link| link.id == word(&came, 8)).expect("a link");
+/// Returns the link, and the header as it leaves.
+fn check_sent<'s>(packet: &[u8], sent: &[u8], switch: &'s Switch) -> (&'s Link, [u8; HEADER]) {
+    let (&came, payload) = parts(frame_in(packet, switch).expect("what is not for this switch does not leave by it"));
+    let (link, sent) = sent_by(sent, switch);
+    let (&left, rest) = parts(sent);
+    let ingress = switch.link(word(&came, 8)).expect("a link");
     assert!(is_tagged(&came, &ingress.rx_keys, came[1] & 0x80 != 0), "nobody made this frame");
-    assert!(
-        is_tagged(&left, &link.tx_keys, link.tx_phase != 0) && left[1] >> 7 == link.tx_phase as u8,
-        "sent with another tag"
-    );
+    assert!(is_tagged(&left, &link.tx_keys, link.tx_phase != 0), "sent with another tag");
+    assert_eq!(u32::from(left[1] >> 7), link.tx_phase, "the wrong key phase");
     assert_eq!(left[32..], came[32..], "names changed");
     if left[0] == 0x10 {
         assert_eq!((came[0], left[2] + 1), (0x10, came[2]), "the hop limit falls by one");
-        assert_eq!(sent[ETHERNET + HEADER..], frame[ETHERNET + HEADER..], "the payload changed");
+        let length = usize::from(u16::from_be_bytes([came[4], came[5]]));
+        assert_eq!(*rest, payload[..length], "the payload changed");
         assert_ne!(link.id, ingress.id, "back to where it came from");
-        assert!(sent.len() - ETHERNET <= link.mtu as usize, "longer than the link takes");
+        assert!(sent.len() <= link.mtu as usize, "longer than the link takes");
     } else {
-        assert_eq!(
-            (link.id, sent.len()),
-            (ingress.id, ETHERNET + HEADER),
-            "an answer goes to who is answered, and is short"
-        );
+        assert_eq!((link.id, rest.len()), (ingress.id, 0), "an answer goes to who is answered, and is short");
         let answers_what_it_may = (left[0], came[0]) == (0x12, 0x10) || (left[0], came[0], came[3]) == (0x14, 0x14, 0);
         assert!(answers_what_it_may, "type {:#x} answers type {:#x}", left[0], came[0]);
     }
+    (link, left)
 }
 
 /// Each link gets one copy at most, and each egress bit goes to one neighbour at most.
-fn check_copies(frame: &[u8], fate: &Fate, switch: &Switch) {
+fn check_copies(packet: &[u8], fate: &Fate, switch: &Switch) {
     let (mut links, mut bits) = (HashSet::new(), 0);
     for (copy, counter) in &fate.copies {
         let Some(copy) = copy else {
             assert_eq!(*counter, Counter::TooBig);
             continue;
         };
-        check_sent(frame, copy, switch);
-        let link = link_of(copy, switch);
+        let (link, header) = check_sent(packet, copy, switch);
         assert!(links.insert(link.id), "two copies for {}", link.label);
-        let entry = link.entry();
-        let carried = u64::from_be_bytes(header(copy)[24..32].try_into().expect("eight bytes"));
-        if entry.role == LinkRole::Switch as u32 {
-            assert!(carried != 0 && carried & !entry.reach == 0, "bits that {} does not lead to", link.label);
+        let carried = u64::from_be_bytes(header[24..32].try_into().expect("eight bytes"));
+        if link.role == Role::Switch {
+            assert!(carried != 0 && carried & !link.entry().reach == 0, "bits that {} does not lead to", link.label);
             // The fixtures' neighbours share no egress switch.
             assert_eq!(carried & bits, 0, "bits that another neighbour got");
             bits |= carried;
@@ -131,14 +126,15 @@ fn frames(mut data: &[u8]) -> impl Iterator<Item = (u8, Vec<u8>)> {
 }
 
 /// Writes the tag that the neighbour would have written. The high half of its count is that of what was taken last.
-fn tag(frame: &mut [u8], switch: &Switch) {
-    let Some(bytes) = frame.get_mut(ETHERNET..ETHERNET + HEADER) else { return };
-    let header: [u8; HEADER] = bytes.try_into().expect("as long as that");
-    let Some(link) = switch.links.iter().find(|link| link.id == word(&header, 8)) else { return };
+fn tag(packet: &mut [u8], switch: &Switch) {
+    let Some(place) = switch.find(packet) else { return };
+    let Some(bytes) = packet[place.at..place.at + place.length].first_chunk_mut::<HEADER>() else { return };
+    let Some(link) = switch.link(word(bytes, 8)) else { return };
     let taken = link.taken.iter().max().copied().unwrap_or(0);
-    let count = taken & !0xffff_ffff | u64::from(word(&header, 12));
-    let key = fixtures::key(&link.rx_keys[usize::from(header[1] >> 7)]);
-    bytes[16..24].copy_from_slice(&hop_tag(key, count, &header).to_be_bytes());
+    let count = taken & !0xffff_ffff | u64::from(word(bytes, 12));
+    let key = fixtures::key(&link.rx_keys[usize::from(bytes[1] >> 7)]);
+    let tag = hop_tag(key, count, bytes);
+    bytes[16..24].copy_from_slice(&tag.to_be_bytes());
 }
 
 /// Whether the tag is right, whatever the high half of the count.
@@ -149,17 +145,24 @@ fn is_tagged(header: &[u8; HEADER], keys: &[String; 2], second: bool) -> bool {
     (0..HIGHEST).any(|high| hop_tag(fixtures::key(&keys[usize::from(second)]), high << 32 | low, header) == tag)
 }
 
-/// The link whose addresses a frame has.
-fn link_of<'s>(frame: &[u8], switch: &'s Switch) -> &'s fixtures::Link {
-    let addressed = |link: &&fixtures::Link| {
-        let macs = [&link.peer_mac, &link.local_mac].map(|mac| fixtures::unhex(&mac.replace(':', "")));
-        macs.concat() == frame[..12] && link.peer_id == word(&header(frame), 8)
+/// The link by which a packet leaves, and the frame in it.
+fn sent_by<'s, 'p>(packet: &'p [u8], switch: &'s Switch) -> (&'s Link, &'p [u8]) {
+    let by = |link: &'s Link| {
+        let in_front = link.carry(switch.ethertype, &[0; HEADER]).len() - HEADER;
+        let frame = packet.get(in_front..).filter(|frame| frame.len() >= HEADER)?;
+        let is_it = word(parts(frame).0, 8) == link.peer_id && link.carry(switch.ethertype, frame) == packet;
+        is_it.then_some((link, frame))
     };
-    switch.links.iter().find(addressed).expect("a link with these addresses and this id")
+    switch.links.iter().find_map(by).expect("a link that carries it so")
 }
 
-fn header(frame: &[u8]) -> [u8; HEADER] {
-    *frame[ETHERNET..].first_chunk().expect("a whole header")
+/// The frame for this switch in a packet.
+fn frame_in<'p>(packet: &'p [u8], switch: &Switch) -> Option<&'p [u8]> {
+    switch.find(packet).map(|place| &packet[place.at..place.at + place.length])
+}
+
+fn parts(frame: &[u8]) -> (&[u8; HEADER], &[u8]) {
+    frame.split_first_chunk().expect("a whole header")
 }
 
 fn word(header: &[u8; HEADER], at: usize) -> u32 {

@@ -1,19 +1,22 @@
 //! The XDP programs of a switch. Everything that decides is in `gdp_wire::forward`; here is only what the kernel needs
 //! done around it: find the header in the packet, look up in BPF maps, carry the verdict out, count.
 //!
-//! Loaded by `gdp_ctl::plane::kernel`. The modules are the maps, each with the rule of who may write it when, and
-//! [`packet`]. Only this file turns outcomes into XDP actions and counters.
+//! Loaded by `gdp_ctl::plane::kernel`. The modules are the maps, each with the rule of who may write it when; [`packet`] and
+//! [`carrier`], what is around a frame; and [`next_hop`]. Only this file turns outcomes into XDP actions and counters.
 //!
 //! Two programs do the same: [`gdp_switch`] takes packets that span several buffers (MTU above about 3500), which
 //! kernels before 5.18 cannot; for those there is [`gdp_switch_linear`].
 #![cfg_attr(target_arch = "bpf", no_std, no_main, feature(asm_experimental_arch))]
 
+mod carrier;
 mod config;
 mod counters;
 mod fib;
 mod links;
-mod next_hops;
+mod local;
 mod losses;
+mod next_hop;
+mod next_hops;
 mod packet;
 mod permits;
 mod ports;
@@ -24,8 +27,12 @@ use aya_ebpf::bindings::xdp_action::{XDP_DROP, XDP_PASS, XDP_REDIRECT};
 use aya_ebpf::macros::xdp;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::forward::{self, Kind, Verdict};
-use gdp_wire::{Counter, Header, LinkEntry};
+use gdp_wire::table::PORT_ROUTED;
+use gdp_wire::{Counter, Header};
 
+use crate::carrier::Carried;
+use crate::carrier::ethernet::Ethernet;
+use crate::next_hop::NextHop;
 use crate::packet::Packet;
 use crate::tables::Maps;
 
@@ -72,40 +79,49 @@ fn act(outcome: Outcome) -> u32 {
 
 #[inline(always)]
 fn handle(context: &XdpContext, length: usize) -> Outcome {
-    let Some(packet) = Packet::parse(context, length) else { return Outcome::Dropped(Counter::Truncated) };
-    if u32::from(packet.ethertype()) != config::get().ethertype {
+    let mut packet = Packet::of(context);
+    if packet.get::<Ethernet>(0).is_none() {
+        return Outcome::Dropped(Counter::Truncated);
+    }
+    let Some(carried) = carrier::find(context, &packet, length, config::get().ethertype) else {
         return Outcome::Passed(Counter::Foreign);
+    };
+    // Behind an empty datagram there may be padding.
+    let Some(first_byte) = packet.get::<u8>(carried.at).filter(|_| carried.available > 0) else {
+        return Outcome::Dropped(Counter::Truncated);
+    };
+    // SAFETY: `get` checked the bounds.
+    let first_byte = unsafe { *first_byte };
+    if carrier::is_quic(&carried, first_byte) {
+        return Outcome::Passed(Counter::Control);
     }
-    match packet.first_byte().map(forward::classify) {
-        Some(Kind::Headed) => forward_frame(context, packet),
-        Some(Kind::Control) => Outcome::Passed(Counter::Control),
-        Some(Kind::Unknown) => Outcome::Dropped(Counter::Unknown),
-        None => Outcome::Dropped(Counter::Truncated),
+    match forward::classify(first_byte) {
+        Kind::Headed => match packet.header(carried.at) {
+            Some(header) => forward_frame(context, header, carried, length),
+            None => Outcome::Dropped(Counter::Truncated),
+        },
+        Kind::Control => Outcome::Passed(Counter::Control),
+        Kind::Unknown => Outcome::Dropped(Counter::Unknown),
     }
 }
 
 #[inline(always)]
-fn forward_frame(context: &XdpContext, mut packet: Packet) -> Outcome {
-    let length = packet.frame_length();
-    let Some(header) = packet.header() else { return Outcome::Dropped(Counter::Truncated) };
-    match forward::decide(header, length, &Maps) {
-        Verdict::Send(link, counter) => {
-            packet.address(link);
-            send(link, counter)
-        }
-        Verdict::Answer(link, counter) => {
-            packet.address(link);
-            if packet::cut(context, length - Header::LEN) { send(link, counter) } else { Outcome::Dropped(counter) }
-        }
+fn forward_frame(context: &XdpContext, header: &mut Header, carried: Carried, length: usize) -> Outcome {
+    let tables = Maps { context, length: header.frame_len(), next_hop: NextHop::new() };
+    let (link, counter) = match forward::decide(header, carried.available, &tables) {
+        Verdict::Send(link, counter) | Verdict::Answer(link, counter) => (link, counter),
         // The kernel leaves these to the daemon, so they do not come up.
-        Verdict::Notice(_) | Verdict::Copies(_) | Verdict::Slow => Outcome::Passed(Counter::Slow),
-        Verdict::Drop(counter) => Outcome::Dropped(counter),
+        Verdict::Notice(_) | Verdict::Copies(_) | Verdict::Slow => return Outcome::Passed(Counter::Slow),
+        Verdict::Drop(counter) => return Outcome::Dropped(counter),
+    };
+    // An answer has no payload, so this is its length as well.
+    let (frame, class) = (header.frame_len(), carrier::class_of(header));
+    let behind = length - carried.at - frame;
+    if !carrier::exchange(context, carried.at, frame, behind, class, link, &tables.next_hop) {
+        return Outcome::Dropped(Counter::RedirectFailed);
     }
-}
-
-#[inline(always)]
-fn send(link: &LinkEntry, counter: Counter) -> Outcome {
-    if ports::redirect(link.port) { Outcome::Redirected(counter) } else { Outcome::Dropped(Counter::RedirectFailed) }
+    let port = if link.port == PORT_ROUTED { tables.next_hop.port() } else { link.port };
+    if ports::redirect(port) { Outcome::Redirected(counter) } else { Outcome::Dropped(Counter::RedirectFailed) }
 }
 
 #[cfg(all(target_arch = "bpf", not(test)))]

@@ -1,5 +1,5 @@
-//! The interfaces frames can leave by, by interface index. Written by user space before a link with that port exists. A
-//! port whose interface is gone is empty, and a redirect to it fails and is counted.
+//! The interfaces frames can leave by, by interface index: those that take redirected frames. Written by user space before a link
+//! with that port exists. A port whose interface is gone is empty, and a redirect to it fails and is counted.
 
 use aya_ebpf::bindings::xdp_action::XDP_DROP;
 use aya_ebpf::macros::map;
@@ -13,4 +13,10 @@ static PORTS: DevMapHash = DevMapHash::with_max_entries(MAX_PORTS, 0);
 #[inline(always)]
 pub fn redirect(port: u32) -> bool {
     PORTS.redirect(port, XDP_DROP.into()).is_ok()
+}
+
+/// Whether there is such an interface.
+#[inline(always)]
+pub fn is_there(port: u32) -> bool {
+    PORTS.get_ifindex(port).is_some()
 }

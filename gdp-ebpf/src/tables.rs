@@ -1,14 +1,23 @@
 //! The BPF maps as the tables that the forwarding decision asks.
 
+use aya_ebpf::programs::XdpContext;
 use gdp_wire::replay::Words;
-use gdp_wire::table::{PORT_USERSPACE, Tables};
+use gdp_wire::table::{PORT_ROUTED, PORT_USERSPACE, Tables};
 use gdp_wire::{FibEntry, LinkEntry, Name, Permit};
 
+use crate::next_hop::NextHop;
 use crate::{config, fib, links, next_hops, permits, windows};
 
-pub struct Maps;
+/// The maps, asked about one frame.
+pub struct Maps<'p> {
+    pub context: &'p XdpContext,
+    /// Bytes of the frame.
+    pub length: usize,
+    /// Where the link leads that [`Tables::can_send`] was last asked about, if that is over UDP.
+    pub next_hop: NextHop,
+}
 
-impl Tables for Maps {
+impl Tables for Maps<'_> {
     /// There is the userspace plane.
     const LAST: bool = false;
 
@@ -49,11 +58,15 @@ impl Tables for Maps {
 
     #[inline(always)]
     fn can_send(&self, link: &LinkEntry) -> bool {
-        link.port != PORT_USERSPACE
+        match link.port {
+            PORT_USERSPACE => false,
+            PORT_ROUTED => self.next_hop.ask(self.context, link, self.length),
+            _ => true,
+        }
     }
 
     #[inline(always)]
-    fn can_copy(&self, _group: u32, _available: usize) -> bool {
+    fn can_copy(&self, _group: u32, _length: usize) -> bool {
         false
     }
 

@@ -190,6 +190,12 @@ impl Header {
         u16::from_be(self.payload_len)
     }
 
+    /// Bytes of the frame: header and payload. What lies behind them is not part of it.
+    #[inline(always)]
+    pub fn frame_len(&self) -> usize {
+        Self::LEN + self.payload_len() as usize
+    }
+
     /// The receiver's id of the link the frame is on.
     #[inline(always)]
     pub fn link_id(&self) -> u32 {

@@ -14,9 +14,11 @@ mod tls;
 
 use std::fmt;
 use std::io;
+use std::net::{IpAddr, SocketAddr, UdpSocket};
 use std::sync::{Arc, Mutex as StdMutex};
 use std::time::{Duration, Instant};
 
+use gdp_wire::table::ip_words;
 use gdp_wire::{Carrier, LinkEntry, LinkRole, Name};
 use serde::{Deserialize, Serialize};
 use tokio::sync::{Mutex, mpsc};
@@ -32,10 +34,11 @@ pub use ids::{LinkId, LinkIds};
 pub use ratchet::{LinkKeys, RekeySchedule};
 pub use streams::Responder;
 
+use hello::PeerEnd;
 use ratchet::Ratchet;
 use rekey::{Announcement, MAX_ANNOUNCEMENTS};
 
-pub(crate) use hello::{HelloConfig, greet_as_client, greet_as_server};
+pub(crate) use hello::{HelloConfig, MIN_MTU, greet_as_client, greet_as_server};
 pub(crate) use tls::{QuicMtu, SERVER_NAME, configs};
 
 /// A silent link sends a packet this often.
@@ -94,6 +97,8 @@ struct Inner {
     ratchet: StdMutex<Ratchet>,
     announcements: Mutex<mpsc::Receiver<Announcement>>,
     mtu: u32,
+    /// Whether the peer takes datagrams over IPv6 without a UDP checksum.
+    zero_checksum: bool,
     place: Place,
     connection: quinn::Connection,
     requests: Mutex<mpsc::Receiver<(Request, Responder)>>,
@@ -103,8 +108,16 @@ struct Inner {
 /// What a link needs to know of the port it is on.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Place {
-    Ethernet { ifindex: u32, local_mac: [u8; 6], peer_mac: [u8; 6] },
-    Udp,
+    Ethernet {
+        ifindex: u32,
+        vlan: u16,
+        local_mac: [u8; 6],
+        peer_mac: [u8; 6],
+    },
+    /// `bound`: what the port's socket is bound to, perhaps the unspecified address.
+    Udp {
+        bound: SocketAddr,
+    },
 }
 
 /// Why a link could not be made, or failed a request.
@@ -141,7 +154,7 @@ impl Link {
         place: Place,
         local: (LinkId, u32),
         peer: Peer,
-        peer_link: (u32, u32),
+        peer_end: PeerEnd,
         dialled: bool,
         schedule: RekeySchedule,
     ) -> Result<Self, LinkError> {
@@ -156,10 +169,11 @@ impl Link {
         Ok(Self(Arc::new(Inner {
             peer,
             local_id: local.0,
-            peer_id: peer_link.0,
+            peer_id: peer_end.id,
             ratchet: StdMutex::new(ratchet),
             announcements: Mutex::new(announcements),
-            mtu: local.1.min(peer_link.1),
+            mtu: local.1.min(peer_end.mtu),
+            zero_checksum: peer_end.zero_checksum,
             place,
             connection,
             requests: Mutex::new(requests),
@@ -176,16 +190,47 @@ impl Link {
         self.0.local_id.get()
     }
 
-    /// Largest data frame, header and payload, in bytes.
+    /// Largest data frame, header and payload, in bytes. Over UDP it follows what QUIC finds out about the path.
     pub fn mtu(&self) -> u32 {
-        self.0.mtu
+        match self.0.place {
+            Place::Ethernet { .. } => self.0.mtu,
+            Place::Udp { .. } => self.0.mtu.min(self.0.connection.stats().path.current_mtu.into()),
+        }
     }
 
     /// Where data frames go. A UDP address moves when the peer did and QUIC has validated its new path.
     pub fn addr(&self) -> LinkAddr {
         match self.0.place {
             Place::Ethernet { ifindex, peer_mac, .. } => LinkAddr::Ethernet { ifindex, mac: peer_mac },
-            Place::Udp => LinkAddr::udp(self.0.connection.remote_address()),
+            Place::Udp { .. } => LinkAddr::udp(self.0.connection.remote_address()),
+        }
+    }
+
+    /// What carries data frames to the peer. Over UDP it follows the addresses of both sides.
+    pub fn carrier(&self) -> Carrier {
+        let inner = &*self.0;
+        match inner.place {
+            Place::Ethernet { vlan, local_mac, peer_mac, .. } => {
+                Carrier { vlan, ..Carrier::ethernet(peer_mac, local_mac) }
+            }
+            Place::Udp { bound } => {
+                let peer = inner.connection.remote_address();
+                // Only the side that was dialled knows it from its peer's packets.
+                let local = inner.connection.local_ip().map(|ip| ip.to_canonical());
+                let local = local.unwrap_or_else(|| udp_source(bound.ip(), peer));
+                let (kind, peer_ip) = ip_words(peer.ip().to_canonical());
+                let (local_kind, local_ip) = ip_words(local);
+                Carrier {
+                    kind,
+                    flags: if inner.zero_checksum { Carrier::ZERO_CHECKSUM } else { 0 },
+                    peer_port: peer.port().to_be(),
+                    local_port: bound.port().to_be(),
+                    peer_ip,
+                    // Not known: the unspecified address.
+                    local_ip: if local_kind == kind { local_ip } else { [0; 4] },
+                    ..Carrier::default()
+                }
+            }
         }
     }
 
@@ -193,18 +238,14 @@ impl Link {
     /// ([`Self::keep_keys`] replaces them). A switch fills in what it reaches.
     pub fn entry(&self, port: u32) -> LinkEntry {
         let inner = &*self.0;
-        let carrier = match inner.place {
-            Place::Ethernet { local_mac, peer_mac, .. } => Carrier::ethernet(peer_mac, local_mac),
-            Place::Udp => Carrier::default(),
-        };
         let mut entry = LinkEntry {
             id: self.local_id(),
             peer_id: inner.peer_id,
             role: LinkRole::from(inner.peer.role) as u32,
             port,
             peer: inner.peer.name,
-            mtu: inner.mtu,
-            carrier,
+            mtu: self.mtu(),
+            carrier: self.carrier(),
             ..LinkEntry::default()
         };
         self.ratchet().keys().put(&mut entry);
@@ -274,6 +315,20 @@ impl Response {
             response => Ok(response),
         }
     }
+}
+
+/// The address that a socket bound to `bound` sends from to `peer`; the unspecified one if there is no route.
+fn udp_source(bound: IpAddr, peer: SocketAddr) -> IpAddr {
+    if !bound.is_unspecified() {
+        return bound.to_canonical();
+    }
+    // Connecting a UDP socket sends nothing: the kernel looks its routes up.
+    let ask = || {
+        let socket = UdpSocket::bind((bound, 0))?;
+        socket.connect(peer)?;
+        socket.local_addr()
+    };
+    ask().map_or(bound, |local| local.ip().to_canonical())
 }
 
 /// What the keys of a direction come from. RFC 5705: the same on both sides, unknown to anybody else.

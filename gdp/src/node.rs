@@ -14,6 +14,7 @@
 
 mod counters;
 mod feedback;
+mod frame_size;
 mod held;
 mod intake;
 mod publisher;

@@ -78,7 +78,7 @@ fn an_interface_that_takes_no_redirects_is_served_from_userspace() -> Result<()>
     ensure!(switch.counted(Counter::Slow)? == (1, 0) && switch.counted(Counter::Delivered)? == (0, 1));
 
     gro(&site.right, "on")?;
-    switch.planes.refresh()?;
+    site.refresh(&mut switch)?;
     site.send_through(200)?;
     ensure!(switch.counted(Counter::Delivered)? == (1, 1), "from then on in the kernel");
     Ok(())
@@ -93,7 +93,7 @@ fn the_planes_share_the_counter_of_a_link() -> Result<()> {
     let link_counter = |frame: Vec<u8>| u32::from_be_bytes([frame[26], frame[27], frame[28], frame[29]]);
     let in_userspace = link_counter(site.send_through(200)?);
     gro(&site.right, "on")?;
-    switch.planes.refresh()?;
+    site.refresh(&mut switch)?;
     let in_kernel = link_counter(site.send_through(200)?);
     ensure!((in_userspace, in_kernel) == (1, 2), "{in_userspace} then {in_kernel}");
     Ok(())
@@ -115,14 +115,14 @@ fn the_planes_share_the_window_of_a_link() -> Result<()> {
     counted(&switch, Counter::Replayed, (1, 0))?;
 
     gro(&site.right, "on")?;
-    switch.planes.refresh()?;
+    site.refresh(&mut switch)?;
     site.send(&in_kernel)?;
     counted(&switch, Counter::Delivered, (1, 1))?;
     [&in_kernel, &in_userspace].into_iter().try_for_each(|frame| site.send(frame))?;
     counted(&switch, Counter::Replayed, (3, 0))?;
 
     gro(&site.right, "off")?;
-    switch.planes.refresh()?;
+    site.refresh(&mut switch)?;
     [&in_kernel, &in_userspace].into_iter().try_for_each(|frame| site.send(frame))?;
     counted(&switch, Counter::Replayed, (5, 0))?;
     counted(&switch, Counter::Delivered, (1, 1))?;
@@ -359,6 +359,11 @@ impl Site {
             payload: vec![0x5a; length - 96],
             ..Frame::default()
         }
+    }
+
+    fn refresh(&self, switch: &mut Switch) -> Result<()> {
+        let _inside = self.switch.enter()?;
+        Ok(switch.planes.refresh()?)
     }
 
     fn send(&self, frame: &Frame) -> Result<()> {

@@ -165,8 +165,8 @@ impl Worker {
                 }
                 Outcome::Copies { ingress, group } => {
                     counts[Counter::Replicated as usize] += 1;
-                    let length = frame.len();
                     let send = |CopyOut { to, header, counter, .. }| {
+                        let length = header.frame_len();
                         self.sends.push(Send { frame: index, to, length, header: Some(header), counter });
                     };
                     copies(frame, (ingress, group), &tables, send, |counter| counts[counter as usize] += 1);

@@ -1,7 +1,8 @@
 //! The kernel plane: loads the XDP object, attaches it, and writes its maps. Knows BPF, nothing of sockets or links'
 //! meaning. Called by [`super::Planes`], by the kernel tests and by `bench forward`.
 
-use std::collections::HashMap as Table;
+use std::collections::{HashMap as Table, HashSet};
+use std::hash::Hash;
 use std::path::{Path, PathBuf};
 
 use aya::maps::{Array, DevMapHash, HashMap, MapData, MapError, PerCpuArray};
@@ -12,7 +13,7 @@ use aya::programs::{ProgramError, TestRun, TestRunOptions, Xdp};
 use aya::{Ebpf, EbpfError, EbpfLoader};
 use gdp_wire::replay::WORDS;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_PORTS, link_index};
-use gdp_wire::{Counter, FibEntry, LinkEntry, Name, Permit, SwitchConfig};
+use gdp_wire::{Counter, FibEntry, LinkEntry, LocalAddress, Name, Permit, SwitchConfig, Vlan};
 
 use super::explain;
 use super::fib::{self, Fib};
@@ -138,6 +139,8 @@ pub struct KernelPlane {
     next_hop: Array<MapData, u32>,
     config: Array<MapData, SwitchConfig>,
     ports: DevMapHash<MapData>,
+    addresses: HashMap<MapData, LocalAddress, u32>,
+    vlans: HashMap<MapData, Vlan, u32>,
     counters: PerCpuArray<MapData, u64>,
     link_memory: LinkMemory,
     losses: Losses,
@@ -212,6 +215,8 @@ impl KernelPlane {
             next_hop: maps.take("NEXT_HOP")?,
             config: maps.take("CONFIG")?,
             ports: maps.take("PORTS")?,
+            addresses: maps.take("ADDRESSES")?,
+            vlans: maps.take("VLANS")?,
             counters: maps.take("COUNTERS")?,
             link_memory: LinkMemory::map(shared).map_err(LoadError::LinkMemory)?,
             losses: Losses::new(maps.take(losses::MAP)?),
@@ -356,6 +361,16 @@ impl KernelPlane {
         removed(self.ports.remove(port)).map_err(update("PORTS"))
     }
 
+    /// From now on takes frames over UDP at these addresses, and no others.
+    pub fn set_addresses(&mut self, addresses: &HashSet<LocalAddress>) -> Result<(), UpdateError> {
+        set_of(&mut self.addresses, addresses).map_err(update("ADDRESSES"))
+    }
+
+    /// From now on takes tagged frames on these VLANs, and no others.
+    pub fn set_vlans(&mut self, vlans: &HashSet<Vlan>) -> Result<(), UpdateError> {
+        set_of(&mut self.vlans, vlans).map_err(update("VLANS"))
+    }
+
     pub fn set_config(&mut self, config: SwitchConfig) -> Result<(), UpdateError> {
         self.config.set(0, config, 0).map_err(update("CONFIG"))
     }
@@ -426,7 +441,8 @@ impl KernelPlane {
 
     /// Runs the switch over one Ethernet frame without an interface; the action, and the frame as it left it.
     pub fn test_run(&mut self, frame: &[u8]) -> Result<(Action, Vec<u8>), ProgramError> {
-        let mut out = vec![0; frame.len()];
+        // What carries it may grow.
+        let mut out = vec![0; frame.len() + 64];
         let mut options = TestRunOptions::new();
         options.data_in = Some(frame);
         options.data_out = Some(&mut out);
@@ -528,6 +544,13 @@ fn removed(result: Result<(), MapError>) -> Result<(), MapError> {
         Err(MapError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::ENOENT) => Ok(()),
         result => result,
     }
+}
+
+/// Makes the keys of a map these.
+fn set_of<K: aya::Pod + Eq + Hash>(map: &mut HashMap<MapData, K, u32>, keys: &HashSet<K>) -> Result<(), MapError> {
+    let held: HashSet<K> = map.keys().collect::<Result<_, _>>()?;
+    held.difference(keys).try_for_each(|key| removed(map.remove(key)))?;
+    keys.difference(&held).try_for_each(|key| map.insert(key, 0, 0))
 }
 
 fn update(map: &'static str) -> impl Fn(MapError) -> UpdateError {

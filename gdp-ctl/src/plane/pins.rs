@@ -219,6 +219,15 @@ fn mount(at: &Path) -> Result<(), PinsError> {
         return Err(missing("there is something else; name another folder as `bpffs`".into()));
     }
     fs::DirBuilder::new().recursive(true).mode(0o700).create(at).map_err(|error| missing(error.to_string()))?;
+    // Of several daemons that start at once, one mounts it: a second one would hide what the first has pinned.
+    let folder = File::open(at).map_err(|error| missing(error.to_string()))?;
+    // SAFETY: the descriptor is open; the lock ends with it.
+    if unsafe { libc::flock(folder.as_raw_fd(), libc::LOCK_EX) } != 0 {
+        return Err(missing(format!("it cannot be locked: {}", io::Error::last_os_error())));
+    }
+    if is_bpffs(&path) {
+        return Ok(());
+    }
     // SAFETY: four C strings that live as long as the call; the file system takes its options as one.
     let result = unsafe {
         libc::mount(c"bpf".as_ptr(), path.as_ptr(), c"bpf".as_ptr(), libc::MS_NOSUID, c"mode=0700".as_ptr().cast())

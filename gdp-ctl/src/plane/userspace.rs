@@ -71,7 +71,7 @@ pub fn handle(frame: &mut [u8], tables: &UserTables) -> Outcome {
     let Ok((mut header, _)) = Header::read_from_prefix(frame) else { return Outcome::Drop(Counter::Truncated) };
     let ingress = header.link_id();
     let (link, length, counter) = match forward::decide(&mut header, frame.len(), tables) {
-        Verdict::Send(link, counter) => (link.id, frame.len(), counter),
+        Verdict::Send(link, counter) => (link.id, header.frame_len(), counter),
         Verdict::Answer(link, counter) => (link.id, Header::LEN, counter),
         Verdict::Copies(group) => {
             frame[..Header::LEN].copy_from_slice(header.as_bytes());
@@ -100,7 +100,7 @@ pub fn copies(
     for id in tables.members(group) {
         let (Some(link), Some(to)) = (tables.link(id), tables.address(id)) else { continue };
         let mut header = original;
-        match forward::copy(&mut header, frame.len(), link, ingress, tables) {
+        match forward::copy(&mut header, original.frame_len(), link, ingress, tables) {
             Copy::Send(counter) => send(CopyOut { link: id, to, header, counter }),
             Copy::Drop(counter) => count(counter),
             Copy::None => {}

@@ -199,8 +199,9 @@ impl Core {
             return Err(format!("the peer has the key of this switch, {switch}: give each a key of its own"));
         }
         if peer.role == Role::Endpoint {
-            let endpoints = self.links.values().filter(|state| state.link.peer().role == Role::Endpoint).count();
-            return if endpoints < MAX_ENDPOINTS {
+            let live = self.links.values().filter(|state| state.link.peer().role == Role::Endpoint).count();
+            let held = self.held.iter().filter(|held| held.role == Role::Endpoint).count();
+            return if live + held < MAX_ENDPOINTS {
                 Ok(())
             } else {
                 Err(format!("{MAX_ENDPOINTS} endpoints have links to this switch, the most it takes"))
@@ -299,16 +300,23 @@ impl Core {
         result.is_ok()
     }
 
-    /// Looks whether peers have moved to other addresses, as QUIC has validated.
+    /// Looks whether peers have moved to other addresses, as QUIC has validated; and what the paths to them take.
     pub fn follow_addresses(&mut self) {
         for state in self.links.values_mut() {
-            let to = state.link.addr();
+            let (to, mtu, carrier) = (state.link.addr(), state.link.mtu(), state.link.carrier());
+            if (to, mtu, carrier) == (state.to, state.entry.mtu, state.entry.carrier) {
+                continue;
+            }
+            let peer = format_args!("{:#}", state.link.peer().name).to_string();
             if to != state.to {
-                tracing::info!(peer = %format_args!("{:#}", state.link.peer().name), from = %state.to, %to, "a peer moved");
-                state.to = to;
-                if let Err(error) = self.planes.set_link(state.entry, to) {
-                    tracing::error!(%error, "the data plane did not take a link's new address");
-                }
+                tracing::info!(peer, from = %state.to, %to, "a peer moved");
+            }
+            if mtu != state.entry.mtu {
+                tracing::debug!(peer, from = state.entry.mtu, to = mtu, "the MTU of a link changed");
+            }
+            (state.to, state.entry.mtu, state.entry.carrier) = (to, mtu, carrier);
+            if let Err(error) = self.planes.set_link(state.entry, to) {
+                tracing::error!(%error, "the data plane did not take what changed on a link");
             }
         }
     }

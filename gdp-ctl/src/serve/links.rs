@@ -177,6 +177,7 @@ fn reattached(daemon: &Daemon, link: &Link, response: Option<Response>) {
         Some(Response::Done) => {
             tracing::info!(entity = %format_args!("{entity:#}"), "the RIB did not know the attachment; it was made again");
         }
+        _ if link.close_reason().is_some() => {}
         None => daemon.report_in_full(),
         Some(Response::Refused(refusal)) if refusal.code == RefusalCode::Unreachable => daemon.report_in_full(),
         Some(_) => {

@@ -136,7 +136,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         daemon.spawn(ports::run_ethernet(daemon.clone(), name, port, changes.clone()));
     }
     if let Some((bind, port)) = &udp {
-        daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind));
+        daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind, changes.clone()));
     }
     daemon.spawn(uplink::report(daemon.clone()));
     daemon.spawn(uplink::rib_clock(daemon.clone()));

@@ -4,11 +4,13 @@ use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
 
 use gdp_wire::forward::{self, Copy, Kind};
+use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::replay::{self, Window};
-use gdp_wire::table::{PORT_USERSPACE, Tables};
+use gdp_wire::table::Tables;
 use gdp_wire::{Counter, FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
 use zerocopy::{FromBytes, IntoBytes};
 
+use crate::frames::carrier::Place;
 use crate::frames::fixtures::{Switch, Verdict};
 
 pub use crate::frames::fixtures::Fate;
@@ -21,7 +23,7 @@ pub struct PlainTables<const KERNEL: bool> {
     groups: HashMap<u32, Vec<u32>>,
     next_hops: [u32; 64],
     own_bit: u64,
-    ethertype: u16,
+    switch: Switch,
     sent: RefCell<HashMap<u32, u64>>,
     windows: HashMap<u32, Window>,
     /// Whether the kernel has groups.
@@ -37,7 +39,7 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             groups: switch.groups().map(|(group, readers)| (group, readers.to_vec())).collect(),
             next_hops: switch.next_hops(),
             own_bit: switch.config().own_bit,
-            ethertype: switch.ethertype,
+            switch: switch.clone(),
             sent: RefCell::new(switch.links.iter().map(|link| (link.id, link.tx_counter)).collect()),
             windows: switch.links.iter().map(|link| (link.id, window(&link.taken))).collect(),
             can_copy: true,
@@ -52,19 +54,24 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
 
     /// What becomes of an Ethernet frame.
     pub fn run(&self, frame: &[u8]) -> Fate {
-        if frame[12..14] != self.ethertype.to_be_bytes() {
+        let Some(Place { at, length, over_udp }) = self.switch.find(frame) else {
             return Fate::new(Verdict::Pass, Counter::Foreign);
-        }
-        match frame.get(14).copied().map(forward::classify) {
-            Some(Kind::Headed) => {}
-            Some(Kind::Control) => return Fate::new(Verdict::Pass, Counter::Control),
-            Some(Kind::Unknown) => return Fate::new(Verdict::Drop, Counter::Unknown),
+        };
+        let gdp = &frame[at..at + length];
+        match gdp.first().copied() {
+            Some(FIRST_QUIC_BYTE..) if over_udp => return Fate::new(Verdict::Pass, Counter::Control),
+            Some(first) => match forward::classify(first) {
+                Kind::Headed => {}
+                Kind::Control => return Fate::new(Verdict::Pass, Counter::Control),
+                Kind::Unknown => return Fate::new(Verdict::Drop, Counter::Unknown),
+            },
             None => return Fate::new(Verdict::Drop, Counter::Truncated),
         }
-        let Ok((mut header, payload)) = Header::read_from_prefix(&frame[14..]) else {
+        let Ok((mut header, payload)) = Header::read_from_prefix(gdp) else {
             return Fate::new(Verdict::Drop, Counter::Truncated);
         };
         let ingress = header.link_id();
+        let payload = payload.get(..header.payload_len().into()).unwrap_or(payload);
         let send = |link: &LinkEntry, header: &Header, payload: &[u8], counter| {
             // The fixtures leave this port without an interface.
             if KERNEL && link.port == 63 {
@@ -72,7 +79,7 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             }
             Fate::sent(self.carried(link, header, payload), counter)
         };
-        match forward::decide(&mut header, frame.len() - 14, self) {
+        match forward::decide(&mut header, length, self) {
             forward::Verdict::Send(link, counter) => send(link, &header, payload, counter),
             forward::Verdict::Answer(link, counter) => send(link, &header, &[], counter),
             forward::Verdict::Copies(group) => Fate::copied(self.copies(&header, payload, group, ingress)),
@@ -100,9 +107,8 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
     }
 
     fn carried(&self, link: &LinkEntry, header: &Header, payload: &[u8]) -> Vec<u8> {
-        let addresses = [link.carrier.peer_mac, link.carrier.local_mac];
-        let ethertype = self.ethertype.to_be_bytes();
-        [addresses.as_bytes(), &ethertype, header.as_bytes(), payload].concat()
+        let link = self.switch.link(link.id).expect("a link of the switch");
+        link.carry(self.switch.ethertype, &[header.as_bytes(), payload].concat())
     }
 }
 
@@ -141,7 +147,7 @@ impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
     }
 
     fn can_send(&self, link: &LinkEntry) -> bool {
-        link.port != PORT_USERSPACE
+        self.switch.link(link.id).is_some_and(|link| link.port.is_some())
     }
 
     fn can_copy(&self, _: u32, _: usize) -> bool {

@@ -63,7 +63,7 @@ impl Receiver {
         let counters = &*self.counters;
         let mut intakes =
             Intakes { intakes: HashMap::new(), held: Held::default(), asked: HashMap::new(), start: Instant::now() };
-        let mut attached: Option<(Arc<DataSocket>, Links)> = None;
+        let mut attached: Option<(Arc<DataSocket>, usize, Links)> = None;
         let mut batch = None;
         let mut next_tick = Instant::now() + TICK;
         loop {
@@ -74,10 +74,10 @@ impl Receiver {
                 };
                 match command {
                     Ok(Command::Attach { attachment, held }) => {
-                        let earlier = attached.take().map(|(_, links)| links);
+                        let earlier = attached.take().map(|(_, _, links)| links);
                         let held = held.map(|(silent, until)| (Ingress::of(&silent), until));
                         let links = Links::after(earlier, Ingress::of(&attachment), held);
-                        attached = Some((attachment.data.clone(), links));
+                        attached = Some((attachment.data.clone(), attachment.largest, links));
                     }
                     Ok(Command::Subscribe { name, intake }) => drop(intakes.intakes.insert(name, intake)),
                     Ok(Command::Unsubscribe { name }) => drop(intakes.intakes.remove(&name)),
@@ -86,12 +86,10 @@ impl Receiver {
                     Ok(Command::Stop) | Err(mpsc::TryRecvError::Disconnected) => return,
                 }
             }
-            let Some((data, links)) = &mut attached else { continue };
-            let mtu = links.current.entry.mtu as usize;
-            // The largest frame the link may carry, or the socket would not be able to tell that one is too large.
-            let batch = batch.get_or_insert_with(|| RecvBatch::new(mtu));
-            if batch.largest() < mtu {
-                *batch = RecvBatch::new(mtu);
+            let Some((data, largest, links)) = &mut attached else { continue };
+            let batch = batch.get_or_insert_with(|| RecvBatch::new(*largest));
+            if batch.largest() < *largest {
+                *batch = RecvBatch::new(*largest);
             }
             match data.try_recv_batch(batch) {
                 Ok(0) => {
@@ -196,6 +194,9 @@ impl Ingress {
                 let code = ErrorCode::from_number(code).ok_or(Counter::Unknown)?;
                 counters.errors[code.index()].add(1);
                 feedback.add(code, header);
+                if let Some(attachment) = self.attachment.upgrade() {
+                    attachment.frame_size.learn(code, header);
+                }
             }
             (FrameType::Echo, Header::ASKS) => {
                 if let Some(attachment) = self.attachment.upgrade() {

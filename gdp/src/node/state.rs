@@ -165,6 +165,11 @@ impl State {
             Stated::Subscribed => self.command(Command::Unsubscribe { name }),
             Stated::Published => self.feedback.forget(&name),
         }
+        self.withdraw_later(name, stated);
+    }
+
+    /// Has the supervisor tell the RIB that this is withdrawn, once there is a link.
+    pub fn withdraw_later(&self, name: Name, stated: Stated) {
         let _ = self.events.send(Event::Withdraw { name, stated });
     }
 

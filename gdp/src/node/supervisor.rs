@@ -13,6 +13,7 @@ use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep, sleep_until, timeout_at};
 use zerocopy::IntoBytes;
 
+use super::frame_size::FrameSize;
 use super::receiver::Command;
 use super::shared_entry::SharedEntry;
 use super::state::{self, State, Status};
@@ -21,7 +22,7 @@ use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
 use crate::link::liveness::{Liveness, Pace, Step};
 use crate::link::{HOLD, Link, LinkError, LinkKeys, RekeySchedule, Responder, Role};
-use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, UDP_MTU};
+use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig};
 
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -38,9 +39,6 @@ const REATTACH: Duration = Duration::from_secs(4);
 /// How often certificates and statements with a lifetime of [`state::LIFETIME`] are renewed.
 const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
 
-/// Largest frame sent, whatever the first link takes, until path MTUs are learnt: a link further on may be over UDP. Bytes.
-const MAX_FRAME: u32 = UDP_MTU;
-
 /// What the rest of the node tells the supervisor.
 pub enum Event {
     /// A publisher or subscription was dropped.
@@ -54,6 +52,10 @@ pub struct Attachment {
     pub link: Link,
     pub entry: SharedEntry,
     pub data: Arc<DataSocket>,
+    /// Bytes of the largest frame that may come.
+    pub largest: usize,
+    /// What links further on take, as far as it is known.
+    pub frame_size: FrameSize,
     count: AtomicU64,
     /// Cookie of the latest answer to an echo.
     answer: AtomicU64,
@@ -61,8 +63,9 @@ pub struct Attachment {
 
 impl Attachment {
     fn new(link: Link, port: &Port) -> Self {
-        let (entry, data) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data());
-        Self { entry, link, data, count: AtomicU64::new(0), answer: AtomicU64::new(0) }
+        let (entry, data, largest) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data(), port.mtu() as usize);
+        let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
+        Self { entry, link, data, largest, frame_size, count, answer }
     }
 
     /// The count for the next frame: 1 for the first.
@@ -94,9 +97,9 @@ impl Attachment {
         }
     }
 
-    /// Largest payload of a frame, in bytes.
+    /// Largest payload of a frame, in bytes: what this link takes now, and links further on as far as is known.
     pub fn max_payload(&self) -> usize {
-        (self.link.mtu().min(MAX_FRAME) as usize).saturating_sub(Header::LEN)
+        (self.link.mtu().min(self.frame_size.get()) as usize).saturating_sub(Header::LEN)
     }
 
     /// Replaces the keys of the link now and then, as long as it lives.
@@ -382,11 +385,14 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
     match event {
         Event::Withdraw { name, stated } => {
             let mut backoff = Backoff::new();
-            // With the link, the switch withdraws everything by itself.
-            while let Err(error) = state.state_withdrawal(&attachment, name, stated).await
-                && attachment.link.close_reason().is_none()
-            {
-                tracing::warn!(%name, %error, "could not be withdrawn; trying again");
+            while let Err(error) = state.state_withdrawal(&attachment, name, stated).await {
+                match error {
+                    // It went with an attachment that ended.
+                    NodeError::Refused(refusal) if refusal.code == RefusalCode::NotFound => return,
+                    // What was stated may outlive the link: that is for the next one to tell.
+                    _ if attachment.link.close_reason().is_some() => return state.withdraw_later(name, stated),
+                    error => tracing::warn!(%name, %error, "could not be withdrawn; trying again"),
+                }
                 backoff.wait().await;
             }
         }

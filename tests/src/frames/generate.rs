@@ -4,6 +4,7 @@
 //! What comes out is a sequence: counts go up link by link, and earlier frames come again. Every plane that is to be compared gets
 //! all of it, in order.
 
+use super::carrier::Carrier;
 use super::fixtures::{self, Link, Role, Switch};
 use super::{Frame, hop_tag};
 
@@ -18,8 +19,8 @@ const HEADER: usize = 96;
 
 pub struct Generator {
     random: Random,
-    ethertype: u16,
-    own_bit: u32,
+    switch: Switch,
+    carriers: Vec<Carrier>,
     links: Vec<Sender>,
     names: Vec<[u8; 32]>,
     sizes: Vec<usize>,
@@ -57,8 +58,8 @@ impl Generator {
         let limits = switch.links.iter().flat_map(|link| [0, 1, 2].map(|less| link.mtu as usize - HEADER + 1 - less));
         Self {
             random: Random(seed ^ 0x9e37_79b9_7f4a_7c15),
-            ethertype: switch.ethertype,
-            own_bit: switch.own_bit,
+            switch: switch.clone(),
+            carriers: switch.links.iter().map(Link::arrives_in).collect(),
             links: switch.links.iter().enumerate().map(sender).collect(),
             names: switch.routes.iter().map(name).collect(),
             sizes: limits.filter(|size| *size < 3000).chain([0, 1, 6, 64, 300]).collect(),
@@ -89,13 +90,24 @@ impl Generator {
         frame
     }
 
-    /// A frame in what carries it: Ethernet of the GDP's own type, or sometimes of another.
+    /// A frame in what carries it. Where it comes in says nothing of its link, so any carrier will do for any frame.
     fn carried(&mut self) -> Vec<u8> {
         let mut frame = self.gdp();
+        frame.carrier = self.random.one_of(&self.carriers);
         frame.ethertype = match self.random.below(64) {
             0 => self.random.one_of(&[0x0800, 0x86dd, 0x8100, 0x88b6, 0]),
-            _ => self.ethertype,
+            _ => self.switch.ethertype,
         };
+        if self.random.one_in(64) {
+            frame.carrier = match frame.carrier {
+                Carrier::Ethernet => Carrier::Vlan(self.random.next() as u16),
+                Carrier::Vlan(control) => Carrier::Vlan(control ^ 1 << self.random.below(16)),
+                Carrier::Udp { from, mut to, class } => {
+                    to.set_port(to.port() ^ 1 << self.random.below(16));
+                    Carrier::Udp { from, to, class }
+                }
+            };
+        }
         frame.bytes()
     }
 
@@ -122,8 +134,8 @@ impl Generator {
                 (Role::Endpoint, 1..) => 0,
                 (_, 0) => random.next(),
                 (_, 1) => 0,
-                (_, 2 | 3) => 1 << self.own_bit,
-                (_, 4) => 1 << self.own_bit | 1 << random.below(14),
+                (_, 2 | 3) => 1 << self.switch.own_bit,
+                (_, 4) => 1 << self.switch.own_bit | 1 << random.below(14),
                 (_, 5) => 1 << random.below(14) | 1 << random.below(14),
                 _ => 1 << random.below(64),
             },
@@ -169,7 +181,7 @@ impl Generator {
         frame
     }
 
-    /// Changes a frame somewhere. Sometimes its neighbour did, and has tagged it so.
+    /// Changes a packet somewhere. Sometimes its neighbour did, and has tagged it so.
     fn damage(&mut self, frame: &mut Vec<u8>) {
         let random = &mut self.random;
         match random.below(6) {
@@ -179,9 +191,15 @@ impl Generator {
                 let at = random.below(frame.len());
                 frame[at] = random.next() as u8;
             }),
-            // In the header, where it matters.
+            // In the headers, where it matters.
+            3 => {
+                let at = random.below(ETHERNET + 48);
+                if let Some(byte) = frame.get_mut(at) {
+                    *byte ^= 1 << random.below(8);
+                }
+            }
             _ => {
-                let at = ETHERNET + random.below(HEADER);
+                let at = self.switch.find(frame).map_or(ETHERNET, |place| place.at) + random.below(HEADER);
                 if let Some(byte) = frame.get_mut(at) {
                     *byte ^= 1 << random.below(8);
                 }
@@ -194,7 +212,8 @@ impl Generator {
 
     /// Tags a frame as the neighbour would that its link id and flags speak of, under the count that is up.
     fn tag_again(&mut self, frame: &mut [u8]) {
-        let Some(header) = frame.get_mut(ETHERNET..).and_then(|gdp| gdp.first_chunk_mut::<HEADER>()) else { return };
+        let Some(place) = self.switch.find(frame) else { return };
+        let Some(header) = frame[place.at..].first_chunk_mut::<HEADER>() else { return };
         let id = u32::from_be_bytes([header[8], header[9], header[10], header[11]]);
         let Some(sender) = self.links.iter_mut().find(|sender| sender.link.id == id) else { return };
         sender.count += 1;
