@@ -20,9 +20,9 @@ const ETHERNET: usize = 14;
 const HEADER: usize = 96;
 
 /// Option of a frame: the neighbour made it, so its tag is good.
-const TAGGED: u8 = 1;
+pub const TAGGED: u8 = 1;
 /// Option of a frame: it comes twice.
-const TWICE: u8 = 2;
+pub const TWICE: u8 = 2;
 
 /// What becomes of frames is what [`check`] says, for every frame and in both planes.
 pub fn decide(data: &[u8]) {

@@ -1,24 +1,24 @@
-//! The targets over their corpora, and over what a plain mutator makes of these: no engine, no instrumentation, so that this
+//! The targets over their seeds and corpora, and over what a plain mutator makes of these: no engine, no instrumentation, so that this
 //! runs wherever tests run.
 
 use std::fs;
 use std::path::PathBuf;
 
-use gdp_fuzz::TARGETS;
+use gdp_fuzz::{TARGETS, seeds};
 
-/// Of each case.
-const MUTANTS: usize = 200;
+/// Of all cases of a target.
+const MUTANTS: usize = 5000;
 
 #[test]
 fn every_case_and_its_mutants_through_its_target() {
     for (name, target) in TARGETS {
-        let cases = corpus(name);
-        assert!(!cases.is_empty(), "{name} has no corpus");
+        let cases = [seeds(name), corpus(name)].concat();
+        assert!(!cases.is_empty(), "{name} has nothing to begin with");
         let mut random = Random(1);
         for (case, bytes) in &cases {
             eprintln!("{name}: {case}");
             target(bytes);
-            for _ in 0..MUTANTS {
+            for _ in 0..MUTANTS / cases.len() {
                 let (_, other) = &cases[random.below(cases.len())];
                 target(&mutated(bytes, other, &mut random));
             }

@@ -37,7 +37,7 @@ pub use ethernet::{Interface, Vlan};
 pub const UDP_MTU: u32 = 1500 - 20 - 8;
 
 /// What any path takes, as QUIC assumes of all (RFC 9000 §14).
-const SMALLEST_PATH: u16 = 1200;
+pub const SMALLEST_PATH: u16 = 1200;
 
 /// Largest QUIC packet on Ethernet. More gains control traffic nothing, and jumbo frames may not pass everywhere.
 const MAX_ETHERNET_QUIC: u32 = 1472;

@@ -112,6 +112,42 @@ fn frames_that_come_to_both_planes_at_once_are_taken_once() -> Result<()> {
 }
 
 #[test]
+fn arrivals_are_counted_by_link_and_busy_names_by_samples() -> Result<()> {
+    const FRAMES: u64 = 4096;
+    let Fixtures { switch, .. } = fixtures::read();
+    let site = Site::build()?;
+    let mut plane = site.kernel_plane(&switch)?;
+    let (link, other, route) = (&switch.links[0], &switch.links[1], &switch.routes[0]);
+    plane.link_memory().begin(link.id);
+    for count in 1..=FRAMES {
+        let frame = Frame {
+            link_id: link.id,
+            key: fixtures::key(&link.rx_keys[0]),
+            link_counter: count,
+            destination: fixtures::array(&route.name),
+            source: fixtures::array(&link.peer),
+            ..Frame::default()
+        };
+        plane.test_run(&frame.bytes())?;
+        if count == 1 {
+            plane.test_run(&frame.bytes())?;
+            plane.test_run(&Frame { tag: Some(0), ..frame }.bytes())?;
+        }
+    }
+    let arrivals = plane.tally().of(link.id)?;
+    let counted = |counter: Counter| arrivals[counter as usize];
+    ensure!((counted(Counter::Forwarded), counted(Counter::Replayed), counted(Counter::BadTag)) == (FRAMES, 1, 1));
+    ensure!(arrivals.iter().sum::<u64>() == FRAMES + 2, "{arrivals:?}");
+    ensure!(plane.tally().of(other.id)?.iter().all(|frames| *frames == 0));
+    let busiest = plane.tally().busiest()?;
+    let about = busiest.get(&Name::from_bytes(fixtures::array(&route.name))).copied().unwrap_or(0);
+    ensure!((FRAMES / 2..FRAMES * 2).contains(&about) && busiest.len() == 1, "{busiest:?}");
+    plane.begin_link(link.id)?;
+    ensure!(plane.tally().of(link.id)?.iter().all(|frames| *frames == 0), "a new link begins with nothing");
+    Ok(())
+}
+
+#[test]
 fn the_map_is_the_fib() -> Result<()> {
     let Fixtures { switch, .. } = fixtures::read();
     let site = Site::build()?;

@@ -36,19 +36,22 @@ pub fn run(options: Options) -> Result<()> {
     build.args(["--target", &host, "--target-dir"]).arg(&folder).env("RUSTFLAGS", COVERAGE);
     shell::run(&mut build)?;
 
-    let (found, crashes) = (folder.join("corpus").join(&target), folder.join("crashes").join(&target));
-    for folder in [&found, &crashes] {
+    let [found, seeds, crashes] = ["found", "seeds", "crashes"].map(|kind| folder.join(kind).join(&target));
+    for folder in [&found, &seeds, &crashes] {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     }
     let mut fuzzer = Command::new(folder.join(host).join("checked").join(&target));
     fuzzer.arg(format!("-max_total_time={seconds}")).args(["-max_len=4096", "-timeout=5", "-rss_limit_mb=2048"]);
     fuzzer.arg(format!("-artifact_prefix={}/", crashes.display()));
-    shell::say_and_run(fuzzer.arg(found).arg(workspace::root().join("fuzz/corpus").join(&target))).with_context(|| {
-        format!(
-            "what made it fail is in {}: copy it to fuzz/corpus/{target} under a name that says what it shows",
-            crashes.display()
-        )
-    })
+    // Written by the executable itself, before it reads them.
+    fuzzer.env("GDP_FUZZ_SEEDS", &seeds);
+    shell::say_and_run(fuzzer.arg(found).arg(seeds).arg(workspace::root().join("fuzz/corpus").join(&target)))
+        .with_context(|| {
+            format!(
+                "what made it fail is in {}: copy it to fuzz/corpus/{target} under a name that says what it shows",
+                crashes.display()
+            )
+        })
 }
 
 /// The platform that this compiler builds for by itself.

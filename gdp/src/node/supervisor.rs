@@ -22,7 +22,7 @@ use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
 use crate::link::liveness::{Liveness, Pace, Step};
 use crate::link::{HOLD, Link, LinkError, LinkKeys, RekeySchedule, Responder, Role};
-use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig};
+use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, SMALLEST_PATH};
 
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -38,6 +38,10 @@ const REATTACH: Duration = Duration::from_secs(4);
 
 /// How often certificates and statements with a lifetime of [`state::LIFETIME`] are renewed.
 const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
+
+/// How long frames on a new link over UDP stay as small as any path takes: meanwhile QUIC learns the paths of links that are made at the
+/// same time, and switches learn them from it.
+const SETTLING: Duration = Duration::from_secs(3);
 
 /// What the rest of the node tells the supervisor.
 pub enum Event {
@@ -56,6 +60,7 @@ pub struct Attachment {
     pub largest: usize,
     /// What links further on take, as far as it is known.
     pub frame_size: FrameSize,
+    since: Instant,
     count: AtomicU64,
     /// Cookie of the latest answer to an echo.
     answer: AtomicU64,
@@ -65,7 +70,7 @@ impl Attachment {
     fn new(link: Link, port: &Port) -> Self {
         let (entry, data, largest) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data(), port.mtu() as usize);
         let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
-        Self { entry, link, data, largest, frame_size, count, answer }
+        Self { entry, link, data, largest, frame_size, since: Instant::now(), count, answer }
     }
 
     /// The count for the next frame: 1 for the first.
@@ -99,7 +104,9 @@ impl Attachment {
 
     /// Largest payload of a frame, in bytes: what this link takes now, and links further on as far as is known.
     pub fn max_payload(&self) -> usize {
-        (self.link.mtu().min(self.frame_size.get()) as usize).saturating_sub(Header::LEN)
+        let settling = matches!(self.link.addr(), LinkAddr::Udp(_)) && self.since.elapsed() < SETTLING;
+        let largest = if settling { SMALLEST_PATH.into() } else { self.link.mtu() };
+        (largest.min(self.frame_size.get()) as usize).saturating_sub(Header::LEN)
     }
 
     /// Replaces the keys of the link now and then, as long as it lives.
