@@ -24,8 +24,8 @@ use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::identity::Identity;
 use crate::link::{
-    self, HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, Place, QuicMtu, Role, greet_as_client,
-    greet_as_server,
+    self, HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, Place, QuicMtu, RekeySchedule, Role,
+    greet_as_client, greet_as_server,
 };
 
 pub use addr::{DisplayMac, LinkAddr, parse_mac};
@@ -72,17 +72,24 @@ pub struct PortConfig {
     pub listen: bool,
     /// Ethertype of GDP frames.
     pub ethertype: u16,
+    /// When the keys of data frames are replaced.
+    pub rekey: RekeySchedule,
 }
 
 impl PortConfig {
     /// For a switch: peers dial in and discover it.
     pub fn switch(identity: Identity, link_ids: LinkIds) -> Self {
-        Self { identity, role: Role::Switch, link_ids, listen: true, ethertype: gdp_wire::ETHERTYPE }
+        Self { listen: true, ..Self::new(identity, Role::Switch, link_ids) }
     }
 
     /// For an endpoint: it only dials out.
     pub fn endpoint(identity: Identity) -> Self {
-        Self { identity, role: Role::Endpoint, link_ids: LinkIds::new(), listen: false, ethertype: gdp_wire::ETHERTYPE }
+        Self::new(identity, Role::Endpoint, LinkIds::new())
+    }
+
+    fn new(identity: Identity, role: Role, link_ids: LinkIds) -> Self {
+        let (ethertype, rekey) = (gdp_wire::ETHERTYPE, RekeySchedule::default());
+        Self { identity, role, link_ids, listen: false, ethertype, rekey }
     }
 }
 
@@ -162,6 +169,7 @@ impl Port {
             role: config.role,
             link_ids: config.link_ids.clone(),
             mtu: frame_mtu,
+            rekey: config.rekey,
             zero_checksum: matches!(medium, Medium::Udp { zero_checksum: true, .. }),
         };
         let (sender, accepted) = mpsc::channel(MAX_HANDSHAKES);

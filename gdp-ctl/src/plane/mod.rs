@@ -372,6 +372,11 @@ impl Planes {
         Ok(())
     }
 
+    /// Frames sent on a link by any plane.
+    pub fn frames_sent(&self, id: u32) -> u64 {
+        self.link_memory.sent(id)
+    }
+
     /// Asks the data plane of the neighbour on a link whether it lives.
     pub fn ask(&self, link: u32, cookie: u64) {
         self.shared.send_own(link, Header::echo(cookie));

@@ -79,6 +79,7 @@ pub fn links(core: &Core) -> Vec<Value> {
         .into_iter()
         .map(|state| {
             let (link, peer) = (&state.link, state.link.peer());
+            let (rx_keys, tx_keys) = link.key_generations();
             json!({
                 "peer": peer.name,
                 "role": role(peer.role),
@@ -86,6 +87,7 @@ pub fn links(core: &Core) -> Vec<Value> {
                 "address": link.addr().to_string(),
                 "id": link.local_id(),
                 "mtu": link.mtu(),
+                "key_generations": {"rx": rx_keys, "tx": tx_keys},
                 "rtt_us": link.rtt().as_micros() as u64,
                 "age_s": state.since.elapsed().as_secs(),
                 "errors_received": errors_received(core, link.local_id()),

@@ -6,7 +6,7 @@ use quinn::{Connection, RecvStream, SendStream};
 use serde::{Deserialize, Serialize};
 
 use super::ids::{LinkId, LinkIds};
-use super::{Link, LinkError, Peer, Place, Role, streams, tls};
+use super::{Link, LinkError, Peer, Place, RekeySchedule, Role, streams, tls};
 use crate::control;
 use crate::identity::Identity;
 use crate::name::NameProof;
@@ -46,6 +46,8 @@ pub struct HelloConfig {
     pub mtu: u32,
     /// See [`Hello`].
     pub zero_checksum: bool,
+    /// Not said, but needed for the link that is made.
+    pub rekey: RekeySchedule,
 }
 
 /// What the peer said of its end of the link.
@@ -73,7 +75,7 @@ pub async fn greet_as_client(
         connection.close(quinn::VarInt::from_u32(0), b"another peer was expected");
         return Err(LinkError::WrongPeer { expected, found: peer.name });
     }
-    Link::new(connection, place, (id, config.mtu), peer, peer_end, true)
+    Link::new(connection, place, (id, config.mtu), peer, peer_end, true, config.rekey)
 }
 
 /// Answers the hello of a connection the peer dialled. Nothing is allocated before the peer has proven and said who it is.
@@ -82,7 +84,7 @@ pub async fn greet_as_server(connection: Connection, place: Place, config: &Hell
     let (peer, peer_end) = hear(&mut recv, &connection).await?;
     let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
     say(&mut send, config, &id).await?;
-    Link::new(connection, place, (id, config.mtu), peer, peer_end, false)
+    Link::new(connection, place, (id, config.mtu), peer, peer_end, false, config.rekey)
 }
 
 async fn say(send: &mut SendStream, config: &HelloConfig, id: &LinkId) -> Result<(), LinkError> {
