@@ -180,9 +180,17 @@ impl Scene {
     fn end(self) -> Result<()> {
         drop((self.there, self.back));
         for (node, inside) in self.nodes {
-            inside.run(async { Ok(node.close().await) })?;
+            inside.run(async {
+                node.close().await;
+                Ok(())
+            })?;
         }
-        self.switches.into_iter().try_for_each(|(running, inside)| inside.run(async { Ok(running.stop().await) }))
+        self.switches.into_iter().try_for_each(|(running, inside)| {
+            inside.run(async {
+                running.stop().await;
+                Ok(())
+            })
+        })
     }
 }
 
