@@ -6,7 +6,7 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use gdp::control::{EntityRequest, Response};
+use gdp::control::{EntityRequest, RecordPlace, Response};
 use gdp::name::NameProof;
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
@@ -32,13 +32,14 @@ const PATIENCE: Duration = Duration::from_secs(15);
 #[serde(tag = "op", rename_all = "lowercase")]
 pub enum Request {
     Status,
+    Links,
     /// A page of the data plane's routes, behind this name.
     Fib {
         after: Option<Name>,
     },
-    /// A page of the RIB's records, behind this name.
+    /// A page of the RIB's records, behind this one.
     Rib {
-        after: Option<Name>,
+        after: Option<RecordPlace>,
     },
     /// Something an entity asks of the RIB, through this daemon's switch.
     Entity {

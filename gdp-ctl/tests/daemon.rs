@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use gdp::cert::{AdCert, Advert, AdvertOp, Mode, ReadGrant, RtCert, Signed, issue};
 use gdp::control::{EntityRequest, Request, Response};
-use gdp::link::{Link, LinkIds};
+use gdp::link::{Link, LinkIds, RekeySchedule};
 use gdp::node::{NodeError, Publisher, SubscribeOptions, Subscription};
 use gdp::port::{LinkAddr, OutFrame, Port, PortConfig};
 use gdp::seal::{Encoding, EpochKey};
@@ -142,7 +142,7 @@ async fn a_certificate_until_the_end_of_time_does_not_stop_the_clock() {
     let (_port, link) = papers.bare_link(&switch).await;
     let claims = RtCert { entity: papers.robot.name(), switch: switch.name(), not_after: u64::MAX };
     let rt_cert = issue(papers.robot.key(), &claims).unwrap();
-    let attached = link.request(&Request::Entity(EntityRequest::Attach { rt_cert })).await.unwrap();
+    let attached = link.request(&Request::Entity(EntityRequest::Attach { rt_cert, resumes: false })).await.unwrap();
     assert!(matches!(attached, Response::Attached { .. }), "{attached:?}");
     // The RIB's clock now sleeps for ever, or until there is something nearer.
     let card = &papers.card;
@@ -219,18 +219,26 @@ async fn writers_of_a_name_may_send_to_it_and_nobody_else() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_second_subscriber_is_told_who_was_first() {
+async fn a_name_has_any_number_of_subscribers_and_all_are_found() {
     let folder = tempfile::tempdir().unwrap();
     let switch = start(config(folder.path(), "s1")).await.unwrap();
     let papers = Papers::new();
-    let first = papers.reader(switch.udp_addr().unwrap()).await;
-    let _subscription = papers.subscribe(&first).await;
-    let second = Papers { cloud: Identity::generate("proxy").unwrap(), ..papers.clone() };
-    let node = second.reader(switch.udp_addr().unwrap()).await;
-    let grant = second.grant();
-    let error =
-        node.subscribe(papers.card.proof(), grant, &papers.key, SubscribeOptions::default()).await.err().unwrap();
-    assert!(error.to_string().contains(&papers.cloud.name().to_string()), "{error}");
+    let mut nodes = Vec::new();
+    for _ in 0..3 {
+        let reader = Papers { cloud: Identity::generate("proxy").unwrap(), ..papers.clone() };
+        let node = reader.reader(switch.udp_addr().unwrap()).await;
+        let subscription = reader.subscribe(&node).await;
+        nodes.push((reader.cloud.name(), node, subscription));
+    }
+    let query = async |after| nodes[0].1.query(papers.card.name().into(), after).await.unwrap();
+    let (records, more) = query(None).await;
+    let mut expected: Vec<Name> = nodes.iter().map(|(name, ..)| *name).collect();
+    expected.sort();
+    assert_eq!(records.iter().map(|record| record.entity.name().unwrap()).collect::<Vec<_>>(), expected);
+    assert!(!more);
+    let (rest, _) = query(records[1].place().ok()).await;
+    assert_eq!(rest.len(), 1);
+    switch.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -295,6 +303,7 @@ fn config(folder: &Path, label: &str) -> Config {
         neighbours: Vec::new(),
         ebpf_object: None,
         fib_capacity: 1024,
+        rekey: RekeySchedule::default(),
     }
 }
 

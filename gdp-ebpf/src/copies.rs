@@ -12,10 +12,12 @@
 
 use aya_ebpf::macros::map;
 use aya_ebpf::maps::{PerCpuArray, PerCpuHashMap};
-use gdp_wire::GroupPlace;
+use aya_ebpf::programs::XdpContext;
 use gdp_wire::table::{CopyCount, MAX_PORTS};
+use gdp_wire::{GroupPlace, Header};
 
-use crate::packet::Packet;
+use crate::carrier::ethernet::{self, Ethernet};
+use crate::packet::{self, Packet};
 
 #[map]
 static SEQUENCE: PerCpuArray<u64> = PerCpuArray::with_max_entries(1, 0);
@@ -37,25 +39,27 @@ pub struct Label {
     zero: u16,
 }
 
+const _: () = assert!(size_of::<Label>() <= ethernet::LEN);
+
 /// Labels a frame that is about to be copied; `false` if that cannot be.
 #[inline(always)]
-pub fn label(packet: &mut Packet, group: u32) -> bool {
-    let Some(sequence) = SEQUENCE.get_ptr_mut(0) else { return false };
-    // SAFETY: this CPU's slot, which nobody else writes.
-    let sequence = unsafe {
+pub fn label(packet: &Packet, group: u32) -> bool {
+    let (Some(sequence), Some(at)) = (SEQUENCE.get_ptr_mut(0), packet.get::<Label>(0)) else { return false };
+    // SAFETY: this CPU's slot, which nobody else writes; `get` checked the bounds.
+    unsafe {
         *sequence += 1;
-        *sequence
-    };
-    let words = [sequence as u16, (sequence >> 16) as u16, (sequence >> 32) as u16];
-    packet.set_label(Label { sequence: words, mark: MARK, group: group as u16, zero: 0 });
+        let words = [*sequence as u16, (*sequence >> 16) as u16, (*sequence >> 32) as u16];
+        *at = Label { sequence: words, mark: MARK, group: group as u16, zero: 0 };
+    }
     true
 }
 
 impl Label {
-    /// Whether the frame is a copy.
+    /// The label of a packet, if that is a copy.
     #[inline(always)]
-    pub fn is_one(&self) -> bool {
-        self.mark == MARK
+    pub fn of(packet: &Packet) -> Option<Self> {
+        // SAFETY: `get` checked the bounds, and any bytes are a label.
+        packet.get::<Self>(0).map(|label| unsafe { *label }).filter(|label| label.mark == MARK)
     }
 
     /// Which of the copies this is, that now leaves by `interface`. To be asked once for each.
@@ -64,9 +68,42 @@ impl Label {
         let [low, middle, high] = self.sequence.map(u64::from);
         let sequence = low | middle << 16 | high << 32;
         // SAFETY: this CPU's part of an element that stays while its interface takes frames; nobody else writes it.
-        let counted = unsafe { &mut *COUNTED.get_ptr_mut(&interface)? };
+        let counted = unsafe { &mut *COUNTED.get_ptr_mut(interface)? };
         let index = if counted.sequence == sequence { counted.copies } else { 0 };
-        *counted = CopyCount { sequence, copies: index + 1, reserved: 0 };
+        *counted = CopyCount { sequence, copies: index + 1, ..*counted };
         Some(GroupPlace { group: self.group.into(), interface, index })
     }
+}
+
+/// Says that a copy is dropped because nobody needs it.
+#[inline(always)]
+pub fn count_superfluous(interface: u32) {
+    if let Some(counted) = COUNTED.get_ptr_mut(interface) {
+        // SAFETY: this CPU's part of an element, as above.
+        unsafe { (*counted).superfluous += 1 };
+    }
+}
+
+/// How many were said since this was last asked.
+#[inline(always)]
+pub fn take_superfluous(interface: u32) -> u64 {
+    let Some(counted) = COUNTED.get_ptr_mut(interface) else { return 0 };
+    // SAFETY: this CPU's part of an element, as above.
+    unsafe { core::mem::take(&mut (*counted).superfluous).into() }
+}
+
+/// Makes a copy a frame that no bridge forwards (IEEE 802.1Q, reserved group address) and no host takes (IEEE 802, local experimental
+/// ethertype 2), the shortest there is, with nothing of the copy but the beginning of its name.
+#[inline(always)]
+pub fn become_filler(context: &XdpContext) -> bool {
+    const SHORTEST: usize = 60;
+    const DESTINATION: [u16; 3] = [0x0180u16.to_be(), 0xc200u16.to_be(), 0x000eu16.to_be()];
+    const SOURCE: [u16; 3] = [0x0200u16.to_be(), 0, 0];
+    let mut packet = Packet::of(context);
+    let Some(ethernet) = packet.get::<Ethernet>(0) else { return false };
+    // SAFETY: `get` checked the bounds.
+    unsafe { ethernet::address(ethernet, DESTINATION, SOURCE, 0x88b6) };
+    let Some(header) = packet.header(ethernet::LEN) else { return false };
+    *header = Header::data(header.destination, header.source, 0);
+    packet::cut(context, (context.data_end() - context.data()).saturating_sub(SHORTEST))
 }

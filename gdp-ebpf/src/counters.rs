@@ -10,8 +10,13 @@ static COUNTERS: PerCpuArray<u64> = PerCpuArray::with_max_entries(Counter::COUNT
 
 #[inline(always)]
 pub fn count(counter: Counter) {
+    add(counter, 1);
+}
+
+#[inline(always)]
+pub fn add(counter: Counter, frames: u64) {
     if let Some(slot) = COUNTERS.get_ptr_mut(counter as u32) {
         // SAFETY: the kernel returned a pointer to this CPU's slot, which nobody else writes.
-        unsafe { *slot += 1 }
+        unsafe { *slot += frames }
     }
 }

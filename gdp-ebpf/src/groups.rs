@@ -1,10 +1,10 @@
 //! Groups of links that frames are copied to. A group is a device map with one key for each copy that the kernel is to make,
 //! and the places that say which link gets which. Written by user space only.
 //!
-//! `READY` says that all links of a group are in it. A group that is in use changes only so that nobody else in it misses a frame or
+//! `SERVED` says which egress bits the kernel can copy frames for: its links that those lead to are all in the group. A group that is in use changes only so that nobody else in it misses a frame or
 //! gets it twice: a link that goes leaves its place empty, one that comes takes an empty place or a new one behind the others;
 //! a key comes after its place is taken, and goes after that is empty. Keys of one interface are all the same to the kernel. A
-//! group that takes the number of another is written anew only when no frame is under way to that: after it was not ready
+//! group that takes the number of another is written anew only when no frame is under way to that: after it served nobody
 //! for an RCU grace period, which no run of these programs outlasts.
 
 use aya_ebpf::bindings::BPF_F_NO_PREALLOC;
@@ -18,16 +18,16 @@ use gdp_wire::table::{MAX_COPIES, MAX_GROUPS};
 static GROUPS: ArrayOfMaps<DevMapHash<{ MAX_COPIES as usize }>, { MAX_GROUPS as usize }> = ArrayOfMaps::new();
 
 #[map]
-static READY: Array<u32> = Array::with_max_entries(MAX_GROUPS, 0);
+static SERVED: Array<u64> = Array::with_max_entries(MAX_GROUPS, 0);
 
 /// Values are link ids. Most groups are small, so elements are allocated as they are needed.
 #[map]
 static PLACES: HashMap<GroupPlace, u32> = HashMap::with_max_entries(MAX_GROUPS * MAX_COPIES, BPF_F_NO_PREALLOC);
 
-/// Whether the kernel can send by all links of the group.
+/// The egress bits that the kernel can copy frames for; this switch's own bit is that of the local readers.
 #[inline(always)]
-pub fn is_ready(group: u32) -> bool {
-    READY.get(group).is_some_and(|ready| *ready != 0)
+pub fn served(group: u32) -> u64 {
+    SERVED.get(group).copied().unwrap_or(0)
 }
 
 /// Makes the copies when the program returns, of which each runs through the program at its interface; `false` if there is no such

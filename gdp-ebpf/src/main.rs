@@ -1,8 +1,8 @@
 //! The XDP programs of a switch. Everything that decides is in `gdp_wire::forward`; here is only what the kernel needs
 //! done around it: find the header in the packet, look up in BPF maps, carry the verdict out, count.
 //!
-//! Loaded by `gdp_ctl::plane::kernel`. The modules are the maps, each with the rule of who may write it when, and
-//! [`packet`]. Only this file turns outcomes into XDP actions and counters.
+//! Loaded by `gdp_ctl::plane::kernel`. The modules are the maps, each with the rule of who may write it when; [`packet`] and
+//! [`carrier`], what is around a frame; and [`next_hop`]. Only this file turns outcomes into XDP actions and counters.
 //!
 //! [`gdp_switch`] runs where a frame arrives, [`gdp_egress`] where the kernel has been told to send it. The second is there for the
 //! copies of a frame; but the kernel runs one program over all frames that leave by an interface together, so every frame
@@ -12,23 +12,35 @@
 //! kernels before 5.18 cannot; for those there are [`gdp_switch_linear`] and [`gdp_egress_linear`].
 #![cfg_attr(target_arch = "bpf", no_std, no_main, feature(asm_experimental_arch))]
 
+mod carrier;
 mod config;
 mod copies;
 mod counters;
 mod fib;
 mod groups;
 mod links;
+mod local;
+mod losses;
+mod next_hop;
+mod next_hops;
 mod packet;
+mod permits;
 mod ports;
 mod tables;
+mod tally;
 mod windows;
 
 use aya_ebpf::bindings::xdp_action::{XDP_DROP, XDP_PASS, XDP_REDIRECT};
 use aya_ebpf::macros::xdp;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
+use gdp_wire::table::Tables;
 use gdp_wire::{Counter, GroupPlace, Header, LinkEntry};
 
+use crate::carrier::Carried;
+use crate::carrier::ethernet::{self, Ethernet};
+use crate::copies::Label;
+use crate::next_hop::NextHop;
 use crate::packet::Packet;
 use crate::tables::Maps;
 
@@ -74,15 +86,23 @@ enum Outcome {
     Dropped(Counter),
 }
 
+impl Outcome {
+    #[inline(always)]
+    fn counter(&self) -> Counter {
+        match self {
+            Outcome::Redirected(counter) | Outcome::Passed(counter) | Outcome::Dropped(counter) => *counter,
+        }
+    }
+}
+
 #[inline(always)]
 fn act(outcome: Outcome) -> u32 {
-    let (counter, action) = match outcome {
-        Outcome::Redirected(counter) => (counter, XDP_REDIRECT),
-        Outcome::Passed(counter) => (counter, XDP_PASS),
-        Outcome::Dropped(counter) => (counter, XDP_DROP),
-    };
-    counters::count(counter);
-    action
+    counters::count(outcome.counter());
+    match outcome {
+        Outcome::Redirected(_) => XDP_REDIRECT,
+        Outcome::Passed(_) => XDP_PASS,
+        Outcome::Dropped(_) => XDP_DROP,
+    }
 }
 
 /// What becomes of a packet that leaves.
@@ -100,97 +120,142 @@ enum Departure {
 #[inline(always)]
 fn act_at_egress(departure: Departure) -> u32 {
     match departure {
-        Departure::Ready => XDP_PASS,
+        Departure::Ready | Departure::Filler => XDP_PASS,
         Departure::Copied(counter) => {
             counters::count(counter);
             XDP_PASS
         }
         Departure::Superfluous => XDP_DROP,
-        Departure::Filler => XDP_PASS,
     }
 }
 
 #[inline(always)]
 fn handle(context: &XdpContext, length: usize) -> Outcome {
-    let Some(packet) = Packet::parse(context, length) else { return Outcome::Dropped(Counter::Truncated) };
-    if u32::from(packet.ethertype()) != config::get().ethertype {
+    let mut packet = Packet::of(context);
+    if packet.get::<Ethernet>(0).is_none() {
+        return Outcome::Dropped(Counter::Truncated);
+    }
+    let Some(carried) = carrier::find(context, &packet, length, config::get().ethertype) else {
         return Outcome::Passed(Counter::Foreign);
+    };
+    // Behind an empty datagram there may be padding.
+    let Some(first_byte) = packet.get::<u8>(carried.at).filter(|_| carried.available > 0) else {
+        return Outcome::Dropped(Counter::Truncated);
+    };
+    // SAFETY: `get` checked the bounds.
+    let first_byte = unsafe { *first_byte };
+    if carrier::is_quic(&carried, first_byte) {
+        return Outcome::Passed(Counter::Control);
     }
-    match packet.first_byte().map(forward::classify) {
-        Some(Kind::Headed) => forward_frame(context, packet),
-        Some(Kind::Control) => Outcome::Passed(Counter::Control),
-        Some(Kind::Unknown) => Outcome::Dropped(Counter::Unknown),
-        None => Outcome::Dropped(Counter::Truncated),
+    match forward::classify(first_byte) {
+        Kind::Headed => match packet.header(carried.at) {
+            Some(header) => forward_frame(context, header, carried, length),
+            None => Outcome::Dropped(Counter::Truncated),
+        },
+        Kind::Control => Outcome::Passed(Counter::Control),
+        Kind::Unknown => Outcome::Dropped(Counter::Unknown),
     }
 }
 
 #[inline(always)]
-fn forward_frame(context: &XdpContext, mut packet: Packet) -> Outcome {
-    let (length, in_one_buffer) = (packet.frame_length(), packet.is_in_one_buffer());
-    let Some(header) = packet.header() else { return Outcome::Dropped(Counter::Truncated) };
-    match forward::decide(header, length, &Maps { in_one_buffer }) {
+fn forward_frame(context: &XdpContext, header: &mut Header, carried: Carried, length: usize) -> Outcome {
+    let (ingress, tag) = (header.link_id(), header.tag());
+    let outcome = forward_headed(context, header, tag, carried, length);
+    tally::count_arrival(ingress, outcome.counter());
+    outcome
+}
+
+#[inline(always)]
+fn forward_headed(context: &XdpContext, header: &mut Header, tag: u64, carried: Carried, length: usize) -> Outcome {
+    let in_one_buffer = length == context.data_end() - context.data();
+    let tables = Maps { context, length: header.frame_len(), in_one_buffer, next_hop: NextHop::new() };
+    let verdict = forward::decide(header, carried.available, &tables);
+    // An answer has no payload, so this is its length as well.
+    let frame = header.frame_len();
+    let behind = length - carried.at - frame;
+    let (link, counter) = match verdict {
         Verdict::Send(link, counter) => {
-            packet.address(link);
-            send(link, counter)
+            tally::sample(tag, header);
+            (link, counter)
         }
-        Verdict::Answer(link, counter) => {
-            packet.address(link);
-            if packet::cut(context, length - Header::LEN) { send(link, counter) } else { Outcome::Dropped(counter) }
+        Verdict::Answer(link, counter) => (link, counter),
+        Verdict::Copies(group) => {
+            tally::sample(tag, header);
+            return replicate(context, group, carried.at, behind);
         }
-        Verdict::Copies(group) if copies::label(&mut packet, group) && groups::redirect(group) => {
-            Outcome::Redirected(Counter::Replicated)
-        }
-        Verdict::Copies(_) => Outcome::Dropped(Counter::RedirectFailed),
         // The kernel leaves a notice to the daemon as well.
-        Verdict::Notice(_) | Verdict::Slow => Outcome::Passed(Counter::Slow),
-        Verdict::Drop(counter) => Outcome::Dropped(counter),
+        Verdict::Notice(_) | Verdict::Slow => return Outcome::Passed(Counter::Slow),
+        Verdict::Drop(counter) => return Outcome::Dropped(counter),
+    };
+    let class = carrier::class_of(header);
+    if !carrier::exchange(context, carried.at, frame, behind, class, link, &tables.next_hop) {
+        return Outcome::Dropped(Counter::RedirectFailed);
+    }
+    if ports::redirect(tables.port_of(link)) {
+        Outcome::Redirected(counter)
+    } else {
+        Outcome::Dropped(Counter::RedirectFailed)
     }
 }
 
+/// Has copies made of the frame that lies `at`, without the bytes `behind` it. Each then becomes one for its link in [`leave`].
 #[inline(always)]
-fn send(link: &LinkEntry, counter: Counter) -> Outcome {
-    if ports::redirect(link.port) { Outcome::Redirected(counter) } else { Outcome::Dropped(Counter::RedirectFailed) }
+fn replicate(context: &XdpContext, group: u32, at: usize, behind: usize) -> Outcome {
+    let bare = packet::cut(context, behind) && packet::shift(context, at, ethernet::LEN);
+    if bare && copies::label(&Packet::of(context), group) && groups::redirect(group) {
+        Outcome::Redirected(Counter::Replicated)
+    } else {
+        Outcome::Dropped(Counter::RedirectFailed)
+    }
 }
 
 #[inline(always)]
 fn leave(context: &XdpContext) -> Departure {
-    let here = context.data_end().saturating_sub(context.data());
-    let Some(mut packet) = Packet::parse(context, here) else { return Departure::Ready };
-    let label = packet.label();
-    if !label.is_one() {
-        return Departure::Ready;
-    }
+    let mut packet = Packet::of(context);
+    let Some(label) = Label::of(&packet) else { return Departure::Ready };
     // SAFETY: the context of a program that runs in a device map has the field.
     let interface = unsafe { (*context.ctx).egress_ifindex };
     let Some(place) = label.place(interface) else { return Departure::Superfluous };
-    let Some(link) = groups::link_at(&place).and_then(links::get) else {
-        return superfluous(context, packet, place);
-    };
-    let length = packet.frame_length();
-    let Some(header) = packet.header() else { return Departure::Superfluous };
-    let Some(ingress) = links::get(header.link_id()) else { return superfluous(context, packet, place) };
-    match forward::copy(header, length, link, ingress, &Maps { in_one_buffer: true }) {
-        Copy::Send(counter) => {
-            packet.address(link);
-            Departure::Copied(counter)
-        }
-        Copy::None => superfluous(context, packet, place),
-        Copy::Drop(counter) => {
-            counters::count(counter);
-            superfluous(context, packet, place)
-        }
+    let Some(header) = packet.header(ethernet::LEN) else { return Departure::Superfluous };
+    match copy(context, header, place) {
+        Some(counter) => Departure::Copied(counter),
+        None => superfluous(context, place),
     }
 }
 
+/// Makes a copy the one for the link at its place; how it is then counted.
 #[inline(always)]
-fn superfluous(context: &XdpContext, mut packet: Packet, place: GroupPlace) -> Departure {
-    let next = GroupPlace { index: place.index + 1, ..place };
-    if groups::link_at(&next).is_some() {
-        return Departure::Superfluous;
+fn copy(context: &XdpContext, header: &mut Header, place: GroupPlace) -> Option<Counter> {
+    let link: &LinkEntry = groups::link_at(&place).and_then(links::get)?;
+    let ingress = links::get(header.link_id())?;
+    let frame = header.frame_len();
+    let tables = Maps { context, length: frame, in_one_buffer: true, next_hop: NextHop::new() };
+    let counter = match forward::copy(header, frame, link, ingress, &tables) {
+        Copy::Send(counter) => counter,
+        Copy::None => return None,
+        Copy::Drop(counter) => {
+            counters::count(counter);
+            return None;
+        }
+    };
+    let class = carrier::class_of(header);
+    let leaves_here = tables.can_send(link) && tables.port_of(link) == place.interface;
+    if leaves_here && carrier::exchange(context, ethernet::LEN, frame, 0, class, link, &tables.next_hop) {
+        return Some(counter);
     }
-    packet.become_filler();
-    let length = packet.frame_length();
-    if packet::cut(context, length - packet::FILLER_LEN) { Departure::Filler } else { Departure::Superfluous }
+    counters::count(Counter::RedirectFailed);
+    None
+}
+
+#[inline(always)]
+fn superfluous(context: &XdpContext, place: GroupPlace) -> Departure {
+    let next = GroupPlace { index: place.index + 1, ..place };
+    if groups::link_at(&next).is_none() && copies::become_filler(context) {
+        Departure::Filler
+    } else {
+        copies::count_superfluous(place.interface);
+        Departure::Superfluous
+    }
 }
 
 #[cfg(all(target_arch = "bpf", not(test)))]

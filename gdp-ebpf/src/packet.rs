@@ -1,126 +1,38 @@
-//! A packet as XDP hands it over: bounds checks, once, where the verifier sees them, and access in place.
+//! A packet as XDP hands it over: bounds checks where the verifier sees them, access in place, and changes of its length.
 
-use aya_ebpf::helpers::{bpf_xdp_adjust_tail, bpf_xdp_get_buff_len};
+use aya_ebpf::helpers::{bpf_xdp_adjust_head, bpf_xdp_adjust_tail, bpf_xdp_get_buff_len};
 use aya_ebpf::programs::XdpContext;
-use gdp_wire::{Header, LinkEntry};
+use gdp_wire::Header;
 
-use crate::copies::Label;
-
-const ETHERNET_LEN: usize = 14;
-
-/// Bytes behind the Ethernet header of the shortest Ethernet frame.
-pub const FILLER_LEN: usize = 46;
-
-/// The first bytes of an Ethernet frame, as words of the alignment they have.
-#[repr(C)]
-struct Ethernet {
-    destination: [u16; 3],
-    source: [u16; 3],
-    ethertype: u16,
-}
-
-const _: () = assert!(size_of::<Ethernet>() == ETHERNET_LEN && size_of::<Label>() <= ETHERNET_LEN);
-
-/// A packet that is at least an Ethernet header long.
+/// What there is of a packet here. Void after its length has changed.
+#[derive(Clone, Copy)]
 pub struct Packet {
     start: usize,
-    /// End of what can be read here.
+    /// End of what can be read here; the packet may go on in further buffers.
     end: usize,
-    /// Bytes of the whole packet.
-    length: usize,
 }
 
 impl Packet {
     #[inline(always)]
-    pub fn parse(context: &XdpContext, length: usize) -> Option<Self> {
-        let (start, end) = (context.data(), context.data_end());
-        (start + ETHERNET_LEN <= end).then_some(Self { start, end, length })
+    pub fn of(context: &XdpContext) -> Self {
+        Self { start: context.data(), end: context.data_end() }
     }
 
-    /// In host order.
+    /// What lies `at` bytes behind the start, if all of it is here. `T`: plain integers, for which any bytes are a value.
+    ///
+    /// The address need not be a multiple of the type's alignment: in the machine code of all targets the kernel compiles this
+    /// for, an unaligned word access is an ordinary one, whereas telling the compiler so makes it build every word from bytes.
     #[inline(always)]
-    pub fn ethertype(&self) -> u16 {
-        // SAFETY: `parse` checked the bounds.
-        u16::from_be(unsafe { (*self.ethernet()).ethertype })
+    pub fn get<T>(&self, at: usize) -> Option<*mut T> {
+        let from = self.start + at;
+        (from + size_of::<T>() <= self.end).then_some(from as *mut T)
     }
 
+    /// The GDP header `at` bytes behind the start, in place.
     #[inline(always)]
-    pub fn first_byte(&self) -> Option<u8> {
-        let at = self.start + ETHERNET_LEN;
-        // SAFETY: the bounds are checked in the condition.
-        (at < self.end).then(|| unsafe { *(at as *const u8) })
-    }
-
-    /// Bytes behind the Ethernet header.
-    #[inline(always)]
-    pub fn frame_length(&self) -> usize {
-        self.length - ETHERNET_LEN
-    }
-
-    /// The GDP header, in place.
-    #[inline(always)]
-    pub fn header(&mut self) -> Option<&mut Header> {
-        let at = self.start + ETHERNET_LEN;
-        // SAFETY: the bounds are checked in the condition, and the packet is this program's alone while it runs. The
-        // address is a multiple of 2 only: in the machine code of all targets the kernel compiles this for, an
-        // unaligned word access is an ordinary one, whereas telling the compiler so makes it build every word from bytes.
-        (at + Header::LEN <= self.end).then(|| unsafe { &mut *(at as *mut Header) })
-    }
-
-    /// Whether all of it can be read here; otherwise it goes on in further buffers.
-    #[inline(always)]
-    pub fn is_in_one_buffer(&self) -> bool {
-        self.length == self.end - self.start
-    }
-
-    /// What lies where the Ethernet addresses do.
-    #[inline(always)]
-    pub fn label(&self) -> Label {
-        // SAFETY: `parse` checked the bounds, and any bytes are a label.
-        unsafe { *(self.start as *const Label) }
-    }
-
-    /// Writes over the Ethernet addresses.
-    #[inline(always)]
-    pub fn set_label(&mut self, label: Label) {
-        // SAFETY: `parse` checked the bounds.
-        unsafe { *(self.start as *mut Label) = label };
-    }
-
-    /// Becomes a frame that no bridge forwards (IEEE 802.1Q, reserved group address) and no host takes (IEEE 802, local
-    /// experimental ethertype 2), with nothing of the frame but the beginning of its name. Its length is for the caller to
-    /// set.
-    #[inline(always)]
-    pub fn become_filler(&mut self) {
-        const WORDS: [u16; 7] = [0x0180, 0xc200, 0x000e, 0x0200, 0, 0, 0x88b6];
-        let mut i = 0;
-        while i < 7 {
-            // SAFETY: `parse` checked the bounds.
-            unsafe { *(self.start as *mut u16).add(i) = WORDS[i].to_be() };
-            i += 1;
-        }
-        if let Some(header) = self.header() {
-            *header = Header::data(header.destination, header.source, 0);
-        }
-    }
-
-    /// Writes the addresses of `link` into the Ethernet header.
-    #[inline(always)]
-    pub fn address(&mut self, link: &LinkEntry) {
-        let mut i = 0;
-        while i < 3 {
-            // SAFETY: `parse` checked the bounds. Word by word, because a copy of six bytes becomes a function call.
-            unsafe {
-                (*self.ethernet()).destination[i] = link.carrier.peer_mac[i];
-                (*self.ethernet()).source[i] = link.carrier.local_mac[i];
-            }
-            i += 1;
-        }
-    }
-
-    #[inline(always)]
-    fn ethernet(&self) -> *mut Ethernet {
-        self.start as *mut Ethernet
+    pub fn header(&mut self, at: usize) -> Option<&mut Header> {
+        // SAFETY: `get` checked the bounds, and the packet is this program's alone while it runs; for the alignment see there.
+        self.get::<Header>(at).map(|header| unsafe { &mut *header })
     }
 }
 
@@ -131,9 +43,16 @@ pub fn length(context: &XdpContext) -> usize {
     unsafe { bpf_xdp_get_buff_len(context.ctx) as usize }
 }
 
-/// Takes so many bytes off the end; `false` if the kernel does not. References into the packet are void after.
+/// Takes so many bytes off the end; `false` if the kernel does not.
 #[inline(always)]
 pub fn cut(context: &XdpContext, bytes: usize) -> bool {
     // SAFETY: a helper on the context it is given; it checks the length.
     bytes == 0 || unsafe { bpf_xdp_adjust_tail(context.ctx, -(bytes as i32)) == 0 }
+}
+
+/// Moves the start so that what was `from` bytes behind it is `to` bytes behind it; `false` if there is no room.
+#[inline(always)]
+pub fn shift(context: &XdpContext, from: usize, to: usize) -> bool {
+    // SAFETY: as above.
+    from == to || unsafe { bpf_xdp_adjust_head(context.ctx, from as i32 - to as i32) == 0 }
 }

@@ -1,17 +1,33 @@
 //! The BPF maps as the tables that the forwarding decision asks.
 
+use aya_ebpf::programs::XdpContext;
 use gdp_wire::replay::Words;
-use gdp_wire::table::{MAX_COPIED_FRAME, PORT_USERSPACE, Tables};
+use gdp_wire::table::{MAX_COPIED_FRAME, PORT_ROUTED, PORT_USERSPACE, Tables};
 use gdp_wire::{FibEntry, LinkEntry, Name, Permit};
 
-use crate::{config, fib, groups, links, windows};
+use crate::next_hop::NextHop;
+use crate::{config, fib, groups, links, next_hops, permits, windows};
 
-pub struct Maps {
-    /// Whether the frame lies in one buffer: the kernel copies no others.
+/// The maps, asked about one frame.
+pub struct Maps<'p> {
+    pub context: &'p XdpContext,
+    /// Bytes of the frame.
+    pub length: usize,
+    /// Whether the packet lies in one buffer: the kernel copies no others.
     pub in_one_buffer: bool,
+    /// Where the link leads that [`Tables::can_send`] was last asked about, if that is over UDP.
+    pub next_hop: NextHop,
 }
 
-impl Tables for Maps {
+impl Maps<'_> {
+    /// Where frames for a link leave that can be sent to, as [`Tables::can_send`] has just said.
+    #[inline(always)]
+    pub fn port_of(&self, link: &LinkEntry) -> u32 {
+        if link.port == PORT_ROUTED { self.next_hop.port() } else { link.port }
+    }
+}
+
+impl Tables for Maps<'_> {
     /// There is the userspace plane.
     const LAST: bool = false;
 
@@ -27,7 +43,7 @@ impl Tables for Maps {
 
     #[inline(always)]
     fn next_hop(&self, bit: u32) -> u32 {
-        fib::next_hop(bit)
+        next_hops::next_hop(bit)
     }
 
     #[inline(always)]
@@ -37,7 +53,7 @@ impl Tables for Maps {
 
     #[inline(always)]
     fn is_permitted(&self, permit: &Permit) -> bool {
-        fib::is_permitted(permit)
+        permits::is_permitted(permit)
     }
 
     #[inline(always)]
@@ -52,12 +68,16 @@ impl Tables for Maps {
 
     #[inline(always)]
     fn can_send(&self, link: &LinkEntry) -> bool {
-        link.port != PORT_USERSPACE
+        match link.port {
+            PORT_USERSPACE => false,
+            PORT_ROUTED => self.next_hop.ask(self.context, link, self.length),
+            _ => true,
+        }
     }
 
     #[inline(always)]
-    fn can_copy(&self, group: u32, available: usize) -> bool {
-        self.in_one_buffer && available <= MAX_COPIED_FRAME && groups::is_ready(group)
+    fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool {
+        self.in_one_buffer && length <= MAX_COPIED_FRAME && bits & !groups::served(group) == 0
     }
 
     #[inline(always)]

@@ -1,14 +1,15 @@
 //! One topic in one direction. Each route has a thread of its own, so a slow topic holds up nobody else's; within it a
 //! message goes straight from one side to the other, without a queue or a wake-up in between unless the far side is busy.
 
+use std::collections::BTreeSet;
 use std::convert::Infallible;
 use std::fmt::Display;
 use std::pin::pin;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use gdp::cert::{AdCert, ReadGrant, Signed};
-use gdp::node::{NodeError, Publisher, SubscribeOptions};
+use gdp::node::{ErrorCode, Feedback, FrameError, NodeError, Publisher, SubscribeOptions};
 use gdp::seal::{Encoding, EpochKey, Message};
 use gdp::{Name, NameCard, Node};
 
@@ -36,6 +37,8 @@ pub struct Route {
 struct Progress {
     kind: Option<TypeName>,
     status: String,
+    /// Of the publisher, once there is one.
+    feedback: Option<Arc<Feedback>>,
 }
 
 impl Route {
@@ -46,14 +49,18 @@ impl Route {
             qos: config.qos,
             name: material.card.name(),
             counters: RouteCounters::default(),
-            progress: Mutex::new(Progress { kind: material.kind.clone(), status: "starting".into() }),
+            progress: Mutex::new(Progress { kind: material.kind.clone(), status: "starting".into(), feedback: None }),
         }
     }
 
     pub fn stats(&self) -> RouteStats {
         let progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
         let (kind, status) = (progress.kind.as_ref().map(TypeName::to_string), progress.status.clone());
-        RouteStats::new(self.topic.to_string(), kind, status, self.direction, self.name, &self.counters)
+        let refused = progress.feedback.as_ref().map(|feedback| feedback.errors()).unwrap_or_default();
+        RouteStats {
+            refused,
+            ..RouteStats::new(self.topic.to_string(), kind, status, self.direction, self.name, &self.counters)
+        }
     }
 
     pub fn topic(&self) -> &TopicName {
@@ -90,6 +97,7 @@ impl Route {
             }
         };
         let reader = domain.reader(&self.topic, kind, self.qos)?;
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner).feedback = Some(publisher.feedback().clone());
         self.is_up();
         self.carry_out(&reader, &mut publisher).await
     }
@@ -138,7 +146,13 @@ impl Route {
 
     async fn carry_out(&self, reader: &RawReader, publisher: &mut Publisher) -> Result<Infallible, RouteError> {
         let mut backlog = Backlog::new(self.qos.depth.get().into());
+        let mut told = BTreeSet::new();
         loop {
+            if let Some(error) = publisher.feedback().last()
+                && told.insert(error.code.as_str())
+            {
+                self.tell(error);
+            }
             let Some(message) = backlog.pop() else {
                 self.keep(reader.recv().await, &mut backlog);
                 continue;
@@ -204,6 +218,14 @@ impl Route {
     fn drop(&self, reason: Drop, why: impl Display) {
         if self.counters.dropped(reason) {
             tracing::warn!(topic = %self.topic, reason = reason.as_str(), "a message was dropped: {why}");
+        }
+    }
+
+    fn tell(&self, error: FrameError) {
+        match error.code {
+            // As long as nobody subscribes.
+            ErrorCode::NoRoute => tracing::info!(topic = %self.topic, name = %self.name, "not carried on: {error}"),
+            _ => tracing::warn!(topic = %self.topic, name = %self.name, "the switch refused a frame: {error}"),
         }
     }
 

@@ -108,6 +108,8 @@ pub struct RouteStats {
     pub messages: u64,
     pub bytes: u64,
     pub drops: BTreeMap<&'static str, u64>,
+    /// `out`: what the switch said of frames it refused. A hint: it says few of those that are due.
+    pub refused: BTreeMap<&'static str, u64>,
     pub latency_us: StageLatency,
 }
 
@@ -132,7 +134,18 @@ impl RouteStats {
         let (messages, bytes) = (counters.messages(), counters.bytes.load(Relaxed));
         let latency_us =
             StageLatency { arrival: counters.arrival.percentiles(), handling: counters.handling.percentiles() };
-        Self { topic, kind, status, direction, name, messages, bytes, drops: counters.drops(), latency_us }
+        Self {
+            topic,
+            kind,
+            status,
+            direction,
+            name,
+            messages,
+            bytes,
+            drops: counters.drops(),
+            refused: BTreeMap::new(),
+            latency_us,
+        }
     }
 }
 

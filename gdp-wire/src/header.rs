@@ -46,6 +46,27 @@ pub enum ErrorCode {
 }
 
 impl ErrorCode {
+    /// How many codes there are.
+    pub const COUNT: usize = Self::ALL.len();
+
+    /// In the order of their numbers, from 1.
+    pub const ALL: [Self; 4] = [Self::NoRoute, Self::TooBig, Self::HopLimit, Self::NotAuthorised];
+
+    /// Place in [`Self::ALL`].
+    pub const fn index(self) -> usize {
+        self as usize - 1
+    }
+
+    /// The code's name in statistics.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::NoRoute => "no_route",
+            Self::TooBig => "too_big",
+            Self::HopLimit => "hop_limit",
+            Self::NotAuthorised => "not_authorised",
+        }
+    }
+
     /// The code with this number.
     pub const fn from_number(number: u8) -> Option<Self> {
         match number {
@@ -125,6 +146,13 @@ impl Header {
         }
     }
 
+    /// Turns an echo that wants an answer into that answer. Its payload is left out, so it is never larger than what drew it.
+    #[inline(always)]
+    pub fn become_answer(&mut self) {
+        self.egress_set = Self::ANSWERS;
+        self.payload_len = 0;
+    }
+
     /// Turns a frame that was dropped into the error that says why. `mtu`: of the link it did not fit, otherwise 0.
     #[inline(always)]
     pub fn become_error(&mut self, code: ErrorCode, mtu: u32) {
@@ -163,10 +191,10 @@ impl Header {
         u16::from_be(self.payload_len)
     }
 
-    /// Says that there is no payload.
+    /// Bytes of the frame: header and payload. What lies behind them is not part of it.
     #[inline(always)]
-    pub(crate) fn clear_payload_len(&mut self) {
-        self.payload_len = 0;
+    pub fn frame_len(&self) -> usize {
+        Self::LEN + self.payload_len() as usize
     }
 
     /// The receiver's id of the link the frame is on.
@@ -301,6 +329,14 @@ mod tests {
         assert_eq!(bytes[24..32], [0x80, 0, 0, 0, 0, 0, 0, 2]);
         assert!(bytes[32..64].iter().all(|b| *b == 0xd0) && bytes[64..].iter().all(|b| *b == 0x50));
         assert_eq!(Header::read_from_bytes(bytes).as_ref(), Ok(&header));
+    }
+
+    #[test]
+    fn error_codes_have_places_and_numbers() {
+        for (index, code) in ErrorCode::ALL.into_iter().enumerate() {
+            assert_eq!((code.index(), ErrorCode::from_number(code as u8)), (index, Some(code)));
+        }
+        assert_eq!((ErrorCode::from_number(0), ErrorCode::from_number(5)), (None, None));
     }
 
     #[test]

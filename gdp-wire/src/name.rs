@@ -33,6 +33,12 @@ impl Name {
         unsafe { &*(&raw const self.0).cast::<[u8; 32]>() }
     }
 
+    /// The name of which these are [`Self::words`].
+    #[cfg(target_has_atomic = "64")]
+    pub(crate) const fn from_words(words: [u64; 4]) -> Self {
+        Self(words)
+    }
+
     /// Whether both are the same. As `==`, which the BPF compiler makes a function call of.
     #[inline(always)]
     pub const fn is(&self, other: &Self) -> bool {

@@ -2,12 +2,13 @@
 //! the truth and rewrites these at will. No implicit padding, no enums over bytes that anybody else writes.
 
 use core::fmt;
+use core::net::IpAddr;
 
 use crate::{Name, replay};
 
 /// The version of everything a data plane keeps in memory that outlives a daemon: the maps, and what their entries mean. To
 /// be raised with every change of meaning; of sizes as well, though a daemon compares those itself.
-pub const ABI: u32 = 2;
+pub const ABI: u32 = 3;
 
 /// Links a switch can have at once; the low bits of a link id are the index of its entry.
 pub const MAX_LINKS: u32 = 1024;
@@ -23,6 +24,9 @@ pub const PORT_USERSPACE: u32 = u32::MAX;
 
 /// `LinkEntry::port` of a link over UDP: the kernel's routing table says which interface leads to the neighbour.
 pub const PORT_ROUTED: u32 = u32::MAX - 1;
+
+/// Addresses that a switch takes frames over UDP at.
+pub const MAX_LOCAL_ADDRESSES: u32 = 1024;
 
 /// A neighbour is sent an error no sooner than this after the one before.
 pub const COMPLAINT_INTERVAL_NS: u64 = 10_000_000;
@@ -102,8 +106,8 @@ impl fmt::Debug for LinkEntry {
 pub struct Carrier {
     /// [`Carrier::ETHERNET`], [`Carrier::UDP4`] or [`Carrier::UDP6`].
     pub kind: u8,
-    /// Zero.
-    pub reserved: u8,
+    /// [`Carrier::ZERO_CHECKSUM`].
+    pub flags: u8,
     /// IEEE 802.1Q tag control information, in host order; 0: no tag. On Ethernet only.
     pub vlan: u16,
     /// The neighbour's MAC address. On Ethernet only.
@@ -130,10 +134,65 @@ impl Carrier {
     /// Frames are payload of UDP over IPv6.
     pub const UDP6: u8 = 2;
 
+    /// Flag: over IPv6, the neighbour takes datagrams whose UDP checksum is 0 (RFC 6936).
+    pub const ZERO_CHECKSUM: u8 = 1;
+
     /// Untagged Ethernet between two stations.
     pub fn ethernet(peer_mac: [u8; 6], local_mac: [u8; 6]) -> Self {
         Self { peer_mac: mac_words(peer_mac), local_mac: mac_words(local_mac), ..Self::default() }
     }
+}
+
+/// An address that UDP datagrams with frames arrive at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[repr(C)]
+pub struct LocalAddress {
+    /// In network order; an IPv4 address is in the first word, and the others are zero.
+    pub ip: [u32; 4],
+    /// In network order.
+    pub port: u16,
+    /// [`Carrier::UDP4`] or [`Carrier::UDP6`].
+    pub kind: u16,
+}
+
+impl LocalAddress {
+    /// Of an IP address, which is not an IPv6-mapped IPv4 address, and a port in host order.
+    pub fn new(ip: IpAddr, port: u16) -> Self {
+        let (kind, ip) = ip_words(ip);
+        Self { ip, port: port.to_be(), kind: kind.into() }
+    }
+}
+
+/// The kind of carrier and the words of an IP address, as [`Carrier`] has them.
+pub fn ip_words(ip: IpAddr) -> (u8, [u32; 4]) {
+    match ip {
+        IpAddr::V4(ip) => (Carrier::UDP4, [u32::from_ne_bytes(ip.octets()), 0, 0, 0]),
+        IpAddr::V6(ip) => {
+            let octets = ip.octets();
+            let (words, _) = octets.as_chunks();
+            (Carrier::UDP6, core::array::from_fn(|i| u32::from_ne_bytes(words[i])))
+        }
+    }
+}
+
+/// The IP address that a carrier of this kind has in these words.
+pub fn ip_of(kind: u8, words: [u32; 4]) -> IpAddr {
+    if kind == Carrier::UDP4 {
+        return IpAddr::from(words[0].to_ne_bytes());
+    }
+    let mut octets = [0; 16];
+    octets.as_chunks_mut().0.iter_mut().zip(words).for_each(|(octets, word)| *octets = word.to_ne_bytes());
+    IpAddr::from(octets)
+}
+
+/// A VLAN of an interface that GDP runs on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[repr(C)]
+pub struct Vlan {
+    /// Index of the interface that takes the tagged frames.
+    pub ifindex: u32,
+    /// 1 to 4094.
+    pub id: u32,
 }
 
 /// A MAC address as words that have the same bytes in memory.
@@ -203,8 +262,8 @@ pub struct CopyCount {
     /// Number of the frame, the low 48 bits.
     pub sequence: u64,
     pub copies: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// Copies that nobody needed, of all frames, since the kernel last told how many frames of a batch left.
+    pub superfluous: u32,
 }
 
 /// What a switch knows of itself.
@@ -248,9 +307,9 @@ pub trait Tables {
     /// Whether this plane can send by the link now. Asked only of a plane that is not the last.
     fn can_send(&self, link: &LinkEntry) -> bool;
 
-    /// Whether this plane can copy a frame of `available` bytes to the links of a group. Asked only of a plane that is not the
-    /// last.
-    fn can_copy(&self, group: u32, available: usize) -> bool;
+    /// Whether this plane can copy a frame of `length` bytes to those links of a group that `bits` lead to. Asked only of a plane
+    /// that is not the last.
+    fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool;
 
     /// Whether an error may go to the neighbour on this link now. Each that may counts against a rate.
     fn may_complain(&self, link: &LinkEntry) -> bool;
@@ -272,6 +331,8 @@ const _: () = {
     assert!(size_of::<Permit>() == 40 && align_of::<Permit>() == 8);
     assert!(size_of::<GroupPlace>() == 12 && align_of::<GroupPlace>() == 4);
     assert!(size_of::<CopyCount>() == 16 && align_of::<CopyCount>() == 8);
+    assert!(size_of::<LocalAddress>() == 20 && align_of::<LocalAddress>() == 4);
+    assert!(size_of::<Vlan>() == 8 && align_of::<Vlan>() == 4);
     assert!(size_of::<SwitchConfig>() == 16 && align_of::<SwitchConfig>() == 8);
     assert!(MAX_LINKS.is_power_of_two());
 };
@@ -290,6 +351,10 @@ mod pod {
     unsafe impl aya::Pod for super::GroupPlace {}
     // SAFETY: as above.
     unsafe impl aya::Pod for super::CopyCount {}
+    // SAFETY: as above.
+    unsafe impl aya::Pod for super::LocalAddress {}
+    // SAFETY: as above.
+    unsafe impl aya::Pod for super::Vlan {}
     // SAFETY: four u64.
     unsafe impl aya::Pod for crate::Name {}
 }

@@ -8,8 +8,13 @@
 mod frames;
 mod tables;
 
+use std::net::SocketAddr;
+
 use frames::Frame;
-use frames::fixtures::{self, Bytes, Case, CopyOut, Expected, Fixtures, Link, NextHop, Role, Route, Switch, Verdict};
+use frames::carrier::Carrier;
+use frames::fixtures::{
+    self, Bytes, Case, CopyOut, Expected, Fixtures, Link, NextHop, Role, Route, Switch, Udp, Verdict,
+};
 use gdp_wire::table::MAX_COPIED_FRAME;
 use gdp_wire::{Counter, Header};
 use tables::PlainTables;
@@ -19,17 +24,18 @@ fn every_case_through_decide() {
     let fixtures = fixtures::read();
     for case in &fixtures.cases {
         let kernel = PlainTables::<true>::new(&fixtures.switch);
-        assert_eq!(kernel.run(&case.frame.bytes()), case.kernel, "{} (kernel)", case.name);
+        assert_eq!(Expected::from(kernel.run(&case.frame.bytes())), case.kernel, "{} (kernel)", case.name);
         let userspace = PlainTables::<false>::new(&fixtures.switch);
         let expected = case.userspace.as_ref().unwrap_or(&case.kernel);
-        assert_eq!(userspace.run(&case.frame.bytes()), *expected, "{} (userspace)", case.name);
+        assert_eq!(Expected::from(userspace.run(&case.frame.bytes())), *expected, "{} (userspace)", case.name);
     }
 }
 
 #[test]
 fn every_counter_has_a_case() {
     let cases = fixtures::read().cases;
-    for counter in Counter::ALL {
+    // What a redirect loses is known only after it.
+    for counter in Counter::ALL.iter().filter(|counter| **counter != Counter::RedirectLost) {
         let counts = |expected: &Expected| expected.counter == counter.as_str();
         let any = cases.iter().any(|case| counts(&case.kernel) || case.userspace.as_ref().is_some_and(counts));
         assert!(any, "none for {counter:?}");
@@ -71,6 +77,18 @@ const ABROAD: u32 = 0xa1b2_040a;
 const OVERSEAS: u32 = 0xa1b2_040b;
 const REKEYED: u32 = 0xa1b2_040c;
 
+const TAGGED: u32 = 0xa1b2_040d;
+const INET: u32 = 0xa1b2_040e;
+const INET6: u32 = 0xa1b2_040f;
+const NAT: u32 = 0xa1b2_0410;
+const UNRESOLVED: u32 = 0xa1b2_0411;
+const UNROUTED: u32 = 0xa1b2_0412;
+const CHECKSUM: u32 = 0xa1b2_0413;
+
+/// The switch's own.
+const V4: &str = "10.0.0.1:31415";
+const V6: &str = "[2001:db8::1]:31415";
+
 const OWN_BIT: u32 = 2;
 const OWN: u64 = 1 << OWN_BIT;
 
@@ -85,7 +103,9 @@ const OWN: u64 = 1 << OWN_BIT;
 /// ```
 ///
 /// `old` is a switch whose link has seen more than 2³² frames; `rekeyed` one to which frames leave under the second key.
-/// `abroad` and `overseas` are switches of other domains.
+/// `abroad` and `overseas` are switches of other domains. `tagged` is on VLAN 5; `inet` and `inet6` are over UDP, each behind a
+/// gateway; so is `behind nat`, an endpoint. Of `unresolved` the kernel does not know the MAC address, to `unrouted` it has no route,
+/// and `with checksum` wants one.
 fn switch() -> Switch {
     Switch {
         ethertype: 0x88b5,
@@ -103,6 +123,13 @@ fn switch() -> Switch {
             Link { role: Role::Border, ..neighbour("abroad", ABROAD, 4, &[], 1500) },
             Link { role: Role::Border, ..neighbour("overseas", OVERSEAS, 5, &[], 1500) },
             Link { tx_phase: 1, ..neighbour("rekeyed", REKEYED, 1, &[12], 1500) },
+            Link { vlan: 5, ..neighbour("tagged", TAGGED, 4, &[13], 1500) },
+            remote("inet", INET, V4, "192.0.2.9:31415", &[14]),
+            remote("inet6", INET6, V6, "[2001:db8:9::9]:40000", &[15]),
+            Link { role: Role::Endpoint, ..remote("behind nat", NAT, V4, "198.51.100.7:1024", &[]) },
+            Link { port: None, ..remote("unresolved", UNRESOLVED, V4, "10.0.0.77:31415", &[16]) },
+            Link { port: None, ..remote("unrouted", UNROUTED, V4, "203.0.113.1:31415", &[17]) },
+            with_checksum(remote("with checksum", CHECKSUM, V6, "[2001:db8:9::8]:31415", &[18])),
         ],
         routes: vec![
             Route { writers: vec![ROBOT, UDP, CLOUD ^ 0x8000_0000], ..route("far", &[3], &[]) },
@@ -127,6 +154,8 @@ fn switch() -> Switch {
             route("narrow", &[6], &[]),
             route("unplugged", &[7], &[]),
             route("under the second key", &[12], &[]),
+            Route { writers: vec![NAT], ..route("from behind nat", &[3], &[]) },
+            route("to behind nat", &[OWN_BIT], &[NAT]),
             Route { writers: vec![ROBOT, ABROAD], ..route("abroad", &[OWN_BIT], &[OVERSEAS]) },
             Route { writers: vec![ROBOT, ABROAD], ..route("home and abroad", &[OWN_BIT, 3], &[CLOUD, OVERSEAS]) },
             Route { sources: vec![ABROAD], ..route("writer", &[], &[]) },
@@ -140,6 +169,12 @@ fn switch() -> Switch {
             (6, NARROW),
             (7, UNPLUGGED),
             (12, REKEYED),
+            (13, TAGGED),
+            (14, INET),
+            (15, INET6),
+            (16, UNRESOLVED),
+            (17, UNROUTED),
+            (18, CHECKSUM),
             (63, EAST),
         ]
         .map(|(bit, link)| NextHop { bit, link })
@@ -162,6 +197,9 @@ fn cases() -> Vec<Case> {
         tags(),
         echoes_and_errors(),
         other_frames(),
+        crossings(),
+        slow_carriers(),
+        other_datagrams(),
     ]
     .concat()
 }
@@ -418,8 +456,8 @@ fn sizes() -> Vec<Case> {
         sized("narrow", 601).too_big("one byte too large for a narrow link", 600),
         large.case("more than an Ethernet MTU", sends(&large, JUMBO, 1 << 5)),
         jumbo.case("in several buffers", sends(&jumbo, JUMBO, 1 << 5)),
-        padded.case("bytes behind the payload stay", sends(&padded, EAST, 1 << 3)),
-        full.with(|f| f.padding = 1).too_big("bytes behind the payload count", 1500),
+        padded.case("bytes behind the payload are left behind", sends(&padded, EAST, 1 << 3)),
+        full.clone().with(|f| f.padding = 1).case("and do not count", sends(&full, EAST, 1 << 3)),
         short(7).case("one payload byte is missing", drop("drop_truncated")),
         short(0xffff).case("nearly all is missing", drop("drop_truncated")),
     ];
@@ -511,7 +549,7 @@ fn other_frames() -> Vec<Case> {
     let mut short_control = transit.frame.bytes()[..14].to_vec();
     short_control.push(0x11);
     let mut tagged = transit.frame.bytes();
-    tagged.splice(12..12, [0x81, 0x00, 0x00, 0x05]);
+    tagged.splice(12..12, [0x81, 0x00, 0x00, 0x07]);
     vec![
         first_byte(0x11).case("a control frame is the daemon's", pass("control")),
         raw("also a short one", &short_control, pass("control")),
@@ -528,8 +566,130 @@ fn other_frames() -> Vec<Case> {
         ethertype(0x0806).case("ARP passes", pass("foreign")),
         ethertype(0x86dd).case("IPv6 passes", pass("foreign")),
         ethertype(0x88b6).case("the neighbouring ethertype passes", pass("foreign")),
-        raw("with a VLAN tag it is not ours, and passes", &tagged, pass("foreign")),
+        raw("on a VLAN that is not ours it passes", &tagged, pass("foreign")),
     ]
+}
+
+/// From every carrier to every other, and to itself.
+fn crossings() -> Vec<Case> {
+    let bit = |id: u32| 1u64 << link(id).reach[0];
+    let ways = [WEST, JUMBO, TAGGED, INET, INET6, EAST];
+    let mut cases = Vec::new();
+    for by in ways {
+        for to in ways.into_iter().filter(|to| *to != by) {
+            let (from_label, to_label) = (link(by).label, link(to).label);
+            // Traffic class 5.
+            let sent = from(by).bits(bit(to)).with(|f| (f.flags, f.payload) = (5 << 2, vec![0x5a; 333]));
+            cases.push(sent.case(&format!("from {from_label} to {to_label}"), sends(&sent, to, bit(to))));
+        }
+        let label = link(by).label;
+        let full = from(by).bits(bit(INET6)).with(|f| f.payload = vec![0x5a; 1472 - 96]);
+        if by != INET6 {
+            cases.push(full.case(&format!("as large as UDP takes, from {label}"), sends(&full, INET6, bit(INET6))));
+            let larger = full.clone().with(|f| f.payload.push(1));
+            cases.push(larger.too_big(&format!("one byte more, from {label}"), 1472));
+        }
+        let padded = from(by).bits(bit(ways[usize::from(by == INET) + 3])).with(|f| f.padding = 9);
+        let to = if by == INET { INET6 } else { INET };
+        cases.push(
+            padded.case(&format!("what is behind a frame stays behind, from {label}"), sends(&padded, to, bit(to))),
+        );
+        cases.push(from(by).bits(1 << 62).refused(&format!("an error goes back to {label}"), "drop_no_egress"));
+        let echo = from(by).bits(7).with(|f| (f.version_type, f.hop_limit) = (0x14, 1));
+        let answer = sends(&echo, by, 7).with(|f| (f.hop_limit, f.egress_set, f.payload) = (1, 1, vec![]));
+        cases.push(
+            echo.case(&format!("an echo goes back to {label}"), Expected { counter: "echoed".into(), ..answer.into() }),
+        );
+    }
+    let writes = from(NAT).to("from behind nat");
+    let reads = from(INET6).bits(OWN).to("to behind nat");
+    let elsewhere = SocketAddr::from(([203, 0, 113, 200], 999));
+    let moved = writes.clone().with(|f| {
+        f.carrier = Carrier::Udp { from: elsewhere, to: V4.parse().expect("an address"), class: 0 };
+    });
+    let over_ethernet = writes.clone().with(|f| f.carrier = Carrier::Ethernet);
+    let refusal = |sent: Sent, name: &str, reason: &str| sent.case(name, sent.error(reason, 4, 0));
+    cases.extend([
+        writes.case("an endpoint behind a NAT writes", sends(&writes, EAST, 1 << 3)),
+        reads.case("and reads", delivers(&reads, NAT)),
+        moved.case("its address is no part of the link", sends(&writes, EAST, 1 << 3)),
+        over_ethernet.case("nor is what carries its frames", sends(&writes, EAST, 1 << 3)),
+        refusal(from(NAT).to("from behind nat").with(|f| f.source = [9; 32]), "as another, over UDP", "drop_source"),
+        refusal(from(NAT).to("far"), "to what it does not publish, over UDP", "drop_not_permitted"),
+        writes.clone().with(|f| f.key = [1, 2]).case("forged, over UDP", drop("drop_bad_tag")),
+        writes.with(|f| f.link_id = INET).case("moved to another link, over UDP", drop("drop_bad_tag")),
+    ]);
+    cases
+}
+
+/// Links that the kernel takes frames from, and cannot send on now.
+fn slow_carriers() -> Vec<Case> {
+    let mut cases = Vec::new();
+    for id in [UNRESOLVED, UNROUTED, CHECKSUM] {
+        let (label, bit) = (link(id).label, 1 << link(id).reach[0]);
+        let to = from(INET).bits(bit);
+        let slow = to.case(&format!("to {label} the userspace plane sends"), pass("slow"));
+        cases.push(Case { userspace: Some(sends(&to, id, bit).into()), ..slow });
+        let came = from(id).bits(1 << 3);
+        cases.push(came.case(&format!("from {label}"), sends(&came, EAST, 1 << 3)));
+    }
+    cases
+}
+
+/// What only looks like a frame over UDP, or on a VLAN.
+fn other_datagrams() -> Vec<Case> {
+    let (v4, v6) = (from(INET).bits(1 << 3), from(INET6).bits(1 << 3));
+    let (v4_bytes, v6_bytes) = (v4.frame.bytes(), v6.frame.bytes());
+    let foreign = |name: &str, bytes: &[u8], at: usize, value: &[u8]| {
+        let mut bytes = bytes.to_vec();
+        bytes[at..at + value.len()].copy_from_slice(value);
+        raw(name, &bytes, pass("foreign"))
+    };
+    let (length4, length6) = ((v4_bytes.len() - 14) as u16, (v6_bytes.len() - 54) as u16);
+    let mut cases = vec![
+        foreign("IPv4 with options", &v4_bytes, 14, &[0x46]),
+        foreign("IPv4 of another version", &v4_bytes, 14, &[0x55]),
+        foreign("the first of several fragments", &v4_bytes, 20, &[0x20, 0]),
+        foreign("a later fragment", &v4_bytes, 20, &[0, 1]),
+        foreign("TCP", &v4_bytes, 23, &[6]),
+        foreign("to another host", &v4_bytes, 33, &[2]),
+        foreign("to another port", &v4_bytes, 37, &[0xb8]),
+        foreign("more IPv4 than there is", &v4_bytes, 16, &(length4 + 1).to_be_bytes()),
+        foreign("more UDP than IPv4", &v4_bytes, 38, &(length4 - 19).to_be_bytes()),
+        foreign("less UDP than its header", &v4_bytes, 38, &[0, 7]),
+        foreign("IPv6 of another version", &v6_bytes, 14, &[0x50]),
+        foreign("a fragment of IPv6", &v6_bytes, 20, &[44]),
+        foreign("to another host, over IPv6", &v6_bytes, 53, &[2]),
+        foreign("to another port, over IPv6", &v6_bytes, 57, &[0xb8]),
+        foreign("more IPv6 than there is", &v6_bytes, 18, &(length6 + 1).to_be_bytes()),
+        foreign("more UDP than IPv6", &v6_bytes, 58, &(length6 + 1).to_be_bytes()),
+        foreign("less UDP than its header, over IPv6", &v6_bytes, 58, &[0, 7]),
+        v4.clone().with(|f| f.carrier = Carrier::Vlan(6)).case("on a VLAN that is not ours", pass("foreign")),
+    ];
+    let priority = v4.clone().with(|f| f.carrier = Carrier::Vlan(0xe005));
+    cases.push(priority.case("on a VLAN, with a priority", sends(&v4, EAST, 1 << 3)));
+    for (name, bytes, at) in [("IPv4", &v4_bytes, 42), ("IPv6", &v6_bytes, 62)] {
+        let with = |first: u8| [&bytes[..at], &[first], &bytes[at + 1..]].concat();
+        cases.push(raw(&format!("QUIC over {name}"), &with(0x40), pass("control")));
+        cases.push(raw(&format!("a long header of QUIC over {name}"), &with(0xc3), pass("control")));
+        cases.push(raw(&format!("another version over {name}"), &with(0x30), drop("drop_unknown")));
+    }
+    // Ethernet pads what is short, behind the datagram.
+    let padded = |bytes: &[u8]| [bytes, &[0xee; 20]].concat();
+    let expected: Expected = sends(&v4, EAST, 1 << 3).into();
+    cases.push(raw("padding behind a datagram", &padded(&v4_bytes), expected));
+    let expected: Expected = sends(&v6, EAST, 1 << 3).into();
+    cases.push(raw("padding behind a datagram over IPv6", &padded(&v6_bytes), expected));
+    // The datagram ends before the frame does, though the packet goes on.
+    let short = v4.with(|f| f.payload_len = Some(7)).frame.bytes();
+    cases.push(raw("padding is not taken for payload", &padded(&short), drop("drop_truncated")));
+    let carrier = link(INET).arrives_in();
+    let part = |length: usize| carrier.carry([2; 6], [4; 6], 0x88b5, &v4_bytes[42..42 + length]);
+    for length in [0, 1, 8, 95] {
+        let name = format!("only {length} bytes of a frame in a datagram");
+        cases.push(raw(&name, &padded(&part(length)), drop("drop_truncated")));
+    }
+    cases
 }
 
 /// A frame as the neighbour on a link sends it.
@@ -542,7 +702,8 @@ fn from(id: u32) -> Sent {
     let (key, _) = keys(id);
     let (destination, label) = (name("unheard of"), link(id).label);
     let source = if link(id).role == Role::Endpoint { name(&label) } else { name("writer") };
-    Sent { frame: Frame { link_id: id, link_counter: 7, key, destination, source, ..Frame::default() } }
+    let carrier = link(id).arrives_in();
+    Sent { frame: Frame { carrier, link_id: id, link_counter: 7, key, destination, source, ..Frame::default() } }
 }
 
 impl Sent {
@@ -583,7 +744,7 @@ impl Sent {
         let told = mtu << 32 | u64::from(self.frame.link_counter as u32);
         let error = sends(self, self.frame.link_id, told).with(|f| {
             (f.version_type, f.hop_limit, f.egress_set) = (0x12, 1, code);
-            (f.payload, f.payload_len, f.padding) = (vec![], None, 0);
+            (f.payload, f.payload_len) = (vec![], None);
         });
         Expected { counter: counter.into(), ..error.into() }
     }
@@ -602,12 +763,14 @@ fn sends(sent: &Sent, by: u32, bits: u64) -> Forwarded {
     Forwarded(Frame {
         to_mac: fixtures::array(&link.peer_mac.replace(':', "")),
         from_mac: fixtures::array(&link.local_mac.replace(':', "")),
+        carrier: link.leaves_in(sent.frame.flags),
         flags: sent.frame.flags & 0x7f | phase << 7,
         hop_limit: sent.frame.hop_limit.wrapping_sub(1),
         egress_bits: bits,
         link_id: link.peer_id,
         link_counter: link.tx_counter + 1,
         key: fixtures::key(&link.tx_keys[usize::from(phase)]),
+        padding: 0,
         ..sent.frame.clone()
     })
 }
@@ -678,7 +841,27 @@ fn neighbour(label: &str, id: u32, port: u32, reach: &[u32], mtu: u32) -> Link {
         peer: fixtures::hex(&name(label)),
         tx_counter: if id == EAST { u32::MAX.into() } else { 0x0102_0300 + u64::from(index) },
         taken: vec![],
+        vlan: 0,
+        udp: None,
     }
+}
+
+/// A neighbour over UDP, behind the gateway of its family.
+fn remote(label: &str, id: u32, local: &str, peer: &str, reach: &[u32]) -> Link {
+    let peer: SocketAddr = peer.parse().expect("an address");
+    let gateway = if peer.is_ipv4() { 4 } else { 6 };
+    Link {
+        peer_mac: format!("02:00:00:00:ee:{gateway:02x}"),
+        local_mac: "02:00:00:00:ee:01".into(),
+        udp: Some(Udp { local: local.parse().expect("an address"), peer, routed: true }),
+        ..neighbour(label, id, 0, reach, 1472)
+    }
+}
+
+fn with_checksum(mut link: Link) -> Link {
+    link.port = None;
+    link.udp.iter_mut().for_each(|udp| udp.routed = false);
+    link
 }
 
 fn route(label: &str, egress: &[u32], readers: &[u32]) -> Route {

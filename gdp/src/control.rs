@@ -30,30 +30,39 @@ pub enum Request {
     Relay { switch: Name, entity: Option<NameProof>, by_tool: bool, request: EntityRequest },
     /// Switch → RIB: the switches this one has live links with, and what each costs. Replaces its last report.
     /// `attached`, sent first after every (re)connect, is all entities attached to it: the RIB drops those it holds
-    /// beyond these, and answers those it does not hold with [`Request::Detach`], so that they attach again.
-    Report { switch: NameProof, neighbours: Vec<(Name, u32)>, attached: Option<Vec<Name>> },
-    /// Switch → RIB: the entity's link is gone, and with it everything it advertised through this switch. RIB → switch:
-    /// I hold no attachment of the entity; close its link, so that it attaches again.
+    /// beyond these, and answers those it does not hold with [`Request::Detach`], so that they attach again. A switch whose
+    /// daemon has just started names those whose links it took over. `own_bit`: the egress bit it had, if it had one; frames
+    /// on their way carry it, so a RIB that does not know the switch gives it the same one if nobody else has it.
+    Report { switch: NameProof, neighbours: Vec<(Name, u32)>, attached: Option<Vec<Name>>, own_bit: Option<u8> },
+    /// Switch → RIB: the entity's link is gone, and with it everything it advertised through this switch. RIB → switch → the
+    /// entity: I hold no attachment of it; it is to attach again, on the link it has.
     Detach { switch: Name, entity: Name },
+    /// Switch → neighbouring switch: data frames are taken on this link from now on.
+    Ready,
     /// RIB → switch, relayed down: what the switch's FIB holds.
     Fib(FibPush),
-    /// RIB → subscriber, relayed down: the writers of a name it subscribed to are now these.
+    /// RIB → each subscriber, relayed down: the writers of a name it subscribed to are now these.
     Writers(WritersPush),
+    /// Either end of a link → the other: my data frames are now under the link key of this generation. Answered once the
+    /// one after it is held; until then there is no further change.
+    Ratcheted { generation: u64 },
 }
 
 /// What an entity may ask of the RIB, through the switch it is attached to.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum EntityRequest {
-    /// First on every link of an endpoint: this switch may carry my traffic. Answered by [`Response::Attached`].
-    Attach { rt_cert: Signed<RtCert> },
+    /// First on every link of an endpoint: this switch may carry my traffic, and data frames are taken on this link from now
+    /// on. Answered by [`Response::Attached`]. `resumes`: what this entity advertised before stands; otherwise it has
+    /// started anew, and what the RIB holds of its last attachment ends.
+    Attach { rt_cert: Signed<RtCert>, resumes: bool },
     /// I publish (or serve) a name. Lives as long as the attachment, or the statement's lifetime if that ends first.
     Advertise { proof: NameProof, ad_cert: Signed<AdCert>, advert: Signed<Advert> },
     /// I read (or call) a name. Answered by [`Response::Records`] with its writers; changes come as [`WritersPush`].
     Subscribe { proof: NameProof, grant: Signed<ReadGrant>, advert: Signed<Advert> },
     /// I no longer publish and no longer subscribe to the name in the statement.
     Withdraw { advert: Signed<Advert> },
-    /// Who publishes and reads the names that begin so? Answered by [`Response::Records`].
-    Query { prefix: NamePrefix },
+    /// Who publishes and reads the names that begin so? Answered by [`Response::Records`], from the one behind `after` on.
+    Query { prefix: NamePrefix, after: Option<RecordPlace> },
 }
 
 /// The answer to a request.
@@ -64,7 +73,8 @@ pub enum Response {
     Attached {
         serial: u64,
     },
-    /// `truncated`: there are more than fit an answer; ask with a longer prefix.
+    /// In the order of their [places](RecordPlace). `truncated`: there are more than fit an answer; ask for those behind
+    /// the last one.
     Records {
         records: Vec<Record>,
         truncated: bool,
@@ -117,8 +127,6 @@ pub enum RefusalCode {
     Expired,
     /// The serial of the statement is not above the floor of its entity.
     ReplayedSerial,
-    /// The name has a subscriber already (data is unicast so far).
-    SecondSubscriber,
     /// Nothing is known of the name.
     NotFound,
     /// A bound of the RIB or the switch is reached.
@@ -153,7 +161,20 @@ pub enum Credential {
     Reader(Signed<ReadGrant>),
 }
 
+/// A record's place in the order in which a RIB lists them: by name, of each its writers before its readers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct RecordPlace {
+    pub name: Name,
+    pub reads: bool,
+    pub entity: Name,
+}
+
 impl Record {
+    /// Where the record is listed; an error if the entity's key is not one.
+    pub fn place(&self) -> Result<RecordPlace, CertError> {
+        Ok(RecordPlace { name: self.name, reads: !self.is_writer(), entity: self.entity.name()? })
+    }
+
     /// Verifies the record as if nobody had before: derivation of both names, the owner's certificate at `now` (Unix
     /// seconds), and the entity's own statement. Returns the name of the entity.
     pub fn verify(&self, now: u64) -> Result<Name, CertError> {
@@ -203,6 +224,11 @@ impl Record {
 pub struct FibPush {
     /// Whose FIB; switches on the way pass the push on.
     pub switch: Name,
+    /// Which run of a RIB this is: another number after a restart.
+    pub run: u64,
+    /// The RIB has started so recently that it may not know all there is: what an earlier one said counts besides, unless
+    /// [`Self::remove`] takes it back.
+    pub settling: bool,
     /// Counts up by one with each push to this switch.
     pub generation: u64,
     pub extent: Extent,
@@ -219,7 +245,8 @@ pub struct FibPush {
 pub enum Extent {
     /// Changes generation − 1. A switch that holds another one refuses, and is sent the whole.
     Delta,
-    /// Part of the whole: with part 0 the switch marks all it holds, with the last it sweeps what was not set since.
+    /// Part of the whole: with part 0 the switch marks all it holds, with the last it sweeps what was not set since. What
+    /// an earlier RIB, or an earlier daemon of the switch, had said is swept only if this RIB is not [settling](FibPush).
     Full { part: u32, last: bool },
 }
 
@@ -229,8 +256,8 @@ pub struct Route {
     pub name: Name,
     /// Egress switches that want the name; for switches with a writer of it. 0 elsewhere.
     pub egress_bits: u64,
-    /// The local endpoint that takes the name, at its egress switch.
-    pub local: Option<Name>,
+    /// The local endpoints that take the name, at their egress switch; as many as a switch has links, at most.
+    pub locals: Vec<Name>,
     /// The local endpoints that may send to the name: those that publish it through this switch.
     pub writers: Vec<Name>,
 }
@@ -296,11 +323,13 @@ mod tests {
     fn a_push_survives_the_wire() {
         let push = FibPush {
             switch: Name::from_bytes([1; 32]),
+            run: 1,
+            settling: true,
             generation: 7,
             extent: Extent::Full { part: 0, last: true },
             own_bit: 63,
             reach: vec![(Name::from_bytes([2; 32]), u64::MAX)],
-            set: vec![Route { name: Name::from_bytes([3; 32]), egress_bits: 1 << 63, local: None, writers: vec![] }],
+            set: vec![Route { name: Name::from_bytes([3; 32]), egress_bits: 1 << 63, locals: vec![], writers: vec![] }],
             remove: vec![Name::from_bytes([4; 32])],
         };
         let bytes = encode(&Request::Fib(push.clone())).unwrap();

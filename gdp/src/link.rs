@@ -6,18 +6,24 @@
 
 mod hello;
 mod ids;
+pub mod liveness;
+mod ratchet;
+mod rekey;
 mod streams;
 mod tls;
 
 use std::fmt;
 use std::io;
-use std::sync::Arc;
-use std::time::Duration;
+use std::net::{IpAddr, SocketAddr, UdpSocket};
+use std::sync::{Arc, Mutex as StdMutex};
+use std::time::{Duration, Instant};
 
+use gdp_wire::table::ip_words;
 use gdp_wire::{Carrier, LinkEntry, LinkRole, Name};
 use serde::{Deserialize, Serialize};
 use tokio::sync::{Mutex, mpsc};
 use tokio::task::JoinHandle;
+use zeroize::Zeroizing;
 
 use crate::control::{CodecError, Refusal, Request, Response};
 use crate::identity::VerifyKey;
@@ -25,9 +31,14 @@ use crate::name::NameProof;
 use crate::port::LinkAddr;
 
 pub use ids::{LinkId, LinkIds};
+pub use ratchet::{LinkKeys, RekeySchedule};
 pub use streams::Responder;
 
-pub(crate) use hello::{HelloConfig, greet_as_client, greet_as_server};
+use hello::PeerEnd;
+use ratchet::Ratchet;
+use rekey::{Announcement, MAX_ANNOUNCEMENTS};
+
+pub(crate) use hello::{HelloConfig, MIN_MTU, greet_as_client, greet_as_server};
 pub(crate) use tls::{QuicMtu, SERVER_NAME, configs};
 
 /// A silent link sends a packet this often.
@@ -43,7 +54,8 @@ pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 pub const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Silence is no proof that nothing forwards: the daemon of a switch may have died and its kernel not. So after a link was
-/// lost by silence, its keys and routes stay in use on both sides until a new link is up, and for this long at most.
+/// lost by silence, its keys and routes stay in use on both sides until a new link is up, as long as the neighbour's data plane
+/// answers echoes ([`liveness`]), and for this long at most.
 pub const HOLD: Duration = Duration::from_secs(60);
 
 /// Requests a peer can have open at once.
@@ -82,9 +94,11 @@ struct Inner {
     peer: Peer,
     local_id: LinkId,
     peer_id: u32,
-    rx_keys: [[u64; 2]; 2],
-    tx_keys: [[u64; 2]; 2],
+    ratchet: StdMutex<Ratchet>,
+    announcements: Mutex<mpsc::Receiver<Announcement>>,
     mtu: u32,
+    /// Whether the peer takes datagrams over IPv6 without a UDP checksum.
+    zero_checksum: bool,
     place: Place,
     connection: quinn::Connection,
     requests: Mutex<mpsc::Receiver<(Request, Responder)>>,
@@ -94,8 +108,16 @@ struct Inner {
 /// What a link needs to know of the port it is on.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Place {
-    Ethernet { ifindex: u32, local_mac: [u8; 6], peer_mac: [u8; 6] },
-    Udp,
+    Ethernet {
+        ifindex: u32,
+        vlan: u16,
+        local_mac: [u8; 6],
+        peer_mac: [u8; 6],
+    },
+    /// `bound`: what the port's socket is bound to, perhaps the unspecified address.
+    Udp {
+        bound: SocketAddr,
+    },
 }
 
 /// Why a link could not be made, or failed a request.
@@ -132,21 +154,26 @@ impl Link {
         place: Place,
         local: (LinkId, u32),
         peer: Peer,
-        peer_link: (u32, u32),
+        peer_end: PeerEnd,
         dialled: bool,
+        schedule: RekeySchedule,
     ) -> Result<Self, LinkError> {
-        let to_server = export_keys(&connection, b"client to server")?;
-        let to_client = export_keys(&connection, b"server to client")?;
-        let (rx_keys, tx_keys) = if dialled { (to_client, to_server) } else { (to_server, to_client) };
+        let to_server = export_secret(&connection, b"client to server")?;
+        let to_client = export_secret(&connection, b"server to client")?;
+        let (rx, tx) = if dialled { (to_client, to_server) } else { (to_server, to_client) };
+        let ratchet = Ratchet::new(rx, tx, schedule, Instant::now())
+            .map_err(|error| LinkError::Handshake(format!("no keys can be derived: {error}")))?;
         let (sender, requests) = mpsc::channel(MAX_STREAMS as usize);
-        let streams = tokio::spawn(streams::serve(connection.clone(), sender));
+        let (heard, announcements) = mpsc::channel(MAX_ANNOUNCEMENTS);
+        let streams = tokio::spawn(streams::serve(connection.clone(), streams::Takers { requests: sender, heard }));
         Ok(Self(Arc::new(Inner {
             peer,
             local_id: local.0,
-            peer_id: peer_link.0,
-            rx_keys,
-            tx_keys,
-            mtu: local.1.min(peer_link.1),
+            peer_id: peer_end.id,
+            ratchet: StdMutex::new(ratchet),
+            announcements: Mutex::new(announcements),
+            mtu: local.1.min(peer_end.mtu),
+            zero_checksum: peer_end.zero_checksum,
             place,
             connection,
             requests: Mutex::new(requests),
@@ -163,39 +190,71 @@ impl Link {
         self.0.local_id.get()
     }
 
-    /// Largest data frame, header and payload, in bytes.
+    /// Largest data frame, header and payload, in bytes. Over UDP it follows what QUIC finds out about the path.
     pub fn mtu(&self) -> u32 {
-        self.0.mtu
+        match self.0.place {
+            Place::Ethernet { .. } => self.0.mtu,
+            Place::Udp { .. } => self.0.mtu.min(self.0.connection.stats().path.current_mtu.into()),
+        }
     }
 
     /// Where data frames go. A UDP address moves when the peer did and QUIC has validated its new path.
     pub fn addr(&self) -> LinkAddr {
         match self.0.place {
             Place::Ethernet { ifindex, peer_mac, .. } => LinkAddr::Ethernet { ifindex, mac: peer_mac },
-            Place::Udp => LinkAddr::udp(self.0.connection.remote_address()),
+            Place::Udp { .. } => LinkAddr::udp(self.0.connection.remote_address()),
         }
     }
 
-    /// The link as a data plane holds it, with `port` as its key in a device map. A switch fills in what it reaches.
+    /// What carries data frames to the peer. Over UDP it follows the addresses of both sides.
+    pub fn carrier(&self) -> Carrier {
+        let inner = &*self.0;
+        match inner.place {
+            Place::Ethernet { vlan, local_mac, peer_mac, .. } => {
+                Carrier { vlan, ..Carrier::ethernet(peer_mac, local_mac) }
+            }
+            Place::Udp { bound } => {
+                let peer = inner.connection.remote_address();
+                // Only the side that was dialled knows it from its peer's packets.
+                let local = inner.connection.local_ip().map(|ip| ip.to_canonical());
+                let local = local.unwrap_or_else(|| udp_source(bound.ip(), peer));
+                let (kind, peer_ip) = ip_words(peer.ip().to_canonical());
+                let (local_kind, local_ip) = ip_words(local);
+                Carrier {
+                    kind,
+                    flags: if inner.zero_checksum { Carrier::ZERO_CHECKSUM } else { 0 },
+                    peer_port: peer.port().to_be(),
+                    local_port: bound.port().to_be(),
+                    peer_ip,
+                    // Not known: the unspecified address.
+                    local_ip: if local_kind == kind { local_ip } else { [0; 4] },
+                    ..Carrier::default()
+                }
+            }
+        }
+    }
+
+    /// The link as a data plane holds it, with `port` as its key in a device map, and with the keys of this moment
+    /// ([`Self::keep_keys`] replaces them). A switch fills in what it reaches.
     pub fn entry(&self, port: u32) -> LinkEntry {
         let inner = &*self.0;
-        let carrier = match inner.place {
-            Place::Ethernet { local_mac, peer_mac, .. } => Carrier::ethernet(peer_mac, local_mac),
-            Place::Udp => Carrier::default(),
-        };
-        LinkEntry {
+        let mut entry = LinkEntry {
             id: self.local_id(),
             peer_id: inner.peer_id,
             role: LinkRole::from(inner.peer.role) as u32,
             port,
-            rx_keys: inner.rx_keys,
-            tx_keys: inner.tx_keys,
-            reach: 0,
             peer: inner.peer.name,
-            mtu: inner.mtu,
-            tx_phase: 0,
-            carrier,
-        }
+            mtu: self.mtu(),
+            carrier: self.carrier(),
+            ..LinkEntry::default()
+        };
+        self.ratchet().keys().put(&mut entry);
+        entry
+    }
+
+    /// How often the keys of frames that arrive, and of those that leave, have been replaced.
+    pub fn key_generations(&self) -> (u64, u64) {
+        self.ratchet().generations()
     }
 
     /// Asks the peer and waits for its answer, [`REQUEST_TIMEOUT`] at most. A refusal is an answer.
@@ -258,15 +317,27 @@ impl Response {
     }
 }
 
-/// The first two keys of a direction. RFC 5705: the same on both sides, unknown to anybody else.
-fn export_keys(connection: &quinn::Connection, context: &[u8]) -> Result<[[u64; 2]; 2], LinkError> {
-    let mut keys = [0; 32];
+/// The address that a socket bound to `bound` sends from to `peer`; the unspecified one if there is no route.
+fn udp_source(bound: IpAddr, peer: SocketAddr) -> IpAddr {
+    if !bound.is_unspecified() {
+        return bound.to_canonical();
+    }
+    // Connecting a UDP socket sends nothing: the kernel looks its routes up.
+    let ask = || {
+        let socket = UdpSocket::bind((bound, 0))?;
+        socket.connect(peer)?;
+        socket.local_addr()
+    };
+    ask().map_or(bound, |local| local.ip().to_canonical())
+}
+
+/// What the keys of a direction come from. RFC 5705: the same on both sides, unknown to anybody else.
+fn export_secret(connection: &quinn::Connection, context: &[u8]) -> Result<Zeroizing<[u8; 32]>, LinkError> {
+    let mut secret = Zeroizing::new([0; 32]);
     connection
-        .export_keying_material(&mut keys, b"EXPORTER-gdp-link", context)
+        .export_keying_material(secret.as_mut_slice(), b"EXPORTER-gdp-link", context)
         .map_err(|_| LinkError::Handshake("TLS exports no keys".into()))?;
-    let (words, _) = keys.as_chunks();
-    let word = |i: usize| u64::from_le_bytes(words[i]);
-    Ok([[word(0), word(1)], [word(2), word(3)]])
+    Ok(secret)
 }
 
 /// What a person should read. The peer's own words are bounded and made printable.

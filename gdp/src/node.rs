@@ -13,10 +13,13 @@
 //! certificates of the name's owner alone.
 
 mod counters;
+mod feedback;
+mod frame_size;
 mod held;
 mod intake;
 mod publisher;
 mod receiver;
+mod shared_entry;
 mod state;
 mod subscription;
 mod supervisor;
@@ -29,21 +32,22 @@ use gdp_wire::Name;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
-use self::counters::Counters;
 use self::intake::Intake;
 use self::receiver::{Command, Receiver};
 use self::state::{State, Statement, lock, unix_now};
 use self::supervisor::Supervisor;
 use crate::cert::{AdCert, CertError, ReadGrant, Signed};
-use crate::control::{Record, Refusal};
+use crate::control::{Record, RecordPlace, Refusal};
 use crate::crypto::Backend;
 use crate::identity::Identity;
-use crate::link::LinkError;
+use crate::link::{LinkError, RekeySchedule};
 use crate::name::{NamePrefix, NameProof};
 use crate::port::LinkAddr;
 use crate::seal::{EpochKey, Reader, SealError, Writer};
 
 pub use counters::NodeCounters;
+pub use feedback::{Feedback, FrameError};
+pub use gdp_wire::ErrorCode;
 pub use publisher::Publisher;
 pub use subscription::{SubscribeOptions, Subscription};
 pub use target::{LinkTarget, LinkTargetError};
@@ -57,12 +61,15 @@ pub struct NodeConfig {
     pub switch: Option<Name>,
     /// How long [`Node::connect`] keeps trying.
     pub connect_timeout: Duration,
+    /// When the keys of data frames are replaced.
+    pub rekey: RekeySchedule,
 }
 
 impl NodeConfig {
     /// Any switch at `link`, waited for 10 s.
     pub fn new(identity: Identity, link: LinkTarget) -> Self {
-        Self { identity, link, switch: None, connect_timeout: Duration::from_secs(10) }
+        let (connect_timeout, rekey) = (Duration::from_secs(10), RekeySchedule::default());
+        Self { identity, link, switch: None, connect_timeout, rekey }
     }
 }
 
@@ -129,15 +136,19 @@ impl Node {
     pub async fn connect(config: NodeConfig) -> Result<Self, NodeError> {
         let (commands, command_queue) = std::sync::mpsc::channel();
         let (events, event_queue) = mpsc::unbounded_channel();
-        let counters = Arc::new(Counters::default());
-        let state = Arc::new(State::new(config.identity, counters.clone(), commands, events.clone()));
-        let receiver = Receiver { commands: command_queue, events, counters };
+        let state = Arc::new(State::new(config.identity, commands, events.clone()));
+        let receiver = Receiver {
+            commands: command_queue,
+            events,
+            counters: state.counters.clone(),
+            feedback: state.feedback.clone(),
+        };
         std::thread::Builder::new()
             .name("gdp-receive".into())
             .spawn(move || receiver.run())
             .map_err(|source| LinkError::Io { what: "receiving thread".into(), source })?;
 
-        let mut supervisor = Supervisor::new(state.clone(), config.link, config.switch);
+        let mut supervisor = Supervisor::new(state.clone(), config.link, config.switch, config.rekey);
         let first = supervisor.connect(config.connect_timeout).await?;
         let stop = watch::Sender::new(false);
         let task = tokio::spawn(supervisor.run(first, event_queue, stop.subscribe()));
@@ -158,7 +169,7 @@ impl Node {
         let entity = state.identity.name();
         let writer = Writer::new(name, entity, key, state.identity.key().clone(), Backend::default())?;
         state.begin(name, Stated::Published, Statement::Publish { proof, ad_cert })?;
-        let publisher = Publisher::new(self.0.clone(), name, writer);
+        let publisher = Publisher::new(self.0.clone(), name, writer, state.feedback.of(name));
         // From here on, dropping the publisher ends the statement.
         let attachment = state.attached().await?;
         state.state(&attachment, name, Stated::Published).await?;
@@ -189,11 +200,16 @@ impl Node {
         Ok(subscription)
     }
 
-    /// Who publishes and reads the names with this prefix, as far as it verifies; and whether there are more.
-    pub async fn query(&self, prefix: NamePrefix) -> Result<(Vec<Record>, bool), NodeError> {
+    /// Who publishes and reads the names with this prefix, as far as it verifies: as many as fit an answer, from the one behind
+    /// `after` on; and whether there are more.
+    pub async fn query(
+        &self,
+        prefix: NamePrefix,
+        after: Option<RecordPlace>,
+    ) -> Result<(Vec<Record>, bool), NodeError> {
         let state = &self.0.state;
         let attachment = state.attached().await?;
-        let (mut records, truncated) = state.query(&attachment, prefix.clone()).await?;
+        let (mut records, truncated) = state.query(&attachment, prefix.clone(), after).await?;
         records.retain(|record| {
             let verdict = record.verify(unix_now());
             if let Err(error) = &verdict {

@@ -24,22 +24,26 @@ use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::identity::Identity;
 use crate::link::{
-    self, HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, Place, QuicMtu, Role, greet_as_client,
-    greet_as_server,
+    self, HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, Place, QuicMtu, RekeySchedule, Role,
+    greet_as_client, greet_as_server,
 };
 
 pub use addr::{DisplayMac, LinkAddr, parse_mac};
 pub use data::{BATCH, DataSocket, OutFrame, RecvBatch, Sent};
-pub use ethernet::Interface;
+pub use ethernet::{Interface, Vlan};
 
-/// Largest data frame on a UDP link, in bytes: fits the paths of the Internet with room for tunnels and IPv6.
-pub const UDP_MTU: u32 = 1400;
+/// Largest data frame on a UDP link, in bytes: what fits into IPv4 on Ethernet. A link takes as much of it as its path does, which
+/// QUIC finds out.
+pub const UDP_MTU: u32 = 1500 - 20 - 8;
+
+/// What any path takes, as QUIC assumes of all (RFC 9000 §14).
+pub const SMALLEST_PATH: u16 = 1200;
 
 /// Largest QUIC packet on Ethernet. More gains control traffic nothing, and jumbo frames may not pass everywhere.
 const MAX_ETHERNET_QUIC: u32 = 1472;
 
-/// QUIC needs 1200 bytes (RFC 9000 §14).
-const MIN_ETHERNET_MTU: u32 = 1200 + ControlHeader::LEN as u32;
+/// What QUIC needs.
+const MIN_ETHERNET_MTU: u32 = SMALLEST_PATH as u32 + ControlHeader::LEN as u32;
 
 /// Handshakes of peers that dialled, at once. Beyond half of them, a UDP peer has to prove its address first.
 const MAX_HANDSHAKES: usize = 64;
@@ -68,17 +72,24 @@ pub struct PortConfig {
     pub listen: bool,
     /// Ethertype of GDP frames.
     pub ethertype: u16,
+    /// When the keys of data frames are replaced.
+    pub rekey: RekeySchedule,
 }
 
 impl PortConfig {
     /// For a switch: peers dial in and discover it.
     pub fn switch(identity: Identity, link_ids: LinkIds) -> Self {
-        Self { identity, role: Role::Switch, link_ids, listen: true, ethertype: gdp_wire::ETHERTYPE }
+        Self { listen: true, ..Self::new(identity, Role::Switch, link_ids) }
     }
 
     /// For an endpoint: it only dials out.
     pub fn endpoint(identity: Identity) -> Self {
-        Self { identity, role: Role::Endpoint, link_ids: LinkIds::new(), listen: false, ethertype: gdp_wire::ETHERTYPE }
+        Self::new(identity, Role::Endpoint, LinkIds::new())
+    }
+
+    fn new(identity: Identity, role: Role, link_ids: LinkIds) -> Self {
+        let (ethertype, rekey) = (gdp_wire::ETHERTYPE, RekeySchedule::default());
+        Self { identity, role, link_ids, listen: false, ethertype, rekey }
     }
 }
 
@@ -96,7 +107,7 @@ pub struct Port {
 #[derive(Clone)]
 enum Medium {
     Ethernet(Interface, Arc<ethernet::ControlSocket>),
-    Udp,
+    Udp { bound: SocketAddr, zero_checksum: bool },
 }
 
 impl Port {
@@ -129,9 +140,11 @@ impl Port {
     pub fn udp(bind: SocketAddr, config: &PortConfig) -> Result<Self, LinkError> {
         let fail = |source| LinkError::Io { what: format!("cannot bind UDP {bind}"), source };
         let socket = Arc::new(udp::SharedUdp::bind(bind).map_err(fail)?);
+        let mtu = QuicMtu { initial: SMALLEST_PATH, discover_up_to: Some(UDP_MTU as u16) };
         let data = DataSocket::new(data::Kind::Udp(socket.clone())).map_err(fail)?;
-        let mtu = QuicMtu { initial: 1200, discover_up_to: Some(1452) };
-        Self::open(config, socket, Medium::Udp, data, mtu, UDP_MTU)
+        let medium =
+            Medium::Udp { bound: socket.local_addr().map_err(fail)?, zero_checksum: socket.takes_zero_checksums() };
+        Self::open(config, socket, medium, data, mtu, UDP_MTU)
     }
 
     fn open(
@@ -144,7 +157,7 @@ impl Port {
     ) -> Result<Self, LinkError> {
         let (client, mut server) = link::configs(config.identity.key(), quic_mtu)?;
         // A station does not change its MAC address within a link.
-        server.migration(matches!(medium, Medium::Udp));
+        server.migration(medium.is_udp());
         let mut endpoint_config = EndpointConfig::default();
         // The bit that tells QUIC from data frames on a shared port.
         endpoint_config.grease_quic_bit(false);
@@ -156,6 +169,8 @@ impl Port {
             role: config.role,
             link_ids: config.link_ids.clone(),
             mtu: frame_mtu,
+            rekey: config.rekey,
+            zero_checksum: matches!(medium, Medium::Udp { zero_checksum: true, .. }),
         };
         let (sender, accepted) = mpsc::channel(MAX_HANDSHAKES);
         let acceptor =
@@ -169,7 +184,7 @@ impl Port {
             (LinkAddr::Ethernet { ifindex, mac }, Medium::Ethernet(interface, _)) if ifindex == interface.index => {
                 addr::mac_to_socket(mac)
             }
-            (LinkAddr::Udp(addr), Medium::Udp) => addr,
+            (LinkAddr::Udp(addr), Medium::Udp { .. }) => addr,
             _ => return Err(LinkError::Handshake(format!("{to} cannot be reached through this port"))),
         };
         let handshake = async {
@@ -234,7 +249,7 @@ impl Port {
     pub fn interface(&self) -> Option<&Interface> {
         match &self.medium {
             Medium::Ethernet(interface, _) => Some(interface),
-            Medium::Udp => None,
+            Medium::Udp { .. } => None,
         }
     }
 
@@ -242,7 +257,7 @@ impl Port {
     pub fn udp_addr(&self) -> Option<SocketAddr> {
         match &self.medium {
             Medium::Ethernet(..) => None,
-            Medium::Udp => self.endpoint.local_addr().ok(),
+            Medium::Udp { .. } => self.endpoint.local_addr().ok(),
         }
     }
 
@@ -272,11 +287,16 @@ impl Medium {
         match self {
             Self::Ethernet(interface, _) => Place::Ethernet {
                 ifindex: interface.index,
+                vlan: interface.vlan.as_ref().map_or(0, |vlan| vlan.id),
                 local_mac: interface.mac,
                 peer_mac: addr::socket_to_mac(&connection.remote_address()),
             },
-            Self::Udp => Place::Udp,
+            Self::Udp { bound, .. } => Place::Udp { bound: *bound },
         }
+    }
+
+    fn is_udp(&self) -> bool {
+        matches!(self, Self::Udp { .. })
     }
 }
 
@@ -294,7 +314,7 @@ async fn accept_all(
             incoming.ignore();
             continue;
         }
-        if total >= MAX_HANDSHAKES / 2 && matches!(medium, Medium::Udp) && incoming.may_retry() {
+        if total >= MAX_HANDSHAKES / 2 && medium.is_udp() && incoming.may_retry() {
             let _ = incoming.retry();
             continue;
         }

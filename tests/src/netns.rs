@@ -40,6 +40,18 @@ impl Namespace {
         Ok(namespace)
     }
 
+    /// Turns IPv6 on, for `lo` and interfaces to come, without duplicate address detection.
+    pub fn enable_ipv6(&self) -> Result<()> {
+        let _inside = self.enter()?;
+        for (setting, value) in [("accept_dad", "0"), ("router_solicitations", "0"), ("disable_ipv6", "0")] {
+            for scope in ["all", "default", "lo"] {
+                std::fs::write(format!("/proc/sys/net/ipv6/conf/{scope}/{setting}"), value)
+                    .with_context(|| format!("cannot set {setting} in {}", self.name))?;
+            }
+        }
+        Ok(())
+    }
+
     pub fn name(&self) -> &str {
         &self.name
     }

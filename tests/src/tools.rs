@@ -38,6 +38,11 @@ impl Tools {
         existing(self.executables.join("gdp-ebpf"), "cargo xtask build")
     }
 
+    /// The programs that benchmarks and tests put around the switch.
+    pub fn ebpf_bench_object(&self) -> Result<PathBuf> {
+        existing(self.target.join("bpf/bpfel-unknown-none/release/gdp-ebpf-bench"), "cargo xtask build")
+    }
+
     /// The compiled Fast DDS peer.
     pub fn fastdds(&self) -> Result<PathBuf> {
         existing(self.target.join("peers/fastdds-peer"), "cargo xtask test")

@@ -6,18 +6,19 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
 use gdp::link::Link;
-use gdp::port::{OutFrame, Port, PortConfig};
+use gdp::port::{OutFrame, Port, PortConfig, RecvBatch};
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
 use gdp_tests::packet::{ETHERNET, GDP_ETHERTYPE, PacketSocket, is_gdp_data};
 use gdp_tests::peers::{self, Conversation, Received, Side, Traffic, Vendor};
 use gdp_tests::wait::wait_for;
+use gdp_wire::replay::{self, Window};
 use gdp_wire::table::PORT_USERSPACE;
-use gdp_wire::{Header, Name, forward};
+use gdp_wire::{ErrorCode, Header, Name, forward};
 use serde_json::Value;
 use tokio::runtime::Runtime;
-use zerocopy::IntoBytes;
+use zerocopy::{FromBytes, IntoBytes};
 
 /// Bytes of the GDP header.
 const HEADER: usize = 96;
@@ -192,6 +193,8 @@ struct Stranger {
     _runtime: Runtime,
     name: Name,
     sent: u64,
+    received: RecvBatch,
+    window: Box<Window>,
 }
 
 impl Stranger {
@@ -207,20 +210,152 @@ impl Stranger {
             let link = port.dial(*to, Some(*name)).await?;
             anyhow::Ok((port, link))
         })?;
-        Ok(Self { link, port, _runtime: runtime, name: identity.name(), sent: 0 })
+        let (received, window) = (RecvBatch::new(2048), Box::new(replay::empty()));
+        Ok(Self { link, port, _runtime: runtime, name: identity.name(), sent: 0, received, window })
     }
 
     /// Frames that are right in all but what they say.
     fn send(&mut self, destination: Name, source: Name, count: usize) -> Result<()> {
-        for _ in 0..count {
-            self.sent += 1;
-            let mut header = Header::data(destination, source, 0);
-            forward::stamp(&mut header, &self.link.entry(PORT_USERSPACE), self.sent);
-            let frame = OutFrame { to: self.link.addr(), head: header.as_bytes(), body: &[] };
-            ensure!(self.port.data().send_batch([frame]).sent == 1, "not sent");
-        }
+        let frames: Vec<_> = (0..count).map(|_| self.stamped(Header::data(destination, source, 0))).collect();
+        self.send_frames(&frames)
+    }
+
+    /// The next frame on the link.
+    fn stamped(&mut self, mut header: Header) -> Header {
+        self.sent += 1;
+        forward::stamp(&mut header, &self.link.entry(PORT_USERSPACE), self.sent);
+        header
+    }
+
+    fn send_frames(&self, frames: &[Header]) -> Result<()> {
+        let to = self.link.addr();
+        let frames_out = frames.iter().map(|header| OutFrame { to, head: header.as_bytes(), body: &[] });
+        ensure!(self.port.data().send_batch(frames_out).sent == frames.len(), "not sent");
         Ok(())
     }
+
+    /// What s1 says on the link, waiting a while for the first; it must be what only s1 can say.
+    fn receive(&mut self, patience: Duration) -> Result<Vec<Header>> {
+        let (data, entry) = (self.port.data(), self.link.entry(PORT_USERSPACE));
+        if data.wait_readable(patience)? {
+            data.try_recv_batch(&mut self.received)?;
+        } else {
+            return Ok(Vec::new());
+        }
+        let headers = self.received.frames().map(|(frame, _)| {
+            let (header, _) = Header::read_from_prefix(frame).map_err(|_| anyhow::anyhow!("{frame:02x?}"))?;
+            match forward::accept(&header, frame.len(), &entry, &*self.window) {
+                Ok(_) => Ok(header),
+                Err(counter) => anyhow::bail!("{counter:?}: {header:?}"),
+            }
+        });
+        headers.collect()
+    }
+}
+
+/// Errors and echoes are signs between neighbours: whoever has not the link's key cannot make one, and whoever has recorded one
+/// cannot use it again.
+#[test]
+fn forged_and_replayed_errors_and_echoes_are_refused_by_the_next_switch() -> Result<()> {
+    let scene = Scene::set()?;
+    let forged = |frame_type: u8, code: u8| {
+        let mut frame = scene.frame.clone();
+        (frame[ETHERNET], frame[ETHERNET + 2], frame[ETHERNET + 3]) = (0x10 | frame_type, 1, code);
+        frame
+    };
+    let errors: Vec<_> = (0..=5).map(|code| forged(2, code)).collect();
+    let echoes: Vec<_> = (0..=2).map(|kind| forged(4, kind)).collect();
+    scene.refused_by_s2("drop_bad_tag", &errors)?;
+    scene.refused_by_s2("drop_bad_tag", &echoes)?;
+    let status = scene.fabric.status(S2)?;
+    let links = status["links"].as_array().context("links")?;
+    ensure!(links.iter().all(|link| link["errors_received"] == serde_json::json!({})), "{status}");
+    ensure!(status["counters"]["echoed"] == 0 && status["counters"]["notice"] == 0, "{status}");
+    scene.only_honest_messages_arrived()?;
+
+    // By somebody with a link: an echo is answered once, and errors are counted and have no other effect.
+    let chain = ChainOptions { wire: Some(0), switches: 1, ..Default::default() };
+    let fabric = Fabric::start(Tools::beside_this_test()?, FabricOptions { chain, ..Default::default() })?;
+    let mut stranger = Stranger::attach(&fabric)?;
+    let counted = |counter: &str, expected: u64| {
+        wait_for(&format!("{counter} to be {expected}"), PATIENCE, || {
+            Ok((fabric.counter(S1, counter)? == expected).then_some(()))
+        })
+    };
+    let echo = stranger.stamped(Header::echo(7));
+    stranger.send_frames(&[echo, echo, echo])?;
+    counted("echoed", 1)?;
+    counted("drop_replayed", 2)?;
+    let answers = stranger.receive(PATIENCE)?;
+    let is_answer = |header: &Header| (header.egress_bits(), header.egress_set) == (7, Header::ANSWERS);
+    ensure!(answers.len() == 1 && answers.iter().all(is_answer), "{answers:?}");
+    let mut error = Header::data(Name::default(), stranger.name, 0);
+    error.become_error(ErrorCode::NotAuthorised, 0);
+    let mut unknown = error;
+    unknown.egress_set = 99;
+    let frames = [stranger.stamped(error), stranger.stamped(error), stranger.stamped(unknown)];
+    stranger.send_frames(&frames)?;
+    counted("notice", 2)?;
+    counted("drop_unknown", 1)?;
+    let link = &fabric.status(S1)?["links"][0];
+    ensure!(link["errors_received"] == serde_json::json!({"not_authorised": 2}), "{link}");
+    let answers = stranger.receive(Duration::ZERO)?;
+    ensure!(answers.is_empty(), "an error was answered: {answers:?}");
+    Ok(())
+}
+
+/// A million names that nobody knows, from an endpoint with a link, as fast as a socket sends them.
+#[test]
+fn a_flood_of_unknown_names_draws_few_errors_and_stops_nobody() -> Result<()> {
+    const NAMES: u64 = 1_000_000;
+    let chain = ChainOptions { wire: Some(0), ..Default::default() };
+    let mut fabric = Fabric::start(Tools::beside_this_test()?, FabricOptions { chain, ..Default::default() })?;
+    fabric.start_proxies()?;
+    let traffic = Traffic::default();
+    let talks = Side { at: fabric.chain.robot(), vendor: Vendor::Cyclone, traffic: &traffic };
+    let hears = Side { at: fabric.chain.cloud(), vendor: Vendor::FastDds, traffic: &traffic };
+    let conversation = Conversation::start(&fabric.tools, talks, hears, fabric.folder())?;
+    conversation.open()?;
+    let mut stranger = Stranger::attach(&fabric)?;
+    let (memory, names) = (resident(&fabric)?, fabric.status(S1)?["fib"].clone());
+    let heard = || peers::received(&conversation.listener).len();
+    let (before, began) = (heard(), Instant::now());
+    let (mut sent, mut errors) = (0, 0);
+    while sent < NAMES {
+        let batch: Vec<_> = (sent..NAMES.min(sent + 64))
+            .map(|n| {
+                let mut bytes = [0xee; 32];
+                bytes[..8].copy_from_slice(&n.to_le_bytes());
+                stranger.stamped(Header::data(Name::from_bytes(bytes), stranger.name, 0))
+            })
+            .collect();
+        stranger.send_frames(&batch)?;
+        sent += batch.len() as u64;
+        for error in stranger.receive(Duration::ZERO)? {
+            ensure!(error.version_type == 0x12 && error.egress_set == ErrorCode::NoRoute as u8, "{error:?}");
+            errors += 1;
+        }
+    }
+    let took = began.elapsed();
+    let during = heard() - before;
+    let dropped = fabric.counter(S1, "drop_no_route")?;
+    println!("{NAMES} names in {took:?}: {dropped} dropped, {errors} errors; {during} messages arrived meanwhile");
+    // A bridge and a veth are in between, and lose some of a flood.
+    ensure!(dropped > NAMES / 2 && fabric.status(S1)?["counters_by_plane"]["drop_no_route"]["userspace"] == 0);
+    ensure!(errors > 0 && errors <= 1 + took.as_millis() as u64 / 10, "{errors} errors in {took:?}");
+    let expected = (took.as_secs_f64() * traffic.rate) as usize;
+    ensure!(during > expected / 2, "only {during} of about {expected} messages arrived");
+    ensure!(fabric.status(S1)?["fib"] == names, "the flood changed the FIB");
+    let grown = resident(&fabric)?.saturating_sub(memory);
+    ensure!(grown < 2048, "the daemon grew by {grown} KiB");
+    Ok(())
+}
+
+/// KiB of memory that the daemon of s1 uses.
+fn resident(fabric: &Fabric) -> Result<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", fabric.switches[S1].process.pid()))?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).context("VmRSS")?;
+    Ok(line.trim().trim_end_matches(" kB").parse()?)
 }
 
 /// Every bit that the hop tag covers, the tag's own included; link id and lengths are found wrong before the tag is.
@@ -240,9 +375,10 @@ fn flipped_header_bits_are_refused_by_the_next_switch() -> Result<()> {
         flips(4..6).into_iter().partition::<Vec<_>, _>(|frame| payload_length(frame) > payload_length(&scene.frame));
     scene.refused_by_s2("drop_truncated", &longer)?;
     scene.refused_by_s2("drop_bad_tag", &shorter)?;
-    // Header length; version and type, but for the lowest bit, which makes a control frame.
+    // Header length; version and type, but for the bits that make a control frame, an error and an echo.
     scene.refused_by_s2("drop_unknown", &flips(6..7))?;
-    scene.refused_by_s2("drop_unknown", &(1..8).map(|bit| scene.flipped(bit)).collect::<Vec<_>>())?;
+    scene.refused_by_s2("drop_unknown", &(3..8).map(|bit| scene.flipped(bit)).collect::<Vec<_>>())?;
+    scene.refused_by_s2("drop_bad_tag", &[scene.flipped(1), scene.flipped(2)])?;
     scene.refused_by_s2("control", &[scene.flipped(0)])?;
     scene.only_honest_messages_arrived()
 }

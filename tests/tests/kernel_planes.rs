@@ -5,15 +5,17 @@
 //! ```
 
 use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
 use gdp::link::LinkIds;
-use gdp::port::{LinkAddr, Port, PortConfig};
+use gdp::port::{Interface, LinkAddr, Port, PortConfig};
 use gdp_ctl::plane::{PlaneConfig, PlaneError, PlaneRoute, Planes, Wanted};
 use gdp_tests::Tools;
 use gdp_tests::frames::Frame;
+use gdp_tests::frames::carrier::Carrier as Carried;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
 use gdp_tests::wait::wait_for;
@@ -62,6 +64,7 @@ fn frames_cross_a_switch_in_userspace() -> Result<()> {
     let crossed = site.send_through(1400)?;
     ensure!(crossed.len() == 14 + 1400);
     ensure!(switch.counted(Counter::Delivered)? == (0, 1));
+    ensure!(switch.planes.arrivals(left_link().id)?[Counter::Delivered as usize] == 1);
     Ok(())
 }
 
@@ -77,7 +80,7 @@ fn an_interface_that_takes_no_redirects_is_served_from_userspace() -> Result<()>
     ensure!(switch.counted(Counter::Slow)? == (1, 0) && switch.counted(Counter::Delivered)? == (0, 1));
 
     gro(&site.right, "on")?;
-    switch.planes.refresh()?;
+    site.refresh(&mut switch)?;
     site.send_through(200)?;
     ensure!(switch.counted(Counter::Delivered)? == (1, 1), "from then on in the kernel");
     Ok(())
@@ -92,7 +95,7 @@ fn the_planes_share_the_counter_of_a_link() -> Result<()> {
     let link_counter = |frame: Vec<u8>| u32::from_be_bytes([frame[26], frame[27], frame[28], frame[29]]);
     let in_userspace = link_counter(site.send_through(200)?);
     gro(&site.right, "on")?;
-    switch.planes.refresh()?;
+    site.refresh(&mut switch)?;
     let in_kernel = link_counter(site.send_through(200)?);
     ensure!((in_userspace, in_kernel) == (1, 2), "{in_userspace} then {in_kernel}");
     Ok(())
@@ -114,14 +117,14 @@ fn the_planes_share_the_window_of_a_link() -> Result<()> {
     counted(&switch, Counter::Replayed, (1, 0))?;
 
     gro(&site.right, "on")?;
-    switch.planes.refresh()?;
+    site.refresh(&mut switch)?;
     site.send(&in_kernel)?;
     counted(&switch, Counter::Delivered, (1, 1))?;
     [&in_kernel, &in_userspace].into_iter().try_for_each(|frame| site.send(frame))?;
     counted(&switch, Counter::Replayed, (3, 0))?;
 
     gro(&site.right, "off")?;
-    switch.planes.refresh()?;
+    site.refresh(&mut switch)?;
     [&in_kernel, &in_userspace].into_iter().try_for_each(|frame| site.send(frame))?;
     counted(&switch, Counter::Replayed, (5, 0))?;
     counted(&switch, Counter::Delivered, (1, 1))?;
@@ -176,6 +179,77 @@ fn permission_comes_and_goes_in_the_kernel() -> Result<()> {
     wait_for("a permit to go with its name", SOON, || {
         Ok((switch.count(Counter::NotPermitted)? == (refused + 1, 0)).then_some(()))
     })
+}
+
+/// The FIB begins small and is replaced by larger ones. One frame is under way at a time, so each that is lost is missed.
+#[test]
+fn no_frame_is_lost_while_the_fib_grows() -> Result<()> {
+    const NAMES: u32 = 40_000;
+    let site = Site::build(1500)?;
+    let mut switch = site.switch(Wanted::Xdp)?;
+    let (from, to) = (PacketSocket::open(&site.left, "e0")?, PacketSocket::open(&site.right, "e0")?);
+    let (template, over) = (site.next_frame(200), AtomicBool::new(false));
+    let (sent, grown) = std::thread::scope(|scope| {
+        let traffic = scope.spawn(|| -> Result<u64> {
+            let mut sent = 0;
+            while sent < 1000 || !over.load(Ordering::Relaxed) {
+                sent += 1;
+                from.send(&Frame { link_counter: sent, ..template.clone() }.bytes())?;
+                to.receive(SOON, gdp_tests::packet::is_gdp_data).with_context(|| format!("frame {sent} was lost"))?;
+            }
+            Ok(sent)
+        });
+        let grown = (0..NAMES).try_for_each(|i| {
+            let name = Name::from_bytes(std::array::from_fn(|at| i.to_be_bytes()[at % 4]));
+            switch.planes.set_route(name, &PlaneRoute { egress_bits: 1 << 9, ..PlaneRoute::default() })
+        });
+        over.store(true, Ordering::Relaxed);
+        (traffic.join().expect("no panic"), grown)
+    });
+    grown?;
+    ensure!(switch.planes.routes()?.len() == NAMES as usize + 1);
+    ensure!(switch.count(Counter::Delivered)? == (sent?, 0), "{:?}", switch.planes.counters());
+    Ok(())
+}
+
+/// A VLAN is served on the interface below it. Here another interface stands for the VLAN's own.
+#[test]
+fn a_vlan_is_served_on_the_interface_below_it() -> Result<()> {
+    const TAG: Carried = Carried::Vlan(5);
+    let site = Site::build(1500)?;
+    site.switch.ip(&["link", "add", "v0", "type", "veth", "peer", "name", "v1"])?;
+    let mut switch = site.switch(Wanted::Xdp)?;
+    let _inside = site.switch.enter()?;
+    let lower = Interface::find("l0")?;
+    switch.planes.detach(lower.index);
+    let vlan = gdp::port::Vlan { lower: lower.name, lower_index: lower.index, id: 5 };
+    let interface = Interface { vlan: Some(vlan), ..Interface::find("v0")? };
+    let port = {
+        let _runtime = switch.runtime.enter();
+        Port::ethernet("v0", &PortConfig::switch(Identity::generate("switch")?, LinkIds::new()))?
+    };
+    let report = switch.planes.attach(&interface, port.data())?;
+    ensure!((report.interface.as_str(), report.kind) == ("v0", "xdp-native"), "{report:?}");
+    let on_vlan = LinkEntry { carrier: Carrier { vlan: 5, ..left_link().carrier }, ..left_link() };
+    switch.planes.set_link(on_vlan, LinkAddr::Ethernet { ifindex: interface.index, mac: LEFT_MAC })?;
+
+    let to = PacketSocket::open(&site.right, "e0")?;
+    site.send(&Frame { carrier: TAG, ..site.next_frame(200) })?;
+    to.receive(SOON, gdp_tests::packet::is_gdp_data)?;
+    ensure!(switch.counted(Counter::Delivered)? == (1, 0));
+
+    // An echo comes back tagged: the kernel takes the tag off before a packet socket sees the frame, and counts it there.
+    let from = PacketSocket::open(&site.left, "e0")?;
+    let echo = Frame { carrier: TAG, version_type: 0x14, hop_limit: 1, payload: vec![], ..site.next_frame(96) };
+    site.send(&echo)?;
+    let answer = from.receive(SOON, |frame| frame.len() == 110 && frame[14] == 0x14)?;
+    ensure!(answer[..12] == [LEFT_MAC, L0_MAC].concat() && switch.count(Counter::Echoed)? == (1, 0), "{answer:02x?}");
+
+    site.send(&Frame { carrier: Carried::Vlan(6), ..site.next_frame(200) })?;
+    wait_for("another VLAN's frame to pass", SOON, || Ok((switch.count(Counter::Foreign)?.0 > 0).then_some(())))?;
+    switch.planes.detach(interface.index);
+    ensure!(!site.switch.ip(&["-o", "link", "show", "l0"])?.contains("xdp"), "nothing needs it any more");
+    Ok(())
 }
 
 /// A bridge has no native XDP and takes no redirected frames, but those of generic XDP are ordinary packets.
@@ -327,6 +401,11 @@ impl Site {
             payload: vec![0x5a; length - 96],
             ..Frame::default()
         }
+    }
+
+    fn refresh(&self, switch: &mut Switch) -> Result<()> {
+        let _inside = self.switch.enter()?;
+        Ok(switch.planes.refresh()?)
     }
 
     fn send(&self, frame: &Frame) -> Result<()> {

@@ -145,7 +145,7 @@ impl Session {
         let status = client.ask_value(&Request::Status)?;
         let switch = status["name"].as_str().and_then(|name| name.parse().ok()).context("the daemon tells no name")?;
         let claims = RtCert { entity: entity.name(), switch, not_after: unix_now() + ROUTE_SECONDS };
-        let request = EntityRequest::Attach { rt_cert: issue(entity.key(), &claims)? };
+        let request = EntityRequest::Attach { rt_cert: issue(entity.key(), &claims)?, resumes: true };
         match client.ask_control(&Request::Entity { entity: Some(entity.proof()), request })? {
             Response::Attached { serial } => Ok(Self { client, switch, serial }),
             _ => bail!("the RIB answered another question"),

@@ -2,7 +2,7 @@
 
 use clap::Subcommand;
 use gdp::control::Record;
-use gdp::name::{Name, NamePrefix};
+use gdp::name::NamePrefix;
 use serde_json::{Value, json};
 
 use super::Context;
@@ -29,7 +29,8 @@ pub enum RibCommand {
 
 pub fn fib(command: &FibCommand, context: &Context) -> anyhow::Result<()> {
     let FibCommand::Dump { prefix } = command;
-    let (mut routes, _) = all(&mut context.client()?, "routes", |after| Request::Fib { after })?;
+    let name = |route: &Value| route["name"].as_str().and_then(|name| name.parse().ok());
+    let (mut routes, _) = all(&mut context.client()?, "routes", name, |after| Request::Fib { after })?;
     keep(&mut routes, prefix.as_ref());
     context.output.print(json!({"routes": routes}), || {
         let rows: Vec<_> = routes
@@ -38,16 +39,18 @@ pub fn fib(command: &FibCommand, context: &Context) -> anyhow::Result<()> {
                 let toward: Vec<_> = route["toward"].as_array().into_iter().flatten().map(short).collect();
                 let bits = route["egress_bits"].as_str().unwrap_or_default().to_owned();
                 let writers: Vec<_> = route["writers"].as_array().into_iter().flatten().map(short).collect();
-                [short(&route["name"]), bits, toward.join(" "), short(&route["local"]), writers.join(" ")]
+                let readers: Vec<_> = route["readers"].as_array().into_iter().flatten().map(short).collect();
+                [short(&route["name"]), bits, toward.join(" "), readers.join(" "), writers.join(" ")]
             })
             .collect();
-        table(["name", "egress bits", "toward", "local reader", "local writers"], &rows)
+        table(["name", "egress bits", "toward", "local readers", "local writers"], &rows)
     })
 }
 
 pub fn rib(command: &RibCommand, context: &Context) -> anyhow::Result<()> {
     let RibCommand::Dump { prefix } = command;
-    let (mut records, last) = all(&mut context.client()?, "records", |after| Request::Rib { after })?;
+    let place = |record: &Value| serde_json::from_value::<Record>(record.clone()).ok()?.place().ok();
+    let (mut records, last) = all(&mut context.client()?, "records", place, |after| Request::Rib { after })?;
     keep(&mut records, prefix.as_ref());
     let records: Vec<Value> = records.into_iter().map(describe).collect::<Result<_, ClientError>>()?;
     let switches = last["switches"].clone();
@@ -79,10 +82,11 @@ pub fn rib(command: &RibCommand, context: &Context) -> anyhow::Result<()> {
 }
 
 /// All entries of a dump, and its last page.
-fn all(
+fn all<Place: Copy + PartialEq>(
     client: &mut Client,
     key: &str,
-    request: impl Fn(Option<Name>) -> Request,
+    place: impl Fn(&Value) -> Option<Place>,
+    request: impl Fn(Option<Place>) -> Request,
 ) -> Result<(Vec<Value>, Value), ClientError> {
     let (mut entries, mut after) = (Vec::new(), None);
     loop {
@@ -91,7 +95,7 @@ fn all(
             return Err(ClientError::Malformed(format!("no {key} in a page")));
         };
         entries.extend(new);
-        let last: Option<Name> = entries.last().and_then(|e| e["name"].as_str()).and_then(|name| name.parse().ok());
+        let last = entries.last().and_then(&place);
         // A daemon that repeats itself must not keep this program for ever.
         if page["more"] != true || last == after {
             return Ok((entries, page));

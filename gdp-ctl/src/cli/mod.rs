@@ -3,8 +3,10 @@
 
 mod advertise;
 mod cert;
+mod doctor;
 mod dump;
 mod key;
+mod link;
 mod name;
 mod output;
 mod query;
@@ -66,6 +68,11 @@ enum Command {
     /// What the RIB knows.
     #[command(subcommand)]
     Rib(dump::RibCommand),
+    /// The daemon's links.
+    #[command(subcommand)]
+    Link(link::Command),
+    /// Check what the daemon needs from this machine, and name the remedy for what is amiss.
+    Doctor(doctor::Options),
     /// What forwards in the kernel, with or without a daemon.
     #[command(subcommand)]
     Xdp(xdp::Command),
@@ -122,6 +129,8 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Cert(command) => cert::run(command, context),
         Command::Fib(command) => dump::fib(&command, context),
         Command::Rib(command) => dump::rib(&command, context),
+        Command::Link(command) => link::run(&command, context),
+        Command::Doctor(options) => doctor::run(options, context),
         Command::Xdp(command) => xdp::run(&command, context),
     }
 }

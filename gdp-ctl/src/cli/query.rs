@@ -10,7 +10,10 @@ use gdp::name::NamePrefix;
 use serde_json::{Value, json};
 
 use super::{Context, output, unix_now};
-use crate::admin::Request;
+use crate::admin::{Client, Request};
+
+/// Records that are shown at most.
+const MOST: usize = 100_000;
 
 #[derive(Debug, Args)]
 pub struct Options {
@@ -21,9 +24,7 @@ pub struct Options {
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let prefix = prefix(&options.what)?;
-    let request = EntityRequest::Query { prefix: prefix.clone() };
-    let response = context.client()?.ask_control(&Request::Entity { entity: None, request })?;
-    let Response::Records { records, truncated } = response else { bail!("the RIB answered another question") };
+    let (records, truncated) = ask(&mut context.client()?, &prefix)?;
     if records.is_empty() {
         bail!("nobody publishes or reads {prefix}");
     }
@@ -51,6 +52,29 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     context.output.print(json!({"records": values, "truncated": truncated}), || {
         output::table(["name", "role", "entity", "switch", "expires in"], &rows)
     })
+}
+
+/// All records of the names that begin so, and whether there are more than this program takes.
+fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>, bool)> {
+    let mut records: Vec<Record> = Vec::new();
+    loop {
+        let after = records.last().map(Record::place).transpose()?;
+        let request = EntityRequest::Query { prefix: prefix.clone(), after };
+        let Response::Records { records: page, truncated } =
+            client.ask_control(&Request::Entity { entity: None, request })?
+        else {
+            bail!("the RIB answered another question");
+        };
+        for record in page {
+            if records.last().map(Record::place).transpose()? >= Some(record.place()?) {
+                bail!("the answer is out of order at {}: the RIB is faulty or lies", record.name);
+            }
+            records.push(record);
+        }
+        if !truncated || records.len() >= MOST || records.last().map(Record::place).transpose()? == after {
+            return Ok((records, truncated));
+        }
+    }
 }
 
 fn describe(record: &Record, now: u64) -> Result<Value, gdp::cert::CertError> {

@@ -48,6 +48,14 @@ fn describe(status: &Value) -> String {
         })
         .collect();
     out += &format!("\n{}\n", table(["link to", "role", "via", "address", "MTU", "RTT"], &links));
+    for link in items(&status["links_held"]) {
+        out += &format!("holding an earlier link of {} {}\n", text(&link["role"]), short(&link["peer"]));
+    }
+    for link in items(&status["links"]).into_iter().chain(items(&status["links_held"])) {
+        for (code, count) in link["errors_received"].as_object().into_iter().flatten() {
+            out += &format!("{} refused frames of this switch: {count} × {code}\n", short(&link["peer"]));
+        }
+    }
     let counted = status["counters_by_plane"].as_object().into_iter().flatten();
     let counters: Vec<_> = counted
         .filter(|(_, planes)| planes["kernel"] != 0 || planes["userspace"] != 0)
@@ -55,6 +63,17 @@ fn describe(status: &Value) -> String {
         .collect();
     if !counters.is_empty() {
         out += &format!("\n{}\n", table(["frames", "kernel", "userspace"], &counters));
+    }
+    let busiest: Vec<_> =
+        items(&status["busiest"]).iter().map(|name| [short(&name["name"]), name["frames"].to_string()]).collect();
+    if !busiest.is_empty() {
+        out += &format!("\n{}\n", table(["busiest names", "frames, about"], &busiest));
+    }
+    for interface in items(&status["interfaces"]).iter().filter(|interface| interface["redirect_lost"] != 0) {
+        let (lost, name) = (&interface["redirect_lost"], text(&interface["interface"]));
+        out += &format!(
+            "{lost} frames lost that {name} did not take; `gdp-ctl doctor --interface {name}` looks for the cause\n"
+        );
     }
     for error in items(&status["errors"]) {
         out += &format!("error: {}\n", text(&error));

@@ -94,6 +94,8 @@ fn describe(found: &Found) -> anyhow::Result<Value> {
         value["links"] = stats.links.into();
         value["names"] = stats.names.into();
         let counters = stats.counters.iter().map(|(counter, count)| (counter.as_str().to_owned(), (*count).into()));
+        let losses = stats.losses.iter().map(|(ifindex, lost)| (ifindex.to_string(), (*lost).into()));
+        value["redirect_lost"] = Value::Object(losses.collect::<Map<_, _>>());
         value["counters"] = Value::Object(counters.collect::<Map<_, _>>());
     }
     Ok(value)
@@ -116,6 +118,10 @@ fn print(switch: &Value) -> String {
         return out + &format!("maps        of version {}, this program reads {ABI}", switch["abi"]);
     };
     out += &format!("holds       {} links, {} names\n", switch["links"], switch["names"]);
+    let lost = switch["redirect_lost"].as_object().into_iter().flatten().filter(|(_, lost)| **lost != 0);
+    for (ifindex, lost) in lost {
+        out += &format!("lost        {lost} frames that interface {ifindex} did not take\n");
+    }
     let rows: Vec<_> = counters
         .iter()
         .filter(|(_, count)| **count != 0)

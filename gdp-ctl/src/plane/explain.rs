@@ -20,6 +20,8 @@ pub fn program(error: &ProgramError) -> String {
     match error {
         ProgramError::LoadError { io_error, verifier_log } => match io_error.raw_os_error() {
             Some(libc::EPERM) => privileges(),
+            // The verifier allows arithmetic on packet pointers only to who has CAP_PERFMON.
+            Some(libc::EACCES) if verifier_log.to_string().contains("prohibited for !root") => privileges(),
             _ => format!(
                 "the kernel's verifier refused the program ({io_error}): {}",
                 last_lines(&verifier_log.to_string(), 5)
@@ -33,7 +35,7 @@ pub fn program(error: &ProgramError) -> String {
 pub fn attach(error: &AttachError) -> String {
     match errno_of(error) {
         Some(libc::EBUSY | libc::EEXIST) => {
-            "another XDP program is attached (`ip link show` names it; `ip link set DEV xdp off` removes one that `ip` attached)".into()
+            "another XDP program is attached (`ip link show` names it)".into()
         }
         Some(libc::EOPNOTSUPP) => "the driver has none".into(),
         Some(libc::ERANGE | libc::EINVAL) => {
@@ -52,7 +54,7 @@ pub fn is_occupied(error: &AttachError) -> bool {
 }
 
 fn privileges() -> String {
-    "not permitted: run as root, or with the capabilities CAP_BPF, CAP_NET_ADMIN and CAP_NET_RAW".into()
+    "not permitted: run as root, or with the capabilities CAP_BPF, CAP_PERFMON, CAP_NET_ADMIN and CAP_NET_RAW".into()
 }
 
 /// The operating system's error number somewhere down the chain of causes.

@@ -1,7 +1,8 @@
 //! The kernel plane: loads the XDP object, attaches it, and writes its maps. Knows BPF, nothing of sockets or links'
 //! meaning. Called by [`super::Planes`], by the kernel tests and by `bench forward`.
 
-use std::collections::HashMap as Table;
+use std::collections::{HashMap as Table, HashSet};
+use std::hash::Hash;
 use std::path::{Path, PathBuf};
 
 use aya::maps::{Array, DevMapHash, HashMap, MapData, MapError, PerCpuArray, PerCpuHashMap, PerCpuValues};
@@ -12,14 +13,17 @@ use aya::programs::{ProgramError, ProgramFd, TestRun, TestRunOptions, Xdp};
 use aya::{Ebpf, EbpfError, EbpfLoader};
 use gdp_wire::replay::WORDS;
 use gdp_wire::table::{CopyCount, EGRESS_SET_SIZE, MAX_PORTS, link_index};
-use gdp_wire::{Counter, FibEntry, LinkEntry, Name, Permit, SwitchConfig};
+use gdp_wire::{Counter, FibEntry, LinkEntry, LocalAddress, Name, Permit, SwitchConfig, Vlan};
 
 use super::explain;
+use super::fib::{self, Fib};
 use super::group_places::Member;
 use super::kernel_groups::{GroupMaps, KernelGroups, OpenError};
 use super::kernel_version::KernelVersion;
 use super::link_memory::{LinkMaps, LinkMemory};
+use super::losses::{self, Losses, LossesError};
 use super::pins::{Pins, PinsError};
+use super::tally::KernelTally;
 
 /// The oldest kernel the programs are meant for.
 pub const FLOOR: KernelVersion = KernelVersion(5, 15);
@@ -45,6 +49,8 @@ pub enum LoadError {
     LinkMemory(std::io::Error),
     #[error("the groups that an earlier daemon left: {0}")]
     Groups(#[from] OpenError),
+    #[error(transparent)]
+    Fib(#[from] UpdateError),
     #[error("{}: {source}", path.display())]
     Read { path: PathBuf, source: std::io::Error },
     #[error("{}: {source}", path.display())]
@@ -71,6 +77,10 @@ pub enum AttachError {
 pub enum UpdateError {
     #[error("the FIB is full ({capacity} names): set `fib_capacity` higher")]
     FibFull { capacity: u32 },
+    #[error("no memory for a FIB of {names} names ({source}): set `fib_capacity` lower")]
+    FibMemory { names: u32, source: std::io::Error },
+    #[error("{}: the FIB cannot be made to outlive the daemon: {source}", path.display())]
+    FibPin { path: PathBuf, source: std::io::Error },
     #[error(
         "the FIB is full ({capacity} second and further writers of a name at one switch): set `fib_capacity` higher"
     )]
@@ -131,7 +141,7 @@ pub struct KernelPlane {
     program: &'static str,
     capacity: u32,
     links: Array<MapData, LinkEntry>,
-    fib: HashMap<MapData, Name, FibEntry>,
+    fib: Fib,
     permits: HashMap<MapData, Permit, u32>,
     next_hop: Array<MapData, u32>,
     config: Array<MapData, SwitchConfig>,
@@ -140,8 +150,14 @@ pub struct KernelPlane {
     egress: ProgramFd,
     copy_counts: PerCpuHashMap<MapData, u32, CopyCount>,
     groups: KernelGroups,
+    addresses: HashMap<MapData, LocalAddress, u32>,
+    vlans: HashMap<MapData, Vlan, u32>,
     counters: PerCpuArray<MapData, u64>,
+    tally: KernelTally,
     link_memory: LinkMemory,
+    losses: Losses,
+    /// Why lost redirects are not counted, if they are not.
+    uncounted: Option<LossesError>,
 }
 
 impl KernelPlane {
@@ -159,7 +175,11 @@ impl KernelPlane {
         }
         let object = |source| LoadError::Object { path: path.into(), source: Box::new(source) };
         let mut loader = EbpfLoader::new();
-        loader.map_max_entries("FIB", capacity).map_max_entries("PERMITS", capacity);
+        loader.map_max_entries("PERMITS", capacity);
+        let net_devices = losses::net_devices();
+        if let Ok(net_devices) = &net_devices {
+            loader.override_global(losses::WHERE, net_devices, true);
+        }
         let fresh = pins.as_ref().is_none_or(|pins| !pins.any());
         let to_pin = pins.as_ref().map_or(Ok(Vec::new()), |pins| maps_to_pin(path, capacity, pins))?;
         for name in &to_pin {
@@ -168,9 +188,9 @@ impl KernelPlane {
             }
         }
         let loaded =
-            loader.load_file(path).map_err(object).and_then(|ebpf| Self::finish(path, version, capacity, ebpf, &pins));
+            loader.load_file(path).map_err(object).and_then(|ebpf| Self::finish(path, version, capacity, &pins, ebpf));
         match (loaded, pins) {
-            (Ok(plane), pins) => Ok(Self { pins, ..plane }),
+            (Ok(plane), pins) => Ok(Self { pins, uncounted: net_devices.err(), ..plane }),
             (Err(error), pins) => {
                 if let Some(pins) = pins.filter(|_| fresh) {
                     let _ = pins.remove();
@@ -184,8 +204,8 @@ impl KernelPlane {
         path: &Path,
         version: KernelVersion,
         capacity: u32,
-        mut ebpf: Ebpf,
         pins: &Option<Pins>,
+        mut ebpf: Ebpf,
     ) -> Result<Self, LoadError> {
         let (program, egress) = match version >= FRAGS {
             true => ("gdp_switch", "gdp_egress"),
@@ -215,13 +235,13 @@ impl KernelPlane {
         let tx_counters: Array<MapData, u64> = maps.take("TX_COUNTERS")?;
         let windows: Array<MapData, [u64; WORDS]> = maps.take("WINDOWS")?;
         let complaints: Array<MapData, u64> = maps.take("COMPLAINTS")?;
-        let groups = GroupMaps { groups, ready: maps.take("READY")?, places: maps.take("PLACES")? };
+        let groups = GroupMaps { groups, served: maps.take("SERVED")?, places: maps.take("PLACES")? };
         let shared = LinkMaps { counts: &tx_counters, windows: &windows, complaints: &complaints };
         Ok(Self {
             program,
             capacity,
             links: maps.take("LINKS")?,
-            fib: maps.take("FIB")?,
+            fib: Fib::open(maps.take("FIB")?, capacity, pins.as_ref())?,
             permits: maps.take("PERMITS")?,
             next_hop: maps.take("NEXT_HOP")?,
             config: maps.take("CONFIG")?,
@@ -229,8 +249,13 @@ impl KernelPlane {
             egress,
             copy_counts: maps.take("COUNTED")?,
             groups: KernelGroups::open(groups, of_groups, pins.as_ref().map(|pins| pins.folder().to_owned()))?,
+            addresses: maps.take("ADDRESSES")?,
+            vlans: maps.take("VLANS")?,
             counters: maps.take("COUNTERS")?,
+            tally: KernelTally { links: maps.take("LINK_COUNTERS")?, busiest: maps.take("BUSIEST")? },
             link_memory: LinkMemory::map(shared).map_err(LoadError::LinkMemory)?,
+            losses: Losses::new(maps.take(losses::MAP)?),
+            uncounted: None,
             ebpf,
             pins: None,
             attached: Table::new(),
@@ -257,7 +282,7 @@ impl KernelPlane {
         Ok(Some(Adopted {
             config,
             links: links.into_iter().filter(|link| link.id != 0).collect(),
-            routes: self.routes()?,
+            routes: self.routes().collect(),
             next_hops,
             ports,
             groups: self.groups.found(),
@@ -292,6 +317,7 @@ impl KernelPlane {
         match self.switch().attach_to_link(XdpLink::try_from(pinned)?) {
             Ok(link) => {
                 self.attached.insert(ifindex, (link, mode));
+                self.watch_losses();
                 Ok(Some(mode))
             }
             // The interface was deleted, and this one has inherited its number.
@@ -321,6 +347,7 @@ impl KernelPlane {
     /// From now on everything ends with this process.
     pub fn unpin(&mut self) -> Result<(), PinsError> {
         self.groups.unpin();
+        self.fib.unpin();
         self.pins.take().map_or(Ok(()), |pins| pins.remove())
     }
 
@@ -329,13 +356,42 @@ impl KernelPlane {
         self.pins.is_some()
     }
 
+    /// Whether the kernel has compiled the switch; `None` if it does not say.
+    pub fn is_jitted(&self) -> Option<bool> {
+        let program: &Xdp = self.ebpf.program(self.program)?.try_into().ok()?;
+        Some(program.info().ok()?.size_jitted() != 0)
+    }
+
     /// Makes `port` lead to an interface of this network namespace.
     pub fn set_port(&mut self, port: u32, ifindex: u32) -> Result<(), UpdateError> {
         self.count_copies_at(ifindex)?;
         self.ports.insert(port, ifindex, Some(&self.egress), 0).map_err(|source| match &source {
             aya::maps::xdp::XdpMapError::MapError(error) if is_full(error) => UpdateError::PortsFull,
             _ => UpdateError::Port { port, ifindex, source },
-        })
+        })?;
+        self.watch_losses();
+        Ok(())
+    }
+
+    /// Counts what is lost between the interfaces that ports lead to. Forwarding does not depend on it.
+    fn watch_losses(&mut self) {
+        if self.uncounted.is_some() {
+            return;
+        }
+        let ports = self.ports.keys().filter_map(|port| Some(self.ports.get(port.ok()?, 0).ok()?.if_index));
+        let interfaces: Vec<u32> = ports.collect();
+        let started = self.losses.start(&mut self.ebpf, self.pins.as_ref());
+        self.uncounted = started.and_then(|()| self.losses.watch(&interfaces)).err();
+    }
+
+    /// Frames that were lost after a redirect, by interface.
+    pub fn losses(&self) -> Result<Table<u32, u64>, UpdateError> {
+        self.losses.counts().map_err(update(losses::MAP))
+    }
+
+    /// Why [`Self::losses`] are not counted, if they are not.
+    pub fn uncounted(&self) -> Option<&LossesError> {
+        self.uncounted.as_ref()
     }
 
     /// Frames for `port` are then dropped and counted. An empty port is no error.
@@ -344,10 +400,10 @@ impl KernelPlane {
         removed(self.copy_counts.remove(&port)).map_err(update("COUNTED"))
     }
 
-    /// Makes `members` the links of a group; the kernel copies frames to them if they are `complete` and not too many. After an
-    /// error it does not.
-    pub fn set_group(&mut self, group: u32, members: &[Member], complete: bool) -> Result<(), UpdateError> {
-        self.groups.set(group, members, complete)
+    /// Makes `members` the links of a group; the kernel copies frames to them that have no other egress bits than those `served`,
+    /// unless the links are too many. After an error it does not.
+    pub fn set_group(&mut self, group: u32, members: &[Member], served: u64) -> Result<(), UpdateError> {
+        self.groups.set(group, members, served)
     }
 
     /// Says that no route leads to the group any more.
@@ -362,8 +418,23 @@ impl KernelPlane {
         self.attached.values().map(|(_, mode)| *mode).chain(pinned).any(|mode| mode == Mode::Generic)
     }
 
+    /// From now on takes frames over UDP at these addresses, and no others.
+    pub fn set_addresses(&mut self, addresses: &HashSet<LocalAddress>) -> Result<(), UpdateError> {
+        set_of(&mut self.addresses, addresses).map_err(update("ADDRESSES"))
+    }
+
+    /// From now on takes tagged frames on these VLANs, and no others.
+    pub fn set_vlans(&mut self, vlans: &HashSet<Vlan>) -> Result<(), UpdateError> {
+        set_of(&mut self.vlans, vlans).map_err(update("VLANS"))
+    }
+
     pub fn set_config(&mut self, config: SwitchConfig) -> Result<(), UpdateError> {
         self.config.set(0, config, 0).map_err(update("CONFIG"))
+    }
+
+    /// Forgets what was counted of the link that had the index of `id` before.
+    pub fn begin_link(&mut self, id: u32) -> Result<(), UpdateError> {
+        self.tally.begin(id).map_err(update("LINK_COUNTERS"))
     }
 
     pub fn set_link(&mut self, link: &LinkEntry) -> Result<(), UpdateError> {
@@ -375,15 +446,12 @@ impl KernelPlane {
     }
 
     pub fn set_route(&mut self, name: &Name, entry: FibEntry) -> Result<(), UpdateError> {
-        match self.fib.insert(name, entry, 0) {
-            Err(error) if is_full(&error) => Err(UpdateError::FibFull { capacity: self.capacity }),
-            result => result.map_err(update("FIB")),
-        }
+        self.fib.insert(name, entry)
     }
 
-    /// Removing a name that is not there is no error.
-    pub fn remove_route(&mut self, name: &Name) -> Result<(), UpdateError> {
-        removed(self.fib.remove(name)).map_err(update("FIB"))
+    /// Whether the name was there.
+    pub fn remove_route(&mut self, name: &Name) -> bool {
+        self.fib.remove(name)
     }
 
     /// Lets frames of a link have a name in their header, where its entry says to look for that.
@@ -410,17 +478,13 @@ impl KernelPlane {
     }
 
     /// Where a name leads.
-    pub fn route(&self, name: &Name) -> Result<Option<FibEntry>, UpdateError> {
-        match self.fib.get(name, 0) {
-            Ok(entry) => Ok(Some(entry)),
-            Err(MapError::KeyNotFound | MapError::ElementNotFound) => Ok(None),
-            Err(error) => Err(update("FIB")(error)),
-        }
+    pub fn route(&self, name: &Name) -> Option<FibEntry> {
+        self.fib.get(name)
     }
 
-    /// What the kernel forwards by, read back from the map.
-    pub fn routes(&self) -> Result<Vec<(Name, FibEntry)>, UpdateError> {
-        self.fib.iter().collect::<Result<_, _>>().map_err(update("FIB"))
+    /// What the kernel forwards by, in no order.
+    pub fn routes(&self) -> impl Iterator<Item = (Name, FibEntry)> {
+        self.fib.iter()
     }
 
     /// The counters, summed over the CPUs, in the order of [`Counter::ALL`].
@@ -432,6 +496,11 @@ impl KernelPlane {
         Ok(sums)
     }
 
+    /// What became of the frames of each link, and the busiest names.
+    pub fn tally(&self) -> &KernelTally {
+        &self.tally
+    }
+
     /// The counts and windows of the links, shared with whoever else sends and receives on them.
     pub fn link_memory(&self) -> &LinkMemory {
         &self.link_memory
@@ -439,7 +508,8 @@ impl KernelPlane {
 
     /// Runs the switch over one Ethernet frame without an interface; the action, and the frame as it left it.
     pub fn test_run(&mut self, frame: &[u8]) -> Result<(Action, Vec<u8>), ProgramError> {
-        let mut out = vec![0; frame.len()];
+        // What carries it may grow.
+        let mut out = vec![0; frame.len() + 64];
         let mut options = TestRunOptions::new();
         options.data_in = Some(frame);
         options.data_out = Some(&mut out);
@@ -500,6 +570,8 @@ pub struct PinnedStats {
     pub links: usize,
     pub names: usize,
     pub counters: Vec<(Counter, u64)>,
+    /// Frames lost after a redirect, by interface.
+    pub losses: Table<u32, u64>,
 }
 
 /// Reads the maps in a folder of pins of this version. A daemon may be at work on them.
@@ -507,12 +579,12 @@ pub fn pinned_stats(folder: &Path) -> Result<PinnedStats, MapError> {
     let open = |name: &str| MapData::from_pin(folder.join(name));
     let counters: PerCpuArray<_, u64> = PerCpuArray::try_from(aya::maps::Map::PerCpuArray(open("COUNTERS")?))?;
     let links: Array<_, LinkEntry> = Array::try_from(aya::maps::Map::Array(open("LINKS")?))?;
-    let fib: HashMap<_, Name, FibEntry> = HashMap::try_from(aya::maps::Map::HashMap(open("FIB")?))?;
     let counted = (0..).zip(Counter::ALL).map(|(index, counter)| Ok((*counter, counters.get(&index, 0)?.iter().sum())));
     Ok(PinnedStats {
         links: links.iter().filter(|link| link.as_ref().is_ok_and(|link| link.id != 0)).count(),
-        names: fib.keys().filter(Result::is_ok).count(),
+        names: fib::names_pinned(folder)?,
         counters: counted.collect::<Result<_, MapError>>()?,
+        losses: losses::pinned_counts(folder)?,
     })
 }
 
@@ -526,7 +598,7 @@ fn maps_to_pin(path: &Path, capacity: u32, pins: &Pins) -> Result<Vec<String>, L
         if name.starts_with('.') {
             continue;
         }
-        let max_entries = if matches!(name.as_str(), "FIB" | "PERMITS") { capacity } else { map.max_entries() };
+        let max_entries = if name == "PERMITS" { capacity } else { map.max_entries() };
         pins.check(&name, &map, max_entries)?;
         names.push(name);
     }
@@ -552,6 +624,13 @@ pub(super) fn removed(result: Result<(), MapError>) -> Result<(), MapError> {
         Err(MapError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::ENOENT) => Ok(()),
         result => result,
     }
+}
+
+/// Makes the keys of a map these.
+fn set_of<K: aya::Pod + Eq + Hash>(map: &mut HashMap<MapData, K, u32>, keys: &HashSet<K>) -> Result<(), MapError> {
+    let held: HashSet<K> = map.keys().collect::<Result<_, _>>()?;
+    held.difference(keys).try_for_each(|key| removed(map.remove(key)))?;
+    keys.difference(&held).try_for_each(|key| map.insert(key, 0, 0))
 }
 
 pub(super) fn update(map: &'static str) -> impl Fn(MapError) -> UpdateError {

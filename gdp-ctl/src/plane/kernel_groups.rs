@@ -38,7 +38,7 @@ pub struct KernelGroups {
 pub struct GroupMaps {
     /// An array of maps.
     pub groups: Map,
-    pub ready: Array<MapData, u32>,
+    pub served: Array<MapData, u64>,
     pub places: HashMap<MapData, GroupPlace, u32>,
 }
 
@@ -76,19 +76,19 @@ impl KernelGroups {
         known.map(|(number, places)| (number, places.members().map(|member| member.link).collect())).collect()
     }
 
-    /// Makes `members` the links of a group. Unless they are `complete` the kernel does not copy to them, nor if the numbers are
-    /// beyond what it holds, nor after an error.
-    pub fn set(&mut self, number: u32, members: &[Member], complete: bool) -> Result<(), UpdateError> {
+    /// Makes `members` the links of a group, which are all that the egress bits `served` lead to: for others the kernel does not
+    /// copy, nor if the numbers are beyond what it holds, nor after an error.
+    pub fn set(&mut self, number: u32, members: &[Member], served: u64) -> Result<(), UpdateError> {
         let fits = members.len() <= MAX_COPIES as usize;
-        let (members, complete) = if fits { (members, complete) } else { (&[][..], false) };
-        let is_needed = complete || self.groups.contains_key(&number) || !members.is_empty();
+        let (members, served) = if fits { (members, served) } else { (&[][..], 0) };
+        let is_needed = served != 0 || self.groups.contains_key(&number) || !members.is_empty();
         if number >= MAX_GROUPS || !is_needed {
             return Ok(());
         }
-        let written = self.make(number).and_then(|()| self.write(number, members, complete));
+        let written = self.make(number).and_then(|()| self.write(number, members, served));
         if written.is_err() {
             self.release(number);
-            self.set_ready(number, false)?;
+            self.serve(number, 0)?;
         }
         written
     }
@@ -105,17 +105,16 @@ impl KernelGroups {
         self.pins = None;
     }
 
-    fn write(&mut self, number: u32, members: &[Member], complete: bool) -> Result<(), UpdateError> {
+    fn write(&mut self, number: u32, members: &[Member], served: u64) -> Result<(), UpdateError> {
         const CAPACITY: usize = MAX_COPIES as usize;
-        if !complete {
-            self.set_ready(number, false)?;
-        }
+        let before = self.maps.served.get(&number, 0).map_err(update("SERVED"))?;
+        self.serve(number, before & served)?;
         let Some(group) = self.groups.get_mut(&number) else { return Ok(()) };
         let steps = match group.places.as_mut().and_then(|places| places.become_these(members, CAPACITY)) {
             Some(steps) => steps,
             None => {
                 // The userspace plane makes the copies meanwhile.
-                self.set_ready(number, false)?;
+                self.serve(number, 0)?;
                 self.put(&[number])?;
                 self.clear(number)?;
                 let mut places = Places::default();
@@ -125,7 +124,7 @@ impl KernelGroups {
             }
         };
         steps.iter().try_for_each(|step| self.take(number, step))?;
-        if complete { self.set_ready(number, true) } else { Ok(()) }
+        self.serve(number, served)
     }
 
     fn take(&mut self, group: u32, step: &Step) -> Result<(), UpdateError> {
@@ -159,8 +158,8 @@ impl KernelGroups {
         Ok(())
     }
 
-    fn set_ready(&mut self, number: u32, ready: bool) -> Result<(), UpdateError> {
-        self.maps.ready.set(number, u32::from(ready), 0).map_err(update("READY"))
+    fn serve(&mut self, number: u32, bits: u64) -> Result<(), UpdateError> {
+        self.maps.served.set(number, bits, 0).map_err(update("SERVED"))
     }
 
     /// Sees to it that there is a device map for the group.

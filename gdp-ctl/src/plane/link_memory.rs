@@ -3,14 +3,14 @@
 //! ordinary memory. Only ever accessed atomically.
 
 use std::io;
-use std::os::fd::{AsFd, AsRawFd};
-use std::ptr::NonNull;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use aya::maps::{Array, IterableMap, MapData};
 use gdp_wire::replay::{WORDS, Window};
 use gdp_wire::table::{COMPLAINT_INTERVAL_NS, MAX_LINKS, link_index};
+
+use super::mapping::Mapping;
 
 const LINKS: usize = MAX_LINKS as usize;
 
@@ -44,23 +44,29 @@ impl LinkMemory {
                 return Err(io::Error::other(format!("a map has {length} entries instead of {MAX_LINKS}")));
             }
         }
+        let mapped = |map, words| Ok::<_, io::Error>(Arc::new(Memory::Mapped(Mapping::new(map, words)?)));
         Ok(Self {
-            counts: Arc::new(Memory::map(counts.map(), LINKS)?),
-            windows: Arc::new(Memory::map(windows.map(), LINKS * WORDS)?),
-            complaints: Arc::new(Memory::map(complaints.map(), LINKS)?),
+            counts: mapped(counts.map(), LINKS)?,
+            windows: mapped(windows.map(), LINKS * WORDS)?,
+            complaints: mapped(complaints.map(), LINKS)?,
         })
     }
 
     /// Forgets the link that had the index before. For a link that no plane takes frames from yet.
     pub fn begin(&self, id: u32) {
         self.set_count(id, 0);
-        self.complaint(id).store(0, Ordering::Relaxed);
+        self.forgive(id);
         self.window(id).iter().for_each(|word| word.store(0, Ordering::Relaxed));
     }
 
     /// The count for the next frame on link `id`: 1 for the first of a link.
     pub fn next_count(&self, id: u32) -> u64 {
         self.count(id).fetch_add(1, Ordering::Relaxed).wrapping_add(1)
+    }
+
+    /// How many frames have left by the link.
+    pub fn sent(&self, id: u32) -> u64 {
+        self.count(id).load(Ordering::Relaxed)
     }
 
     /// Says how many frames have left by the link.
@@ -82,6 +88,11 @@ impl LinkMemory {
             last.store(now, Ordering::Relaxed);
         }
         may
+    }
+
+    /// Lets the next error leave by the link at once.
+    pub fn forgive(&self, id: u32) {
+        self.complaint(id).store(0, Ordering::Relaxed);
     }
 
     fn complaint(&self, id: u32) -> &AtomicU64 {
@@ -117,41 +128,11 @@ impl Memory {
         Self::Own((0..words).map(|_| AtomicU64::new(0)).collect())
     }
 
-    fn map(map: &MapData, words: usize) -> io::Result<Self> {
-        let (fd, bytes) = (map.fd().as_fd().as_raw_fd(), words * size_of::<AtomicU64>());
-        // SAFETY: a fresh mapping of a descriptor that is open; nothing existing is replaced.
-        let address = unsafe {
-            libc::mmap(std::ptr::null_mut(), bytes, libc::PROT_READ | libc::PROT_WRITE, libc::MAP_SHARED, fd, 0)
-        };
-        match NonNull::new(address) {
-            Some(start) if address != libc::MAP_FAILED => Ok(Self::Mapped(Mapping { start: start.cast(), words })),
-            _ => Err(io::Error::last_os_error()),
-        }
-    }
-
     fn words(&self) -> &[AtomicU64] {
         match self {
             Self::Own(words) => words,
-            // SAFETY: `map` mapped so many words here, aligned to a page; they stay until `drop`.
-            Self::Mapped(mapping) => unsafe { std::slice::from_raw_parts(mapping.start.as_ptr(), mapping.words) },
+            Self::Mapped(mapping) => mapping.as_ref(),
         }
-    }
-}
-
-struct Mapping {
-    start: NonNull<AtomicU64>,
-    words: usize,
-}
-
-// SAFETY: the mapping belongs to this value, and all access to it is atomic.
-unsafe impl Send for Mapping {}
-// SAFETY: as above.
-unsafe impl Sync for Mapping {}
-
-impl Drop for Mapping {
-    fn drop(&mut self) {
-        // SAFETY: the mapping that `map` made, unmapped once.
-        unsafe { libc::munmap(self.start.as_ptr().cast(), self.words * size_of::<AtomicU64>()) };
     }
 }
 

@@ -2,45 +2,65 @@
 //! attaches, the kernel holds the same entries and forwards before the daemon sees a frame.
 //!
 //! Knows links and routes as `gdp-wire` has them, nothing of names' owners, certificates or the RIB. Called by the daemon
-//! (`serve`); [`kernel`] also by the kernel tests and `bench forward`.
+//! (`serve`); [`kernel`] and [`fib`] also by the kernel tests and `bench forward`.
 //!
-//! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`], [`explain`] and [`xdp_features`] serve it
+//! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`] and [`explain`] serve it
+//! - [`losses`]: what is lost after a redirect; [`kernel_types`] serves it
+//! - [`device`]: interfaces as the kernel describes them; [`xdp_features`] and [`netlink`] serve it
 //! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
+//! - [`fib`]: the names in the kernel, and room for more of them
 //! - [`groups`]: which links take copies of a frame; [`kernel_groups`] and [`group_places`]: what the kernel holds of them
-//! - [`link_memory`]: what the two planes share
+//! - [`link_memory`]: what the two planes share; this and the FIB are [`mapping`]s
+//! - [`notices`]: what neighbours say to this node itself
+//! - [`udp`]: which addresses and interfaces carry links over UDP
+//! - [`tally`]: what is counted by link and by name
 //! - [`pins`]: what stays in the kernel when the daemon dies
 
+pub mod device;
 pub mod explain;
+pub mod fib;
 pub mod forwarder;
 pub mod group_places;
 pub mod groups;
 pub mod kernel;
 pub mod kernel_groups;
+pub mod kernel_types;
 pub mod kernel_version;
 pub mod link_memory;
+pub mod losses;
+mod mapping;
+pub mod netlink;
+pub mod notices;
 pub mod object;
 pub mod pins;
+pub mod tally;
+pub mod udp;
 pub mod userspace;
 pub mod xdp_features;
 
 use std::collections::{HashMap, HashSet};
+use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLockReadGuard, RwLockWriteGuard};
 
 use gdp::port::{DataSocket, Interface, LinkAddr};
-use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS, PORT_USERSPACE, Tables, mac_bytes};
-use gdp_wire::{Counter, FibEntry, LinkEntry, LinkRole, Name, Permit, SwitchConfig};
+use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS, PORT_ROUTED, PORT_USERSPACE, Tables, ip_of, mac_bytes};
+use gdp_wire::{Carrier, Counter, FibEntry, Header, LinkEntry, LinkRole, Name, Permit, SwitchConfig, Vlan};
 
+use device::Device;
 use forwarder::{Forwarder, Medium, Shared};
 use group_places::Member;
 use groups::Groups;
 use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
 use link_memory::LinkMemory;
+use notices::Notices;
 use pins::{Pins, PinsError};
+use udp::Routing;
 use userspace::UserTables;
 use xdp_features::XdpFeatures;
 
-/// Names the FIB can hold unless configured otherwise; about 125 B of kernel memory each.
+/// Names the FIB can hold unless configured otherwise. The kernel's table begins with room for 1024 names and doubles as names
+/// come: 128 to 256 B of kernel memory each.
 pub const FIB_CAPACITY: u32 = 65536;
 
 /// Largest frame read from UDP.
@@ -123,6 +143,8 @@ pub struct PlaneRoute {
 
 /// All planes of a daemon. Dropping it detaches the XDP programs and ends the threads; but what was taken over from an earlier
 /// daemon stays in the kernel as long as that has not been brought to an end.
+///
+/// Whatever changes it is to be called in the network namespace of its interfaces: the kernel knows them by number.
 pub struct Planes {
     config: PlaneConfig,
     kernel: Result<KernelPlane, String>,
@@ -131,30 +153,54 @@ pub struct Planes {
     link_memory: LinkMemory,
     own_bit: u64,
     groups: Groups,
+    /// Ethernet ports by interface.
     ports: HashMap<u32, Port>,
-    udp: Option<Forwarder>,
+    /// Interfaces that have a program, or should: those of Ethernet ports, or below them, and those that carry UDP.
+    devices: HashMap<u32, Served>,
+    udp: Option<UdpPort>,
+    /// Once links over UDP are used.
+    routing: Option<Routing>,
     left: Option<Left>,
 }
 
 /// What an earlier daemon left in the kernel, and nobody has confirmed or removed yet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Left {
-    pub links: Vec<LinkEntry>,
+    /// This switch's egress bit.
+    pub own_bit: u64,
+    /// With where frames of each go.
+    pub links: Vec<(LinkEntry, LinkAddr)>,
     pub routes: Vec<(Name, PlaneRoute)>,
     pub next_hops: [u32; EGRESS_SET_SIZE as usize],
     /// Interfaces.
     pub ports: HashSet<u32>,
 }
 
-/// An interface that frames come and go by.
+/// An interface that GDP runs on directly.
 struct Port {
-    /// Whether the kernel can be told to send there; its key in the device map is the index of the interface.
-    in_kernel: bool,
-    attached: Option<Mode>,
     interface: String,
+    /// The interface that takes its frames: itself, or the one that it is a VLAN of.
+    device: u32,
+    vlan: Option<u16>,
+    forwarder: Forwarder,
+}
+
+/// Where the links over UDP are.
+struct UdpPort {
+    bound: SocketAddr,
+    forwarder: Forwarder,
+    /// Interfaces that have one of the socket's addresses.
+    devices: HashSet<u32>,
+}
+
+/// An interface that packets arrive on and leave by.
+struct Served {
+    name: String,
+    attached: Option<Mode>,
     /// Why it got this plane.
     reason: String,
-    forwarder: Forwarder,
+    /// Whether the kernel sends there; its key in the device map is the index of the interface.
+    sends: bool,
 }
 
 impl Planes {
@@ -184,7 +230,9 @@ impl Planes {
             own_bit: 0,
             groups: Groups::default(),
             ports: HashMap::new(),
+            devices: HashMap::new(),
             udp: None,
+            routing: None,
             left: None,
         };
         match adopted {
@@ -205,64 +253,57 @@ impl Planes {
     pub fn end_adoption(&mut self) -> Result<(), PlaneError> {
         let Some(left) = self.left.take() else { return Ok(()) };
         if let Ok(kernel) = &mut self.kernel {
-            for ifindex in left.ports.iter().filter(|ifindex| !self.ports.contains_key(ifindex)) {
+            for ifindex in left.ports.iter().filter(|ifindex| !self.devices.contains_key(ifindex)) {
                 kernel.clear_port(*ifindex)?;
             }
             if let Err(error) = kernel.drop_left_over() {
                 tracing::warn!(%error, "a program of an earlier daemon stays on an interface");
             }
         }
+        self.refresh()?;
         self.set_all_kernel_groups();
-        self.refresh()
+        Ok(())
     }
 
-    /// Takes over what arrives on an interface (of the calling thread's network namespace) by the best plane there is.
+    /// Takes over what arrives on an interface (of the calling thread's network namespace) by the best plane there is. What is a
+    /// VLAN is served on the interface below it: native XDP runs only there.
     pub fn attach(&mut self, interface: &Interface, socket: Arc<DataSocket>) -> Result<InterfacePlane, PlaneError> {
         self.detach(interface.index);
-        let (attached, reason) = self.attach_program(interface);
-        if attached.is_none() && self.config.wanted == Wanted::Xdp {
+        let (device, name) = match &interface.vlan {
+            Some(vlan) => (vlan.lower_index, &vlan.lower),
+            None => (interface.index, &interface.name),
+        };
+        self.use_device(device, name, true);
+        if self.devices[&device].attached.is_none() && self.config.wanted == Wanted::Xdp {
+            let reason = self.devices[&device].reason.clone();
+            self.leave_device(device);
             return Err(PlaneError::NoXdp { interface: interface.name.clone(), reason });
         }
         let medium = Medium::Ethernet(interface.index);
         let forwarder = Forwarder::start(medium, socket, interface.mtu as usize, &self.shared)
             .map_err(|source| PlaneError::Thread { interface: interface.name.clone(), source })?;
-        let in_kernel = self.make_port(interface.index)?;
-        let port = Port { in_kernel, attached, interface: interface.name.clone(), reason, forwarder };
+        let vlan = interface.vlan.as_ref().map(|vlan| vlan.id);
+        let port = Port { interface: interface.name.clone(), device, vlan, forwarder };
         self.ports.insert(interface.index, port);
-        self.set_all_kernel_groups();
         self.refresh()?;
-        Ok(self.report_of(interface.index, &self.ports[&interface.index]))
+        self.set_all_kernel_groups();
+        Ok(self.report_of(&interface.name, device))
     }
 
     /// Lets go of an interface; what arrives there is no longer forwarded. An unknown one is no error.
     pub fn detach(&mut self, ifindex: u32) {
         let Some(port) = self.ports.remove(&ifindex) else { return };
-        if let Some(left) = &mut self.left {
-            left.ports.remove(&ifindex);
-        }
-        self.let_go(ifindex, &port);
+        self.leave_device(port.device);
         self.set_all_kernel_groups();
-    }
-
-    fn let_go(&mut self, ifindex: u32, port: &Port) {
-        if let Ok(kernel) = &mut self.kernel
-            && let Err(error) = kernel.detach(ifindex)
-        {
-            // As when the interface was deleted.
-            tracing::debug!(interface = port.interface, %error, "the XDP program was already gone");
-        }
-        if let (true, Ok(kernel)) = (port.in_kernel, &mut self.kernel) {
-            let _ = kernel.clear_port(ifindex);
-        }
     }
 
     /// Lets go of everything; nothing stays in the kernel.
     pub fn detach_all(&mut self) {
         self.stop_threads();
-        for (ifindex, port) in std::mem::take(&mut self.ports) {
-            self.let_go(ifindex, &port);
+        for port in std::mem::take(&mut self.ports).into_values() {
+            self.leave_device(port.device);
         }
-        self.udp = None;
+        self.detach_udp();
         self.left = None;
         if let Ok(kernel) = &mut self.kernel
             && let Err(error) = kernel.unpin()
@@ -278,43 +319,87 @@ impl Planes {
 
     /// So that the threads end side by side.
     fn stop_threads(&self) {
-        self.ports.values().map(|port| &port.forwarder).chain(&self.udp).for_each(Forwarder::stop);
+        let udp = self.udp.iter().map(|udp| &udp.forwarder);
+        self.ports.values().map(|port| &port.forwarder).chain(udp).for_each(Forwarder::stop);
     }
 
-    /// Takes over what arrives over UDP; always in userspace.
-    pub fn attach_udp(&mut self, socket: Arc<DataSocket>) -> Result<(), PlaneError> {
-        self.udp = None;
+    /// Takes over what arrives over UDP at `bound`: in the kernel on the Ethernet interfaces that have such an address and can run
+    /// native XDP (generic XDP would burden all that the host receives there), otherwise in userspace.
+    pub fn attach_udp(
+        &mut self,
+        socket: Arc<DataSocket>,
+        bound: SocketAddr,
+    ) -> Result<Vec<InterfacePlane>, PlaneError> {
+        self.detach_udp();
         let forwarder = Forwarder::start(Medium::Udp, socket, LARGEST_UDP_FRAME, &self.shared)
             .map_err(|source| PlaneError::Thread { interface: "udp".into(), source })?;
-        self.udp = Some(forwarder);
-        Ok(())
+        self.udp = Some(UdpPort { bound, forwarder, devices: HashSet::new() });
+        self.refresh()?;
+        let devices = self.udp.iter().flat_map(|udp| &udp.devices);
+        Ok(devices.map(|device| self.report_of(&self.devices[device].name, *device)).collect())
+    }
+
+    fn detach_udp(&mut self) {
+        let Some(udp) = self.udp.take() else { return };
+        udp.devices.into_iter().for_each(|device| self.leave_device(device));
     }
 
     /// Which plane each interface got and why, by interface name.
     pub fn report(&self) -> Vec<InterfacePlane> {
-        let mut report: Vec<_> = self.ports.iter().map(|(ifindex, port)| self.report_of(*ifindex, port)).collect();
+        let mut report: Vec<_> = self.ports.values().map(|port| self.report_of(&port.interface, port.device)).collect();
+        let udp =
+            self.udp.iter().flat_map(|udp| &udp.devices).filter_map(|device| Some((device, self.devices.get(device)?)));
+        let others = udp.filter(|(_, device)| self.ports.values().all(|port| port.interface != device.name));
+        report.extend(others.map(|(ifindex, device)| self.report_of(&device.name, *ifindex)));
         report.sort_by(|a, b| a.interface.cmp(&b.interface));
         report
     }
 
+    /// Why links over UDP, of IPv4 and of IPv6, are left to the userspace plane, if they are.
+    pub fn udp_in_userspace(&self) -> [Option<String>; 2] {
+        match (&self.kernel, &self.routing) {
+            (Err(reason), _) => [Some(reason.clone()), Some(reason.clone())],
+            (_, Some(routing)) => [routing.v4.clone().err(), routing.v6.clone().err()],
+            (Ok(_), None) => [None, None],
+        }
+    }
+
     /// Adds or replaces a link; frames of it are sent to `to`. `entry.port` is filled in here.
     pub fn set_link(&mut self, mut entry: LinkEntry, to: LinkAddr) -> Result<(), PlaneError> {
-        entry.port = self.port_for(to);
-        let mut tables = self.tables();
-        if tables.link(entry.id).is_none() {
+        entry.port = self.port_for(&entry, to);
+        if self.read_tables().link(entry.id).is_none() {
             self.link_memory.begin(entry.id);
+            self.shared.notices.begin(entry.id);
+            self.shared.tally.begin(entry.id);
+            if let Ok(kernel) = &mut self.kernel {
+                kernel.begin_link(entry.id)?;
+            }
         }
-        let before = tables.set_link(entry, to);
-        drop(tables);
+        let before = self.tables().set_link(entry, to);
         if let Ok(kernel) = &mut self.kernel {
             kernel.set_link(&entry)?;
         }
-        let place = |link: &LinkEntry| (link.id, link.role, link.port);
+        let place = |link: &LinkEntry| (link.id, link.role, link.port, link.reach);
         if before.as_ref().map(place) != Some(place(&entry)) {
             self.set_kernel_groups_of(before.as_slice());
             self.set_kernel_groups_of(&[entry]);
         }
         Ok(())
+    }
+
+    /// Frames sent on a link by any plane.
+    pub fn frames_sent(&self, id: u32) -> u64 {
+        self.link_memory.sent(id)
+    }
+
+    /// Asks the data plane of the neighbour on a link whether it lives.
+    pub fn ask(&self, link: u32, cookie: u64) {
+        self.shared.send_own(link, Header::echo(cookie));
+    }
+
+    /// What neighbours said to this node itself.
+    pub fn notices(&self) -> &Notices {
+        &self.shared.notices
     }
 
     /// An unknown link is no error.
@@ -325,6 +410,11 @@ impl Planes {
             kernel.remove_link(id)?;
         }
         Ok(())
+    }
+
+    /// All links, as the planes hold them.
+    pub fn links(&self) -> Vec<LinkEntry> {
+        self.read_tables().links().map(|(entry, _)| *entry).collect()
     }
 
     /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold the same number.
@@ -364,7 +454,7 @@ impl Planes {
     /// An unknown name is no error.
     pub fn remove_route(&mut self, name: &Name) -> Result<(), PlaneError> {
         if let Ok(kernel) = &mut self.kernel {
-            kernel.remove_route(name)?;
+            kernel.remove_route(name);
         }
         let Some((before, permits)) = self.tables().remove_route(name) else { return Ok(()) };
         if let Ok(kernel) = &mut self.kernel {
@@ -386,6 +476,11 @@ impl Planes {
         self.groups.readers(entry.group).to_vec()
     }
 
+    /// Whether frames that leave by a link do so without the userspace plane, if they come in by XDP.
+    pub fn kernel_sends_on(&self, id: u32) -> bool {
+        self.kernel.is_ok() && self.read_tables().link(id).is_some_and(|link| link.port != PORT_USERSPACE)
+    }
+
     /// For each egress bit the link toward that switch, or 0.
     pub fn set_next_hops(&mut self, next_hops: &[u32; EGRESS_SET_SIZE as usize]) -> Result<(), PlaneError> {
         self.tables().set_next_hops(next_hops);
@@ -403,6 +498,7 @@ impl Planes {
         if let Ok(kernel) = &mut self.kernel {
             kernel.set_config(config)?;
         }
+        self.set_all_kernel_groups();
         Ok(())
     }
 
@@ -411,6 +507,39 @@ impl Planes {
         let kernel = self.kernel.as_ref().map_or(Ok([0; Counter::COUNT]), KernelPlane::counters)?;
         let userspace = self.shared.counters();
         Ok(Counter::ALL.iter().zip(kernel.into_iter().zip(userspace)).map(|(c, (k, u))| (*c, k, u)).collect())
+    }
+
+    /// What became of the frames that came in on a link, whichever plane took them. In the order of [`Counter::ALL`].
+    pub fn arrivals(&self, link: u32) -> Result<tally::Row, PlaneError> {
+        let userspace = self.shared.tally.of(link);
+        let Ok(kernel) = &self.kernel else { return Ok(userspace) };
+        let kernel = kernel.tally().of(link).map_err(|source| UpdateError::Map { map: "LINK_COUNTERS", source })?;
+        Ok(std::array::from_fn(|i| kernel[i] + userspace[i]))
+    }
+
+    /// The names most frames left for, the busiest first, with about how many those were.
+    pub fn busiest(&self, limit: usize) -> Result<Vec<(Name, u64)>, PlaneError> {
+        let mut names = self.shared.tally.busiest();
+        if let Ok(kernel) = &self.kernel {
+            let counted = kernel.tally().busiest().map_err(|source| UpdateError::Map { map: "BUSIEST", source })?;
+            counted.into_iter().for_each(|(name, frames)| *names.entry(name).or_default() += frames);
+        }
+        let mut names: Vec<_> = names.into_iter().collect();
+        names.sort_unstable_by_key(|(name, frames)| (std::cmp::Reverse(*frames), *name));
+        names.truncate(limit);
+        Ok(names)
+    }
+
+    /// Frames that were lost after a redirect, by the name of the interface they were to leave by; or why that is not known.
+    pub fn losses(&self) -> Result<HashMap<String, u64>, String> {
+        let Ok(kernel) = &self.kernel else { return Ok(HashMap::new()) };
+        if let Some(error) = kernel.uncounted() {
+            return Err(format!("frames that are lost after a redirect are not counted: {error}"));
+        }
+        let losses = kernel.losses().map_err(|error| error.to_string())?;
+        let named =
+            losses.into_iter().filter_map(|(ifindex, lost)| Some((self.ports.get(&ifindex)?.interface.clone(), lost)));
+        Ok(named.collect())
     }
 
     /// What frames are forwarded by: read back from the kernel where XDP runs.
@@ -435,10 +564,10 @@ impl Planes {
         }
         routes.sort_unstable_by(order);
         match &self.kernel {
-            Ok(kernel) if self.ports.values().any(|port| port.attached.is_some()) => {
+            Ok(kernel) if self.devices.values().any(|device| device.attached.is_some()) => {
                 let mut held = Vec::with_capacity(routes.len());
                 for (name, _) in routes {
-                    held.extend(kernel.route(&name)?.map(|entry| (name, entry)));
+                    held.extend(kernel.route(&name).map(|entry| (name, entry)));
                 }
                 Ok((held, more))
             }
@@ -446,74 +575,196 @@ impl Planes {
         }
     }
 
-    /// Looks again which interfaces take redirected frames (a veth does depending on its peer), and moves the links on them
-    /// to the plane that can send. Cheap; for the daemon to call now and then, and after changes to interfaces.
+    /// Looks again at which addresses UDP arrives, and which interfaces take redirected frames (a veth does depending on its peer);
+    /// and moves links to the plane that can send. Cheap; for the daemon to call now and then, and after changes to interfaces, in
+    /// the network namespace of these.
     pub fn refresh(&mut self) -> Result<(), PlaneError> {
+        self.follow_udp()?;
+        self.follow_vlans()?;
+        let sends: HashMap<u32, bool> =
+            self.devices.keys().map(|ifindex| (*ifindex, self.kernel_can_send_to(*ifindex))).collect();
+        for (ifindex, sends) in &sends {
+            if *sends && !self.devices[ifindex].sends {
+                self.make_port(*ifindex)?;
+            }
+        }
+        let stop: Vec<u32> = sends
+            .into_iter()
+            .filter(|(ifindex, sends)| !sends && self.devices[ifindex].sends)
+            .map(|(i, _)| i)
+            .collect();
+        for ifindex in &stop {
+            self.devices.get_mut(ifindex).into_iter().for_each(|device| device.sends = false);
+        }
         let links: Vec<_> = self.read_tables().links().copied().collect();
         for (entry, to) in links {
-            if self.port_for(to) != entry.port {
+            if self.port_for(&entry, to) != entry.port {
                 self.set_link(entry, to)?;
             }
+        }
+        // Last: no link leads there any more.
+        if let Ok(kernel) = &mut self.kernel {
+            stop.into_iter().try_for_each(|ifindex| kernel.clear_port(ifindex))?;
         }
         Ok(())
     }
 
-    fn report_of(&self, ifindex: u32, port: &Port) -> InterfacePlane {
-        let kind = match &port.attached {
+    /// Has the kernel take what arrives at the addresses that the UDP socket has now, on the interfaces that have them.
+    fn follow_udp(&mut self) -> Result<(), PlaneError> {
+        let Ok(kernel) = &mut self.kernel else { return Ok(()) };
+        let Some(udp) = &self.udp else {
+            // What an earlier daemon took is still to be taken, for a while.
+            return if self.left.is_none() { Ok(kernel.set_addresses(&HashSet::new())?) } else { Ok(()) };
+        };
+        let taken = match udp::addresses() {
+            Ok(addresses) => udp::taken_at(udp.bound, addresses),
+            Err(error) => {
+                tracing::warn!(%error, "the addresses of interfaces cannot be read; UDP is taken where it was");
+                return Ok(());
+            }
+        };
+        self.routing.get_or_insert_with(Routing::enable);
+        kernel.set_addresses(&taken.iter().map(|(address, _)| *address).collect())?;
+        // Those that are no Ethernet interfaces cannot be found.
+        let interfaces = taken.iter().filter(|(_, at)| !at.loopback).map(|(_, at)| at.interface.as_str());
+        let found = interfaces.collect::<HashSet<_>>().into_iter().filter_map(|name| Interface::find(name).ok());
+        let found: HashMap<u32, String> = found.map(|interface| (interface.index, interface.name)).collect();
+        let Some(udp) = &mut self.udp else { return Ok(()) };
+        let before = std::mem::replace(&mut udp.devices, found.keys().copied().collect());
+        for (ifindex, name) in found.iter().filter(|(ifindex, _)| !before.contains(ifindex)) {
+            self.use_device(*ifindex, name, false);
+        }
+        before
+            .into_iter()
+            .filter(|ifindex| !found.contains_key(ifindex))
+            .for_each(|ifindex| self.leave_device(ifindex));
+        Ok(())
+    }
+
+    /// Has the kernel take the tagged frames of the ports that are VLANs.
+    fn follow_vlans(&mut self) -> Result<(), PlaneError> {
+        if self.left.is_some() {
+            // What an earlier daemon took is still to be taken.
+            return Ok(());
+        }
+        let vlan = |port: &Port| Some(Vlan { ifindex: port.device, id: port.vlan?.into() });
+        let vlans = self.ports.values().filter_map(vlan).collect();
+        if let Ok(kernel) = &mut self.kernel {
+            kernel.set_vlans(&vlans)?;
+        }
+        Ok(())
+    }
+
+    fn report_of(&self, interface: &str, device: u32) -> InterfacePlane {
+        let (attached, reason) =
+            self.devices.get(&device).map_or((None, ""), |device| (device.attached, device.reason.as_str()));
+        let kind = match attached {
             Some(Mode::Native) => "xdp-native",
             Some(Mode::Generic) => "xdp-generic",
             None => "userspace",
         };
-        let leaves_in_kernel = port.attached.is_none() || self.kernel_can_send_to(ifindex);
-        let reason = port.reason.clone() + if leaves_in_kernel { "" } else { NO_REDIRECT };
-        InterfacePlane { interface: port.interface.clone(), kind, reason }
+        let leaves_in_kernel = attached.is_none() || self.kernel_can_send_to(device);
+        let reason = reason.to_owned() + if leaves_in_kernel { "" } else { NO_REDIRECT };
+        InterfacePlane { interface: interface.to_owned(), kind, reason }
     }
 
-    fn attach_program(&mut self, interface: &Interface) -> (Option<Mode>, String) {
+    /// Puts the program on an interface, unless it is there. `generic`: if need be in the generic mode.
+    fn use_device(&mut self, ifindex: u32, name: &str, generic: bool) {
+        if self.devices.get(&ifindex).is_none_or(|device| device.attached.is_none()) {
+            let (attached, reason) = self.attach_program(ifindex, name, generic);
+            self.devices.insert(ifindex, Served { name: name.to_owned(), attached, reason, sends: false });
+        }
+    }
+
+    /// Takes the program off an interface that nothing uses any more.
+    fn leave_device(&mut self, ifindex: u32) {
+        let by_port = self.ports.values().any(|port| port.device == ifindex);
+        let by_udp = self.udp.as_ref().is_some_and(|udp| udp.devices.contains(&ifindex));
+        if by_port || by_udp {
+            return;
+        }
+        let Some(device) = self.devices.remove(&ifindex) else { return };
+        if let Ok(kernel) = &mut self.kernel
+            && let Err(error) = kernel.detach(ifindex)
+        {
+            // As when the interface was deleted.
+            tracing::debug!(interface = device.name, %error, "the XDP program was already gone");
+        }
+        if let (true, Ok(kernel)) = (device.sends, &mut self.kernel) {
+            let _ = kernel.clear_port(ifindex);
+        }
+        if let Some(left) = &mut self.left {
+            left.ports.remove(&ifindex);
+        }
+    }
+
+    fn attach_program(&mut self, ifindex: u32, name: &str, generic: bool) -> (Option<Mode>, String) {
         let kernel = match &mut self.kernel {
             Ok(kernel) => kernel,
             Err(reason) => return (None, reason.clone()),
         };
-        match kernel.take_over(interface.index) {
+        match kernel.take_over(ifindex) {
             Ok(Some(mode)) => return (Some(mode), "taken over from the daemon before this one".into()),
             Ok(None) => {}
             Err(error) => {
-                tracing::warn!(interface = interface.name, %error, "the program of an earlier daemon cannot be replaced in place");
+                tracing::warn!(interface = name, %error, "the program of an earlier daemon cannot be replaced in place");
             }
         }
-        let native = match kernel.attach(interface.index, Mode::Native) {
+        let native = match kernel.attach(ifindex, Mode::Native) {
             Ok(()) => return (Some(Mode::Native), "the driver supports it".into()),
             Err(error) => error,
         };
-        let why = explain::attach(&native);
         if explain::is_occupied(&native) {
-            return (None, why);
+            return (None, occupied(ifindex));
         }
-        match kernel.attach(interface.index, Mode::Generic) {
+        let why = explain::attach(&native);
+        if !generic {
+            return (None, format!("no native XDP: {why}; links over UDP do without generic XDP"));
+        }
+        match kernel.attach(ifindex, Mode::Generic) {
             Ok(()) => (Some(Mode::Generic), format!("no native XDP: {why}")),
             Err(generic) => (None, format!("no native XDP: {why}; no generic XDP: {}", explain::attach(&generic))),
         }
     }
 
-    /// Tells the kernel that it may send to an interface; `false` if it cannot be told.
-    fn make_port(&mut self, ifindex: u32) -> Result<bool, PlaneError> {
-        let Ok(kernel) = &mut self.kernel else { return Ok(false) };
-        match kernel.set_port(ifindex, ifindex) {
-            // What leaves here goes through the userspace plane.
-            Err(UpdateError::PortsFull) => Ok(false),
-            result => Ok(result.map(|()| true)?),
-        }
+    /// Tells the kernel that it may send to an interface.
+    fn make_port(&mut self, ifindex: u32) -> Result<(), PlaneError> {
+        let Ok(kernel) = &mut self.kernel else { return Ok(()) };
+        let sends = match kernel.set_port(ifindex, ifindex) {
+            // What leaves here goes through the userspace plane; and so while the interface is going away.
+            Err(UpdateError::PortsFull | UpdateError::Port { .. }) => false,
+            result => result.map(|()| true)?,
+        };
+        self.devices.get_mut(&ifindex).into_iter().for_each(|device| device.sends = sends);
+        Ok(())
     }
 
-    /// The port by which the kernel can send to `to`, or [`PORT_USERSPACE`].
-    fn port_for(&self, to: LinkAddr) -> u32 {
-        let LinkAddr::Ethernet { ifindex, .. } = to else { return PORT_USERSPACE };
-        let sends = match self.ports.get(&ifindex) {
-            Some(port) => port.in_kernel && self.kernel_can_send_to(ifindex),
-            // Not taken over yet, perhaps.
-            None => self.left.as_ref().is_some_and(|left| left.ports.contains(&ifindex)),
+    /// The port by which the kernel can send on a link, or [`PORT_USERSPACE`].
+    fn port_for(&self, entry: &LinkEntry, to: LinkAddr) -> u32 {
+        let (port, sends) = match to {
+            LinkAddr::Ethernet { ifindex, .. } => {
+                let device = self.ports.get(&ifindex).map_or(ifindex, |port| port.device);
+                let sends = match self.devices.get(&device) {
+                    Some(device) => device.sends,
+                    // Not taken over yet, perhaps.
+                    None => self.left.as_ref().is_some_and(|left| left.ports.contains(&device)),
+                };
+                (device, sends)
+            }
+            LinkAddr::Udp(_) => (PORT_ROUTED, self.kernel_routes(&entry.carrier)),
         };
-        if sends { ifindex } else { PORT_USERSPACE }
+        if sends { port } else { PORT_USERSPACE }
+    }
+
+    /// Whether the kernel plane can send datagrams to where a carrier says.
+    fn kernel_routes(&self, carrier: &Carrier) -> bool {
+        let (Ok(_), Some(routing)) = (&self.kernel, &self.routing) else { return false };
+        let routes = match carrier.kind {
+            Carrier::UDP4 => routing.v4.is_ok(),
+            Carrier::UDP6 => routing.v6.is_ok() && carrier.flags & Carrier::ZERO_CHECKSUM != 0,
+            _ => false,
+        };
+        routes && carrier.local_ip != [0; 4]
     }
 
     /// Permits come before the entry that says to look for them, and go after.
@@ -564,18 +815,19 @@ impl Planes {
     /// Tells the kernel which links are in a group. What it cannot copy to is left to the userspace plane.
     fn set_kernel_group(&mut self, group: u32) {
         let Ok(kernel) = &self.kernel else { return };
-        let mut complete = !kernel.has_generic();
+        let mut served = if kernel.has_generic() { 0 } else { u64::MAX };
         let mut members = Vec::new();
         let tables = self.read_tables();
         for link in tables.members(group).filter_map(|id| tables.link(id)) {
             match self.egress_interface(link) {
                 Some(interface) => members.push(Member { link: link.id, interface }),
-                None => complete = false,
+                None if link.role == LinkRole::Switch as u32 => served &= !link.reach,
+                None => served &= !self.own_bit,
             }
         }
         drop(tables);
         if let Ok(kernel) = &mut self.kernel
-            && let Err(error) = kernel.set_group(group, &members, complete)
+            && let Err(error) = kernel.set_group(group, &members, served)
         {
             tracing::warn!(group, %error, "the userspace plane copies the frames for a group of links");
         }
@@ -583,30 +835,37 @@ impl Planes {
 
     /// Where the kernel's frames for a link leave, if it can send them.
     fn egress_interface(&self, link: &LinkEntry) -> Option<u32> {
-        let known = match self.ports.get(&link.port) {
-            Some(port) => port.in_kernel,
+        let known = match self.devices.get(&link.port) {
+            Some(device) => device.sends,
             None => self.left.as_ref().is_some_and(|left| left.ports.contains(&link.port)),
         };
         known.then_some(link.port)
     }
 
     fn kernel_can_send_to(&self, ifindex: u32) -> bool {
+        if self.kernel.is_err() {
+            return false;
+        }
         // What generic XDP redirects are ordinary packets, which every interface takes.
-        let only_generic = self.ports.values().all(|port| port.attached != Some(Mode::Native));
-        let asked = self.features.as_ref().and_then(|features| features.takes_redirects(ifindex).ok());
+        let only_generic = self.devices.values().all(|device| device.attached != Some(Mode::Native));
+        let asked = self.features.as_ref().and_then(|features| Some(features.of(ifindex).ok()?.takes_redirects()));
         only_generic || asked.unwrap_or(true)
     }
 
     fn adopt(&mut self, adopted: Adopted) -> Result<(), PlaneError> {
         let Adopted { config, links, routes, next_hops, ports, groups } = adopted;
         self.own_bit = config.own_bit;
-        let mut left = Left { links: Vec::new(), routes: Vec::new(), next_hops, ports: HashSet::new() };
-        left.ports.extend(ports.into_iter().map(|(port, _)| port));
+        let ports = ports.into_iter().map(|(port, _)| port).collect();
+        let mut left = Left { own_bit: config.own_bit, links: Vec::new(), routes: Vec::new(), next_hops, ports };
         for entry in links {
-            if left.ports.contains(&entry.port) {
-                let to = LinkAddr::Ethernet { ifindex: entry.port, mac: mac_bytes(entry.carrier.peer_mac) };
+            let to = adopted_address(&entry);
+            let is_udp = matches!(to, Some(LinkAddr::Udp(_)));
+            if let Some(to) = to.filter(|_| is_udp || left.ports.contains(&entry.port)) {
+                if entry.port == PORT_ROUTED {
+                    self.routing.get_or_insert_with(Routing::enable);
+                }
                 self.tables().set_link(entry, to);
-                left.links.push(entry);
+                left.links.push((entry, to));
             } else if let Ok(kernel) = &mut self.kernel {
                 // Only the daemon that died knew where it leads.
                 kernel.remove_link(entry.id)?;
@@ -686,21 +945,50 @@ fn entry_of(name: &Name, route: &PlaneRoute, group: u32) -> (FibEntry, Vec<Permi
     (entry, others.iter().map(|link| Permit { name: *name, link: *link, part: Permit::DESTINATION }).collect())
 }
 
-/// A route that an earlier daemon left. Its writers are known by their old links, and come back on new ones before the RIB says
-/// so: until it has replaced the route, every endpoint may send to the name, as itself; readers know who may write. `readers`: of its
-/// group, as far as that was in the kernel.
+/// Where a link leads that an earlier daemon left, if its entry tells.
+fn adopted_address(entry: &LinkEntry) -> Option<LinkAddr> {
+    let carrier = &entry.carrier;
+    match carrier.kind {
+        Carrier::ETHERNET if entry.port < PORT_ROUTED => {
+            Some(LinkAddr::Ethernet { ifindex: entry.port, mac: mac_bytes(carrier.peer_mac) })
+        }
+        Carrier::UDP4 | Carrier::UDP6 => {
+            let ip = ip_of(carrier.kind, carrier.peer_ip);
+            // A link-local address leads nowhere without its interface.
+            let link_local = matches!(ip, IpAddr::V6(ip) if ip.is_unicast_link_local());
+            (!link_local).then(|| LinkAddr::udp(SocketAddr::new(ip, u16::from_be(carrier.peer_port))))
+        }
+        _ => None,
+    }
+}
+
+/// A route that an earlier daemon left. If there are several writers here, their permits cannot be read back: until the RIB has
+/// said them again, every endpoint may send to the name, as itself; readers know who may write. `readers`: of its group, as far
+/// as that was in the kernel.
 fn adopted_route(entry: &FibEntry, readers: Option<&[u32]>) -> PlaneRoute {
     let only = Some(entry.local_link).filter(|link| *link != 0);
     PlaneRoute {
         egress_bits: entry.egress_bits,
         readers: readers.map_or_else(|| only.into_iter().collect(), <[u32]>::to_vec),
-        writers: Some(ANY_WRITER).filter(|_| entry.writer_link != 0).into_iter().collect(),
+        writers: match (entry.writer_link, entry.more_writers) {
+            (0, _) => Vec::new(),
+            (writer, 0) => vec![writer],
+            _ => vec![ANY_WRITER],
+        },
     }
 }
 
 /// Those that are not among `others`.
 fn without(permits: &[Permit], others: &[Permit]) -> Vec<Permit> {
     permits.iter().filter(|permit| !others.contains(permit)).copied().collect()
+}
+
+/// Whose program is in the way, and what removes it.
+fn occupied(ifindex: u32) -> String {
+    match Device::find(ifindex).ok().and_then(|device| device.program) {
+        Some(program) => format!("another XDP program is attached: {program}; {}", program.remedy()),
+        None => "another XDP program is attached, and gone by now".into(),
+    }
 }
 
 const NO_REDIRECT: &str = "; frames leave here through the userspace plane, because the interface takes no redirected frames (a \

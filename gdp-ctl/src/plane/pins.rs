@@ -54,6 +54,11 @@ pub enum PinsError {
     Layout { path: PathBuf, what: &'static str, found: u32, wanted: u32 },
     #[error("{}: {source}", path.display())]
     Map { path: PathBuf, source: MapError },
+    #[error(
+        "{}: it does not hold a FIB; `gdp-ctl xdp detach` removes what the last daemon left, and frames stop until one runs again",
+        .0.display()
+    )]
+    NotAFib(PathBuf),
 }
 
 impl PinsError {
@@ -200,6 +205,11 @@ pub fn find(bpffs: &Path) -> Result<Vec<Found>, PinsError> {
     Ok(found)
 }
 
+/// Whether there is a BPF file system.
+pub fn is_mounted(at: &Path) -> bool {
+    CString::new(at.as_os_str().as_bytes()).is_ok_and(|path| is_bpffs(&path))
+}
+
 /// Sees to it that there is a BPF file system.
 fn mount(at: &Path) -> Result<(), PinsError> {
     let missing = |reason: String| PinsError::NoBpffs { path: at.into(), reason };
@@ -211,6 +221,15 @@ fn mount(at: &Path) -> Result<(), PinsError> {
         return Err(missing("there is something else; name another folder as `bpffs`".into()));
     }
     fs::DirBuilder::new().recursive(true).mode(0o700).create(at).map_err(|error| missing(error.to_string()))?;
+    // Of several daemons that start at once, one mounts it: a second one would hide what the first has pinned.
+    let folder = File::open(at).map_err(|error| missing(error.to_string()))?;
+    // SAFETY: the descriptor is open; the lock ends with it.
+    if unsafe { libc::flock(folder.as_raw_fd(), libc::LOCK_EX) } != 0 {
+        return Err(missing(format!("it cannot be locked: {}", io::Error::last_os_error())));
+    }
+    if is_bpffs(&path) {
+        return Ok(());
+    }
     // SAFETY: four C strings that live as long as the call; the file system takes its options as one.
     let result = unsafe {
         libc::mount(c"bpf".as_ptr(), path.as_ptr(), c"bpf".as_ptr(), libc::MS_NOSUID, c"mode=0700".as_ptr().cast())

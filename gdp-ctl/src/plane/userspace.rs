@@ -32,6 +32,7 @@ pub enum Outcome {
     /// It tells this node something: an error, or the answer to an echo, from the neighbour on this link.
     Notice {
         link: u32,
+        header: Header,
     },
     Drop(Counter),
 }
@@ -70,13 +71,13 @@ pub fn handle(frame: &mut [u8], tables: &UserTables) -> Outcome {
     let Ok((mut header, _)) = Header::read_from_prefix(frame) else { return Outcome::Drop(Counter::Truncated) };
     let ingress = header.link_id();
     let (link, length, counter) = match forward::decide(&mut header, frame.len(), tables) {
-        Verdict::Send(link, counter) => (link.id, frame.len(), counter),
+        Verdict::Send(link, counter) => (link.id, header.frame_len(), counter),
         Verdict::Answer(link, counter) => (link.id, Header::LEN, counter),
         Verdict::Copies(group) => {
             frame[..Header::LEN].copy_from_slice(header.as_bytes());
             return Outcome::Copies { ingress, group };
         }
-        Verdict::Notice(link) => return Outcome::Notice { link: link.id },
+        Verdict::Notice(link) => return Outcome::Notice { link: link.id, header },
         // Only the kernel has someone to leave a frame to.
         Verdict::Slow => return Outcome::Drop(Counter::RedirectFailed),
         Verdict::Drop(counter) => return Outcome::Drop(counter),
@@ -99,7 +100,7 @@ pub fn copies(
     for id in tables.members(group) {
         let (Some(link), Some(to)) = (tables.link(id), tables.address(id)) else { continue };
         let mut header = original;
-        match forward::copy(&mut header, frame.len(), link, ingress, tables) {
+        match forward::copy(&mut header, original.frame_len(), link, ingress, tables) {
             Copy::Send(counter) => send(CopyOut { link: id, to, header, counter }),
             Copy::Drop(counter) => count(counter),
             Copy::None => {}
@@ -179,6 +180,13 @@ impl UserTables {
         self.own_bit = own_bit;
     }
 
+    /// The header of a frame of this node itself as it leaves by a link, and where to.
+    pub fn address_frame(&self, id: u32, mut header: Header) -> Option<(Header, LinkAddr)> {
+        let link = self.link(id)?;
+        forward::stamp(&mut header, link, self.next_count(link));
+        Some((header, self.address(id)?))
+    }
+
     fn address(&self, id: u32) -> Option<LinkAddr> {
         self.links[link_index(id) as usize].as_ref().map(|(_, to)| *to)
     }
@@ -230,7 +238,7 @@ impl Tables for UserTables {
         true
     }
 
-    fn can_copy(&self, _: u32, _: usize) -> bool {
+    fn can_copy(&self, _: u32, _: u64, _: usize) -> bool {
         true
     }
 

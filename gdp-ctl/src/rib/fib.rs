@@ -13,9 +13,9 @@ const NAMES_PER_PUSH: usize = 400;
 /// Bytes of the routes in one push; a message has at most 64 KiB, and the rest is for what encloses them.
 const ROUTES_SIZE: usize = 56 * 1024;
 
-/// What an encoded route has without writers, and for each of them: names, field names.
+/// What an encoded route has without endpoints, and for each of them: names, field names.
 const ROUTE_SIZE: usize = 128;
-const WRITER_SIZE: usize = 34;
+const ENDPOINT_SIZE: usize = 34;
 
 /// How long after a push that failed the switch is sent its whole FIB.
 const RETRY: Duration = Duration::from_millis(500);
@@ -33,6 +33,16 @@ pub struct Fib {
     in_flight: Option<InFlight>,
     /// Why the data plane of the switch holds only part of what was pushed.
     lacking: Option<String>,
+}
+
+/// What a push says besides routes; as in [`FibPush`].
+#[derive(Clone, Debug)]
+pub struct About {
+    pub switch: Name,
+    pub run: u64,
+    pub settling: bool,
+    pub own_bit: u8,
+    pub reach: Vec<(Name, u64)>,
 }
 
 #[derive(Debug)]
@@ -99,8 +109,8 @@ impl Fib {
         self.in_flight = None;
     }
 
-    /// The next push, unless one is out or there is nothing to say. `own_bit` and `reach` as in [`FibPush`].
-    pub fn next(&mut self, now: Duration, switch: Name, own_bit: u8, reach: Vec<(Name, u64)>) -> Option<FibPush> {
+    /// The next push, unless one is out or there is nothing to say.
+    pub fn next(&mut self, now: Duration, about: About) -> Option<FibPush> {
         if self.in_flight.is_some() {
             return None;
         }
@@ -142,7 +152,8 @@ impl Fib {
         self.generation += 1;
         let names = set.iter().map(|route| &route.name).chain(&remove).map(|name| name.to_bytes()).collect();
         self.in_flight = Some(InFlight { generation: self.generation, names });
-        Some(FibPush { switch, generation: self.generation, extent, own_bit, reach, set, remove })
+        let About { switch, run, settling, own_bit, reach } = about;
+        Some(FibPush { switch, run, settling, generation: self.generation, extent, own_bit, reach, set, remove })
     }
 
     /// What became of the push of this generation. If it failed, the whole is sent, a little later.
@@ -198,10 +209,10 @@ impl Room {
         Self { names: NAMES_PER_PUSH, bytes: ROUTES_SIZE }
     }
 
-    /// Makes room for a route, or for the name of one that is removed. An empty push takes any: a name has as many writers
-    /// as records of them fit a message, and these are many times as large.
+    /// Makes room for a route, or for the name of one that is removed. An empty push takes any: a name has at most as many
+    /// readers at a switch as that has links, and as many writers as records of them fit a message.
     fn takes(&mut self, route: Option<&Route>) -> bool {
-        let size = ROUTE_SIZE + route.map_or(0, |route| route.writers.len() * WRITER_SIZE);
+        let size = ROUTE_SIZE + route.map_or(0, |route| (route.locals.len() + route.writers.len()) * ENDPOINT_SIZE);
         if self.names == 0 || (self.bytes < size && self.names < NAMES_PER_PUSH) {
             return false;
         }
@@ -250,15 +261,15 @@ mod tests {
     fn one_push_is_out_at_a_time_and_a_failure_sends_the_whole() {
         let mut fib = Fib::default();
         fib.set(&name(1), Some(route(1, 1)));
-        let push = fib.next(NOW, name(9), 0, vec![]).unwrap();
+        let push = fib.next(NOW, about(vec![])).unwrap();
         fib.set(&name(2), Some(route(2, 1)));
-        assert_eq!(fib.next(NOW, name(9), 0, vec![]), None);
+        assert_eq!(fib.next(NOW, about(vec![])), None);
         fib.answered(NOW, push.generation + 1, Pushed::Done);
-        assert_eq!(fib.next(NOW, name(9), 0, vec![]), None, "an answer to something else");
+        assert_eq!(fib.next(NOW, about(vec![])), None, "an answer to something else");
         fib.answered(NOW, push.generation, Pushed::Failed);
-        assert_eq!(fib.next(NOW, name(9), 0, vec![]), None, "not at once");
+        assert_eq!(fib.next(NOW, about(vec![])), None, "not at once");
         let retry = fib.retry_at().unwrap();
-        let push = fib.next(retry, name(9), 0, vec![]).unwrap();
+        let push = fib.next(retry, about(vec![])).unwrap();
         assert_eq!((push.extent, push.set.len()), (Extent::Full { part: 0, last: true }, 2));
     }
 
@@ -268,16 +279,16 @@ mod tests {
         let key = |i| name(i).to_bytes();
         (1..=NAMES_PER_PUSH as u64 + 1).for_each(|i| fib.set(&name(i), Some(route(i, 1))));
         assert!(!fib.is_settled(&key(1)));
-        let push = fib.next(NOW, name(9), 0, vec![]).unwrap();
+        let push = fib.next(NOW, about(vec![])).unwrap();
         assert!(!fib.is_settled(&key(1)), "sent and not answered");
         fib.answered(NOW, push.generation, Pushed::Done);
         assert!(fib.is_settled(&key(1)) && !fib.is_settled(&key(NAMES_PER_PUSH as u64 + 1)), "of the first part only");
-        let push = fib.next(NOW, name(9), 0, vec![]).unwrap();
+        let push = fib.next(NOW, about(vec![])).unwrap();
         fib.set(&name(1), None);
         fib.answered(NOW, push.generation, Pushed::Partly("full".into()));
         assert_eq!(fib.lacking(), Some("full"));
         assert!(fib.is_settled(&key(2)) && !fib.is_settled(&key(1)), "it changed again");
-        let push = fib.next(NOW, name(9), 0, vec![]).unwrap();
+        let push = fib.next(NOW, about(vec![])).unwrap();
         assert_eq!(push.extent, Extent::Delta, "a switch without room is not sent the whole again");
         fib.answered(NOW, push.generation, Pushed::Done);
         assert!(fib.is_settled(&key(1)) && fib.lacking().is_none());
@@ -314,6 +325,25 @@ mod tests {
     }
 
     #[test]
+    fn a_route_with_as_many_readers_as_a_switch_has_links_fits_a_message() {
+        let mut fib = Fib::default();
+        let readers: Vec<Name> = (0..gdp_wire::table::MAX_LINKS.into()).map(name).collect();
+        let writers = readers[..100].to_vec();
+        for i in 0..3 {
+            fib.set(&name(i), Some(Route { locals: readers.clone(), writers: writers.clone(), ..route(i, 1) }));
+        }
+        let reach: Vec<_> = (0..63).map(|i| (name(i), u64::MAX)).collect();
+        let mut pushes = 0;
+        while let Some(push) = fib.next(NOW, about(reach.clone())) {
+            pushes += 1;
+            let generation = push.generation;
+            gdp::control::encode(&gdp::control::Request::Fib(push)).expect("it fits");
+            fib.answered(NOW, generation, Pushed::Done);
+        }
+        assert_eq!(pushes, 3);
+    }
+
+    #[test]
     fn a_push_of_names_with_many_writers_fits_a_message() {
         let mut fib = Fib::default();
         let writers: Vec<Name> = (0..60).map(name).collect();
@@ -322,7 +352,7 @@ mod tests {
         }
         let mut sent = 0;
         let reach: Vec<_> = (0..63).map(|i| (name(i), u64::MAX)).collect();
-        while let Some(push) = fib.next(NOW, name(9), 0, reach.clone()) {
+        while let Some(push) = fib.next(NOW, about(reach.clone())) {
             sent += push.set.len();
             let generation = push.generation;
             gdp::control::encode(&gdp::control::Request::Fib(push)).expect("it fits");
@@ -346,7 +376,7 @@ mod tests {
 
     impl Switch {
         fn follow(&mut self, fib: &mut Fib) -> bool {
-            let Some(push) = fib.next(NOW, name(9), 0, vec![]) else { return false };
+            let Some(push) = fib.next(NOW, about(vec![])) else { return false };
             self.pushes += 1;
             assert!(push.set.len() + push.remove.len() <= NAMES_PER_PUSH);
             if push.extent == Extent::Delta {
@@ -382,7 +412,11 @@ mod tests {
         Name::from_bytes(bytes)
     }
 
+    fn about(reach: Vec<(Name, u64)>) -> About {
+        About { switch: name(9), run: 1, settling: false, own_bit: 0, reach }
+    }
+
     fn route(i: u64, bits: u64) -> Route {
-        Route { name: name(i), egress_bits: bits, local: None, writers: vec![] }
+        Route { name: name(i), egress_bits: bits, locals: vec![], writers: vec![] }
     }
 }

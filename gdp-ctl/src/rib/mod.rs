@@ -16,17 +16,22 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use gdp::cert::{CertError, Speaker, authorise_publish, authorise_subscribe, authorise_withdraw};
-use gdp::control::{Credential, EntityRequest, FibPush, Refusal, RefusalCode, Response, WritersPush};
+use gdp::control::{
+    Credential, EntityRequest, FibPush, Record, RecordPlace, Refusal, RefusalCode, Response, WritersPush,
+};
 use gdp::name::NameProof;
 use gdp_wire::Name;
 
 use entities::{Attachment, Entities};
-use fib::{Fib, Pushed};
+use fib::{About, Fib, Pushed};
 use names::{Key, Names, Registration};
 use paths::Topology;
 
 /// How long the names of a switch that nobody reaches stay: a restart or a short partition must not cost the FIBs.
 pub const HOLD: Duration = Duration::from_secs(10);
+
+/// Readers that are told of writers at once.
+const TELLING: usize = 256;
 
 /// A moment, on both clocks that matter.
 #[derive(Clone, Copy, Debug)]
@@ -44,6 +49,8 @@ pub struct Limits {
     pub names: usize,
     pub names_per_entity: usize,
     pub attached_per_switch: usize,
+    /// Subscribers of one name at one switch.
+    pub readers_per_switch: usize,
 }
 
 impl Default for Limits {
@@ -53,6 +60,7 @@ impl Default for Limits {
             names: 1 << 20,
             names_per_entity: 16_384,
             attached_per_switch: gdp_wire::table::MAX_LINKS as usize,
+            readers_per_switch: gdp_wire::table::MAX_LINKS as usize,
         }
     }
 }
@@ -73,17 +81,28 @@ pub enum Effect {
 #[derive(Debug)]
 pub struct Rib {
     root: Name,
+    run: Run,
     limits: Limits,
     topology: Topology,
     switches: BTreeMap<Name, Switch>,
     entities: Entities,
     names: Names,
     timers: Timers,
-    /// Names with a reader whose writers changed.
-    writers_changed: BTreeSet<Key>,
-    /// Names whose reader is being told; one message at a time, so that an older one never arrives last.
-    telling: BTreeSet<Key>,
+    /// Readers of names whose writers changed.
+    untold: BTreeSet<(Key, Name)>,
+    /// Those that are being told; one message at a time each, so that an older one never arrives last.
+    telling: BTreeSet<(Key, Name)>,
     detached: BTreeSet<(Name, Name)>,
+}
+
+/// One life of a RIB.
+#[derive(Clone, Copy, Debug)]
+pub struct Run {
+    /// Another number each time.
+    pub id: u64,
+    /// Until this time (as [`Now::clock`]) what an earlier RIB had the switches hold counts besides: entities are still to
+    /// state again what they had stated to that one.
+    pub settling: Duration,
 }
 
 #[derive(Debug, Default)]
@@ -100,22 +119,24 @@ enum Timer {
     Attachment { entity: Name },
     Entity { entity: Name },
     Switch { switch: Name },
+    Settled,
 }
 
 type Timers = BTreeSet<(Duration, Timer)>;
 
 impl Rib {
     /// An empty RIB that runs beside the switch `root`.
-    pub fn new(root: Name, limits: Limits) -> Self {
+    pub fn new(root: Name, run: Run, limits: Limits) -> Self {
         Self {
             root,
+            run,
             limits,
             topology: Topology::default(),
             switches: BTreeMap::new(),
             entities: Entities::default(),
             names: Names::default(),
-            timers: Timers::new(),
-            writers_changed: BTreeSet::new(),
+            timers: Timers::from([(run.settling, Timer::Settled)]),
+            untold: BTreeSet::new(),
             telling: BTreeSet::new(),
             detached: BTreeSet::new(),
         }
@@ -131,22 +152,24 @@ impl Rib {
         request: &EntityRequest,
     ) -> Response {
         self.tick(now);
-        if let EntityRequest::Query { prefix } = request {
-            return self.names.query(now.clock, prefix);
+        if let EntityRequest::Query { prefix, after } = request {
+            return self.names.query(now.clock, prefix, after.as_ref());
         }
         self.entity_request(now, origin, entity, by_tool, request).unwrap_or_else(Response::from)
     }
 
-    /// Takes a switch's report of its neighbours with their costs, and after a (re)connect of all attached entities.
+    /// Takes a switch's report of its neighbours with their costs, and after a (re)connect of all attached entities; with the
+    /// egress bit it has had so far.
     pub fn report(
         &mut self,
         now: Now,
         switch: &NameProof,
         neighbours: &[(Name, u32)],
         attached: Option<&[Name]>,
+        own_bit: Option<u8>,
     ) -> Response {
         self.tick(now);
-        self.try_report(now, switch, neighbours, attached).map_or_else(Response::from, |()| Response::Done)
+        self.try_report(now, switch, neighbours, attached, own_bit).map_or_else(Response::from, |()| Response::Done)
     }
 
     /// An entity's link to `switch` is gone, and with it all that was bound to it. Nothing happens if the entity is
@@ -176,6 +199,8 @@ impl Rib {
                 }
                 Timer::Entity { entity } => self.entities.forget(&entity),
                 Timer::Switch { switch } => self.forget_switch(now, &switch),
+                // So that they let go of what nobody has stated again.
+                Timer::Settled => self.switches.values_mut().for_each(|switch| switch.fib.restart()),
             }
         }
     }
@@ -186,7 +211,8 @@ impl Rib {
         retries.chain(self.timers.first().map(|(at, _)| *at)).min()
     }
 
-    /// Takes out what is to be sent now. Of each switch one FIB push is out at a time, of each name one of its writers.
+    /// Takes out what is to be sent now. To each switch one FIB push is out at a time, to each reader one about a name, and
+    /// [`TELLING`] to readers at all.
     pub fn effects(&mut self, now: Now) -> Vec<Effect> {
         let mut effects: Vec<_> = std::mem::take(&mut self.detached)
             .into_iter()
@@ -194,15 +220,18 @@ impl Rib {
             .filter(|(switch, entity)| self.entities.attachment(entity).is_none_or(|a| a.switch != *switch))
             .map(|(switch, entity)| Effect::Detach { switch, entity })
             .collect();
+        let (run, settling) = (self.run.id, now.clock < self.run.settling);
         for (name, switch) in &mut self.switches {
-            let Some(bit) = self.topology.bit(name) else { continue };
-            effects.extend(switch.fib.next(now.clock, *name, bit, self.topology.reach(name)).map(Effect::Fib));
+            let Some(own_bit) = self.topology.bit(name) else { continue };
+            let about = About { switch: *name, run, settling, own_bit, reach: self.topology.reach(name) };
+            effects.extend(switch.fib.next(now.clock, about).map(Effect::Fib));
         }
-        let changed: Vec<Key> = self.writers_changed.difference(&self.telling).copied().collect();
-        for key in changed {
-            self.writers_changed.remove(&key);
-            if let Some(push) = self.names.writers_push(now.clock, &key) {
-                self.telling.insert(key);
+        let room = TELLING.saturating_sub(self.telling.len());
+        let next: Vec<_> = self.untold.difference(&self.telling).take(room).copied().collect();
+        for (key, reader) in next {
+            self.untold.remove(&(key, reader));
+            if let Some(push) = self.names.writers_push(now.clock, &key, &reader) {
+                self.telling.insert((key, reader));
                 effects.push(Effect::Writers(push));
             }
         }
@@ -216,9 +245,9 @@ impl Rib {
         }
     }
 
-    /// The reader of a name was told of its writers, or could not be: then it asks when it hears one it does not know.
-    pub fn told(&mut self, name: &Name) {
-        self.telling.remove(name.as_bytes());
+    /// A reader of a name was told of its writers, or could not be: then it asks when it hears one it does not know.
+    pub fn told(&mut self, name: &Name, reader: &Name) {
+        self.telling.remove(&(name.to_bytes(), *reader));
     }
 
     /// Whether all switches that need a route for the name have answered that they hold it (or have failed to answer).
@@ -259,7 +288,7 @@ impl Rib {
             return Err(Refusal::new(RefusalCode::NotAttached, reason));
         }
         match request {
-            EntityRequest::Attach { rt_cert } => {
+            EntityRequest::Attach { rt_cert, resumes } => {
                 let cert = rt_cert.verify(&speaker.entity_key, now.unix).map_err(refusal)?;
                 if cert.entity != speaker.entity {
                     return Err(refusal(CertError::WrongEntity { expected: speaker.entity, got: cert.entity }));
@@ -269,7 +298,7 @@ impl Rib {
                 }
                 if !by_tool {
                     let ends = now.clock.saturating_add(Duration::from_secs(cert.not_after - now.unix));
-                    self.attach(&speaker, ends)?;
+                    self.attach(&speaker, ends, *resumes)?;
                 }
                 Ok(Response::Attached { serial: speaker.floor })
             }
@@ -307,7 +336,7 @@ impl Rib {
                 self.unregister(key, speaker.entity, true);
                 Ok(Response::Done)
             }
-            EntityRequest::Query { prefix } => Ok(self.names.query(now.clock, prefix)),
+            EntityRequest::Query { prefix, after } => Ok(self.names.query(now.clock, prefix, after.as_ref())),
         }
     }
 
@@ -318,21 +347,24 @@ impl Rib {
         Ok(Speaker { entity, entity_key, switch, floor: self.entities.floor(&entity), now: now.unix })
     }
 
-    /// Attaching again at the same switch only renews: a lost link is told of by a detach. Attaching elsewhere ends what
-    /// was; the old switch is told, in case its link is still up: the entity must not believe that it is attached there.
-    fn attach(&mut self, speaker: &Speaker, ends: Duration) -> Result<(), Refusal> {
+    /// Attaching again at the same switch only renews, if it resumes what was: a link that does not come back is told of by a
+    /// detach. Attaching elsewhere ends what was; the old switch is told, in case its link is still up: the entity must not
+    /// believe that it is attached there.
+    fn attach(&mut self, speaker: &Speaker, ends: Duration, resumes: bool) -> Result<(), Refusal> {
         let limit = self.limits.attached_per_switch;
         let full = |s: &Switch| s.attached.len() >= limit && !s.attached.contains(&speaker.entity);
         if self.switches.get(&speaker.switch).is_some_and(full) {
             return Err(limit_reached(format!("switch {} has {limit} attached entities", speaker.switch)));
         }
         match self.entities.attachment(&speaker.entity) {
-            Some(old) if old.switch == speaker.switch => {
+            Some(old) if old.switch == speaker.switch && resumes => {
                 self.timers.remove(&(old.ends, Timer::Attachment { entity: speaker.entity }));
             }
             Some(old) => {
                 self.end_attachment(&speaker.entity);
-                self.detached.insert((old.switch, speaker.entity));
+                if old.switch != speaker.switch {
+                    self.detached.insert((old.switch, speaker.entity));
+                }
             }
             None => {}
         }
@@ -373,8 +405,8 @@ impl Rib {
         entity: Name,
         registration: Registration,
     ) -> Result<(), Refusal> {
-        let (key, reads) = (name.to_bytes(), registration.reads());
-        let allowed = self.names.check_room(&name, &entity, &registration, self.limits.names).and_then(|()| {
+        let (key, reads, switch) = (name.to_bytes(), registration.reads(), registration.switch);
+        let allowed = self.names.check_room(&name, &entity, &registration, &self.limits).and_then(|()| {
             let names = self.entities.names(&entity);
             if names.len() >= self.limits.names_per_entity && !names.contains(&key) {
                 return Err(limit_reached(format!("{entity} already has {} names", names.len())));
@@ -388,10 +420,15 @@ impl Rib {
         self.timers.insert((registration.ends, Timer::Registration { name: key, entity, reads }));
         self.entities.add_name(&entity, key);
         let change = self.names.insert(name, proof, entity, registration);
-        if let Some(old) = change.replaced_ends.filter(|old| *old != change.ends) {
-            self.timers.remove(&(old, Timer::Registration { name: key, entity, reads }));
+        if let Some(old) = change.replaced {
+            if old.ends != change.ends {
+                self.timers.remove(&(old.ends, Timer::Registration { name: key, entity, reads }));
+            }
+            if old.switch != switch {
+                self.follow_up(key, old.switch, false);
+            }
         }
-        self.follow_up(key, change.writers_changed);
+        self.follow_up(key, switch, change.writers_changed);
         Ok(())
     }
 
@@ -402,19 +439,18 @@ impl Rib {
             self.entities.remove_name(&entity, &name);
             self.entities.retire(&entity, &mut self.timers);
         }
-        self.follow_up(name, !reads);
+        self.follow_up(name, old.switch, !reads);
     }
 
-    /// Brings the desired FIBs in line with what is registered for one name.
-    fn follow_up(&mut self, name: Key, writers_changed: bool) {
-        if writers_changed && self.names.is_read(&name) {
-            self.writers_changed.insert(name);
+    /// Brings the desired FIBs in line with what is registered for one name, after a change `at` a switch.
+    fn follow_up(&mut self, name: Key, at: Name, writers_changed: bool) {
+        if writers_changed {
+            self.untold.extend(self.names.readers(&name).map(|reader| (name, *reader)));
         }
         let topology = &self.topology;
-        let (routes, affected) = self.names.routes(&name, |switch| topology.bit(switch));
-        for switch in affected {
+        for (switch, route) in self.names.reroute(&name, &at, |switch| topology.bit(switch)) {
             if let Some(state) = self.switches.get_mut(&switch) {
-                state.fib.set(&Name::from_bytes(name), routes.get(&switch).cloned());
+                state.fib.set(&Name::from_bytes(name), route);
             }
         }
         self.names.sweep(&name);
@@ -426,6 +462,7 @@ impl Rib {
         proof: &NameProof,
         neighbours: &[(Name, u32)],
         attached: Option<&[Name]>,
+        own_bit: Option<u8>,
     ) -> Result<(), Refusal> {
         let switch = proof.name().map_err(|error| refusal(CertError::Crypto(error)))?;
         let most = gdp_wire::table::MAX_LINKS as usize;
@@ -433,7 +470,7 @@ impl Rib {
             return Err(limit_reached(format!("a switch has at most {most} links")));
         }
         self.topology
-            .report(switch, neighbours.iter().copied())
+            .report(switch, neighbours.iter().copied(), own_bit)
             .map_err(|full| Refusal::new(RefusalCode::Limit, full.to_string()))?;
         let known = self.switches.contains_key(&switch);
         self.switches.entry(switch).or_default();
@@ -457,7 +494,7 @@ impl Rib {
         for entity in gone {
             self.end_attachment(&entity);
         }
-        self.writers_changed.extend(self.names.read_at(switch));
+        self.untold.extend(self.names.read_at(switch));
     }
 
     fn recompute(&mut self, now: Now) {
@@ -512,10 +549,9 @@ impl Rib {
         })
     }
 
-    /// Records of names behind `after` in the order of their digits, whole names until there are `limit`; and whether
-    /// there are more.
-    pub fn records(&self, now: Now, after: Option<Name>, limit: usize) -> (Vec<gdp::control::Record>, bool) {
-        self.names.records(now.clock, after.as_ref().map(Name::as_bytes), limit)
+    /// At most `limit` records behind `after`, and whether there are more.
+    pub fn records(&self, now: Now, after: Option<RecordPlace>, limit: usize) -> (Vec<Record>, bool) {
+        self.names.records(now.clock, after.as_ref(), limit)
     }
 
     /// Names with a writer or a reader.

@@ -1,14 +1,15 @@
 //! Who publishes and who reads each name, with the certificates that prove it, and which switches need a route for it.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Bound;
 use std::time::Duration;
 
 use gdp::cert::{Advert, Signed};
-use gdp::control::{Credential, Record, Refusal, RefusalCode, Response, Route, WritersPush};
+use gdp::control::{Credential, Record, RecordPlace, Refusal, Response, Route, WritersPush};
 use gdp::name::{NamePrefix, NameProof};
 use gdp_wire::Name;
 
-use super::limit_reached;
+use super::{Limits, limit_reached};
 
 /// A name by which maps are ordered as its hex digits are.
 pub(super) type Key = [u8; 32];
@@ -63,17 +64,23 @@ impl Registration {
 #[derive(Debug)]
 struct Topic {
     proof: NameProof,
-    writers: BTreeMap<Name, Registration>,
-    /// One, as long as data is unicast.
-    reader: Option<(Name, Registration)>,
-    /// Switches that were given a route.
-    routed: BTreeSet<Name>,
+    writers: Registrations,
+    readers: Registrations,
+    /// The egress bits of the readers' switches, as of the last [`Names::reroute`]; 0 while there are no routes.
+    egress_bits: u64,
+}
+
+/// Those who write a name, or those who read it.
+#[derive(Debug, Default)]
+struct Registrations {
+    by_entity: BTreeMap<Name, Registration>,
+    by_switch: BTreeMap<Name, BTreeSet<Name>>,
 }
 
 /// What an insertion changed.
 pub(super) struct Change {
     pub ends: Duration,
-    pub replaced_ends: Option<Duration>,
+    pub replaced: Option<Registration>,
     pub writers_changed: bool,
 }
 
@@ -86,29 +93,26 @@ impl Names {
     }
 
     /// Whether one more registration is allowed.
-    pub fn check_room(&self, name: &Name, entity: &Name, new: &Registration, limit: usize) -> Result<(), Refusal> {
+    pub fn check_room(&self, name: &Name, entity: &Name, new: &Registration, limits: &Limits) -> Result<(), Refusal> {
         let Some(topic) = self.0.get(name.as_bytes()) else {
+            let limit = limits.names;
             return if self.0.len() < limit { Ok(()) } else { Err(limit_reached(format!("{limit} names are known"))) };
         };
         if new.reads() {
-            return match &topic.reader {
-                Some((reader, _)) if reader != entity => Err(Refusal::new(
-                    RefusalCode::SecondSubscriber,
-                    format!(
-                        "{name} already has the subscriber {reader}, and a name is delivered to one subscriber so far; \
-                         withdraw that one first"
-                    ),
-                )),
+            let limit = limits.readers_per_switch;
+            let here = topic.readers.by_switch.get(&new.switch);
+            return match here {
+                Some(here) if here.len() >= limit && !here.contains(entity) => {
+                    Err(limit_reached(format!("{name} has {limit} subscribers at switch {}", new.switch)))
+                }
                 _ => Ok(()),
             };
         }
-        let others = topic.writers.iter().filter(|(writer, _)| *writer != entity);
+        let others = topic.writers.by_entity.iter().filter(|(writer, _)| *writer != entity);
         let size = others.map(|(_, registration)| registration.size()).sum::<usize>() + new.size();
         if size > RECORDS_SIZE {
-            return Err(limit_reached(format!(
-                "{name} has {} writers, whose records fill a message",
-                topic.writers.len()
-            )));
+            let count = topic.writers.by_entity.len();
+            return Err(limit_reached(format!("{name} has {count} writers, whose records fill a message")));
         }
         Ok(())
     }
@@ -117,105 +121,81 @@ impl Names {
     pub fn insert(&mut self, name: Name, proof: NameProof, entity: Name, new: Registration) -> Change {
         let topic = self.0.entry(name.to_bytes()).or_insert_with(|| Topic {
             proof,
-            writers: BTreeMap::new(),
-            reader: None,
-            routed: BTreeSet::new(),
+            writers: Registrations::default(),
+            readers: Registrations::default(),
+            egress_bits: 0,
         });
-        let ends = new.ends;
-        if new.reads() {
-            let old = topic.reader.replace((entity, new));
-            return Change { ends, replaced_ends: old.map(|(_, r)| r.ends), writers_changed: false };
-        }
-        let certificate = new.certificate().to_vec();
-        let old = topic.writers.insert(entity, new);
-        let same = old.as_ref().is_some_and(|old| old.certificate() == certificate);
-        Change { ends, replaced_ends: old.map(|r| r.ends), writers_changed: !same }
+        let (ends, reads, certificate) = (new.ends, new.reads(), new.certificate().to_vec());
+        let replaced = topic.part(reads).insert(entity, new);
+        let same = replaced.as_ref().is_some_and(|old| old.certificate() == certificate);
+        Change { ends, replaced, writers_changed: !reads && !same }
     }
 
     pub fn remove(&mut self, name: &Key, entity: &Name, reads: bool) -> Option<Registration> {
-        let topic = self.0.get_mut(name)?;
-        if !reads {
-            return topic.writers.remove(entity);
-        }
-        topic.reader.take_if(|(reader, _)| reader == entity).map(|(_, registration)| registration)
+        self.0.get_mut(name)?.part(reads).remove(entity)
     }
 
     /// Drops a name that nobody has any part in.
     pub fn sweep(&mut self, name: &Key) {
-        if self.0.get(name).is_some_and(|t| t.writers.is_empty() && t.reader.is_none()) {
+        if self.0.get(name).is_some_and(|t| t.writers.is_empty() && t.readers.is_empty()) {
             self.0.remove(name);
         }
     }
 
     pub fn has(&self, name: &Key, entity: &Name) -> bool {
-        self.0.get(name).is_some_and(|topic| {
-            topic.writers.contains_key(entity) || topic.reader.as_ref().is_some_and(|(reader, _)| reader == entity)
-        })
+        self.0.get(name).is_some_and(|topic| topic.parts().any(|part| part.by_entity.contains_key(entity)))
     }
 
     /// Switches that a route for the name is for.
     pub fn routed(&self, name: &Key) -> impl Iterator<Item = &Name> {
-        self.0.get(name).into_iter().flat_map(|topic| &topic.routed)
+        let topic = self.0.get(name).filter(|topic| topic.egress_bits != 0);
+        topic.into_iter().flat_map(Topic::switches)
     }
 
-    pub fn is_read(&self, name: &Key) -> bool {
-        self.0.get(name).is_some_and(|topic| topic.reader.is_some())
+    /// Those who read a name.
+    pub fn readers(&self, name: &Key) -> impl Iterator<Item = &Name> {
+        self.0.get(name).into_iter().flat_map(|topic| topic.readers.by_entity.keys())
     }
 
     /// Those of an entity's registrations that end with its attachment: name, and whether it reads.
     pub fn bound_of(&self, entity: &Name, names: &BTreeSet<Key>) -> Vec<(Key, bool)> {
         let topics = names.iter().filter_map(|name| Some((name, self.0.get(name)?)));
-        topics
-            .flat_map(|(name, topic)| {
-                let writes = topic.writers.get(entity).is_some_and(|r| r.bound);
-                let reads = topic.reader.as_ref().is_some_and(|(reader, r)| reader == entity && r.bound);
-                [writes.then_some((*name, false)), reads.then_some((*name, true))]
-            })
-            .flatten()
-            .collect()
+        let both = topics.flat_map(|(name, topic)| [(*name, false, &topic.writers), (*name, true, &topic.readers)]);
+        let bound = both.filter(|(_, _, part)| part.by_entity.get(entity).is_some_and(|r| r.bound));
+        bound.map(|(name, reads, _)| (name, reads)).collect()
     }
 
     /// All registrations through one switch: name, entity, whether it reads.
     pub fn registered_at(&self, switch: &Name) -> Vec<(Key, Name, bool)> {
         let mut found = Vec::new();
         for (name, topic) in &self.0 {
-            let writers = topic.writers.iter().filter(|(_, r)| r.switch == *switch);
-            found.extend(writers.map(|(entity, _)| (*name, *entity, false)));
-            let reader = topic.reader.as_ref().filter(|(_, r)| r.switch == *switch);
-            found.extend(reader.map(|(entity, _)| (*name, *entity, true)));
+            for (reads, part) in [(false, &topic.writers), (true, &topic.readers)] {
+                found.extend(part.at(switch).map(|entity| (*name, *entity, reads)));
+            }
         }
         found
     }
 
-    /// Names whose reader is at this switch.
-    pub fn read_at(&self, switch: &Name) -> impl Iterator<Item = Key> {
-        let switch = *switch;
-        let at = move |topic: &Topic| topic.reader.as_ref().is_some_and(|(_, r)| r.switch == switch);
-        self.0.iter().filter(move |(_, topic)| at(topic)).map(|(name, _)| *name)
+    /// Names with readers at this switch, and those.
+    pub fn read_at(&self, switch: &Name) -> impl Iterator<Item = (Key, Name)> {
+        self.0.iter().flat_map(|(name, topic)| topic.readers.at(switch).map(|reader| (*name, *reader)))
     }
 
-    /// The routes that a name needs now, by switch, and all switches that need one or were given one before.
+    /// The routes that change because registrations of the name `at` this switch did; `None` for one that goes.
     ///
-    /// There are none unless somebody writes the name and somebody reads it.
-    pub fn routes(&mut self, name: &Key, bit: impl Fn(&Name) -> Option<u8>) -> (BTreeMap<Name, Route>, BTreeSet<Name>) {
-        let mut routes = BTreeMap::new();
-        let Some(topic) = self.0.get_mut(name) else { return (routes, BTreeSet::new()) };
-        if let Some((reader, registration)) = &topic.reader
-            && let Some(bit) = bit(&registration.switch)
-            && !topic.writers.is_empty()
-        {
-            let name = Name::from_bytes(*name);
-            let route = |egress_bits| Route { name, egress_bits, local: None, writers: Vec::new() };
-            for (writer, registration) in &topic.writers {
-                let here = routes.entry(registration.switch).or_insert_with(|| route(1 << bit));
-                here.writers.push(*writer);
-            }
-            routes.entry(registration.switch).or_insert_with(|| route(0)).local = Some(*reader);
+    /// There are none unless somebody writes the name and somebody reads it. One more reader at a switch concerns that
+    /// switch alone; the first or the last one there also those of the writers.
+    pub fn reroute(&mut self, name: &Key, at: &Name, bit: impl Fn(&Name) -> Option<u8>) -> Vec<(Name, Option<Route>)> {
+        let Some(topic) = self.0.get_mut(name) else { return Vec::new() };
+        let readers_at = topic.readers.by_switch.keys().filter_map(bit);
+        let now = if topic.writers.is_empty() { 0 } else { readers_at.fold(0, |bits, bit| bits | 1 << bit) };
+        let mut affected = BTreeSet::from([*at]);
+        match (std::mem::replace(&mut topic.egress_bits, now), now) {
+            (before, now) if before == now => {}
+            (0, _) | (_, 0) => affected.extend(topic.switches()),
+            _ => affected.extend(topic.writers.by_switch.keys()),
         }
-        let needed: BTreeSet<Name> = routes.keys().copied().collect();
-        let before = std::mem::replace(&mut topic.routed, needed);
-        let affected = before.into_iter().chain(routes.keys().copied()).collect();
-        (routes, affected)
+        affected.into_iter().map(|switch| (switch, topic.route(name, &switch))).collect()
     }
 
     /// The writers of a name, as a subscriber is told.
@@ -224,54 +204,116 @@ impl Names {
         Response::Records { records, truncated: false }
     }
 
-    pub fn writers_push(&self, now: Duration, key: &Key) -> Option<WritersPush> {
+    /// What one reader of a name is told of its writers.
+    pub fn writers_push(&self, now: Duration, key: &Key, reader: &Name) -> Option<WritersPush> {
         let topic = self.0.get(key)?;
-        let (reader, registration) = topic.reader.as_ref()?;
-        let (switch, entity, name) = (registration.switch, *reader, Name::from_bytes(*key));
-        Some(WritersPush { switch, entity, name, records: writer_records(now, key, topic) })
+        let switch = topic.readers.by_entity.get(reader)?.switch;
+        let records = writer_records(now, key, topic);
+        Some(WritersPush { switch, entity: *reader, name: Name::from_bytes(*key), records })
     }
 
-    /// All records of the names that begin so, as far as one message holds them.
-    pub fn query(&self, now: Duration, prefix: &NamePrefix) -> Response {
+    /// The records of the names that begin so and lie behind `after`, as far as one message holds them.
+    pub fn query(&self, now: Duration, prefix: &NamePrefix, after: Option<&RecordPlace>) -> Response {
         let padded: Option<Name> = format!("{:0<64}", prefix.as_str()).parse().ok();
-        let from = padded.unwrap_or_default().to_bytes();
-        let mut matching = self.0.range(from..).take_while(|(key, _)| prefix.matches(&Name::from_bytes(**key)));
+        let begin = padded.unwrap_or_default();
+        let matching = self.behind(after, begin).take_while(|(name, ..)| prefix.matches(name));
         let mut room = RECORDS_SIZE;
         let mut records = Vec::new();
-        let truncated = matching.any(|(key, topic)| {
-            topic.registrations().any(|registration| match room.checked_sub(registration.size()) {
-                Some(rest) => {
-                    room = rest;
-                    records.push(registration.record(now, Name::from_bytes(*key), topic.proof));
-                    false
-                }
-                None => true,
-            })
-        });
-        Response::Records { records, truncated }
+        for (name, topic, registration) in matching {
+            match room.checked_sub(registration.size()) {
+                Some(rest) => room = rest,
+                None => return Response::Records { records, truncated: true },
+            }
+            records.push(registration.record(now, name, topic.proof));
+        }
+        Response::Records { records, truncated: false }
     }
 
-    /// The records of names behind `after`, whole names until there are `limit`; and whether there are more.
-    pub fn records(&self, now: Duration, after: Option<&Key>, limit: usize) -> (Vec<Record>, bool) {
-        use std::ops::Bound::{Excluded, Unbounded};
-        let mut rest = self.0.range::<Key, _>((after.map_or(Unbounded, Excluded), Unbounded));
-        let mut records = Vec::new();
-        for (key, topic) in rest.by_ref() {
-            records.extend(topic.registrations().map(|r| r.record(now, Name::from_bytes(*key), topic.proof)));
-            if records.len() >= limit {
-                break;
-            }
-        }
+    /// At most `limit` records behind `after`, and whether there are more.
+    pub fn records(&self, now: Duration, after: Option<&RecordPlace>, limit: usize) -> (Vec<Record>, bool) {
+        let mut rest = self.behind(after, Name::default());
+        let records = rest.by_ref().take(limit);
+        let records = records.map(|(name, topic, registration)| registration.record(now, name, topic.proof)).collect();
         (records, rest.next().is_some())
+    }
+
+    /// All registrations of names from `begin` on and behind `after`, in the order of their places.
+    fn behind<'a>(
+        &'a self,
+        after: Option<&RecordPlace>,
+        begin: Name,
+    ) -> impl Iterator<Item = (Name, &'a Topic, &'a Registration)> {
+        let after = after.copied();
+        let from = after.map_or(begin, |after| after.name.max(begin)).to_bytes();
+        self.0.range(from..).flat_map(move |(key, topic)| {
+            let name = Name::from_bytes(*key);
+            [(false, &topic.writers), (true, &topic.readers)].into_iter().flat_map(move |(reads, part)| {
+                let first = match after {
+                    Some(after) if after.name == name && after.reads && !reads => None,
+                    Some(after) if after.name == name && after.reads == reads => Some(Bound::Excluded(after.entity)),
+                    _ => Some(Bound::Unbounded),
+                };
+                let listed = first.map(|first| part.by_entity.range((first, Bound::Unbounded)));
+                listed.into_iter().flatten().map(move |(_, registration)| (name, topic, registration))
+            })
+        })
     }
 }
 
 impl Topic {
-    fn registrations(&self) -> impl Iterator<Item = &Registration> {
-        self.writers.values().chain(self.reader.iter().map(|(_, registration)| registration))
+    fn part(&mut self, reads: bool) -> &mut Registrations {
+        if reads { &mut self.readers } else { &mut self.writers }
+    }
+
+    fn parts(&self) -> impl Iterator<Item = &Registrations> {
+        [&self.writers, &self.readers].into_iter()
+    }
+
+    /// Where there are writers or readers; some twice.
+    fn switches(&self) -> impl Iterator<Item = &Name> {
+        self.parts().flat_map(|part| part.by_switch.keys())
+    }
+
+    /// The route at one switch, if it needs any.
+    fn route(&self, name: &Key, switch: &Name) -> Option<Route> {
+        let writers: Vec<Name> = self.writers.at(switch).copied().collect();
+        let locals: Vec<Name> = self.readers.at(switch).copied().collect();
+        if self.egress_bits == 0 || writers.is_empty() && locals.is_empty() {
+            return None;
+        }
+        let egress_bits = if writers.is_empty() { 0 } else { self.egress_bits };
+        Some(Route { name: Name::from_bytes(*name), egress_bits, locals, writers })
+    }
+}
+
+impl Registrations {
+    fn is_empty(&self) -> bool {
+        self.by_entity.is_empty()
+    }
+
+    fn insert(&mut self, entity: Name, new: Registration) -> Option<Registration> {
+        let old = self.remove(&entity);
+        self.by_switch.entry(new.switch).or_default().insert(entity);
+        self.by_entity.insert(entity, new);
+        old
+    }
+
+    fn remove(&mut self, entity: &Name) -> Option<Registration> {
+        let old = self.by_entity.remove(entity)?;
+        if let Some(here) = self.by_switch.get_mut(&old.switch) {
+            here.remove(entity);
+            if here.is_empty() {
+                self.by_switch.remove(&old.switch);
+            }
+        }
+        Some(old)
+    }
+
+    fn at(&self, switch: &Name) -> impl Iterator<Item = &Name> {
+        self.by_switch.get(switch).into_iter().flatten()
     }
 }
 
 fn writer_records(now: Duration, key: &Key, topic: &Topic) -> Vec<Record> {
-    topic.writers.values().map(|r| r.record(now, Name::from_bytes(*key), topic.proof)).collect()
+    topic.writers.by_entity.values().map(|r| r.record(now, Name::from_bytes(*key), topic.proof)).collect()
 }

@@ -39,13 +39,20 @@ impl Default for Topology {
 
 impl Topology {
     /// Replaces what `switch` last reported of its neighbours and their costs (0 counts as 1; itself is ignored). A
-    /// switch that is new gets an egress bit, which it keeps until it is forgotten. Follow with [`Self::recompute`].
-    pub fn report(&mut self, switch: Name, neighbours: impl IntoIterator<Item = (Name, u32)>) -> Result<(), Full> {
+    /// switch that is new gets an egress bit, which it keeps until it is forgotten: the one it `had`, if that is free. Follow
+    /// with [`Self::recompute`].
+    pub fn report(
+        &mut self,
+        switch: Name,
+        neighbours: impl IntoIterator<Item = (Name, u32)>,
+        had: Option<u8>,
+    ) -> Result<(), Full> {
         let neighbours = neighbours.into_iter().filter(|(name, _)| *name != switch).collect();
         match self.switches.get_mut(&switch) {
             Some(known) => known.neighbours = neighbours,
             None => {
-                let bit = self.free_bits.pop_front().ok_or(Full)?;
+                let same = self.free_bits.iter().position(|bit| Some(*bit) == had).unwrap_or(0);
+                let bit = self.free_bits.remove(same).ok_or(Full)?;
                 self.switches.insert(switch, Switch { bit, neighbours, reach: BTreeMap::new() });
             }
         }
@@ -150,11 +157,11 @@ mod tests {
     #[test]
     fn an_adjacency_counts_only_if_both_ends_report_it() {
         let mut t = Topology::default();
-        t.report(name(1), [(name(2), 1)]).unwrap();
-        t.report(name(2), []).unwrap();
+        t.report(name(1), [(name(2), 1)], None).unwrap();
+        t.report(name(2), [], None).unwrap();
         t.recompute();
         assert!(!t.connected(&name(1), &name(2)) && t.reach(&name(1)).is_empty());
-        t.report(name(2), [(name(1), 1)]).unwrap();
+        t.report(name(2), [(name(1), 1)], None).unwrap();
         assert_eq!(t.recompute(), [name(1), name(2)]);
         assert!(t.connected(&name(1), &name(2)));
     }
@@ -163,13 +170,13 @@ mod tests {
     fn the_cheaper_way_wins_and_a_failure_changes_only_the_masks_it_must() {
         // 1 –(1)– 2 –(1)– 3, and 1 –(5)– 3; 4 hangs on 1 by itself.
         let mut t = Topology::default();
-        t.report(name(1), [(name(2), 1), (name(3), 5), (name(4), 1)]).unwrap();
-        t.report(name(2), [(name(1), 1), (name(3), 1)]).unwrap();
-        t.report(name(3), [(name(2), 1), (name(1), 2)]).unwrap();
-        t.report(name(4), [(name(1), 1)]).unwrap();
+        t.report(name(1), [(name(2), 1), (name(3), 5), (name(4), 1)], None).unwrap();
+        t.report(name(2), [(name(1), 1), (name(3), 1)], None).unwrap();
+        t.report(name(3), [(name(2), 1), (name(1), 2)], None).unwrap();
+        t.report(name(4), [(name(1), 1)], None).unwrap();
         t.recompute();
         assert_eq!(t.reach(&name(1)), [(name(2), bits(&t, &[2, 3])), (name(4), bits(&t, &[4]))]);
-        t.report(name(3), [(name(1), 2)]).unwrap();
+        t.report(name(3), [(name(1), 2)], None).unwrap();
         assert_eq!(t.recompute(), [name(1), name(2), name(3)], "4 still reaches all through 1");
         assert_eq!(t.reach(&name(2)), [(name(1), bits(&t, &[1, 3, 4]))]);
     }
@@ -178,15 +185,24 @@ mod tests {
     fn bits_are_stable_and_run_out_with_an_error() {
         let mut t = Topology::default();
         for i in 0..64 {
-            t.report(name(i), []).unwrap();
+            t.report(name(i), [], None).unwrap();
             assert_eq!(t.bit(&name(i)), Some(i as u8));
         }
-        assert_eq!(t.report(name(64), []), Err(Full));
-        t.report(name(5), [(name(6), 1)]).unwrap();
+        assert_eq!(t.report(name(64), [], None), Err(Full));
+        t.report(name(5), [(name(6), 1)], None).unwrap();
         assert_eq!(t.bit(&name(5)), Some(5));
         t.forget(&name(7));
-        t.report(name(64), []).unwrap();
+        t.report(name(64), [], None).unwrap();
         assert_eq!((t.bit(&name(64)), t.bit(&name(7))), (Some(7), None));
+    }
+
+    #[test]
+    fn a_switch_gets_the_bit_it_had_if_that_is_free() {
+        let mut t = Topology::default();
+        for (i, had, gets) in [(1, Some(7), 7), (2, None, 0), (3, Some(7), 1), (4, Some(64), 2), (1, Some(9), 7)] {
+            t.report(name(i), [], had).unwrap();
+            assert_eq!(t.bit(&name(i)), Some(gets));
+        }
     }
 
     #[test]
@@ -205,7 +221,7 @@ mod tests {
                 }
             }
             let mut t = Topology::default();
-            edges.iter().for_each(|(i, n)| t.report(name(*i), n.clone()).unwrap());
+            edges.iter().for_each(|(i, n)| t.report(name(*i), n.clone(), None).unwrap());
             t.recompute();
             for from in 0..count {
                 let mut seen = 1u64 << t.bit(&name(from)).unwrap();
@@ -241,7 +257,7 @@ mod tests {
         for (i, switch) in switches.iter().enumerate() {
             let near = [i.checked_sub(1), Some(i + 1)];
             let near = near.iter().flatten().filter_map(|j| switches.get(*j)).map(|n| (name(*n), 1));
-            t.report(name(*switch), near.collect::<Vec<_>>()).unwrap();
+            t.report(name(*switch), near.collect::<Vec<_>>(), None).unwrap();
         }
     }
 

@@ -1,19 +1,18 @@
 //! The RIB as a whole: what it refuses and why, what a lost attachment takes with it, which routes follow.
 
-use std::collections::BTreeMap;
+mod world;
+
 use std::time::Duration;
 
-use gdp::cert::{AdCert, Advert, AdvertOp, Mode, ReadGrant, RtCert, issue};
-use gdp::control::{EntityRequest, Extent, FibPush, Record, RefusalCode, Response, Route};
+use gdp::cert::{Advert, AdvertOp, RtCert, issue};
+use gdp::control;
+use gdp::control::{EntityRequest, Extent, Record, RefusalCode, Response};
 use gdp::identity::{Identity, SigningKey};
-use gdp::name::{Name, NamePrefix, NameProof};
-use gdp::{NameCard, control};
+use gdp::name::{Name, NamePrefix};
 
+use self::world::{Parts, Random, UNIX, World, expect_refused};
 use super::fib::Pushed;
-use super::{Effect, HOLD, Limits, Now, Rib};
-
-const UNIX: u64 = 1_800_000_000;
-const HOUR: u32 = 3600;
+use super::{Effect, HOLD, Limits, Run, TELLING};
 
 #[test]
 fn every_bad_advertisement_is_refused_with_its_reason() {
@@ -154,10 +153,11 @@ fn an_attachment_needs_the_entitys_own_certificate_for_this_switch() {
         ("for another switch", robot.key(), &elsewhere, RefusalCode::WrongSwitch),
         ("expired", robot.key(), &old, RefusalCode::Expired),
     ] {
-        let response = w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(key, claims).unwrap() });
+        let response = w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(key, claims).unwrap(), resumes: true });
         expect_refused(&response, what, code, "");
     }
-    let response = w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(robot.key(), &claims).unwrap() });
+    let response =
+        w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(robot.key(), &claims).unwrap(), resumes: true });
     assert!(matches!(response, Response::Attached { serial: 0 }), "{response:?}");
     w.publish(&robot, 0, 1);
     w.pass(Duration::from_secs(61));
@@ -174,16 +174,16 @@ fn a_name_is_routed_from_its_writers_to_its_reader_and_only_then() {
     let Response::Records { records, .. } = w.subscribe(&cloud, 2, 1) else { panic!() };
     assert_eq!(records.iter().map(|r| r.verify(UNIX).unwrap()).collect::<Vec<_>>(), [robot.name()]);
     let bit = 1 << w.rib.bit(&w.switch(2)).unwrap();
-    assert_eq!(w.routes(), [(0, bit, None), (2, 0, Some(cloud.name()))]);
+    assert_eq!(w.routes(), [(0, bit, vec![]), (2, 0, vec![cloud.name()])]);
 
     w.publish(&late, 1, 1);
-    assert_eq!(w.routes(), [(0, bit, None), (1, bit, None), (2, 0, Some(cloud.name()))]);
+    assert_eq!(w.routes(), [(0, bit, vec![]), (1, bit, vec![]), (2, 0, vec![cloud.name()])]);
     let told = w.writers_told();
     assert_eq!(told, [(w.switch(2), cloud.name(), 2)], "the reader is told of its second writer");
 
     let parts = Parts::withdraw(&w, &robot, 0, 2);
     assert!(matches!(w.ask(&robot, 0, parts), Response::Done));
-    assert_eq!(w.routes(), [(1, bit, None), (2, 0, Some(cloud.name()))]);
+    assert_eq!(w.routes(), [(1, bit, vec![]), (2, 0, vec![cloud.name()])]);
     w.detach(&late, 1);
     assert_eq!(w.routes(), []);
     assert_eq!(w.writers_told(), [(w.switch(2), cloud.name(), 0)]);
@@ -206,7 +206,7 @@ fn a_reader_is_told_of_its_writers_in_order() {
     assert_eq!(told(&mut w), [1]);
     w.publish(&late, 0, 1);
     assert!(told(&mut w).is_empty(), "not before the first is answered");
-    w.rib.told(&w.card.name());
+    w.rib.told(&w.card.name(), &cloud.name());
     assert_eq!(told(&mut w), [2]);
 }
 
@@ -257,19 +257,120 @@ fn writer_and_reader_at_one_switch_share_a_route() {
     let (robot, cloud) = (w.attached("robot", 0), w.attached("cloud", 0));
     w.subscribe(&cloud, 0, 1);
     w.publish(&robot, 0, 1);
-    assert_eq!(w.routes(), [(0, 1, Some(cloud.name()))]);
+    assert_eq!(w.routes(), [(0, 1, vec![cloud.name()])]);
 }
 
 #[test]
-fn a_second_subscriber_is_refused_until_the_first_is_gone() {
+fn every_subscriber_gets_a_copy_and_each_comes_and_goes_alone() {
+    let mut w = World::chain(3);
+    let (robot, late) = (w.attached("robot", 0), w.attached("late", 1));
+    let mut readers: Vec<_> = [0, 2, 2].iter().map(|at| w.attached("reader", *at)).collect();
+    readers[1..].sort_by_key(Identity::name);
+    let [here, a, b] = [0, 1, 2].map(|i| readers[i].name());
+    let bit = |w: &World, i| 1u64 << w.rib.bit(&w.switch(i)).unwrap();
+    w.publish(&robot, 0, 1);
+    w.settle();
+    w.subscribe(&readers[1], 2, 1);
+    assert_eq!(w.routes(), [(0, bit(&w, 2), vec![]), (2, 0, vec![a])]);
+    w.settle();
+    w.subscribe(&readers[2], 2, 1);
+    let pushes = w.pushes();
+    assert_eq!(pushes.iter().map(|p| p.switch).collect::<Vec<_>>(), [w.switch(2)], "nothing changes for the writer's");
+    w.carry_out(pushes);
+    w.subscribe(&readers[0], 0, 1);
+    let both = bit(&w, 0) | bit(&w, 2);
+    assert_eq!(w.routes(), [(0, both, vec![here]), (2, 0, vec![a, b])]);
+    w.publish(&late, 1, 1);
+    let mut told = w.writers_told();
+    told.sort();
+    let mut expected = [(w.switch(0), here, 2), (w.switch(2), a, 2), (w.switch(2), b, 2)];
+    expected.sort();
+    assert_eq!(told, expected, "every reader is told of the new writer");
+    assert_eq!(w.routes(), [(0, both, vec![here]), (1, both, vec![]), (2, 0, vec![a, b])]);
+    w.settle();
+    w.check_delivery();
+
+    w.detach(&readers[1], 2);
+    assert_eq!(w.routes()[2], (2, 0, vec![b]));
+    w.detach(&readers[2], 2);
+    assert_eq!(w.routes(), [(0, bit(&w, 0), vec![here]), (1, bit(&w, 0), vec![])]);
+    w.settle();
+    w.check_delivery();
+    let withdrawal = Parts::withdraw(&w, &readers[0], 0, 2);
+    w.ask(&readers[0], 0, withdrawal);
+    assert_eq!(w.routes(), []);
+    assert!(matches!(w.subscribe(&readers[0], 0, 3), Response::Records { .. }), "and it may come back");
+    assert_eq!(w.routes().len(), 2);
+}
+
+#[test]
+fn subscribers_of_a_name_at_a_switch_are_bounded() {
+    let mut w = World::with(2, Limits { readers_per_switch: 2, ..Limits::default() });
+    let readers = [0, 0, 0, 1].map(|at| w.attached("reader", at));
+    w.subscribe(&readers[0], 0, 1);
+    w.subscribe(&readers[1], 0, 1);
+    let refused = w.subscribe(&readers[2], 0, 1);
+    expect_refused(&refused, "one more", RefusalCode::Limit, "has 2 subscribers at switch");
+    assert!(matches!(w.subscribe(&readers[3], 1, 1), Response::Records { .. }), "at another switch");
+    assert!(matches!(w.subscribe(&readers[1], 0, 2), Response::Records { .. }), "the same one renews");
+    w.detach(&readers[0], 0);
+    assert!(matches!(w.subscribe(&readers[2], 0, 2), Response::Records { .. }));
+}
+
+#[test]
+fn a_reader_that_writes_has_both_at_its_switch() {
     let mut w = World::chain(2);
-    let (a, b) = (w.attached("a", 0), w.attached("b", 1));
-    w.subscribe(&a, 0, 1);
-    expect_refused(&w.subscribe(&b, 1, 1), "second", RefusalCode::SecondSubscriber, &a.name().to_string());
-    assert!(matches!(w.subscribe(&a, 0, 2), Response::Records { .. }), "the same one renews");
-    w.detach(&a, 0);
-    expect_refused(&w.subscribe(&b, 1, 1), "the refused statement again", RefusalCode::ReplayedSerial, "");
-    assert!(matches!(w.subscribe(&b, 1, 2), Response::Records { .. }));
+    let (both, other) = (w.attached("both", 0), w.attached("other", 1));
+    w.subscribe(&both, 0, 1);
+    w.publish(&both, 0, 2);
+    w.subscribe(&other, 1, 1);
+    let route = &w.rib.desired(&w.switch(0))[0];
+    assert_eq!((&route.locals[..], &route.writers[..]), (&[both.name()][..], &[both.name()][..]));
+    w.settle();
+    w.check_delivery();
+}
+
+#[test]
+fn readers_are_told_a_few_at_a_time() {
+    let mut w = World::chain(1);
+    let robot = w.attached("robot", 0);
+    for _ in 0..TELLING + 5 {
+        let reader = w.attached("reader", 0);
+        w.subscribe(&reader, 0, 1);
+    }
+    w.publish(&robot, 0, 1);
+    let told: Vec<_> = [(); 3].iter().map(|()| w.writers_told().len()).collect();
+    assert_eq!(told, [TELLING, 5, 0]);
+}
+
+#[test]
+fn a_query_is_answered_page_by_page() {
+    let mut w = World::chain(1);
+    let robot = w.attached("robot", 0);
+    w.publish(&robot, 0, 1);
+    for _ in 0..150 {
+        let reader = w.attached("reader", 0);
+        w.subscribe(&reader, 0, 1);
+    }
+    let prefix: NamePrefix = w.card.name().into();
+    let mut found: Vec<Record> = Vec::new();
+    loop {
+        let after = found.last().map(|record| record.place().unwrap());
+        let request = EntityRequest::Query { prefix: prefix.clone(), after };
+        let response = w.rib.request(w.now, w.switch(0), None, false, &request);
+        control::encode(&response).expect("fits a message");
+        let Response::Records { records, truncated } = response else { panic!() };
+        assert_eq!(found.is_empty(), records.iter().any(Record::is_writer), "writers come first");
+        found.extend(records);
+        if !truncated {
+            break;
+        }
+    }
+    assert!(found.len() == 151 && found.is_sorted_by_key(|record| record.place().unwrap()));
+    let (all, more) = w.rib.records(w.now, None, 151);
+    assert_eq!((all.len(), more), (151, false));
+    let (rest, more) = w.rib.records(w.now, Some(found[99].place().unwrap()), 50);
+    assert!(more && rest.iter().zip(&found[100..]).all(|(a, b)| a.place().unwrap() == b.place().unwrap()));
 }
 
 #[test]
@@ -332,6 +433,21 @@ fn a_tools_statement_lives_for_its_lifetime() {
 }
 
 #[test]
+fn a_statement_through_another_switch_moves_the_route() {
+    let mut w = World::chain(3);
+    let (robot, cloud) = (w.attached("robot", 0), Identity::generate("proxy").unwrap());
+    w.publish(&robot, 0, 1);
+    for (at, serial) in [(1, 1), (2, 2)] {
+        let (origin, request) = (w.switch(at), w.subscription(&cloud, at, serial));
+        w.rib.request(w.now, origin, Some(&cloud.proof()), true, &request);
+        w.settle();
+        w.check_model();
+        w.check_delivery();
+    }
+    assert_eq!(w.routes().iter().map(|(at, ..)| *at).collect::<Vec<_>>(), [0, 2]);
+}
+
+#[test]
 fn a_registration_ends_with_its_certificate() {
     let mut w = World::chain(1);
     let robot = w.attached("robot", 0);
@@ -361,7 +477,7 @@ fn a_spent_serial_is_known_as_long_as_its_certificate_is_valid() {
 
 #[test]
 fn limits_are_refused_by_name() {
-    let limits = Limits { entities: 2, names: 3, names_per_entity: 2, attached_per_switch: 2 };
+    let limits = Limits { entities: 2, names: 3, names_per_entity: 2, attached_per_switch: 2, ..Limits::default() };
     let mut w = World::with(1, limits);
     let (a, b) = (w.attached("a", 0), w.attached("b", 0));
     let c = Identity::generate("proxy").unwrap();
@@ -457,6 +573,42 @@ fn a_reconnected_switch_is_reconciled_both_ways() {
 }
 
 #[test]
+fn a_process_that_starts_anew_does_not_keep_what_another_stated() {
+    let mut w = World::chain(2);
+    let robot = w.attached("robot", 0);
+    w.publish(&robot, 0, 5);
+    let claims = RtCert { entity: robot.name(), switch: w.switch(0), not_after: UNIX + 60 };
+    let attach = |resumes| EntityRequest::Attach { rt_cert: issue(robot.key(), &claims).unwrap(), resumes };
+    assert!(matches!(w.ask(&robot, 0, attach(true)), Response::Attached { serial: 5 }));
+    assert_eq!(w.rib.name_count(), 1);
+    assert!(matches!(w.ask(&robot, 0, attach(false)), Response::Attached { serial: 5 }));
+    assert_eq!(w.rib.name_count(), 0);
+    assert!(w.detaches().is_empty(), "its link stays");
+}
+
+#[test]
+fn a_rib_that_has_started_has_entities_attach_again_and_says_when_it_knows_all() {
+    let settled = Duration::from_secs(1060);
+    let mut w = World::started(2, Limits::default(), Run { id: 7, settling: settled });
+    let robot = Identity::generate("proxy").unwrap();
+    let pushes = w.pushes();
+    assert!(pushes.len() == 2 && pushes.iter().all(|push| push.settling && push.run == 7));
+    w.carry_out(pushes);
+    w.report(1, Some(&[robot.name()]));
+    assert_eq!(w.detaches(), [(w.switch(1), robot.name())]);
+    w.attach(&robot, 1);
+    w.publish(&robot, 1, 1);
+    w.report(1, Some(&[robot.name()]));
+    assert!(w.detaches().is_empty());
+    assert_eq!(w.rib.name_count(), 1, "a restart of its switch takes nothing along");
+    w.settle();
+    assert_eq!(w.rib.next_tick(), Some(settled));
+    w.pass(Duration::from_secs(60));
+    let pushes = w.pushes();
+    assert!(pushes.len() == 2 && pushes.iter().all(|push| !push.settling && push.extent != Extent::Delta));
+}
+
+#[test]
 fn a_switch_nobody_reaches_is_forgotten_after_a_while() {
     let mut w = World::chain(3);
     let (robot, cloud) = (w.attached("robot", 0), w.attached("cloud", 2));
@@ -478,10 +630,10 @@ fn a_switch_nobody_reaches_is_forgotten_after_a_while() {
     assert!(matches!(w.subscribe(&cloud, 2, 2), Response::Refused(_)));
 }
 
-/// Random joins, leaves and link failures: whatever happened, FIBs that follow the pushes equal the desired ones, and
-/// every writer's frames reach exactly the reader of the name.
+/// Random joins, leaves and link failures: whatever happened, FIBs that follow the pushes equal the desired ones and a model's,
+/// and every writer's frames reach exactly the readers of the name.
 #[test]
-fn pushes_bring_every_switch_to_its_desired_state_and_frames_to_their_reader() {
+fn pushes_bring_every_switch_to_its_desired_state_and_frames_to_their_readers() {
     let mut random = Random(11);
     for _ in 0..3 {
         let mut w = World::chain(6);
@@ -523,6 +675,7 @@ fn pushes_bring_every_switch_to_its_desired_state_and_frames_to_their_reader() {
             }
             if random.below(3) == 0 {
                 w.settle();
+                w.check_model();
                 w.check_delivery();
             }
         }
@@ -532,289 +685,5 @@ fn pushes_bring_every_switch_to_its_desired_state_and_frames_to_their_reader() {
         w.settle();
         assert!(w.held.values().all(|held| held.routes.is_empty()), "names are left over");
         assert_eq!(w.rib.name_count(), 0);
-    }
-}
-
-// ---- the world around a RIB
-
-struct World {
-    rib: Rib,
-    now: Now,
-    owner: SigningKey,
-    card: NameCard,
-    switches: Vec<Identity>,
-    links: Vec<(usize, usize)>,
-    /// What each switch holds after the pushes it got.
-    held: BTreeMap<Name, Held>,
-}
-
-#[derive(Default)]
-struct Held {
-    own_bit: u8,
-    reach: Vec<(Name, u64)>,
-    routes: BTreeMap<Name, Route>,
-}
-
-impl World {
-    fn chain(length: usize) -> Self {
-        Self::with(length, Limits::default())
-    }
-
-    fn with(length: usize, limits: Limits) -> Self {
-        let switches: Vec<_> = (0..length).map(|_| Identity::generate("switch").unwrap()).collect();
-        let owner = SigningKey::generate().unwrap();
-        let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None).unwrap();
-        let mut world = Self {
-            rib: Rib::new(switches[0].name(), limits),
-            now: Now { unix: UNIX, clock: Duration::from_secs(1000) },
-            owner,
-            card,
-            switches,
-            links: (1..length).map(|i| (i - 1, i)).collect(),
-            held: BTreeMap::new(),
-        };
-        (0..length).for_each(|i| world.report(i, Some(&[])));
-        world
-    }
-
-    fn switch(&self, index: usize) -> Name {
-        self.switches[index].name()
-    }
-
-    fn report(&mut self, index: usize, attached: Option<&[Name]>) {
-        let near = self.links.iter().filter_map(|(a, b)| match index {
-            i if i == *a => Some((self.switch(*b), 1)),
-            i if i == *b => Some((self.switch(*a), 1)),
-            _ => None,
-        });
-        let near: Vec<_> = near.collect();
-        let response = self.rib.report(self.now, &self.switches[index].proof(), &near, attached);
-        assert!(matches!(response, Response::Done), "{response:?}");
-    }
-
-    fn ask(&mut self, entity: &Identity, at: usize, request: EntityRequest) -> Response {
-        self.rib.request(self.now, self.switch(at), Some(&entity.proof()), false, &request)
-    }
-
-    fn attach(&mut self, entity: &Identity, at: usize) -> Response {
-        let claims = RtCert { entity: entity.name(), switch: self.switch(at), not_after: UNIX + 1_000_000 };
-        self.ask(entity, at, EntityRequest::Attach { rt_cert: issue(entity.key(), &claims).unwrap() })
-    }
-
-    fn attached(&mut self, _what: &str, at: usize) -> Identity {
-        let entity = Identity::generate("proxy").unwrap();
-        let response = self.attach(&entity, at);
-        assert!(matches!(response, Response::Attached { serial: 0 }), "{response:?}");
-        entity
-    }
-
-    fn detach(&mut self, entity: &Identity, at: usize) {
-        self.rib.detach(self.now, &self.switch(at), &entity.name());
-    }
-
-    fn publish(&mut self, entity: &Identity, at: usize, serial: u64) -> Response {
-        let mut parts = Parts::publish(self, entity, at);
-        parts.advert.serial = serial;
-        self.ask(entity, at, parts.advertise())
-    }
-
-    fn subscribe(&mut self, entity: &Identity, at: usize, serial: u64) -> Response {
-        let parts = Parts::publish(self, entity, at);
-        let grant =
-            ReadGrant { name: parts.cert.name, entity: entity.name(), not_before: UNIX, not_after: UNIX + 1_000_000 };
-        let advert = Advert { op: AdvertOp::Subscribe, serial, ..parts.advert };
-        let (grant, advert) = (issue(&self.owner, &grant).unwrap(), issue(entity.key(), &advert).unwrap());
-        self.ask(entity, at, EntityRequest::Subscribe { proof: parts.proof, grant, advert })
-    }
-
-    fn query(&mut self, prefix: &str) -> Response {
-        // A person types at least one digit; the empty prefix asks for what begins with any.
-        let prefixes = if prefix.is_empty() {
-            "0123456789abcdef".chars().map(String::from).collect()
-        } else {
-            vec![prefix.to_owned()]
-        };
-        let mut last = Response::Done;
-        for prefix in prefixes {
-            let prefix: NamePrefix = prefix.parse().unwrap();
-            last = self.rib.request(self.now, self.switch(0), None, false, &EntityRequest::Query { prefix });
-            if matches!(&last, Response::Records { records, .. } if !records.is_empty()) {
-                break;
-            }
-        }
-        last
-    }
-
-    fn another_name(&mut self) -> NameCard {
-        self.card = NameCard::create(self.owner.verify_key(), "topic", "/chatter", "T", None).unwrap();
-        self.card.clone()
-    }
-
-    fn pass(&mut self, time: Duration) {
-        self.now.clock += time;
-        self.now.unix += time.as_secs();
-        self.rib.tick(self.now);
-    }
-
-    /// All routes that should be: switch index, bits, local entity.
-    fn routes(&self) -> Vec<(usize, u64, Option<Name>)> {
-        let of = |(i, s): (usize, &Identity)| {
-            self.rib.desired(&s.name()).into_iter().map(move |r| (i, r.egress_bits, r.local)).collect::<Vec<_>>()
-        };
-        self.switches.iter().enumerate().flat_map(of).collect()
-    }
-
-    fn detaches(&mut self) -> Vec<(Name, Name)> {
-        let effects = self.rib.effects(self.now).into_iter();
-        effects
-            .filter_map(|e| if let Effect::Detach { switch, entity } = e { Some((switch, entity)) } else { None })
-            .collect()
-    }
-
-    fn writers_told(&mut self) -> Vec<(Name, Name, usize)> {
-        let effects = self.rib.effects(self.now);
-        let told = effects.into_iter().filter_map(|e| match e {
-            Effect::Writers(push) => Some(push),
-            _ => None,
-        });
-        let told: Vec<_> = told.collect();
-        told.iter().for_each(|push| self.rib.told(&push.name));
-        told.into_iter().map(|push| (push.switch, push.entity, push.records.len())).collect()
-    }
-
-    fn pushes(&mut self) -> Vec<FibPush> {
-        let effects = self.rib.effects(self.now).into_iter();
-        effects.filter_map(|e| if let Effect::Fib(push) = e { Some(push) } else { None }).collect()
-    }
-
-    /// Carries pushes out until there are none; the FIBs of the switches are then what the RIB wants.
-    fn settle(&mut self) {
-        loop {
-            let effects = self.rib.effects(self.now);
-            if effects.is_empty() {
-                break;
-            }
-            for effect in effects {
-                let Effect::Fib(push) = effect else { continue };
-                let held = self.held.entry(push.switch).or_default();
-                if matches!(push.extent, Extent::Full { part: 0, .. }) {
-                    held.routes.clear();
-                }
-                (held.own_bit, held.reach) = (push.own_bit, push.reach);
-                held.routes.extend(push.set.iter().map(|r| (r.name, r.clone())));
-                held.routes.retain(|name, _| !push.remove.contains(name));
-                self.rib.pushed(self.now, &push.switch, push.generation, Pushed::Done);
-            }
-        }
-        for switch in &self.switches {
-            let name = switch.name();
-            let held: Vec<_> = self.held[&name].routes.values().cloned().collect();
-            let mut desired = self.rib.desired(&name);
-            desired.sort_by_key(|r| r.name);
-            assert_eq!(held, desired);
-        }
-    }
-
-    /// Sends a frame of every registered writer through the switches' FIBs, as `gdp_wire::forward` would.
-    fn check_delivery(&self) {
-        let (records, _) = self.rib.records(self.now, None, usize::MAX);
-        for writer in records.iter().filter(|r| r.is_writer()) {
-            let reader = records.iter().find(|r| r.name == writer.name && !r.is_writer());
-            let expected = reader.map(|r: &Record| (r.switch, r.entity.name().unwrap()));
-            assert_eq!(self.deliver(writer.switch, writer.name), expected);
-        }
-    }
-
-    fn deliver(&self, from: Name, name: Name) -> Option<(Name, Name)> {
-        let bits = self.held[&from].routes.get(&name)?.egress_bits;
-        let mut at = from;
-        for _ in 0..=self.switches.len() {
-            let held = &self.held[&at];
-            if bits == 1 << held.own_bit {
-                return Some((at, held.routes.get(&name)?.local?));
-            }
-            at = held.reach.iter().find(|(_, reach)| bits & reach != 0)?.0;
-        }
-        panic!("a loop");
-    }
-}
-
-/// The parts of a request, to be spoilt one at a time.
-#[derive(Clone)]
-struct Parts {
-    owner: SigningKey,
-    signer: SigningKey,
-    proof: NameProof,
-    cert: AdCert,
-    advert: Advert,
-    flip_cert: bool,
-    flip_advert: bool,
-}
-
-impl Parts {
-    fn publish(w: &World, entity: &Identity, at: usize) -> Self {
-        let name = w.card.name();
-        Self {
-            owner: w.owner.clone(),
-            signer: entity.key().clone(),
-            proof: w.card.proof(),
-            cert: AdCert {
-                name,
-                entity: entity.name(),
-                mode: Mode::Unicast,
-                scope: vec![],
-                not_before: UNIX - 1,
-                not_after: UNIX + 1_000_000,
-            },
-            advert: Advert {
-                op: AdvertOp::Publish,
-                name,
-                entity: entity.name(),
-                switch: w.switch(at),
-                serial: 1,
-                lifetime: 24 * HOUR,
-            },
-            flip_cert: false,
-            flip_advert: false,
-        }
-    }
-
-    fn advertise(&self) -> EntityRequest {
-        let (mut ad_cert, mut advert) =
-            (issue(&self.owner, &self.cert).unwrap(), issue(&self.signer, &self.advert).unwrap());
-        if self.flip_cert {
-            ad_cert = flipped(&ad_cert);
-        }
-        if self.flip_advert {
-            advert = flipped(&advert);
-        }
-        EntityRequest::Advertise { proof: self.proof, ad_cert, advert }
-    }
-
-    fn withdraw(w: &World, entity: &Identity, at: usize, serial: u64) -> EntityRequest {
-        let advert = Advert { op: AdvertOp::Withdraw, serial, ..Self::publish(w, entity, at).advert };
-        EntityRequest::Withdraw { advert: issue(entity.key(), &advert).unwrap() }
-    }
-}
-
-/// The last byte belongs to the signature.
-fn flipped<T>(signed: &gdp::cert::Signed<T>) -> gdp::cert::Signed<T> {
-    let mut bytes = signed.as_bytes().to_vec();
-    *bytes.last_mut().unwrap() ^= 1;
-    gdp::cert::Signed::from_bytes(bytes).unwrap()
-}
-
-fn expect_refused(response: &Response, what: &str, code: RefusalCode, needle: &str) {
-    let Response::Refused(refusal) = response else { panic!("{what}: not refused but {response:?}") };
-    assert_eq!(refusal.code, code, "{what}: {refusal}");
-    assert!(refusal.reason.contains(needle), "{what}: {refusal}");
-}
-
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, bound: usize) -> usize {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (self.0 >> 33) as usize % bound
     }
 }

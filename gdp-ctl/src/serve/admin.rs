@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::control::Response;
-use serde_json::Value;
+use serde_json::{Value, json};
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::Semaphore;
@@ -117,6 +117,7 @@ async fn serve(daemon: &Arc<Daemon>, stream: UnixStream) -> std::io::Result<()> 
 async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
     match request {
         Request::Status => Reply::Ok(status::status(daemon).await),
+        Request::Links => Reply::Ok(json!({"links": status::links(&daemon.core())})),
         Request::Fib { after } => page(status::fib(daemon, after, PAGE)),
         Request::Rib { after } => page(status::rib(daemon, after, PAGE)),
         Request::Entity { entity, request } => {

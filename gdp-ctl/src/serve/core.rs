@@ -6,19 +6,20 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use gdp::control::{EntityRequest, FibPush, Refusal, RefusalCode, Request, Response};
+use gdp::crypto;
 use gdp::identity::Identity;
-use gdp::link::{Link, LinkIds, Peer, Role};
+use gdp::link::{HOLD, Link, LinkIds, LinkKeys, Peer, Role};
 use gdp::name::NameProof;
 use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
-use gdp_wire::{LinkEntry, Name};
+use gdp_wire::{LinkEntry, LinkRole, Name};
 
-use super::hold::{Hold, NextHops};
+use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::routes::{Change, Routes};
 use crate::config::{Neighbour, Via};
 use crate::plane::{PlaneError, PlaneRoute, Planes};
 use crate::rib::fib::Pushed;
-use crate::rib::{Effect, Limits, Now, Rib};
+use crate::rib::{Effect, Limits, Now, Rib, Run};
 
 /// Switches that reach the RIB through this one; a RIB takes fewer.
 const MAX_DOWNSTREAM: usize = 256;
@@ -38,6 +39,8 @@ pub struct Core {
     pub planes: Planes,
     pub routes: Routes,
     pub links: HashMap<u32, LinkState>,
+    /// Links that the data planes hold besides.
+    pub held: Hold,
     /// The link to each peer.
     pub peers: HashMap<Name, u32>,
     /// The link toward each switch further from the RIB.
@@ -46,8 +49,8 @@ pub struct Core {
     pub attached: HashSet<Name>,
     /// Routes that the data plane refused, and why it refused the last.
     unplaced: (BTreeMap<Name, PlaneRoute>, String),
-    /// What an earlier daemon left, and the next hops that are known since.
-    hold: (Hold, NextHops),
+    /// Until when the data planes keep the ports and programs that an earlier daemon left.
+    adopted_until: Option<Instant>,
     start: Instant,
 }
 
@@ -55,6 +58,7 @@ pub struct Core {
 pub struct LinkState {
     pub link: Link,
     pub via: Via,
+    pub since: Instant,
     entry: LinkEntry,
     to: LinkAddr,
 }
@@ -71,8 +75,10 @@ pub enum Expects {
     Nothing,
     /// What became of its push of this generation to this switch.
     Push(Name, u64),
-    /// That the reader of this name has been told of its writers.
-    Told(Name),
+    /// That this reader of this name has been told of its writers.
+    Told(Name, Name),
+    /// That the endpoint has attached again; if not, its link is closed.
+    Reattach,
 }
 
 /// What an entity has stated: it publishes the name, or reads it.
@@ -89,6 +95,8 @@ pub enum Next {
     Settle(Response, Statement),
     /// Ask over this link, and pass the response on.
     Forward(Link, Request),
+    /// Have the endpoint at the other end attach again, or close the link.
+    Reattach(Link, Request),
 }
 
 impl Core {
@@ -99,7 +107,9 @@ impl Core {
         rib: bool,
         planes: Planes,
     ) -> Self {
-        let rib = rib.then(|| Rib::new(identity.name(), Limits::default()));
+        // Should there be no random number: any that a RIB before this one did not have.
+        let id = crypto::random::<8>().map_or_else(|_| unix_now(), u64::from_ne_bytes);
+        let rib = rib.then(|| Rib::new(identity.name(), Run { id, settling: HOLD }, Limits::default()));
         Self {
             identity,
             neighbours,
@@ -109,11 +119,12 @@ impl Core {
             planes,
             routes: Routes::default(),
             links: HashMap::new(),
+            held: Hold::default(),
             peers: HashMap::new(),
             downstream: HashMap::new(),
             attached: HashSet::new(),
             unplaced: Default::default(),
-            hold: (Hold::default(), [0; EGRESS_SET_SIZE as usize]),
+            adopted_until: None,
             start: Instant::now(),
         }
     }
@@ -122,36 +133,58 @@ impl Core {
         self.identity.name()
     }
 
-    /// Keeps what an earlier daemon left in the data planes, until peers and RIB have replaced it, for a while.
+    /// Keeps what an earlier daemon left in the data planes, until peers and RIB have replaced it, for a while. The endpoints
+    /// it had links with count as attached: they attach again when they notice.
     pub fn take_over(&mut self, ids: &LinkIds) {
-        let Some(left) = self.planes.left() else { return };
-        self.hold.0 = Hold::new(left, ids, Instant::now());
-        let (links, routes) = self.hold.0.len();
-        tracing::info!(links, routes, "took over from a daemon that ended without being stopped; its links are held");
-    }
-
-    /// Removes what is left from before once its time is over.
-    pub fn end_hold(&mut self, now: Instant) {
-        let Some((links, routes)) = self.hold.0.expire(now) else { return };
+        let Some(left) = self.planes.left().cloned() else { return };
+        let until = Instant::now() + HOLD;
+        let mut links = Vec::new();
+        for (entry, to) in &left.links {
+            let role = if entry.role == LinkRole::Endpoint as u32 { Role::Endpoint } else { Role::Switch };
+            let Some(id) = ids.reserve(entry.id) else { continue };
+            let id = Kept::Adopted { _id: id };
+            self.held.keep(HeldLink { peer: entry.peer, role, entry: *entry, to: *to, until, id });
+            if role == Role::Endpoint {
+                self.attached.insert(entry.peer);
+            }
+            links.push((*entry, role));
+        }
+        let changes = self.routes.adopt(&left, &links);
+        self.carry_out(changes);
+        self.adopted_until = Some(until);
+        let routes = left.routes.len();
         tracing::info!(
             links = links.len(),
-            routes = routes.len(),
-            "nothing is held any longer from the daemon before this one"
+            routes,
+            "took over from a daemon that ended without being stopped; its links are held"
         );
-        let known = self.hold.1;
-        let mut results = vec![self.planes.set_next_hops(&known)];
-        results.extend(routes.iter().map(|name| self.planes.remove_route(name)));
-        results.extend(links.iter().map(|id| self.planes.remove_link(*id)));
-        results.push(self.planes.end_adoption());
-        for error in results.into_iter().filter_map(Result::err) {
-            tracing::error!(%error, "the data plane keeps something of the daemon before this one");
+    }
+
+    /// Removes what is held and whose time is over. Returns endpoints that are no longer attached, and whether neighbours are
+    /// gone.
+    pub fn end_hold(&mut self, now: Instant) -> (Vec<Name>, bool) {
+        let adjacent = self.adjacencies();
+        let lost = self.held.over(now).into_iter().filter_map(|id| self.release(id)).collect();
+        if self.adopted_until.take_if(|until| *until <= now).is_some() {
+            tracing::info!("nothing is held any longer from the daemon before this one");
+            if let Err(error) = self.planes.end_adoption() {
+                tracing::error!(%error, "the data plane keeps something of the daemon before this one");
+            }
         }
-        self.place();
+        (lost, self.adjacencies() != adjacent)
+    }
+
+    /// Removes a link that is held, because its time is over or nothing forwards at its other end. Returns its peer, if that is
+    /// an endpoint that is no longer attached for it.
+    pub fn release(&mut self, id: u32) -> Option<Name> {
+        let HeldLink { peer, role, .. } = self.held.take(id)?;
+        self.remove_link(role, peer, id);
+        let gone = role == Role::Endpoint && !self.peers.contains_key(&peer) && !self.held.keeps(&peer);
+        (gone && self.attached.contains(&peer)).then_some(peer)
     }
 
     pub fn now(&self) -> Now {
-        let unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
-        Now { unix, clock: self.start.elapsed() }
+        Now { unix: unix_now(), clock: self.start.elapsed() }
     }
 
     /// The moment at which [`Now::clock`] will be `clock`; none for one so far off that no certificate should name it.
@@ -166,8 +199,9 @@ impl Core {
             return Err(format!("the peer has the key of this switch, {switch}: give each a key of its own"));
         }
         if peer.role == Role::Endpoint {
-            let endpoints = self.links.values().filter(|state| state.link.peer().role == Role::Endpoint).count();
-            return if endpoints < MAX_ENDPOINTS {
+            let live = self.links.values().filter(|state| state.link.peer().role == Role::Endpoint).count();
+            let held = self.held.iter().filter(|held| held.role == Role::Endpoint).count();
+            return if live + held < MAX_ENDPOINTS {
                 Ok(())
             } else {
                 Err(format!("{MAX_ENDPOINTS} endpoints have links to this switch, the most it takes"))
@@ -193,7 +227,7 @@ impl Core {
             return Err(error);
         }
         let replaced = self.peers.insert(peer, id).and_then(|old| self.links.get(&old)).map(|old| old.link.clone());
-        self.links.insert(id, LinkState { link: link.clone(), via, entry, to });
+        self.links.insert(id, LinkState { link: link.clone(), via, since: Instant::now(), entry, to });
         let changes = self.routes.link_up(link.peer().role, peer, id);
         self.carry_out(changes);
         if self.uplink == Some(peer) {
@@ -202,11 +236,21 @@ impl Core {
         Ok(replaced)
     }
 
-    /// Takes a link out of service.
-    pub fn link_down(&mut self, link: &Link) {
-        let (id, peer) = (link.local_id(), link.peer().name);
-        let changes = self.routes.link_down(link.peer().role, peer, id);
-        self.carry_out(changes);
+    /// The peer takes data frames on this link.
+    pub fn link_ready(&mut self, link: &Link) {
+        let (peer, id) = (link.peer().name, link.local_id());
+        if self.links.contains_key(&id) {
+            let changes = self.routes.link_ready(link.peer().role, peer, id);
+            self.carry_out(changes);
+            self.held.replaced(&peer, Instant::now());
+        }
+    }
+
+    /// A link is closed. It goes out of service, unless frames may still come on it: because the peer is only about to learn
+    /// that another has replaced it, or because the peer said nothing, and may forward on without its daemon: then it is held,
+    /// and to be [watched](super::liveness). Returns whether it is.
+    pub fn link_down(&mut self, link: &Link) -> bool {
+        let (id, peer, role) = (link.local_id(), link.peer().name, link.peer().role);
         self.downstream.retain(|_, via| *via != id);
         if self.peers.get(&peer) == Some(&id) {
             self.peers.remove(&peer);
@@ -214,22 +258,65 @@ impl Core {
                 self.uplink_ready = false;
             }
         }
-        if let Err(error) = self.planes.remove_link(id) {
-            tracing::error!(link = id, %error, "the data plane keeps a link that is gone");
+        let Some(LinkState { link, entry, to, .. }) = self.links.remove(&id) else { return false };
+        let is_replaced = self.routes.is_replaced(role, &peer, id);
+        let is_silent = !is_replaced && link.fell_silent() && self.routes.link_silent(role, &peer, id);
+        if !is_replaced && !is_silent {
+            self.remove_link(role, peer, id);
+            return false;
         }
-        self.links.remove(&id);
+        let time = if is_replaced { GRACE } else { HOLD };
+        let held = HeldLink { peer, role, entry, to, until: Instant::now() + time, id: Kept::Closed { _link: link } };
+        if let Some(first) = self.held.keep(held) {
+            self.release(first);
+        }
+        is_silent
     }
 
-    /// Looks whether peers have moved to other addresses, as QUIC has validated.
+    /// Whether a link is held whose peer has no other.
+    pub fn awaits(&self, link: &Link) -> bool {
+        self.held.contains(link.local_id()) && !self.peers.contains_key(&link.peer().name)
+    }
+
+    fn remove_link(&mut self, role: Role, peer: Name, id: u32) {
+        let (changes, with_it) = self.routes.link_gone(role, peer, id);
+        self.carry_out(changes);
+        for id in [id].into_iter().chain(with_it) {
+            self.held.take(id);
+            if let Err(error) = self.planes.remove_link(id) {
+                tracing::error!(link = id, %error, "the data plane keeps a link that is gone");
+            }
+        }
+    }
+
+    /// Writes the keys that a link has from now on to the data planes; `false` if it is gone, or a plane refuses.
+    pub fn put_keys(&mut self, id: u32, keys: &LinkKeys) -> bool {
+        let Some(state) = self.links.get_mut(&id) else { return false };
+        keys.put(&mut state.entry);
+        let result = self.planes.set_link(state.entry, state.to);
+        if let Err(error) = &result {
+            tracing::error!(link = id, %error, "the data plane did not take a link's new keys; it keeps those it has");
+        }
+        result.is_ok()
+    }
+
+    /// Looks whether peers have moved to other addresses, as QUIC has validated; and what the paths to them take.
     pub fn follow_addresses(&mut self) {
         for state in self.links.values_mut() {
-            let to = state.link.addr();
+            let (to, mtu, carrier) = (state.link.addr(), state.link.mtu(), state.link.carrier());
+            if (to, mtu, carrier) == (state.to, state.entry.mtu, state.entry.carrier) {
+                continue;
+            }
+            let peer = format_args!("{:#}", state.link.peer().name).to_string();
             if to != state.to {
-                tracing::info!(peer = %format_args!("{:#}", state.link.peer().name), from = %state.to, %to, "a peer moved");
-                state.to = to;
-                if let Err(error) = self.planes.set_link(state.entry, to) {
-                    tracing::error!(%error, "the data plane did not take a link's new address");
-                }
+                tracing::info!(peer, from = %state.to, %to, "a peer moved");
+            }
+            if mtu != state.entry.mtu {
+                tracing::debug!(peer, from = state.entry.mtu, to = mtu, "the MTU of a link changed");
+            }
+            (state.to, state.entry.mtu, state.entry.carrier) = (to, mtu, carrier);
+            if let Err(error) = self.planes.set_link(state.entry, to) {
+                tracing::error!(%error, "the data plane did not take what changed on a link");
             }
         }
     }
@@ -239,9 +326,10 @@ impl Core {
         self.peers.get(peer).and_then(|id| self.links.get(id)).map(|state| state.link.clone())
     }
 
-    /// This switch's live adjacencies with other switches and their costs.
+    /// This switch's adjacencies with other switches and their costs: those that frames may go by.
     pub fn adjacencies(&self) -> Vec<(Name, u32)> {
-        let near = self.neighbours.iter().filter(|n| self.peers.contains_key(&n.place.switch));
+        let there = |switch| self.peers.contains_key(switch) || self.held.keeps(switch);
+        let near = self.neighbours.iter().filter(|n| there(&n.place.switch));
         near.map(|n| (n.place.switch, n.cost)).collect()
     }
 
@@ -267,6 +355,10 @@ impl Core {
     /// What a neighbouring switch asks or says.
     pub fn switch_request(&mut self, from: &Link, request: Request) -> Next {
         let peer = from.peer().name;
+        if matches!(request, Request::Ready) {
+            self.link_ready(from);
+            return Next::Answer(Response::Done);
+        }
         if self.uplink == Some(peer) {
             return self.downward(request);
         }
@@ -295,7 +387,7 @@ impl Core {
                     return refuse(RefusalCode::Unreachable, reason);
                 }
             }
-            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) => {
+            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) | Request::Ready | Request::Ratcheted { .. } => {
                 let reason = "only the uplink of a switch may send it this; check uplink in the configuration of both";
                 return refuse(RefusalCode::Malformed, reason);
             }
@@ -311,11 +403,11 @@ impl Core {
             Request::Relay { switch, entity, by_tool, request } => {
                 return ask(rib, now, switch, entity.as_ref(), by_tool, &request);
             }
-            Request::Report { switch, neighbours, attached } => {
-                rib.report(now, &switch, &neighbours, attached.as_deref())
+            Request::Report { switch, neighbours, attached, own_bit } => {
+                rib.report(now, &switch, &neighbours, attached.as_deref(), own_bit)
             }
             Request::Detach { switch, entity } => rib.detach(now, &switch, &entity),
-            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) => {
+            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) | Request::Ready | Request::Ratcheted { .. } => {
                 Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into()
             }
         })
@@ -342,25 +434,22 @@ impl Core {
                 Some(link) => Next::Forward(link, Request::Writers(push)),
                 None => refuse(RefusalCode::Unreachable, format!("{} has no link here", push.entity)),
             },
-            Request::Detach { entity, .. } => {
-                self.told_to_detach(&entity);
-                Next::Answer(Response::Done)
-            }
+            Request::Detach { switch, entity } => match self.told_to_detach(&entity) {
+                Some(link) => Next::Reattach(link, Request::Detach { switch, entity }),
+                None => Next::Answer(Response::Done),
+            },
             _ => refuse(RefusalCode::Malformed, "not a request to a switch"),
         }
     }
 
-    /// The RIB does not hold what this switch thinks it holds.
-    fn told_to_detach(&mut self, entity: &Name) {
+    /// The RIB does not hold what this switch thinks it holds. Returns the link of the endpoint that is to attach again.
+    fn told_to_detach(&mut self, entity: &Name) -> Option<Link> {
         if *entity == self.name() {
             // The caller reports again because of this.
             self.uplink_ready = false;
-        } else if let Some(link) = self.link_to(entity)
-            && link.peer().role == Role::Endpoint
-        {
-            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB does not know the attachment; attaching it again");
-            link.close("the RIB does not know this attachment: attach again");
+            return None;
         }
+        self.link_to(entity).filter(|link| link.peer().role == Role::Endpoint)
     }
 
     fn push(&mut self, push: &FibPush) -> Response {
@@ -409,11 +498,13 @@ impl Core {
                         (push.switch, Request::Fib(push), expects)
                     }
                     Effect::Writers(push) => {
-                        let expects = Expects::Told(push.name);
+                        let expects = Expects::Told(push.name, push.entity);
                         (push.switch, Request::Writers(push), expects)
                     }
                     Effect::Detach { switch, entity } if switch == own => {
-                        self.told_to_detach(&entity);
+                        let Some(link) = self.told_to_detach(&entity) else { continue };
+                        let request = Request::Detach { switch, entity };
+                        outgoing.push(Outgoing { link: Some(link), request, expects: Expects::Reattach });
                         continue;
                     }
                     Effect::Detach { switch, entity } => (switch, Request::Detach { switch, entity }, Expects::Nothing),
@@ -432,11 +523,11 @@ impl Core {
         let now = self.now();
         let Some(rib) = &mut self.rib else { return };
         match expects {
-            Expects::Nothing => {}
+            Expects::Nothing | Expects::Reattach => {}
             Expects::Push(switch, generation) => {
                 rib.pushed(now, &switch, generation, response.map_or(Pushed::Failed, outcome));
             }
-            Expects::Told(name) => rib.told(&name),
+            Expects::Told(name, reader) => rib.told(&name, &reader),
         }
     }
 
@@ -457,28 +548,24 @@ impl Core {
         for change in changes {
             let result = match change {
                 Change::OwnBit(bit) => self.planes.set_own_bit(bit),
-                Change::Reach { link, bits } => match self.links.get_mut(&link) {
-                    Some(state) => {
-                        state.entry.reach = bits;
-                        self.planes.set_link(state.entry, state.to)
+                Change::Reach { link, bits } => {
+                    let live = self.links.get_mut(&link).map(|state| (&mut state.entry, state.to));
+                    match live.or_else(|| self.held.get_mut(link).map(|held| (&mut held.entry, held.to))) {
+                        Some((entry, to)) => {
+                            entry.reach = bits;
+                            self.planes.set_link(*entry, to)
+                        }
+                        None => Ok(()),
                     }
-                    None => Ok(()),
-                },
-                Change::NextHops(next_hops) => {
-                    self.hold.1 = *next_hops;
-                    self.planes.set_next_hops(&self.hold.0.next_hops(&next_hops))
                 }
+                Change::NextHops(next_hops) => self.planes.set_next_hops(&next_hops),
                 Change::Set(name, route) => {
-                    let route = self.hold.0.set(&name, route, self.routes.awaits(&name));
                     self.unplaced.0.insert(name, route);
                     Ok(())
                 }
                 Change::Remove(name) => {
                     self.unplaced.0.remove(&name);
-                    match self.hold.0.remove(&name, self.routes.awaits(&name)) {
-                        true => self.planes.remove_route(&name),
-                        false => Ok(()),
-                    }
+                    self.planes.remove_route(&name)
                 }
             };
             if let Err(error) = result {
@@ -502,10 +589,15 @@ impl Core {
         }
     }
 
-    /// Peers by the link they are on.
+    /// Peers by the links they are on.
     pub fn peers_by_link(&self) -> BTreeMap<u32, Name> {
-        self.links.iter().map(|(id, state)| (*id, state.link.peer().name)).collect()
+        let live = self.links.iter().map(|(id, state)| (*id, state.link.peer().name));
+        live.chain(self.held.iter().map(|held| (held.entry.id, held.peer))).collect()
     }
+}
+
+fn unix_now() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs()
 }
 
 /// Puts an entity's request to the RIB.

@@ -1,154 +1,121 @@
-//! What the data planes hold from before this daemon: links, routes and next hops that an earlier one left in the kernel.
-//! Peers go on using them until they have made their links anew, so each stays until it is replaced or [`Hold::until`] is
-//! over. Says what the tables should hold in the meantime; [`super::core`] writes them.
+//! Links that stay in the data plane though nobody answers on them, or another has replaced them: their peers may still send
+//! on them, or forward without a daemon. Each has a time at which it goes; [`super::core`] removes it then.
 
-use std::collections::{BTreeMap, HashMap};
-use std::time::Instant;
+use std::collections::HashMap;
+use std::time::{Duration, Instant};
 
-use gdp::link::{HOLD, LinkId, LinkIds};
-use gdp_wire::Name;
-use gdp_wire::table::EGRESS_SET_SIZE;
+use gdp::link::{Link, LinkId, Role};
+use gdp::port::LinkAddr;
+use gdp_wire::{LinkEntry, Name};
 
-use crate::plane::{Left, PlaneRoute};
+/// How long a link is kept that another has replaced: until frames that were sent on it have arrived.
+pub const GRACE: Duration = Duration::from_secs(5);
 
-/// Link by egress bit.
-pub type NextHops = [u32; EGRESS_SET_SIZE as usize];
+/// Links to one peer that are kept.
+const MOST: usize = 8;
 
-/// What is held. Empty, unless there was a daemon before.
-pub struct Hold {
-    /// Kept so that no new link gets the same index.
-    links: HashMap<u32, LinkId>,
-    /// Routes that nobody has confirmed or taken back.
-    routes: BTreeMap<Name, PlaneRoute>,
-    next_hops: NextHops,
-    until: Option<Instant>,
+/// A link that is kept.
+pub struct HeldLink {
+    pub peer: Name,
+    pub role: Role,
+    pub entry: LinkEntry,
+    pub to: LinkAddr,
+    pub until: Instant,
+    /// So that no new link gets the same index in the tables.
+    pub id: Kept,
 }
 
-impl Default for Hold {
-    fn default() -> Self {
-        Self { links: HashMap::new(), routes: BTreeMap::new(), next_hops: [0; EGRESS_SET_SIZE as usize], until: None }
-    }
+/// What reserves the id of a link that is kept.
+pub enum Kept {
+    Adopted { _id: LinkId },
+    Closed { _link: Link },
 }
+
+/// All that are kept, by id.
+#[derive(Default)]
+pub struct Hold(HashMap<u32, HeldLink>);
 
 impl Hold {
-    /// Holds what was left, from now on. `ids`: those that new links get.
-    pub fn new(left: &Left, ids: &LinkIds, now: Instant) -> Self {
-        Self {
-            links: left.links.iter().filter_map(|entry| Some((entry.id, ids.reserve(entry.id)?))).collect(),
-            routes: left.routes.iter().cloned().collect(),
-            next_hops: left.next_hops,
-            until: Some(now + HOLD),
+    /// Keeps a link. Returns one to the same peer that has to go for it.
+    pub fn keep(&mut self, link: HeldLink) -> Option<u32> {
+        let same_peer = self.0.values().filter(|held| held.peer == link.peer);
+        let crowded = same_peer.clone().count() >= MOST;
+        let first = same_peer.filter(|_| crowded).min_by_key(|held| held.until).map(|held| held.entry.id);
+        self.0.insert(link.entry.id, link);
+        first
+    }
+
+    pub fn take(&mut self, id: u32) -> Option<HeldLink> {
+        self.0.remove(&id)
+    }
+
+    pub fn contains(&self, id: u32) -> bool {
+        self.0.contains_key(&id)
+    }
+
+    pub fn get_mut(&mut self, id: u32) -> Option<&mut HeldLink> {
+        self.0.get_mut(&id)
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = &HeldLink> {
+        self.0.values()
+    }
+
+    /// Whether any link to the peer is kept.
+    pub fn keeps(&self, peer: &Name) -> bool {
+        self.0.values().any(|held| held.peer == *peer)
+    }
+
+    /// The peer takes frames on a new link: what it sent on others arrives soon, or never.
+    pub fn replaced(&mut self, peer: &Name, now: Instant) {
+        for held in self.0.values_mut().filter(|held| held.peer == *peer) {
+            held.until = held.until.min(now + GRACE);
         }
     }
 
-    /// How many links and routes.
-    pub fn len(&self) -> (usize, usize) {
-        (self.links.len(), self.routes.len())
-    }
-
-    /// The next hops to forward by: those that are known, and where there is none the one from before.
-    pub fn next_hops(&self, known: &NextHops) -> NextHops {
-        std::array::from_fn(|bit| match known[bit] {
-            0 if self.links.contains_key(&self.next_hops[bit]) => self.next_hops[bit],
-            link => link,
-        })
-    }
-
-    /// The route to set where `route` is known of the name. `awaits`: its endpoint here has no link yet; it then still
-    /// gets its frames on the one from before.
-    pub fn set(&mut self, name: &Name, mut route: PlaneRoute, awaits: bool) -> PlaneRoute {
-        match self.routes.get(name) {
-            Some(held) if awaits => {
-                route.readers.clone_from(&held.readers);
-                if route.writers.is_empty() {
-                    route.writers.clone_from(&held.writers);
-                }
-            }
-            _ => {
-                self.routes.remove(name);
-            }
-        }
-        route
-    }
-
-    /// Whether the name's route goes, when nothing is known that leads there.
-    pub fn remove(&mut self, name: &Name, awaits: bool) -> bool {
-        if awaits && self.routes.contains_key(name) {
-            return false;
-        }
-        self.routes.remove(name);
-        true
-    }
-
-    /// Once the time is over, all links and routes that are still held: to be removed.
-    pub fn expire(&mut self, now: Instant) -> Option<(Vec<u32>, Vec<Name>)> {
-        self.until.take_if(|until| *until <= now)?;
-        let held = std::mem::take(self);
-        Some((held.links.into_keys().collect(), held.routes.into_keys().collect()))
+    /// Those whose time is over.
+    pub fn over(&self, now: Instant) -> Vec<u32> {
+        self.0.values().filter(|held| held.until <= now).map(|held| held.entry.id).collect()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plane::{PlaneConfig, Planes, Wanted};
-    use gdp_wire::table::MAX_LINKS;
+    use gdp::link::{HOLD, LinkIds};
 
     #[test]
-    fn a_route_stays_on_the_old_link_until_its_endpoint_has_a_new_one() {
-        let (mut hold, _) = held();
-        let known = PlaneRoute { egress_bits: 3, ..PlaneRoute::default() };
-        assert!(!hold.remove(&name(1), true), "the endpoint is not back yet");
-        let old = PlaneRoute { readers: vec![OLD], ..known.clone() };
-        assert_eq!(hold.set(&name(1), known.clone(), true), old);
-        let found = PlaneRoute { readers: vec![0x2405], ..known };
-        assert_eq!(hold.set(&name(1), found.clone(), false), found);
-        assert!(hold.remove(&name(1), true), "it is no longer the old one");
-        assert!(hold.remove(&name(2), false), "taken back by the RIB");
-        assert_eq!(hold.len(), (1, 0));
-    }
-
-    #[test]
-    fn next_hops_are_the_old_ones_where_there_is_no_new_one() {
-        let (hold, _) = held();
-        let mut known = [0; EGRESS_SET_SIZE as usize];
-        assert_eq!(hold.next_hops(&known)[..3], [0, OLD, 0], "bit 2 led to a link that was not found again");
-        known[1] = 0x2406;
-        known[2] = 0x2407;
-        assert_eq!(hold.next_hops(&known)[..3], [0, 0x2406, 0x2407]);
-    }
-
-    #[test]
-    fn what_nobody_confirmed_is_removed_in_the_end() {
-        let (mut hold, ids) = held();
-        hold.set(&name(1), PlaneRoute::default(), false);
-        let start = hold.until.expect("there is something") - HOLD;
-        assert_eq!(hold.expire(start + HOLD / 2), None);
-        assert!(ids.reserve(OLD + MAX_LINKS).is_none(), "no new link takes its place in the tables");
-        assert_eq!(hold.expire(start + HOLD), Some((vec![OLD], vec![name(2)])));
-        assert_eq!((hold.expire(start + HOLD * 2), hold.len()), (None, (0, 0)));
-        assert!(ids.reserve(OLD + MAX_LINKS).is_some());
-    }
-
-    #[test]
-    fn without_a_daemon_before_nothing_is_held() {
-        let planes = Planes::open(PlaneConfig { wanted: Wanted::Userspace, ..PlaneConfig::default() }).unwrap();
-        assert_eq!(planes.left(), None);
+    fn links_go_when_their_time_is_over_and_sooner_once_replaced() {
+        let (ids, now) = (LinkIds::new(), Instant::now());
         let mut hold = Hold::default();
-        assert!(hold.remove(&name(1), true));
-        assert_eq!(hold.expire(Instant::now() + HOLD * 2), None);
+        assert_eq!(hold.keep(link(&ids, 1, 0x401, now + HOLD)), None);
+        assert_eq!(hold.keep(link(&ids, 2, 0x402, now + HOLD)), None);
+        assert!(ids.reserve(0x801).is_none(), "no new link takes its place in the tables");
+        hold.replaced(&name(1), now);
+        assert!(hold.over(now + GRACE / 2).is_empty());
+        assert_eq!(hold.over(now + GRACE), [0x401]);
+        drop(hold.take(0x401));
+        assert!(!hold.keeps(&name(1)) && hold.keeps(&name(2)));
+        assert!(ids.reserve(0x801).is_some());
+        assert_eq!(hold.over(now + HOLD), [0x402]);
     }
 
-    const OLD: u32 = 0x1405;
+    #[test]
+    fn a_peer_has_a_few_and_the_one_that_ends_first_goes() {
+        let (ids, now) = (LinkIds::new(), Instant::now());
+        let mut hold = Hold::default();
+        for i in 0..MOST as u32 {
+            assert_eq!(hold.keep(link(&ids, 1, 0x400 + i, now + GRACE * (i + 1))), None);
+        }
+        assert_eq!(hold.keep(link(&ids, 2, 0x420, now)), None);
+        assert_eq!(hold.keep(link(&ids, 1, 0x430, now + HOLD)), Some(0x400));
+    }
 
-    fn held() -> (Hold, LinkIds) {
-        let ids = LinkIds::new();
-        let route = |i| (name(i), PlaneRoute { egress_bits: 1, readers: vec![OLD], writers: vec![] });
-        let mut next_hops = [0; EGRESS_SET_SIZE as usize];
-        next_hops[1..3].copy_from_slice(&[OLD, 0x1499]);
-        let links = vec![gdp_wire::LinkEntry { id: OLD, ..Default::default() }];
-        let left = Left { links, routes: vec![route(1), route(2)], next_hops, ports: Default::default() };
-        (Hold::new(&left, &ids, Instant::now()), ids)
+    fn link(ids: &LinkIds, peer: u8, id: u32, until: Instant) -> HeldLink {
+        let entry = LinkEntry { id, ..LinkEntry::default() };
+        let to = LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] };
+        let kept = Kept::Adopted { _id: ids.reserve(id).unwrap() };
+        HeldLink { peer: name(peer), role: Role::Switch, entry, to, until, id: kept }
     }
 
     fn name(i: u8) -> Name {

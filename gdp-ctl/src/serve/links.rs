@@ -4,11 +4,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
-use gdp::link::{Link, Responder, Role};
+use gdp::link::{Link, LinkKeys, Responder, Role};
+use gdp_wire::Name;
 use tokio::time::timeout;
 
-use super::Daemon;
 use super::core::{Expects, Next, Statement};
+use super::{Daemon, liveness};
 use crate::config::Via;
 
 /// How long an accepted statement waits for switches to take their routes.
@@ -40,11 +41,27 @@ pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     }
     let role = if switch { "switch" } else { "endpoint" };
     tracing::info!(peer = %format_args!("{peer:#}"), role, %via, addr = %link.addr(), "link up");
+    daemon.spawn(keep_keys(daemon.clone(), link.clone()));
     if switch {
         daemon.topology_changed();
+        daemon.spawn(say_ready(link.clone()));
         daemon.spawn(serve_switch(daemon.clone(), link));
     } else {
         daemon.spawn(serve_endpoint(daemon.clone(), link));
+    }
+}
+
+/// Replaces the link's keys in the data planes now and then, as long as it lives.
+async fn keep_keys(daemon: Arc<Daemon>, link: Link) {
+    let id = link.local_id();
+    let put = |keys: &LinkKeys| daemon.core().put_keys(id, keys);
+    link.keep_keys(|| daemon.core().planes.frames_sent(id), put).await;
+}
+
+/// The neighbour goes on sending on an earlier link until it hears this.
+async fn say_ready(link: Link) {
+    if let Err(error) = link.request(&Request::Ready).await {
+        tracing::debug!(peer = %format_args!("{:#}", link.peer().name), %error, "the neighbour did not hear that this switch is ready");
     }
 }
 
@@ -62,17 +79,36 @@ async fn serve_endpoint(daemon: Arc<Daemon>, link: Link) {
         answer(responder, response).await;
     }
     end(&daemon, &link);
-    let attached = daemon.core().attached.contains(&entity);
-    if attached {
-        let next = daemon.core().detach(entity);
-        if let Response::Refused(refusal) = daemon.complete(next).await {
-            tracing::warn!(%refusal, "the RIB could not be told of a lost attachment; reporting in full");
-            daemon.report_in_full();
-        }
-    }
+    detach(&daemon, entity).await;
     drop(turn);
     drop(lane);
     daemon.leave_lane(entity);
+}
+
+/// Ends the attachment of an endpoint that has no link.
+pub async fn detach_lost(daemon: Arc<Daemon>, entity: Name) {
+    let lane = daemon.lane(entity);
+    let turn = lane.lock().await;
+    detach(&daemon, entity).await;
+    drop(turn);
+    drop(lane);
+    daemon.leave_lane(entity);
+}
+
+/// Tells the RIB of a lost attachment. An entity that is back on another link says itself whether what it stated still stands.
+async fn detach(daemon: &Arc<Daemon>, entity: Name) {
+    let lost = {
+        let core = daemon.core();
+        core.attached.contains(&entity) && core.link_to(&entity).is_none() && !core.held.keeps(&entity)
+    };
+    if !lost {
+        return;
+    }
+    let next = daemon.core().detach(entity);
+    if let Response::Refused(refusal) = daemon.complete(next).await {
+        tracing::warn!(%refusal, "the RIB could not be told of a lost attachment; reporting in full");
+        daemon.report_in_full();
+    }
 }
 
 async fn entity_request(daemon: &Arc<Daemon>, link: &Link, request: EntityRequest) -> Response {
@@ -86,7 +122,11 @@ async fn entity_request(daemon: &Arc<Daemon>, link: &Link, request: EntityReques
         }
         next
     };
-    daemon.complete(next).await
+    let response = daemon.complete(next).await;
+    if attach && matches!(response, Response::Attached { .. }) {
+        daemon.core().link_ready(link);
+    }
+    response
 }
 
 /// Switches speak for many: their requests are answered side by side, as many as the link has streams.
@@ -118,12 +158,32 @@ fn end(daemon: &Arc<Daemon>, link: &Link) {
     let reason = link.close_reason().unwrap_or_else(|| "closed".into());
     let name = link.peer().name;
     tracing::info!(peer = %format_args!("{name:#}"), reason, "link down");
-    daemon.core().link_down(link);
+    if daemon.core().link_down(link) {
+        daemon.spawn(liveness::watch(daemon.clone(), link.clone()));
+    }
 }
 
 async fn answer(responder: Responder, response: Response) {
     if let Err(error) = responder.respond(response).await {
         tracing::debug!(%error, "an answer could not be sent");
+    }
+}
+
+/// An endpoint was asked to attach again. One that could not is asked again, because the RIB answers the next report so; one
+/// that would not has to begin with a new link.
+fn reattached(daemon: &Daemon, link: &Link, response: Option<Response>) {
+    let entity = link.peer().name;
+    match response {
+        Some(Response::Done) => {
+            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB did not know the attachment; it was made again");
+        }
+        _ if link.close_reason().is_some() => {}
+        None => daemon.report_in_full(),
+        Some(Response::Refused(refusal)) if refusal.code == RefusalCode::Unreachable => daemon.report_in_full(),
+        Some(_) => {
+            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB does not know the attachment; closing the link");
+            link.close("the RIB does not know this attachment: attach again");
+        }
     }
 }
 
@@ -137,6 +197,10 @@ impl Daemon {
                 Ok(()) => response,
                 Err(refusal) => refusal.into(),
             },
+            Next::Reattach(link, request) => {
+                reattached(self, &link, link.request(&request).await.ok());
+                Response::Done
+            }
             Next::Forward(link, request) => match link.request(&request).await {
                 Ok(response) => response,
                 Err(error) => {
@@ -187,7 +251,7 @@ impl Daemon {
         for message in outgoing {
             let daemon = self.clone();
             self.spawn(async move {
-                let response = match message.link {
+                let response = match &message.link {
                     Some(link) => link
                         .request(&message.request)
                         .await
@@ -195,7 +259,9 @@ impl Daemon {
                         .ok(),
                     None => None,
                 };
-                if !matches!(message.expects, Expects::Nothing) {
+                if let (Expects::Reattach, Some(link)) = (&message.expects, &message.link) {
+                    reattached(&daemon, link, response);
+                } else if !matches!(message.expects, Expects::Nothing) {
                     daemon.core().answered(message.expects, response);
                     daemon.send_effects();
                 }

@@ -3,9 +3,11 @@
 
 pub mod admin;
 pub mod core;
+mod ends;
 mod hold;
 pub mod interfaces;
 mod links;
+mod liveness;
 mod ports;
 pub mod routes;
 mod status;
@@ -31,7 +33,7 @@ use crate::config::{Config, DataPlane};
 use crate::folders;
 use crate::plane::{PinPlace, PlaneConfig, PlaneError, Planes, Wanted};
 
-/// How often the addresses of peers are looked at: QUIC moves without saying so.
+/// How often the addresses of peers are looked at, because QUIC moves without saying so; and links that are held.
 const FOLLOW: Duration = Duration::from_millis(500);
 
 /// Why a daemon does not start.
@@ -102,7 +104,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     core.take_over(&link_ids);
     let daemon = Arc::new(Daemon {
         name: identity.name(),
-        port_config: PortConfig::switch(identity, link_ids),
+        port_config: PortConfig { rekey: config.rekey, ..PortConfig::switch(identity, link_ids) },
         core: Mutex::new(core),
         ports: Mutex::default(),
         lanes: Mutex::default(),
@@ -134,7 +136,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         daemon.spawn(ports::run_ethernet(daemon.clone(), name, port, changes.clone()));
     }
     if let Some((bind, port)) = &udp {
-        daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind));
+        daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind, changes.clone()));
     }
     daemon.spawn(uplink::report(daemon.clone()));
     daemon.spawn(uplink::rib_clock(daemon.clone()));
@@ -233,9 +235,18 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 async fn follow_addresses(daemon: Arc<Daemon>) {
     loop {
         tokio::time::sleep(FOLLOW).await;
-        let mut core = daemon.core();
-        core.follow_addresses();
-        core.end_hold(std::time::Instant::now());
+        let (lost, neighbours_lost) = {
+            let mut core = daemon.core();
+            core.follow_addresses();
+            core.end_hold(std::time::Instant::now())
+        };
+        if neighbours_lost {
+            daemon.topology_changed();
+        }
+        for entity in lost {
+            tracing::info!(entity = %format_args!("{entity:#}"), "an endpoint did not come back");
+            daemon.spawn(links::detach_lost(daemon.clone(), entity));
+        }
     }
 }
 

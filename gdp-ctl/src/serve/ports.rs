@@ -37,15 +37,40 @@ pub fn open_ethernet(daemon: &Arc<Daemon>, name: &str) -> Result<Arc<Port>, Star
 /// Opens the UDP port.
 pub fn open_udp(daemon: &Arc<Daemon>, bind: std::net::SocketAddr) -> Result<Arc<Port>, StartError> {
     let port = Arc::new(Port::udp(bind, &daemon.port_config)?);
-    daemon.core().planes.attach_udp(port.data())?;
     let addr = port.udp_addr().unwrap_or(bind);
-    tracing::info!("udp {addr}: data plane userspace: UDP links are forwarded by the daemon");
+    let (reports, in_userspace) = {
+        let planes = &mut daemon.core().planes;
+        (planes.attach_udp(port.data(), addr)?, planes.udp_in_userspace())
+    };
+    for report in reports {
+        tracing::info!("udp {addr} on {}: data plane {}: {}", report.interface, report.kind, report.reason);
+    }
+    for (family, reason) in ["IPv4", "IPv6"].iter().zip(in_userspace) {
+        if let Some(reason) = reason {
+            tracing::info!("udp {addr}: links over {family} are sent on by the userspace plane: {reason}");
+        }
+    }
     Ok(port)
 }
 
 /// Runs a port until the daemon ends.
-pub async fn run_udp(daemon: Arc<Daemon>, port: Arc<Port>, bind: std::net::SocketAddr) {
-    run(&daemon, &port, &Via::Udp(bind)).await;
+pub async fn run_udp(
+    daemon: Arc<Daemon>,
+    port: Arc<Port>,
+    bind: std::net::SocketAddr,
+    mut changes: watch::Receiver<()>,
+) {
+    let follow_interfaces = async {
+        loop {
+            look(&mut changes).await;
+            refresh(&daemon);
+        }
+    };
+    let via = Via::Udp(bind);
+    tokio::select! {
+        () = run(&daemon, &port, &via) => {}
+        () = follow_interfaces => {}
+    }
 }
 
 /// Keeps a port on an interface, through its absence and return.
@@ -91,9 +116,13 @@ async fn gone(daemon: &Arc<Daemon>, port: &Port, changes: &mut watch::Receiver<(
             Ok(now) if now.index == opened.index && now.mac == opened.mac && now.mtu == opened.mtu => {}
             _ => return,
         }
-        if let Err(error) = daemon.core().planes.refresh() {
-            tracing::error!(%error, "the data planes could not be refreshed");
-        }
+        refresh(daemon);
+    }
+}
+
+fn refresh(daemon: &Daemon) {
+    if let Err(error) = daemon.core().planes.refresh() {
+        tracing::error!(%error, "the data planes could not be refreshed");
     }
 }
 

@@ -1,14 +1,18 @@
 //! What this switch's FIB says, in names, and what that means in links: pushes from the RIB and links coming and going go
 //! in, changes of the data plane's tables come out. Sans-IO.
+//!
+//! There are two layers. What the RIB has said since it started is known. What an earlier daemon left, or the RIB before this one
+//! said, is held: it counts besides, until the RIB takes it back or says that it knows all there is to know.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use gdp::control::{Extent, FibPush, Route};
 use gdp::link::Role;
-use gdp_wire::Name;
-use gdp_wire::table::EGRESS_SET_SIZE;
+use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE};
+use gdp_wire::{LinkEntry, Name};
 
-use crate::plane::PlaneRoute;
+use super::ends::Ends;
+use crate::plane::{Left, PlaneRoute};
 
 /// One change of the data plane's tables. To be carried out in order.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -37,40 +41,100 @@ pub struct OutOfStep {
 #[derive(Debug, Default)]
 pub struct Routes {
     own_bit: Option<u8>,
-    reach: BTreeMap<Name, u64>,
-    routes: HashMap<Name, Route>,
+    known: Layer,
+    held: Layer,
+    /// Of the RIB that said what is known.
+    run: Option<u64>,
     generation: u64,
     /// What a transfer of the whole has not confirmed yet, and its next part.
     sweep: Option<(HashSet<Name>, u32)>,
-    switches: HashMap<Name, u32>,
-    endpoints: HashMap<Name, u32>,
+    switches: HashMap<Name, Ends>,
+    endpoints: HashMap<Name, Ends>,
     /// Names that each local endpoint reads or writes.
     concerned: HashMap<Name, BTreeSet<Name>>,
 }
 
+#[derive(Debug, Default)]
+struct Layer {
+    /// Egress bits by neighbour.
+    reach: BTreeMap<Name, u64>,
+    routes: HashMap<Name, Way>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Way {
+    route: Route,
+    /// Its writers are not known one by one: any endpoint may send to the name, as itself.
+    anyone: bool,
+}
+
 impl Routes {
+    /// Holds what an earlier daemon left, of which `links` are still there.
+    pub fn adopt(&mut self, left: &Left, links: &[(LinkEntry, Role)]) -> Vec<Change> {
+        self.own_bit = (left.own_bit != 0).then(|| left.own_bit.trailing_zeros() as u8);
+        let peers: HashMap<u32, (Name, Role)> =
+            links.iter().map(|(link, role)| (link.id, (link.peer, *role))).collect();
+        let sent_on = left.routes.iter().flat_map(|(_, route)| &route.readers).chain(&left.next_hops);
+        for link in peers.keys().chain(sent_on) {
+            if let Some((peer, role)) = peers.get(link) {
+                self.ends(*role).entry(*peer).or_default().adopt(*link);
+            }
+        }
+        for (bit, link) in left.next_hops.iter().enumerate() {
+            if let Some((peer, _)) = peers.get(link) {
+                *self.held.reach.entry(*peer).or_default() |= 1 << bit;
+            }
+        }
+        let names = |links: &[u32]| -> Vec<Name> {
+            let names: BTreeSet<Name> = links.iter().filter_map(|link| Some(peers.get(link)?.0)).collect();
+            names.into_iter().collect()
+        };
+        let mut changes = Vec::new();
+        for (name, plane) in &left.routes {
+            let (locals, writers) = (names(&plane.readers), names(&plane.writers));
+            let route = Route { name: *name, egress_bits: plane.egress_bits, locals, writers };
+            let way = Way { route, anyone: plane.writers.contains(&ANY_WRITER) };
+            let change = self.update(name, |routes| drop(routes.held.routes.insert(*name, way)));
+            changes.extend(change.filter(|change| *change != Change::Set(*name, plane.clone())));
+        }
+        changes
+    }
+
     /// Applies a push from the RIB.
     pub fn push(&mut self, push: &FibPush) -> Result<Vec<Change>, OutOfStep> {
         self.check_order(push)?;
+        if self.run != Some(push.run) {
+            self.hold_what_is_known();
+            self.run = Some(push.run);
+        }
         let mut changes = self.set_paths(push);
         self.generation = push.generation;
         if let Extent::Full { part: 0, .. } = push.extent {
-            self.sweep = Some((self.routes.keys().copied().collect(), 0));
+            self.sweep = Some((self.known.routes.keys().copied().collect(), 0));
         }
         for route in &push.set {
             if let Some((unconfirmed, _)) = &mut self.sweep {
                 unconfirmed.remove(&route.name);
             }
-            changes.extend(self.set(route));
+            let way = Way { route: route.clone(), anyone: false };
+            changes.extend(self.update(&route.name, |routes| drop(routes.known.routes.insert(route.name, way))));
         }
         for name in &push.remove {
-            changes.extend(self.remove(name));
+            changes.extend(self.update(name, |routes| {
+                routes.known.routes.remove(name);
+                routes.held.routes.remove(name);
+            }));
         }
         match push.extent {
             Extent::Full { last: true, .. } => {
                 let (unconfirmed, _) = self.sweep.take().unwrap_or_default();
                 for name in unconfirmed {
-                    changes.extend(self.remove(&name));
+                    changes.extend(self.update(&name, |routes| drop(routes.known.routes.remove(&name))));
+                }
+                if !push.settling {
+                    for name in self.held.routes.keys().copied().collect::<Vec<_>>() {
+                        changes.extend(self.update(&name, |routes| drop(routes.held.routes.remove(&name))));
+                    }
                 }
             }
             Extent::Full { part, last: false } => {
@@ -83,40 +147,39 @@ impl Routes {
         Ok(changes)
     }
 
-    /// A link is up; it replaces one to the same peer.
+    /// A link is up; it replaces one to the same peer once it [is ready](Self::link_ready).
     pub fn link_up(&mut self, role: Role, peer: Name, link: u32) -> Vec<Change> {
-        match role {
-            Role::Switch => {
-                self.switches.insert(peer, link);
-                let bits = self.reach.get(&peer).copied().unwrap_or(0);
-                vec![Change::Reach { link, bits }, self.next_hops()]
-            }
-            Role::Endpoint => {
-                self.endpoints.insert(peer, link);
-                self.resolve_all_of(&peer)
-            }
-        }
+        self.ends(role).entry(peer).or_default().up(link);
+        self.changes_of(role, &peer)
     }
 
-    /// A link is gone. Nothing happens if another one to the same peer has replaced it.
-    pub fn link_down(&mut self, role: Role, peer: Name, link: u32) -> Vec<Change> {
-        match role {
-            Role::Switch if self.switches.get(&peer) == Some(&link) => {
-                self.switches.remove(&peer);
-                vec![self.next_hops()]
-            }
-            Role::Endpoint if self.endpoints.get(&peer) == Some(&link) => {
-                self.endpoints.remove(&peer);
-                self.resolve_all_of(&peer)
-            }
-            _ => Vec::new(),
-        }
+    /// The peer takes frames on the link.
+    pub fn link_ready(&mut self, role: Role, peer: Name, link: u32) -> Vec<Change> {
+        let Some(ends) = self.ends(role).get_mut(&peer) else { return Vec::new() };
+        let before = ends.out();
+        ends.ready(link);
+        if ends.out() == before { Vec::new() } else { self.changes_of(role, &peer) }
     }
 
-    /// Whether the name is to be delivered to an endpoint here that has no link.
-    pub fn awaits(&self, name: &Name) -> bool {
-        let local = self.routes.get(name).and_then(|route| route.local);
-        local.is_some_and(|endpoint| !self.endpoints.contains_key(&endpoint))
+    /// The link fell silent: whether frames may still come and go on it, so that it is to be kept.
+    pub fn link_silent(&mut self, role: Role, peer: &Name, link: u32) -> bool {
+        self.ends(role).get_mut(peer).is_some_and(|ends| ends.silent(link))
+    }
+
+    /// Whether another link has replaced this one, so that frames may still come on it.
+    pub fn is_replaced(&mut self, role: Role, peer: &Name, link: u32) -> bool {
+        self.ends(role).get(peer).is_some_and(|ends| ends.is_earlier(link))
+    }
+
+    /// A link is gone. Returns earlier ones to the same peer that have to go with it.
+    pub fn link_gone(&mut self, role: Role, peer: Name, link: u32) -> (Vec<Change>, Vec<u32>) {
+        let all = self.ends(role);
+        let Some(ends) = all.get_mut(&peer) else { return Default::default() };
+        let with_it = ends.gone(link);
+        if ends.is_empty() {
+            all.remove(&peer);
+        }
+        (self.changes_of(role, &peer), with_it)
     }
 
     /// Index of this switch's own egress bit, once the RIB has told it.
@@ -128,29 +191,57 @@ impl Routes {
         self.generation
     }
 
-    /// Names that the RIB wants routed here.
+    /// Names that are routed here.
     pub fn len(&self) -> usize {
-        self.routes.len()
+        let only_held = self.held.routes.keys().filter(|name| !self.known.routes.contains_key(name));
+        self.known.routes.len() + only_held.count()
     }
 
     pub fn is_empty(&self) -> bool {
-        self.routes.is_empty()
+        self.len() == 0
     }
 
     /// The neighbours that lead to these egress switches.
     pub fn neighbours_toward(&self, bits: u64) -> Vec<Name> {
-        self.reach.iter().filter(|(_, reach)| *reach & bits != 0).map(|(name, _)| *name).collect()
+        self.reach().into_iter().filter(|(_, reach)| *reach & bits != 0).map(|(name, _)| name).collect()
+    }
+
+    fn ends(&mut self, role: Role) -> &mut HashMap<Name, Ends> {
+        match role {
+            Role::Switch => &mut self.switches,
+            Role::Endpoint => &mut self.endpoints,
+        }
     }
 
     fn check_order(&self, push: &FibPush) -> Result<(), OutOfStep> {
+        let next = self.run == Some(push.run) && push.generation == self.generation + 1;
         let in_order = match push.extent {
             Extent::Full { part: 0, .. } => true,
-            Extent::Full { part, .. } => {
-                self.sweep.as_ref().is_some_and(|(_, next)| *next == part) && push.generation == self.generation + 1
-            }
-            Extent::Delta => self.sweep.is_none() && push.generation == self.generation + 1 && self.generation != 0,
+            Extent::Full { part, .. } => next && self.sweep.as_ref().is_some_and(|(_, expected)| *expected == part),
+            Extent::Delta => next && self.sweep.is_none(),
         };
         if in_order { Ok(()) } else { Err(OutOfStep { held: self.generation, got: push.generation }) }
+    }
+
+    /// The RIB is another one than before, and begins with nothing.
+    fn hold_what_is_known(&mut self) {
+        self.held.reach = self.reach();
+        self.known.reach.clear();
+        for (name, way) in std::mem::take(&mut self.known.routes) {
+            let joint = join(Some(&way), self.held.routes.get(&name));
+            self.held.routes.extend(joint.map(|joint| (name, joint)));
+        }
+    }
+
+    /// Egress bits by neighbour; where the RIB knows no path, the one that is held.
+    fn reach(&self) -> BTreeMap<Name, u64> {
+        let mut reach = self.known.reach.clone();
+        let known = reach.values().fold(0, |all, bits| all | bits);
+        for (neighbour, bits) in &self.held.reach {
+            *reach.entry(*neighbour).or_default() |= bits & !known;
+        }
+        reach.retain(|_, bits| *bits != 0);
+        reach
     }
 
     fn set_paths(&mut self, push: &FibPush) -> Vec<Change> {
@@ -160,174 +251,128 @@ impl Routes {
             self.own_bit = Some(own_bit);
             changes.push(Change::OwnBit(1 << own_bit));
         }
-        let reach: BTreeMap<Name, u64> = push.reach.iter().copied().collect();
-        if reach != self.reach {
-            self.reach = reach;
-            for (switch, link) in &self.switches {
-                changes.push(Change::Reach { link: *link, bits: self.reach.get(switch).copied().unwrap_or(0) });
-            }
-            changes.push(self.next_hops());
+        let before = self.reach();
+        self.known.reach = push.reach.iter().copied().collect();
+        if !push.settling {
+            self.held.reach.clear();
+        }
+        let reach = self.reach();
+        if reach != before {
+            let (used, unused) = self.reach_of(&reach, self.switches.iter());
+            changes.extend(used.into_iter().chain([self.next_hops(&reach)]).chain(unused));
         }
         changes
     }
 
-    fn next_hops(&self) -> Change {
+    /// What follows from other links to a peer.
+    fn changes_of(&self, role: Role, peer: &Name) -> Vec<Change> {
+        match role {
+            Role::Switch => {
+                let reach = self.reach();
+                let (used, unused) = self.reach_of(&reach, self.switches.get_key_value(peer).into_iter());
+                used.into_iter().chain([self.next_hops(&reach)]).chain(unused).collect()
+            }
+            Role::Endpoint => {
+                let names = self.concerned.get(peer).into_iter().flatten();
+                names.filter_map(|name| self.way(name)).map(|way| self.resolve(&way)).collect()
+            }
+        }
+    }
+
+    /// The masks of the links to switches: of those that are sent on, and of all others, by which no copy goes. In this order
+    /// a frame rather goes twice than never.
+    fn reach_of<'a>(
+        &self,
+        reach: &BTreeMap<Name, u64>,
+        switches: impl Iterator<Item = (&'a Name, &'a Ends)>,
+    ) -> (Vec<Change>, Vec<Change>) {
+        let (mut used, mut unused) = (Vec::new(), Vec::new());
+        for (switch, ends) in switches {
+            for link in ends.all() {
+                match ends.out() == Some(link) {
+                    true => used.push(Change::Reach { link, bits: reach.get(switch).copied().unwrap_or(0) }),
+                    false => unused.push(Change::Reach { link, bits: 0 }),
+                }
+            }
+        }
+        (used, unused)
+    }
+
+    fn next_hops(&self, reach: &BTreeMap<Name, u64>) -> Change {
         let mut next_hops = [0; EGRESS_SET_SIZE as usize];
-        for (switch, bits) in &self.reach {
-            let Some(link) = self.switches.get(switch) else { continue };
+        for (switch, bits) in reach {
+            let Some(link) = self.switches.get(switch).and_then(Ends::out) else { continue };
             for (bit, next) in next_hops.iter_mut().enumerate() {
                 if bits & 1 << bit != 0 {
-                    *next = *link;
+                    *next = link;
                 }
             }
         }
         Change::NextHops(Box::new(next_hops))
     }
 
-    fn set(&mut self, route: &Route) -> Option<Change> {
-        let before = self.routes.insert(route.name, route.clone());
-        if before.as_ref() == Some(route) {
+    fn way(&self, name: &Name) -> Option<Way> {
+        join(self.known.routes.get(name), self.held.routes.get(name))
+    }
+
+    /// Changes the layers in what they say of one name.
+    fn update(&mut self, name: &Name, change: impl FnOnce(&mut Self)) -> Option<Change> {
+        let before = self.way(name);
+        change(self);
+        let after = self.way(name);
+        if before == after {
             return None;
         }
-        before.iter().for_each(|before| self.forget_concerned(before));
-        for entity in concerned(route) {
-            self.concerned.entry(*entity).or_default().insert(route.name);
-        }
-        Some(self.resolve(route))
-    }
-
-    fn remove(&mut self, name: &Name) -> Option<Change> {
-        let before = self.routes.remove(name)?;
-        self.forget_concerned(&before);
-        Some(Change::Remove(*name))
-    }
-
-    fn forget_concerned(&mut self, route: &Route) {
-        for entity in concerned(route) {
+        for entity in before.iter().flat_map(concerned) {
             if let Some(names) = self.concerned.get_mut(entity) {
-                names.remove(&route.name);
+                names.remove(name);
                 if names.is_empty() {
                     self.concerned.remove(entity);
                 }
             }
         }
+        for entity in after.iter().flat_map(concerned) {
+            self.concerned.entry(*entity).or_default().insert(*name);
+        }
+        Some(after.map_or(Change::Remove(*name), |way| self.resolve(&way)))
     }
 
-    fn resolve_all_of(&self, endpoint: &Name) -> Vec<Change> {
-        let names = self.concerned.get(endpoint).into_iter().flatten();
-        names.filter_map(|name| self.routes.get(name)).map(|route| self.resolve(route)).collect()
-    }
-
-    /// A name without bits and without a link here leads nowhere: then the data plane need not hold it.
-    fn resolve(&self, route: &Route) -> Change {
-        let readers: Vec<u32> = route.local.iter().filter_map(|local| self.endpoints.get(local)).copied().collect();
+    /// A name without bits and without a reader's link here leads nowhere: then the data plane need not hold it.
+    fn resolve(&self, Way { route, anyone }: &Way) -> Change {
+        let ends = |names: &[Name]| names.iter().filter_map(|name| self.endpoints.get(name)).collect::<Vec<_>>();
+        let readers = sorted(ends(&route.locals).into_iter().filter_map(Ends::out));
         if route.egress_bits == 0 && readers.is_empty() {
             return Change::Remove(route.name);
         }
-        let writers = sorted(route.writers.iter().filter_map(|writer| self.endpoints.get(writer)));
+        let writers = match anyone {
+            true => vec![ANY_WRITER],
+            false => sorted(ends(&route.writers).into_iter().flat_map(Ends::all)),
+        };
         Change::Set(route.name, PlaneRoute { egress_bits: route.egress_bits, readers, writers })
     }
 }
 
-fn sorted<'a>(links: impl Iterator<Item = &'a u32>) -> Vec<u32> {
-    let set: BTreeSet<u32> = links.copied().collect();
-    set.into_iter().collect()
+/// What two layers say of a name, taken together.
+fn join(known: Option<&Way>, held: Option<&Way>) -> Option<Way> {
+    let (Some(known), Some(held)) = (known, held) else { return known.or(held).cloned() };
+    let both = |some: &[Name], more: &[Name]| sorted(some.iter().chain(more).copied());
+    let route = Route {
+        name: known.route.name,
+        egress_bits: known.route.egress_bits | held.route.egress_bits,
+        locals: both(&known.route.locals, &held.route.locals),
+        writers: both(&known.route.writers, &held.route.writers),
+    };
+    Some(Way { route, anyone: known.anyone || held.anyone })
+}
+
+fn sorted<T: Ord>(items: impl Iterator<Item = T>) -> Vec<T> {
+    BTreeSet::from_iter(items).into_iter().collect()
 }
 
 /// The local endpoints that read or write a name.
-fn concerned(route: &Route) -> impl Iterator<Item = &Name> {
-    route.local.iter().chain(&route.writers)
+fn concerned(way: &Way) -> impl Iterator<Item = &Name> {
+    way.route.locals.iter().chain(&way.route.writers)
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_become_links_and_follow_them() {
-        let mut r = Routes::default();
-        let first = push(1, Extent::Full { part: 0, last: true }, vec![route(1, 0, Some(7)), route(2, 4, None)]);
-        let changes = r.push(&first).unwrap();
-        assert_eq!(changes[0], Change::OwnBit(2));
-        assert!(changes.contains(&Change::Remove(name(1))), "its endpoint has no link yet");
-        assert!(changes.contains(&set(2, 4, &[], &[])));
-
-        assert_eq!(r.link_up(Role::Endpoint, name(7), 70), [set(1, 0, &[70], &[])]);
-        assert_eq!(r.link_up(Role::Endpoint, name(7), 71), [set(1, 0, &[71], &[])], "it moved");
-        assert_eq!(r.link_down(Role::Endpoint, name(7), 70), [], "the old link no longer matters");
-        assert_eq!(r.link_down(Role::Endpoint, name(7), 71), [Change::Remove(name(1))]);
-
-        let changes = r.link_up(Role::Switch, name(9), 90);
-        assert_eq!(changes[0], Change::Reach { link: 90, bits: 0b101 });
-        assert_eq!(hops(&changes[1])[..4], [90, 0, 90, 0]);
-        let changes = r.link_down(Role::Switch, name(9), 90);
-        assert_eq!(hops(&changes[0])[..4], [0; 4]);
-    }
-
-    #[test]
-    fn writers_become_links_and_lose_their_permission_with_them() {
-        let mut r = Routes::default();
-        let written = |by: &[u8]| Route { writers: by.iter().copied().map(name).collect(), ..route(1, 4, None) };
-        let by = |writers: &[u32]| set(1, 4, &[], writers);
-        let first = r.push(&push(1, Extent::Full { part: 0, last: true }, vec![written(&[7, 8, 9])])).unwrap();
-        assert!(first.contains(&by(&[])), "none of them has a link");
-        assert_eq!(r.link_up(Role::Endpoint, name(8), 80), [by(&[80])]);
-        assert_eq!(r.link_up(Role::Endpoint, name(7), 70), [by(&[70, 80])]);
-        assert_eq!(r.link_up(Role::Endpoint, name(9), 90), [by(&[70, 80, 90])]);
-        assert_eq!(r.link_up(Role::Endpoint, name(6), 60), [], "this one does not publish it");
-        assert_eq!(r.push(&push(2, Extent::Delta, vec![written(&[8, 9])])).unwrap(), [by(&[80, 90])]);
-        assert_eq!(r.link_down(Role::Endpoint, name(7), 70), [], "nor does this one any more");
-        assert_eq!(r.link_down(Role::Endpoint, name(8), 80), [by(&[90])]);
-        assert_eq!(r.link_down(Role::Endpoint, name(9), 90), [by(&[])]);
-    }
-
-    #[test]
-    fn the_whole_sweeps_what_it_does_not_name() {
-        let mut r = Routes::default();
-        r.push(&push(1, Extent::Full { part: 0, last: true }, vec![route(1, 1, None), route(2, 1, None)])).unwrap();
-        let changes = r.push(&push(9, Extent::Full { part: 0, last: false }, vec![route(3, 1, None)])).unwrap();
-        assert_eq!(changes, [set(3, 1, &[], &[])], "nothing is swept before the last part");
-        let changes = r.push(&push(10, Extent::Full { part: 1, last: true }, vec![route(2, 1, None)])).unwrap();
-        assert_eq!(changes, [Change::Remove(name(1))], "and what was confirmed is not touched");
-        assert_eq!(r.len(), 2);
-    }
-
-    #[test]
-    fn a_push_out_of_step_changes_nothing() {
-        let mut r = Routes::default();
-        let set = vec![route(1, 1, None)];
-        assert!(r.push(&push(1, Extent::Delta, set.clone())).is_err(), "a change of nothing");
-        assert!(r.push(&push(1, Extent::Full { part: 1, last: true }, set.clone())).is_err(), "a part without a first");
-        r.push(&push(5, Extent::Full { part: 0, last: true }, set.clone())).unwrap();
-        for generation in [4, 5, 7] {
-            assert_eq!(r.push(&push(generation, Extent::Delta, vec![])), Err(OutOfStep { held: 5, got: generation }));
-        }
-        let mut delta = push(6, Extent::Delta, vec![]);
-        delta.remove = vec![name(1), name(2)];
-        assert_eq!(r.push(&delta).unwrap(), [Change::Remove(name(1))]);
-        r.push(&push(7, Extent::Full { part: 0, last: false }, vec![])).unwrap();
-        assert!(r.push(&push(8, Extent::Delta, vec![])).is_err(), "a change in the middle of a transfer");
-        assert!(r.push(&push(8, Extent::Full { part: 2, last: true }, vec![])).is_err(), "a part is missing");
-    }
-
-    fn push(generation: u64, extent: Extent, set: Vec<Route>) -> FibPush {
-        FibPush { switch: name(0), generation, extent, own_bit: 1, reach: vec![(name(9), 0b101)], set, remove: vec![] }
-    }
-
-    fn route(i: u8, egress_bits: u64, local: Option<u8>) -> Route {
-        Route { name: name(i), egress_bits, local: local.map(name), writers: vec![] }
-    }
-
-    fn set(i: u8, egress_bits: u64, readers: &[u32], writers: &[u32]) -> Change {
-        Change::Set(name(i), PlaneRoute { egress_bits, readers: readers.into(), writers: writers.into() })
-    }
-
-    fn hops(change: &Change) -> &[u32; 64] {
-        let Change::NextHops(hops) = change else { panic!("{change:?}") };
-        hops
-    }
-
-    fn name(i: u8) -> Name {
-        Name::from_bytes([i; 32])
-    }
-}
+mod tests;

@@ -3,11 +3,16 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use gdp::control::RecordPlace;
 use gdp::link::Role;
-use gdp_wire::{FibEntry, Name};
+use gdp_wire::{Counter, ErrorCode, FibEntry, Name};
 use serde_json::{Map, Value, json};
 
+use super::core::Core;
 use super::{Daemon, interfaces};
+
+/// Names that the status shows as the busiest.
+const BUSIEST: usize = 10;
 
 /// `gdp-ctl status`.
 pub async fn status(daemon: &Arc<Daemon>) -> Value {
@@ -15,35 +20,22 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
     let udp_links = daemon.core().links.values().filter(|l| matches!(l.via, crate::config::Via::Udp(_))).count();
     let core = daemon.core();
     let report = core.planes.report();
+    let (losses, mut errors) = match core.planes.losses() {
+        Ok(losses) => (losses, Vec::new()),
+        Err(reason) => (Default::default(), vec![reason]),
+    };
     let used: Vec<Value> = report
         .iter()
         .map(|plane| {
             let info = interfaces.iter().find(|i| i.name == plane.interface);
             json!({
                 "interface": plane.interface, "data_plane": plane.kind, "reason": plane.reason,
+                "redirect_lost": losses.get(&plane.interface).copied().unwrap_or(0),
                 "mtu": info.map(|i| i.mtu), "addresses": info.map(|i| &i.addresses), "stations": info.map(|i| &i.stations),
             })
         })
         .collect();
-    let mut links: Vec<_> = core
-        .links
-        .values()
-        .map(|state| {
-            let peer = state.link.peer();
-            json!({
-                "peer": peer.name,
-                "role": match peer.role { Role::Endpoint => "endpoint", Role::Switch => "switch" },
-                "via": state.via.to_string(),
-                "address": state.link.addr().to_string(),
-                "id": state.link.local_id(),
-                "mtu": state.link.mtu(),
-                "rtt_us": state.link.rtt().as_micros() as u64,
-            })
-        })
-        .collect();
-    links.sort_by_key(|link| link["id"].as_u64());
     let (mut counters, mut by_plane) = (Map::new(), Map::new());
-    let mut errors = Vec::new();
     match core.planes.counters() {
         Ok(counted) => {
             for (counter, kernel, userspace) in counted {
@@ -53,6 +45,10 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         }
         Err(error) => errors.push(error.to_string()),
     }
+    let busiest = core.planes.busiest(BUSIEST).unwrap_or_else(|error| {
+        errors.push(error.to_string());
+        Vec::new()
+    });
     errors.extend(core.unplaced());
     let (data_plane, reason) = summary(&report, udp_links);
     json!({
@@ -61,16 +57,89 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "data_plane": data_plane,
         "data_plane_reason": reason,
         "interfaces": used,
-        "links": links,
+        "links": links(&core),
+        "links_held": links_held(&core),
         "counters": counters,
         "counters_by_plane": by_plane,
+        "busiest": busiest.iter().map(|(name, frames)| json!({"name": name, "frames": frames})).collect::<Vec<_>>(),
         "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
         "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
         "uplink": core.uplink.map(|switch| json!({
-            "switch": switch, "connected": core.peers.contains_key(&switch), "ready": core.uplink_ready,
+            "switch": switch, "connected": core.link_to(&switch).is_some(), "ready": core.uplink_ready,
         })),
         "errors": errors,
     })
+}
+
+/// `gdp-ctl link list`: every live link, by id.
+pub fn links(core: &Core) -> Vec<Value> {
+    let mut links: Vec<_> = core.links.values().collect();
+    links.sort_by_key(|state| state.link.local_id());
+    links
+        .into_iter()
+        .map(|state| {
+            let (link, peer) = (&state.link, state.link.peer());
+            let (rx_keys, tx_keys) = link.key_generations();
+            json!({
+                "peer": peer.name,
+                "role": role(peer.role),
+                "via": state.via.to_string(),
+                "address": link.addr().to_string(),
+                "id": link.local_id(),
+                "mtu": link.mtu(),
+                "key_generations": {"rx": rx_keys, "tx": tx_keys},
+                "rtt_us": link.rtt().as_micros() as u64,
+                "age_s": state.since.elapsed().as_secs(),
+                "errors_received": errors_received(core, link.local_id()),
+                "arrivals": arrivals(core, link.local_id()),
+                "plane": if core.planes.kernel_sends_on(link.local_id()) { "kernel" } else { "userspace" },
+            })
+        })
+        .collect()
+}
+
+/// Links whose peers fell silent or have a newer one, or that an earlier daemon left; by id.
+fn links_held(core: &Core) -> Vec<Value> {
+    let mut held: Vec<_> = core.held.iter().collect();
+    held.sort_by_key(|link| link.entry.id);
+    held.into_iter()
+        .map(|link| {
+            json!({
+                "peer": link.peer,
+                "role": role(link.role),
+                "address": link.to.to_string(),
+                "id": link.entry.id,
+                "errors_received": errors_received(core, link.entry.id),
+            })
+        })
+        .collect()
+}
+
+/// What became of the frames that came in on a link; counters without any are left out.
+fn arrivals(core: &Core, link: u32) -> Value {
+    match core.planes.arrivals(link) {
+        Ok(counts) => {
+            let counts = Counter::ALL.iter().zip(counts).filter(|(_, frames)| *frames > 0);
+            counts
+                .map(|(counter, frames)| (counter.as_str().to_owned(), Value::from(frames)))
+                .collect::<Map<_, _>>()
+                .into()
+        }
+        Err(error) => error.to_string().into(),
+    }
+}
+
+fn role(role: Role) -> &'static str {
+    match role {
+        Role::Endpoint => "endpoint",
+        Role::Switch => "switch",
+    }
+}
+
+/// What a neighbour refused of what this switch sent it, by code.
+fn errors_received(core: &Core, link: u32) -> Map<String, Value> {
+    let errors = ErrorCode::ALL.iter().zip(core.planes.notices().errors(link));
+    errors.filter(|(_, count)| *count > 0).map(|(code, count)| (code.as_str().into(), count.into())).collect()
 }
 
 /// One word for all interfaces, and why.
@@ -103,7 +172,7 @@ pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, 
     Ok(json!({"routes": page, "more": more}))
 }
 
-fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
+fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
     let own = core.routes.own_bit().map_or(0, |bit| 1u64 << bit);
     let names = |links: Vec<u32>| links.iter().filter_map(|link| peers.get(link)).copied().collect::<Vec<_>>();
     json!({
@@ -111,14 +180,14 @@ fn route(core: &super::core::Core, peers: &BTreeMap<u32, Name>, name: &Name, ent
         "egress_bits": format!("{:#x}", entry.egress_bits),
         "own": entry.egress_bits & own != 0,
         "toward": core.routes.neighbours_toward(entry.egress_bits & !own),
-        "local": names(core.planes.readers(entry)),
+        "readers": names(core.planes.readers(entry)),
         "writers": names(core.planes.writers(name)),
         "group": entry.group,
     })
 }
 
 /// One page of `gdp-ctl rib dump`, or why there is none.
-pub fn rib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, String> {
+pub fn rib(daemon: &Daemon, after: Option<RecordPlace>, limit: usize) -> Result<Value, String> {
     let core = daemon.core();
     let Some(rib) = &core.rib else {
         let uplink = core.uplink.unwrap_or_default();

@@ -38,10 +38,11 @@ async fn report_once(daemon: &Arc<Daemon>) -> bool {
         let neighbours = core.adjacencies();
         let proof = core.identity.proof();
         let now = core.now();
+        let own_bit = core.routes.own_bit();
         let full = !core.uplink_ready;
         let attached: Option<Vec<_>> = full.then(|| core.attached.iter().copied().collect());
         if let Some(rib) = &mut core.rib {
-            if let Response::Refused(refusal) = rib.report(now, &proof, &neighbours, attached.as_deref()) {
+            if let Response::Refused(refusal) = rib.report(now, &proof, &neighbours, attached.as_deref(), own_bit) {
                 tracing::error!(%refusal, "the RIB does not take its own switch's report");
             }
             core.uplink_ready = true;
@@ -53,7 +54,7 @@ async fn report_once(daemon: &Arc<Daemon>) -> bool {
             // The next link will ask for a report again.
             return true;
         };
-        (uplink, Request::Report { switch: proof, neighbours, attached }, full)
+        (uplink, Request::Report { switch: proof, neighbours, attached, own_bit }, full)
     };
     match uplink.request(&request).await {
         Ok(Response::Refused(refusal)) => {

@@ -5,11 +5,10 @@ use super::{Verdict, stamp};
 use crate::table::Tables;
 use crate::{Counter, Header, LinkEntry};
 
-/// Answers an echo. Its payload is left out, so the answer is never larger than what drew it.
+/// Answers an echo.
 #[inline(always)]
 pub fn echo<'t, T: Tables>(header: &mut Header, ingress: &'t LinkEntry, tables: &T) -> Verdict<'t> {
-    header.egress_set = Header::ANSWERS;
-    header.clear_payload_len();
+    header.become_answer();
     stamp(header, ingress, tables.next_count(ingress));
     Verdict::Answer(ingress, Counter::Echoed)
 }

@@ -48,7 +48,7 @@ fn well_formed(header: &Header, available: usize) -> Result<FrameType, Counter> 
     if header.header_words as usize * 8 != Header::LEN {
         return Err(Counter::Unknown);
     }
-    if Header::LEN + header.payload_len() as usize > available {
+    if header.frame_len() > available {
         return Err(Counter::Truncated);
     }
     Ok(frame_type)

@@ -15,16 +15,11 @@ pub enum Copy {
     Drop(Counter),
 }
 
-/// Makes the header of a frame that [`super::decide`] wants copied the one for `link`. `ingress`: where the frame came in.
+/// Makes the header of a frame that [`super::decide`] wants copied the one for `link`. `length`: bytes of the
+/// frame; `ingress`: where the frame came in.
 /// Bits partition: each neighbour gets those that it leads to, so nothing multiplies.
 #[inline(always)]
-pub fn copy<T: Tables>(
-    header: &mut Header,
-    available: usize,
-    link: &LinkEntry,
-    ingress: &LinkEntry,
-    tables: &T,
-) -> Copy {
+pub fn copy<T: Tables>(header: &mut Header, length: usize, link: &LinkEntry, ingress: &LinkEntry, tables: &T) -> Copy {
     if link.id == ingress.id {
         return Copy::None;
     }
@@ -37,7 +32,7 @@ pub fn copy<T: Tables>(
     if bits == 0 || link.role == LinkRole::Border as u32 && is_foreign(header, ingress) {
         return Copy::None;
     }
-    if available > link.mtu as usize {
+    if length > link.mtu as usize {
         return Copy::Drop(Counter::TooBig);
     }
     header.set_egress_bits(if link.role == LinkRole::Switch as u32 { bits } else { 0 });

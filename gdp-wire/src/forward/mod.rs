@@ -60,66 +60,86 @@ pub fn classify(first_byte: u8) -> Kind {
 }
 
 /// Decides what happens to a frame of which `available` bytes are there, header included, and rewrites its header
-/// accordingly. If the verdict is [`Verdict::Notice`], [`Verdict::Slow`] or [`Verdict::Drop`], the header is unchanged.
+/// accordingly. What lies behind the payload, as Ethernet pads short frames, is no part of the frame: whoever carries the verdict
+/// out leaves it behind. If the verdict is [`Verdict::Notice`], [`Verdict::Slow`] or [`Verdict::Drop`], the header is unchanged.
 #[inline(always)]
 pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, tables: &'t T) -> Verdict<'t> {
     let Arrival { link: ingress, window, count } = match arrival(header, available, tables) {
         Ok(arrival) => arrival,
         Err(counter) => return Verdict::Drop(counter),
     };
-    let fate = fate(header, available, ingress, tables);
+    let fate = fate(header, ingress, tables);
     // What is left to another plane is left as it came. Its window is the same: taken here, it would be refused there.
-    if !T::LAST && !is_for_this_plane(&fate, available, ingress, tables) {
+    if !T::LAST && !is_for_this_plane(&fate, header.frame_len(), tables) {
         return Verdict::Slow;
     }
     if !replay::take(&window, count) {
         return Verdict::Drop(Counter::Replayed);
     }
-    match fate {
-        Fate::Leaves(Egress::One { link, bits, set, counter }) => {
-            travel(header, ingress, bits, set);
-            stamp(header, link, tables.next_count(link));
-            Verdict::Send(link, counter)
+    match fate.what {
+        What::Send => {
+            travel(header, ingress, fate.bits, fate.set);
+            stamp(header, fate.link, tables.next_count(fate.link));
+            Verdict::Send(fate.link, fate.counter)
         }
-        Fate::Leaves(Egress::Many { group, bits, set }) => {
-            travel(header, ingress, bits, set);
-            Verdict::Copies(group)
+        What::Copy => {
+            travel(header, ingress, fate.bits, fate.set);
+            Verdict::Copies(fate.group)
         }
-        Fate::Refused(refusal) => answer::complain(header, refusal, ingress, tables),
-        Fate::Echo => answer::echo(header, ingress, tables),
-        Fate::Notice => Verdict::Notice(ingress),
+        What::Refuse => answer::complain(header, fate.refusal, ingress, tables),
+        What::Echo => answer::echo(header, ingress, tables),
+        What::Notice => Verdict::Notice(ingress),
     }
 }
 
-enum Fate<'t> {
-    Leaves(Egress<'t>),
-    Refused(Refusal),
+/// What is to be done with a frame, before this plane knows whether it is the one to do it.
+///
+/// Every field always holds something. Where an enum leaves one out, the compiler spills a register that nothing was written to
+/// when a plane's answer is a call, and the kernel's verifier refuses that.
+struct Fate<'t> {
+    what: What,
+    /// Where it leaves; the one it came by, if it leaves by none.
+    link: &'t LinkEntry,
+    group: u32,
+    bits: u64,
+    set: u8,
+    counter: Counter,
+    refusal: Refusal,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum What {
+    Send,
+    Copy,
+    Refuse,
     Echo,
     Notice,
 }
 
 #[inline(always)]
-fn fate<'t, T: Tables>(header: &Header, available: usize, ingress: &LinkEntry, tables: &'t T) -> Fate<'t> {
+fn fate<'t, T: Tables>(header: &Header, ingress: &'t LinkEntry, tables: &'t T) -> Fate<'t> {
+    let refusal = Refusal { counter: Counter::Unknown, code: None, mtu: 0 };
+    let none = Fate { what: What::Notice, link: ingress, group: 0, bits: 0, set: 0, counter: Counter::Notice, refusal };
     if header.version_type == FrameType::Data.first_byte() {
-        match route(header, available, ingress, tables) {
-            Ok(egress) => Fate::Leaves(egress),
-            Err(refusal) => Fate::Refused(refusal),
+        match route(header, header.frame_len(), ingress, tables) {
+            Ok(Egress::One { link, bits, set, counter }) => Fate { what: What::Send, link, bits, set, counter, ..none },
+            Ok(Egress::Many { group, bits, set }) => Fate { what: What::Copy, group, bits, set, ..none },
+            Err(refusal) => Fate { what: What::Refuse, refusal, ..none },
         }
     } else if header.version_type == FrameType::Echo.first_byte() && header.egress_set == Header::ASKS {
-        Fate::Echo
+        Fate { what: What::Echo, ..none }
     } else {
-        Fate::Notice
+        none
     }
 }
 
 #[inline(always)]
-fn is_for_this_plane<T: Tables>(fate: &Fate<'_>, available: usize, ingress: &LinkEntry, tables: &T) -> bool {
-    match fate {
-        Fate::Leaves(Egress::One { link, .. }) => tables.can_send(link),
-        Fate::Leaves(Egress::Many { group, .. }) => tables.can_copy(*group, available),
-        Fate::Refused(_) => true,
-        Fate::Echo => tables.can_send(ingress),
-        Fate::Notice => false,
+fn is_for_this_plane<T: Tables>(fate: &Fate<'_>, length: usize, tables: &T) -> bool {
+    match fate.what {
+        What::Send | What::Echo => tables.can_send(fate.link),
+        What::Copy => tables.can_copy(fate.group, fate.bits, length),
+        What::Refuse => true,
+        What::Notice => false,
     }
 }
 
@@ -127,7 +147,9 @@ fn is_for_this_plane<T: Tables>(fate: &Fate<'_>, available: usize, ingress: &Lin
 /// sent on the link, with this one.
 #[inline(always)]
 pub fn stamp(header: &mut Header, link: &LinkEntry, count: u64) {
-    let second = link.tx_phase & 1 != 0;
+    // Once, although user space may change it meanwhile: flag and key must be of the same phase.
+    // SAFETY: a field of a live entry.
+    let second = unsafe { (&raw const link.tx_phase).read_volatile() } & 1 != 0;
     header.flags = header.flags & !Header::KEY_PHASE | if second { Header::KEY_PHASE } else { 0 };
     header.set_link_id(link.peer_id);
     header.set_link_counter(count as u32);

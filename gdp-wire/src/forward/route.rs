@@ -35,7 +35,7 @@ impl From<Counter> for Refusal {
 #[inline(always)]
 pub fn route<'t, T: Tables>(
     header: &Header,
-    available: usize,
+    length: usize,
     ingress: &LinkEntry,
     tables: &'t T,
 ) -> Result<Egress<'t>, Refusal> {
@@ -56,7 +56,7 @@ pub fn route<'t, T: Tables>(
     if bits == rest {
         return match tables.link(tables.next_hop(lowest_bit(bits))) {
             Some(link) if rest & !link.reach == 0 => {
-                checked(Egress::One { link, bits, set, counter: Counter::Forwarded }, header, available, ingress)
+                checked(Egress::One { link, bits, set, counter: Counter::Forwarded }, header, length, ingress)
             }
             None if rest & (rest - 1) == 0 => Err(Refusal::told(Counter::NoEgress, ErrorCode::NoRoute)),
             _ => Ok(Egress::Many { group: NEIGHBOURS, bits, set }),
@@ -65,7 +65,7 @@ pub fn route<'t, T: Tables>(
     match tables.route(&header.destination) {
         Some(entry) => match tables.link(entry.local_link) {
             Some(link) if rest == 0 => {
-                checked(Egress::One { link, bits: 0, set, counter: Counter::Delivered }, header, available, ingress)
+                checked(Egress::One { link, bits: 0, set, counter: Counter::Delivered }, header, length, ingress)
             }
             // Nobody here takes the name; or the one who does is just gone.
             None if rest == 0 && (entry.group == NEIGHBOURS || entry.local_link != 0) => {
@@ -100,12 +100,7 @@ fn looked_up<T: Tables>(header: &Header, ingress: &LinkEntry, tables: &T) -> Res
 
 /// Whether the frame may and can leave by the one link.
 #[inline(always)]
-fn checked<'t>(
-    egress: Egress<'t>,
-    header: &Header,
-    available: usize,
-    ingress: &LinkEntry,
-) -> Result<Egress<'t>, Refusal> {
+fn checked<'t>(egress: Egress<'t>, header: &Header, length: usize, ingress: &LinkEntry) -> Result<Egress<'t>, Refusal> {
     let Egress::One { link, .. } = &egress else { return Ok(egress) };
     if link.id == ingress.id {
         return Err(Counter::Hairpin.into());
@@ -113,8 +108,7 @@ fn checked<'t>(
     if link.role == LinkRole::Border as u32 && is_foreign(header, ingress) {
         return Err(Counter::SplitHorizon.into());
     }
-    // All of it leaves, also what lies behind the payload.
-    if available > link.mtu as usize {
+    if length > link.mtu as usize {
         return Err(Refusal { counter: Counter::TooBig, code: Some(ErrorCode::TooBig), mtu: link.mtu });
     }
     Ok(egress)

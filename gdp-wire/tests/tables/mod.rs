@@ -4,12 +4,16 @@ use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
 
 use gdp_wire::forward::{self, Copy, Kind};
+use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::replay::{self, Window};
-use gdp_wire::table::{MAX_COPIED_FRAME, PORT_USERSPACE, Tables};
+use gdp_wire::table::{MAX_COPIED_FRAME, Tables};
 use gdp_wire::{Counter, FibEntry, Header, LinkEntry, Name, Permit};
 use zerocopy::{FromBytes, IntoBytes};
 
-use crate::frames::fixtures::{Bytes, CopyOut, Expected, Switch, Verdict};
+use crate::frames::carrier::Place;
+use crate::frames::fixtures::{Switch, Verdict};
+
+pub use crate::frames::fixtures::Fate;
 
 /// `KERNEL`: leaves to another plane what it cannot send.
 pub struct PlainTables<const KERNEL: bool> {
@@ -20,9 +24,12 @@ pub struct PlainTables<const KERNEL: bool> {
     groups: HashMap<u32, Vec<u32>>,
     next_hops: [u32; 64],
     own_bit: u64,
-    ethertype: u16,
+    switch: Switch,
     sent: RefCell<HashMap<u32, u64>>,
     windows: HashMap<u32, Window>,
+    /// Egress bits that the kernel copies for, by group.
+    served: HashMap<u32, u64>,
+    makes_copies: bool,
 }
 
 impl<const KERNEL: bool> PlainTables<KERNEL> {
@@ -37,81 +44,82 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
                 .collect(),
             next_hops: switch.next_hops(),
             own_bit: switch.config().own_bit,
-            ethertype: switch.ethertype,
+            switch: switch.clone(),
             sent: RefCell::new(switch.links.iter().map(|link| (link.id, link.tx_counter)).collect()),
             windows: switch.links.iter().map(|link| (link.id, window(&link.taken))).collect(),
+            served: switch.kernel_groups().map(|(group, _, served)| (group, served)).collect(),
+            makes_copies: true,
         }
+    }
+
+    /// Of a kernel under a test run: copies would be made later.
+    #[allow(dead_code, reason = "each test that includes this uses a part of it")]
+    pub fn without_copies(self) -> Self {
+        Self { makes_copies: false, ..self }
     }
 
     /// What becomes of an Ethernet frame.
-    pub fn run(&self, frame: &[u8]) -> Expected {
-        if frame[12..14] != self.ethertype.to_be_bytes() {
-            return outcome(Verdict::Pass, Counter::Foreign);
+    pub fn run(&self, frame: &[u8]) -> Fate {
+        let Some(Place { at, length, over_udp }) = self.switch.find(frame) else {
+            return Fate::new(Verdict::Pass, Counter::Foreign);
+        };
+        let gdp = &frame[at..at + length];
+        match gdp.first().copied() {
+            Some(FIRST_QUIC_BYTE..) if over_udp => return Fate::new(Verdict::Pass, Counter::Control),
+            Some(first) => match forward::classify(first) {
+                Kind::Headed => {}
+                Kind::Control => return Fate::new(Verdict::Pass, Counter::Control),
+                Kind::Unknown => return Fate::new(Verdict::Drop, Counter::Unknown),
+            },
+            None => return Fate::new(Verdict::Drop, Counter::Truncated),
         }
-        match frame.get(14).copied().map(forward::classify) {
-            Some(Kind::Headed) => {}
-            Some(Kind::Control) => return outcome(Verdict::Pass, Counter::Control),
-            Some(Kind::Unknown) => return outcome(Verdict::Drop, Counter::Unknown),
-            None => return outcome(Verdict::Drop, Counter::Truncated),
-        }
-        let Ok((mut header, payload)) = Header::read_from_prefix(&frame[14..]) else {
-            return outcome(Verdict::Drop, Counter::Truncated);
+        let Ok((mut header, payload)) = Header::read_from_prefix(gdp) else {
+            return Fate::new(Verdict::Drop, Counter::Truncated);
         };
         let ingress = header.link_id();
+        let payload = payload.get(..header.payload_len().into()).unwrap_or(payload);
         let send = |link: &LinkEntry, header: &Header, payload: &[u8], counter| {
             // The fixtures leave this port without an interface.
             if KERNEL && link.port == 63 {
-                return outcome(Verdict::Drop, Counter::RedirectFailed);
+                return Fate::new(Verdict::Drop, Counter::RedirectFailed);
             }
-            let frame = Some(self.carried(link, header, payload));
-            Expected { frame, ..outcome(Verdict::Send, counter) }
+            Fate::sent(self.carried(link, header, payload), counter)
         };
-        match forward::decide(&mut header, frame.len() - 14, self) {
+        match forward::decide(&mut header, length, self) {
             forward::Verdict::Send(link, counter) => send(link, &header, payload, counter),
             forward::Verdict::Answer(link, counter) => send(link, &header, &[], counter),
-            forward::Verdict::Copies(group) => {
-                let copies = self.copies(&header, payload, group, ingress);
-                Expected { copies, ..outcome(Verdict::Copy, Counter::Replicated) }
-            }
-            forward::Verdict::Notice(_) => outcome(Verdict::Pass, Counter::Notice),
-            forward::Verdict::Slow => outcome(Verdict::Pass, Counter::Slow),
-            forward::Verdict::Drop(counter) => outcome(Verdict::Drop, counter),
+            forward::Verdict::Copies(group) => Fate::copied(self.copies(&header, payload, group, ingress)),
+            forward::Verdict::Notice(_) => Fate::new(Verdict::Pass, Counter::Notice),
+            forward::Verdict::Slow => Fate::new(Verdict::Pass, Counter::Slow),
+            forward::Verdict::Drop(counter) => Fate::new(Verdict::Drop, counter),
         }
     }
 
-    fn copies(&self, header: &Header, payload: &[u8], group: u32, ingress: u32) -> Vec<CopyOut> {
-        let mut copies: Vec<CopyOut> = self
-            .links_of(group)
+    fn copies(&self, header: &Header, payload: &[u8], group: u32, ingress: u32) -> Vec<(Option<Vec<u8>>, Counter)> {
+        if !self.makes_copies {
+            return Vec::new();
+        }
+        self.links_of(group)
             .filter_map(|link| {
                 let mut header = *header;
                 let length = Header::LEN + payload.len();
                 match forward::copy(&mut header, length, link, &self.links[&ingress], self) {
-                    Copy::Send(counter) => {
-                        let frame = Some(self.carried(link, &header, payload));
-                        Some(CopyOut { frame, counter: counter.as_str().into() })
-                    }
-                    Copy::Drop(counter) => Some(CopyOut { frame: None, counter: counter.as_str().into() }),
+                    Copy::Send(counter) => Some((Some(self.carried(link, &header, payload)), counter)),
+                    Copy::Drop(counter) => Some((None, counter)),
                     Copy::None => None,
                 }
             })
-            .collect();
-        copies.sort();
-        copies
+            .collect()
     }
 
     fn links_of(&self, group: u32) -> impl Iterator<Item = &LinkEntry> {
         self.groups.get(&group).into_iter().flatten().filter_map(|id| self.links.get(id))
     }
 
-    fn carried(&self, link: &LinkEntry, header: &Header, payload: &[u8]) -> Bytes {
-        let addresses = [link.carrier.peer_mac, link.carrier.local_mac];
-        let ethertype = self.ethertype.to_be_bytes();
-        Bytes::new(&[addresses.as_bytes(), &ethertype, header.as_bytes(), payload].concat())
+    fn carried(&self, link: &LinkEntry, header: &Header, payload: &[u8]) -> Vec<u8> {
+        let link = self.switch.link(link.id).expect("a link of the switch");
+        link.carry(self.switch.ethertype, &[header.as_bytes(), payload].concat())
     }
-}
-
-fn outcome(verdict: Verdict, counter: Counter) -> Expected {
-    Expected { verdict, counter: counter.as_str().into(), frame: None, copies: vec![] }
 }
 
 impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
@@ -149,11 +157,12 @@ impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
     }
 
     fn can_send(&self, link: &LinkEntry) -> bool {
-        link.port != PORT_USERSPACE
+        self.switch.link(link.id).is_some_and(|link| link.port.is_some())
     }
 
-    fn can_copy(&self, group: u32, available: usize) -> bool {
-        available <= MAX_COPIED_FRAME && self.links_of(group).all(|link| self.can_send(link))
+    fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool {
+        let served = self.served.get(&group).copied().unwrap_or(0);
+        length <= MAX_COPIED_FRAME && bits & !served == 0
     }
 
     fn may_complain(&self, _: &LinkEntry) -> bool {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use gdp_wire::Counter;
+use gdp_wire::{Counter, ErrorCode};
 use serde::Serialize;
 
 use crate::seal::DropReason;
@@ -31,8 +31,9 @@ pub struct Counters {
     pub frames_unsent: Count,
     pub frames_received: Count,
     pub links: Count,
-    /// Errors and echoes from the switch.
-    pub notices: Count,
+    /// By [`ErrorCode`].
+    pub errors: [Count; ErrorCode::COUNT],
+    pub echoes_answered: Count,
     /// Frames refused before their payload was looked at, by [`Counter`].
     pub refused: [Count; Counter::COUNT],
     /// Frames for a name nobody here subscribed to.
@@ -56,8 +57,10 @@ pub struct NodeCounters {
     pub frames_received: u64,
     /// Links made so far; all but the first are reconnections.
     pub links: u64,
-    /// Errors and echoes from the switch.
-    pub notices: u64,
+    /// Errors from the switch about frames of this node, by what they say. Those that did not come are left out.
+    pub errors_received: BTreeMap<&'static str, u64>,
+    /// Echoes of the switch that were answered.
+    pub echoes_answered: u64,
     /// Frames, segments and messages that were dropped on arrival, by reason. Reasons without a drop are left out.
     pub drops: BTreeMap<&'static str, u64>,
 }
@@ -80,8 +83,15 @@ impl Counters {
             frames_unsent: self.frames_unsent.get(),
             frames_received: self.frames_received.get(),
             links: self.links.get(),
-            notices: self.notices.get(),
+            errors_received: by_code(&self.errors),
+            echoes_answered: self.echoes_answered.get(),
             drops: refused.chain(dropped).chain(own).filter(|(_, count)| *count > 0).collect(),
         }
     }
+}
+
+/// Those that are not 0, by the name of the code.
+pub fn by_code(counts: &[Count; ErrorCode::COUNT]) -> BTreeMap<&'static str, u64> {
+    let counts = ErrorCode::ALL.iter().zip(counts).map(|(code, count)| (code.as_str(), count.get()));
+    counts.filter(|(_, count)| *count > 0).collect()
 }

@@ -7,7 +7,7 @@ use gdp_wire::{Header, Name, forward};
 use zerocopy::IntoBytes;
 
 use super::supervisor::Attachment;
-use super::{Handle, NodeError, Stated};
+use super::{Feedback, Handle, NodeError, Stated};
 use crate::port::{BATCH, OutFrame};
 use crate::seal::{Encoding, Segments, Writer};
 
@@ -16,22 +16,28 @@ pub struct Publisher {
     node: Arc<Handle>,
     name: Name,
     writer: Writer,
+    feedback: Arc<Feedback>,
     segments: Segments,
     headers: Box<[Header; BATCH]>,
 }
 
 impl Publisher {
-    pub(super) fn new(node: Arc<Handle>, name: Name, writer: Writer) -> Self {
-        Self { node, name, writer, segments: Segments::new(), headers: Box::new([Header::default(); BATCH]) }
+    pub(super) fn new(node: Arc<Handle>, name: Name, writer: Writer, feedback: Arc<Feedback>) -> Self {
+        Self { node, name, writer, feedback, segments: Segments::new(), headers: Box::new([Header::default(); BATCH]) }
     }
 
     pub fn name(&self) -> Name {
         self.name
     }
 
+    /// What the switch says of this name's frames.
+    pub fn feedback(&self) -> &Arc<Feedback> {
+        &self.feedback
+    }
+
     /// Seals and sends one message, best effort: `Ok` says that the kernel took all its frames, not that they arrive.
-    /// Returns the sequence number. While the link to the switch is lost this fails at once, and nothing is kept; but a
-    /// switch that only fell silent may forward on, so for a while ([`crate::link::HOLD`]) frames are sent on to it.
+    /// Returns the sequence number. While the link to the switch is lost this fails at once, and nothing is kept; but to a
+    /// switch whose daemon fell silent frames are sent on, as long as its data plane answers ([`crate::link::HOLD`]).
     pub async fn send(&mut self, encoding: Encoding, body: &[u8]) -> Result<u64, NodeError> {
         let result = self.try_send(encoding, body).await;
         let counters = &self.node.state.counters;
@@ -72,13 +78,14 @@ fn send_batch(
     payloads: &mut dyn Iterator<Item = &[u8]>,
     node: &Handle,
 ) -> usize {
+    let entry = attachment.entry.get();
     let mut bodies = [&[][..]; BATCH];
     let mut count = 0;
     for body in payloads.take(BATCH) {
         let header = &mut headers[count];
         // The writer keeps payloads within the link's MTU, which 16 bits can express.
         *header = Header::data(destination, source, body.len() as u16);
-        forward::stamp(header, &attachment.entry, attachment.next_count());
+        forward::stamp(header, &entry, attachment.next_count());
         bodies[count] = body;
         count += 1;
     }

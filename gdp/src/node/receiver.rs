@@ -2,19 +2,21 @@
 //! owns the readers; others reach them by commands, which take effect before the next frame is looked at.
 
 use std::collections::HashMap;
-use std::sync::Arc;
 use std::sync::mpsc;
+use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 use gdp_wire::replay::{self, Window};
-use gdp_wire::{FrameType, Header, LinkEntry, Name, forward};
+use gdp_wire::{Counter, ErrorCode, FrameType, Header, LinkEntry, Name, forward};
 use tokio::sync::mpsc as async_mpsc;
 use zerocopy::FromBytes;
 
 use super::counters::Counters;
+use super::feedback::Feedbacks;
 use super::held::Held;
 use super::intake::{Intake, Writer};
-use super::supervisor::Event;
+use super::shared_entry::SharedEntry;
+use super::supervisor::{Attachment, Event};
 use crate::port::{DataSocket, RecvBatch};
 use crate::seal::DropReason;
 
@@ -26,12 +28,11 @@ const ASK_AGAIN: Duration = Duration::from_millis(250);
 
 /// What the rest of the node tells the thread.
 pub enum Command {
-    /// Frames now come from this socket, on this link, which is new.
+    /// Frames now come on this link, which is new.
     Attach {
-        data: Arc<DataSocket>,
-        entry: LinkEntry,
+        attachment: Arc<Attachment>,
         /// A link that this one replaces, and until when the switch may still send on it.
-        held: Option<(LinkEntry, Instant)>,
+        held: Option<(Arc<Attachment>, Instant)>,
     },
     Subscribe {
         name: Name,
@@ -53,14 +54,16 @@ pub struct Receiver {
     pub commands: mpsc::Receiver<Command>,
     pub events: async_mpsc::UnboundedSender<Event>,
     pub counters: Arc<Counters>,
+    pub feedback: Arc<Feedbacks>,
 }
 
 impl Receiver {
     /// Runs until it is told to stop, or nobody can tell it any more.
     pub fn run(self) {
-        let mut state =
+        let counters = &*self.counters;
+        let mut intakes =
             Intakes { intakes: HashMap::new(), held: Held::default(), asked: HashMap::new(), start: Instant::now() };
-        let mut attached: Option<(Arc<DataSocket>, Links)> = None;
+        let mut attached: Option<(Arc<DataSocket>, usize, Links)> = None;
         let mut batch = None;
         let mut next_tick = Instant::now() + TICK;
         loop {
@@ -70,23 +73,23 @@ impl Receiver {
                     None => self.commands.recv().map_err(|_| mpsc::TryRecvError::Disconnected),
                 };
                 match command {
-                    Ok(Command::Attach { data, entry, held }) => {
-                        let earlier = attached.take().map(|(_, links)| links);
-                        attached = Some((data, Links::after(earlier, entry, held)));
+                    Ok(Command::Attach { attachment, held }) => {
+                        let earlier = attached.take().map(|(_, _, links)| links);
+                        let held = held.map(|(silent, until)| (Ingress::of(&silent), until));
+                        let links = Links::after(earlier, Ingress::of(&attachment), held);
+                        attached = Some((attachment.data.clone(), attachment.largest, links));
                     }
-                    Ok(Command::Subscribe { name, intake }) => drop(state.intakes.insert(name, intake)),
-                    Ok(Command::Unsubscribe { name }) => drop(state.intakes.remove(&name)),
-                    Ok(Command::Authorise { name, writers }) => state.authorise(&name, writers, &self.counters),
+                    Ok(Command::Subscribe { name, intake }) => drop(intakes.intakes.insert(name, intake)),
+                    Ok(Command::Unsubscribe { name }) => drop(intakes.intakes.remove(&name)),
+                    Ok(Command::Authorise { name, writers }) => intakes.authorise(&name, writers, counters),
                     Err(mpsc::TryRecvError::Empty) => break,
                     Ok(Command::Stop) | Err(mpsc::TryRecvError::Disconnected) => return,
                 }
             }
-            let Some((data, links)) = &mut attached else { continue };
-            let mtu = links.current.entry.mtu as usize;
-            // The largest frame the link may carry, or the socket would not be able to tell that one is too large.
-            let batch = batch.get_or_insert_with(|| RecvBatch::new(mtu));
-            if batch.largest() < mtu {
-                *batch = RecvBatch::new(mtu);
+            let Some((data, largest, links)) = &mut attached else { continue };
+            let batch = batch.get_or_insert_with(|| RecvBatch::new(*largest));
+            if batch.largest() < *largest {
+                *batch = RecvBatch::new(*largest);
             }
             match data.try_recv_batch(batch) {
                 Ok(0) => {
@@ -95,7 +98,10 @@ impl Receiver {
                         continue;
                     }
                 }
-                Ok(_) => state.take(batch, links, &self.counters, &self.events),
+                Ok(_) => {
+                    links.refresh();
+                    intakes.take(batch, links, counters, &self.feedback, &self.events);
+                }
                 Err(error) => {
                     // The link is about to be lost as well; the next one brings its socket.
                     tracing::debug!(%error, "the data socket failed");
@@ -106,7 +112,7 @@ impl Receiver {
             if Instant::now() >= next_tick {
                 next_tick = Instant::now() + TICK;
                 links.held.retain(|(_, until)| Instant::now() < *until);
-                state.tick(&self.counters);
+                intakes.tick(counters);
             }
         }
     }
@@ -120,22 +126,33 @@ struct Links {
 }
 
 impl Links {
-    fn new(entry: LinkEntry) -> Self {
-        Self { current: Ingress::new(entry), held: Vec::new() }
+    fn new(current: Ingress) -> Self {
+        Self { current, held: Vec::new() }
     }
 
-    /// A new link; `held` is the one that fell silent, which goes on as it was among `earlier` ones.
-    fn after(earlier: Option<Self>, entry: LinkEntry, held: Option<(LinkEntry, Instant)>) -> Self {
-        let mut links = Self::new(entry);
+    /// A new link; `held` is the one that fell silent, which goes on as it was among `earlier` ones. The current one of these
+    /// may be another, that never came into service.
+    fn after(earlier: Option<Self>, new: Ingress, held: Option<(Ingress, Instant)>) -> Self {
+        let mut links = Self::new(new);
         let Some((silent, until)) = held else { return links };
-        match earlier {
-            Some(earlier) if earlier.current.entry.id == silent.id => {
-                links.held = earlier.held;
-                links.held.push((earlier.current, until));
+        let mut before = Vec::new();
+        if let Some(earlier) = earlier {
+            before = earlier.held;
+            if earlier.current.entry.id == silent.entry.id {
+                before.push((earlier.current, until));
             }
-            _ => links.held.push((Ingress::new(silent), until)),
         }
+        if before.iter().all(|(link, _)| link.entry.id != silent.entry.id) {
+            before.push((silent, until));
+        }
+        links.held = before;
         links
+    }
+
+    /// Meets the keys that were put before; to be called after frames were received.
+    fn refresh(&mut self) {
+        let held = self.held.iter_mut().map(|(link, _)| link);
+        held.chain([&mut self.current]).for_each(|link| link.entry = link.shared.get());
     }
 
     /// The link a frame says it is on; the current one for a frame that is on none, to be refused by it.
@@ -147,13 +164,56 @@ impl Links {
 
 /// A link that frames come from, and which of them came.
 struct Ingress {
+    shared: SharedEntry,
+    /// As it is for the batch at hand.
     entry: LinkEntry,
     window: Box<Window>,
+    /// For answers, as long as the node sends on the link.
+    attachment: Weak<Attachment>,
 }
 
 impl Ingress {
-    fn new(entry: LinkEntry) -> Self {
-        Self { entry, window: Box::new(replay::empty()) }
+    fn new(shared: SharedEntry, attachment: Weak<Attachment>) -> Self {
+        Self { entry: shared.get(), shared, window: Box::new(replay::empty()), attachment }
+    }
+
+    fn of(attachment: &Arc<Attachment>) -> Self {
+        Self::new(attachment.entry.clone(), Arc::downgrade(attachment))
+    }
+
+    /// What the switch says to this node itself.
+    fn notice(
+        &self,
+        frame_type: FrameType,
+        header: &Header,
+        counters: &Counters,
+        feedback: &Feedbacks,
+    ) -> Result<(), Counter> {
+        match (frame_type, header.egress_set) {
+            (FrameType::Error, code) => {
+                let code = ErrorCode::from_number(code).ok_or(Counter::Unknown)?;
+                counters.errors[code.index()].add(1);
+                feedback.add(code, header);
+                if let Some(attachment) = self.attachment.upgrade() {
+                    attachment.frame_size.learn(code, header);
+                }
+            }
+            (FrameType::Echo, Header::ASKS) => {
+                if let Some(attachment) = self.attachment.upgrade() {
+                    let mut answer = *header;
+                    answer.become_answer();
+                    attachment.send(answer);
+                    counters.echoes_answered.add(1);
+                }
+            }
+            (FrameType::Echo, Header::ANSWERS) => {
+                if let Some(attachment) = self.attachment.upgrade() {
+                    attachment.answered(header.egress_bits());
+                }
+            }
+            _ => return Err(Counter::Unknown),
+        }
+        Ok(())
     }
 }
 
@@ -183,6 +243,7 @@ impl Intakes {
         batch: &mut RecvBatch,
         links: &Links,
         counters: &Counters,
+        feedback: &Feedbacks,
         events: &async_mpsc::UnboundedSender<Event>,
     ) {
         let now = self.start.elapsed().as_nanos() as u64;
@@ -190,20 +251,20 @@ impl Intakes {
         let mut any_dropped = false;
         for (frame, _) in batch.frames() {
             let Ok((header, rest)) = Header::ref_from_prefix(frame) else {
-                counters.refused[gdp_wire::Counter::Truncated as usize].add(1);
+                counters.refused[Counter::Truncated as usize].add(1);
                 continue;
             };
             let link = links.of(header);
-            match forward::accept(header, frame.len(), &link.entry, &*link.window) {
-                Ok(FrameType::Data) => {}
-                Ok(_) => {
-                    counters.notices.add(1);
-                    continue;
-                }
-                Err(counter) => {
+            let noticed = match forward::accept(header, frame.len(), &link.entry, &*link.window) {
+                Ok(FrameType::Data) => None,
+                Ok(other) => Some(link.notice(other, header, counters, feedback)),
+                Err(counter) => Some(Err(counter)),
+            };
+            if let Some(noticed) = noticed {
+                if let Err(counter) = noticed {
                     counters.refused[counter as usize].add(1);
-                    continue;
                 }
+                continue;
             }
             let Some(intake) = self.intakes.get_mut(&header.destination) else {
                 counters.not_subscribed.add(1);
@@ -247,17 +308,20 @@ fn ask_about(asked: &mut HashMap<Name, Instant>, name: Name, events: &async_mpsc
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeMap;
+
     use crate::crypto::Backend;
     use crate::port::LinkAddr;
     use crate::seal::{EpochKey, Limits, Reader};
     use zerocopy::IntoBytes;
 
     const NAME: Name = Name::from_bytes([1; 32]);
+    const NODE: Name = Name::from_bytes([8; 32]);
 
     #[test]
     fn many_unknown_sources_cause_one_question() {
         let (name, mut intakes) = (NAME, subscribed());
-        let (link, counters) = (Links::new(LinkEntry::default()), Counters::default());
+        let (link, counters) = (links(), Counters::default());
         let (events, mut asked) = async_mpsc::unbounded_channel();
         let mut batch = RecvBatch::new(1500);
         for source in 0..50 {
@@ -265,7 +329,7 @@ mod tests {
             forward::stamp(&mut header, &link.current.entry, source.into());
             assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
         }
-        intakes.take(&mut batch, &link, &counters, &events);
+        intakes.take(&mut batch, &link, &counters, &feedback(), &events);
         assert!(matches!(asked.try_recv(), Ok(Event::UnknownWriter { name: about }) if about == name));
         assert!(asked.try_recv().is_err());
         assert!(counters.snapshot(0).drops.is_empty(), "the frames wait for the answer");
@@ -274,7 +338,8 @@ mod tests {
     #[test]
     fn a_frame_that_comes_again_on_its_link_is_refused() {
         let mut intakes = subscribed();
-        let (entry, counters) = (LinkEntry::default(), Counters::default());
+        let (shared, counters) = (SharedEntry::new(LinkEntry::default()), Counters::default());
+        let entry = shared.get();
         let (events, _asked) = async_mpsc::unbounded_channel();
         let mut take = |link: &Links, counts: &[u64]| {
             let mut batch = RecvBatch::new(1500);
@@ -283,13 +348,65 @@ mod tests {
                 forward::stamp(&mut header, &entry, *count);
                 assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
             }
-            intakes.take(&mut batch, link, &counters, &events);
-            counters.refused[gdp_wire::Counter::Replayed as usize].get()
+            intakes.take(&mut batch, link, &counters, &feedback(), &events);
+            counters.refused[Counter::Replayed as usize].get()
         };
-        let link = Links::new(entry);
+        let link = links();
         assert_eq!(take(&link, &[1, 3, 2, 1]), 1);
         assert_eq!(take(&link, &[4, 3, 2]), 3, "in another batch");
-        assert_eq!(take(&Links::new(entry), &[1, 2]), 3, "a new link counts anew");
+        assert_eq!(take(&links(), &[1, 2]), 3, "a new link counts anew");
+    }
+
+    #[test]
+    fn errors_are_told_to_the_publisher_of_their_name_and_to_no_other() {
+        let (counters, mut intakes, link) = (Counters::default(), subscribed(), links());
+        let (events, _asked) = async_mpsc::unbounded_channel();
+        let feedback = feedback();
+        let (told, other) = (feedback.of(NAME), feedback.of(Name::from_bytes([3; 32])));
+        let mut take = |count: u32, source: Name, code: u8| {
+            let mut header = Header::data(NAME, source, 0);
+            header.set_link_counter(1000 + count);
+            header.become_error(ErrorCode::TooBig, 700);
+            header.egress_set = code;
+            forward::stamp(&mut header, &link.current.entry, count.into());
+            let mut batch = RecvBatch::new(1500);
+            assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
+            intakes.take(&mut batch, &link, &counters, &feedback, &events);
+        };
+        take(1, NODE, ErrorCode::TooBig as u8);
+        take(2, Name::from_bytes([9; 32]), ErrorCode::TooBig as u8);
+        take(3, NODE, ErrorCode::NoRoute as u8);
+        take(4, NODE, 0);
+        take(5, NODE, ErrorCode::COUNT as u8 + 1);
+        let errors = |too_big| BTreeMap::from([("no_route", 1), ("too_big", too_big)]);
+        let counters = counters.snapshot(0);
+        assert_eq!((counters.errors_received, told.errors()), (errors(2), errors(1)), "one was not about this node");
+        assert_eq!(counters.drops, BTreeMap::from([("drop_unknown", 2)]), "codes that nobody knows");
+        let last = told.last().unwrap();
+        assert_eq!((last.code, last.mtu), (ErrorCode::NoRoute, None));
+        assert_eq!(other.last(), None);
+    }
+
+    fn links() -> Links {
+        Links::new(Ingress::new(SharedEntry::new(LinkEntry::default()), Weak::new()))
+    }
+
+    fn feedback() -> Feedbacks {
+        Feedbacks::new(NODE)
+    }
+
+    #[test]
+    fn a_link_that_fell_silent_keeps_its_window_through_attempts_to_replace_it() {
+        let entry = |id| SharedEntry::new(LinkEntry { id, ..LinkEntry::default() });
+        let link = |id| Ingress::new(entry(id), Weak::new());
+        let until = Instant::now() + Duration::from_secs(60);
+        let first = Links::new(link(1));
+        assert!(replay::take(&*first.current.window, 7));
+        let second = Links::after(Some(first), link(2), Some((link(1), until)));
+        let third = Links::after(Some(second), link(3), Some((link(1), until)));
+        let ids: Vec<u32> = third.held.iter().map(|(link, _)| link.entry.id).collect();
+        assert_eq!((third.current.entry.id, ids), (3, vec![1]), "2 never came into service");
+        assert!(!replay::is_fresh(&*third.held[0].0.window, 7));
     }
 
     fn subscribed() -> Intakes {

@@ -9,12 +9,13 @@ use gdp_wire::Name;
 use tokio::sync::{Notify, mpsc, watch};
 
 use super::counters::Counters;
+use super::feedback::Feedbacks;
 use super::intake::Writer as KnownWriter;
 use super::receiver::Command;
 use super::supervisor::{Attachment, Event};
 use super::{NodeError, Stated};
 use crate::cert::{AdCert, Advert, AdvertOp, CertError, ReadGrant, RtCert, Signed, issue};
-use crate::control::{Credential, EntityRequest, Record, RefusalCode, Request, Response};
+use crate::control::{Credential, EntityRequest, Record, RecordPlace, RefusalCode, Request, Response};
 use crate::identity::Identity;
 use crate::name::{NamePrefix, NameProof};
 
@@ -28,6 +29,7 @@ const LINK_PATIENCE: Duration = Duration::from_secs(10);
 pub struct State {
     pub identity: Identity,
     pub counters: Arc<Counters>,
+    pub feedback: Arc<Feedbacks>,
     status: watch::Sender<Status>,
     /// Everything the RIB is to know, stated again after each reconnection; and whether it was, on the present link.
     statements: Mutex<HashMap<(Name, Stated), (Statement, bool)>>,
@@ -60,13 +62,13 @@ impl State {
     /// Not attached yet.
     pub fn new(
         identity: Identity,
-        counters: Arc<Counters>,
         commands: std::sync::mpsc::Sender<Command>,
         events: mpsc::UnboundedSender<Event>,
     ) -> Self {
         Self {
+            feedback: Arc::new(Feedbacks::new(identity.name())),
             identity,
-            counters,
+            counters: Arc::default(),
             status: watch::Sender::new(Status::Down("connecting".into())),
             statements: Mutex::default(),
             unstated: Notify::new(),
@@ -78,6 +80,24 @@ impl State {
 
     pub fn set_status(&self, status: Status) {
         self.status.send_replace(status);
+    }
+
+    /// Why there is still no link.
+    pub fn still_lost(&self, why: String) {
+        self.status.send_modify(|status| {
+            if let Status::Down(reason) | Status::Held(_, reason) = status {
+                *reason = why;
+            }
+        });
+    }
+
+    /// The link that fell silent is of no use any more.
+    pub fn end_hold(&self) {
+        self.status.send_modify(|status| {
+            if let Status::Held(_, reason) = status {
+                *status = Status::Down(std::mem::take(reason));
+            }
+        });
     }
 
     pub fn command(&self, command: Command) {
@@ -141,9 +161,15 @@ impl State {
     /// A handle was dropped. The RIB is told by the supervisor, or by the loss of the link.
     pub fn withdraw(&self, name: Name, stated: Stated) {
         lock(&self.statements).remove(&(name, stated));
-        if stated == Stated::Subscribed {
-            self.command(Command::Unsubscribe { name });
+        match stated {
+            Stated::Subscribed => self.command(Command::Unsubscribe { name }),
+            Stated::Published => self.feedback.forget(&name),
         }
+        self.withdraw_later(name, stated);
+    }
+
+    /// Has the supervisor tell the RIB that this is withdrawn, once there is a link.
+    pub fn withdraw_later(&self, name: Name, stated: Stated) {
         let _ = self.events.send(Event::Withdraw { name, stated });
     }
 
@@ -159,7 +185,9 @@ impl State {
         let switch = attachment.link.peer().name;
         let not_after = unix_now() + u64::from(LIFETIME);
         let rt_cert = issue(self.identity.key(), &RtCert { entity: self.identity.name(), switch, not_after })?;
-        match ask(attachment, EntityRequest::Attach { rt_cert }).await? {
+        // A node that has spoken before goes on; one that has just started does not know what another process had stated.
+        let resumes = *serial != 0;
+        match ask(attachment, EntityRequest::Attach { rt_cert, resumes }).await? {
             Response::Attached { serial: floor } => *serial = floor.max(*serial),
             _ => return Err(NodeError::Protocol("to an attachment")),
         }
@@ -217,16 +245,22 @@ impl State {
         Ok(())
     }
 
-    pub async fn query(&self, attachment: &Attachment, prefix: NamePrefix) -> Result<(Vec<Record>, bool), NodeError> {
-        match ask(attachment, EntityRequest::Query { prefix }).await? {
+    /// The records of the names that begin so, from the one behind `after` on, and whether there are more.
+    pub async fn query(
+        &self,
+        attachment: &Attachment,
+        prefix: NamePrefix,
+        after: Option<RecordPlace>,
+    ) -> Result<(Vec<Record>, bool), NodeError> {
+        match ask(attachment, EntityRequest::Query { prefix, after }).await? {
             Response::Records { records, truncated } => Ok((records, truncated)),
             _ => Err(NodeError::Protocol("to a query")),
         }
     }
 
-    /// Asks the RIB who writes a name.
+    /// Asks the RIB who writes a name: its writers come first, and all fit an answer.
     pub async fn learn_writers(&self, attachment: &Attachment, name: Name) -> Result<(), NodeError> {
-        let (records, _) = self.query(attachment, name.into()).await?;
+        let (records, _) = self.query(attachment, name.into(), None).await?;
         self.authorise(name, &records);
         Ok(())
     }

@@ -7,18 +7,22 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use gdp_wire::table::PORT_USERSPACE;
-use gdp_wire::{Header, LinkEntry, Name};
+use gdp_wire::{Header, Name, forward};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::{Instant, sleep, sleep_until, timeout_at};
+use zerocopy::IntoBytes;
 
+use super::frame_size::FrameSize;
 use super::receiver::Command;
+use super::shared_entry::SharedEntry;
 use super::state::{self, State, Status};
 use super::{LinkTarget, NodeError, Stated};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
-use crate::link::{HOLD, Link, LinkError, Responder, Role};
-use crate::port::{DataSocket, Interface, LinkAddr, Port, PortConfig, UDP_MTU};
+use crate::link::liveness::{Liveness, Pace, Step};
+use crate::link::{HOLD, Link, LinkError, LinkKeys, RekeySchedule, Responder, Role};
+use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, SMALLEST_PATH};
 
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -29,11 +33,15 @@ const MAX_CANDIDATES: usize = 8;
 /// Between attempts to get the link back, and to state what was refused: doubled from the first to the second.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
+/// How long the node tries to attach again over the link it has; the switch waits a little longer for its answer.
+const REATTACH: Duration = Duration::from_secs(4);
+
 /// How often certificates and statements with a lifetime of [`state::LIFETIME`] are renewed.
 const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
 
-/// Largest frame sent, whatever the first link takes, until path MTUs are learnt: a link further on may be over UDP. Bytes.
-const MAX_FRAME: u32 = UDP_MTU;
+/// How long frames on a new link over UDP stay as small as any path takes: meanwhile QUIC learns the paths of links that are made at the
+/// same time, and switches learn them from it.
+const SETTLING: Duration = Duration::from_secs(3);
 
 /// What the rest of the node tells the supervisor.
 pub enum Event {
@@ -46,14 +54,23 @@ pub enum Event {
 /// The link as publishers use it.
 pub struct Attachment {
     pub link: Link,
-    pub entry: LinkEntry,
+    pub entry: SharedEntry,
     pub data: Arc<DataSocket>,
+    /// Bytes of the largest frame that may come.
+    pub largest: usize,
+    /// What links further on take, as far as it is known.
+    pub frame_size: FrameSize,
+    since: Instant,
     count: AtomicU64,
+    /// Cookie of the latest answer to an echo.
+    answer: AtomicU64,
 }
 
 impl Attachment {
     fn new(link: Link, port: &Port) -> Self {
-        Self { entry: link.entry(PORT_USERSPACE), link, data: port.data(), count: AtomicU64::new(0) }
+        let (entry, data, largest) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data(), port.mtu() as usize);
+        let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
+        Self { entry, link, data, largest, frame_size, since: Instant::now(), count, answer }
     }
 
     /// The count for the next frame: 1 for the first.
@@ -61,22 +78,60 @@ impl Attachment {
         self.count.fetch_add(1, Ordering::Relaxed).wrapping_add(1)
     }
 
-    /// Largest payload of a frame, in bytes.
+    /// Sends a frame without a payload to the switch itself; if it is lost, so be it.
+    pub fn send(&self, mut header: Header) {
+        forward::stamp(&mut header, &self.entry.get(), self.next_count());
+        self.data.send_batch([OutFrame { to: self.link.addr(), head: header.as_bytes(), body: &[] }]);
+    }
+
+    /// The switch has answered the echo with this cookie.
+    pub fn answered(&self, cookie: u64) {
+        self.answer.store(cookie, Ordering::Relaxed);
+    }
+
+    /// Asks the data plane of the switch whether it lives, and returns when it does not answer.
+    async fn until_silent(&self) {
+        let mut liveness = Liveness::new(Pace::of(self.link.addr()));
+        loop {
+            let cookie = crypto::random().map_or(0, u64::from_le_bytes);
+            match liveness.step(self.answer.load(Ordering::Relaxed), cookie) {
+                Step::Ask => self.send(Header::echo(cookie)),
+                Step::Silent => return,
+            }
+            sleep(liveness.pace().interval).await;
+        }
+    }
+
+    /// Largest payload of a frame, in bytes: what this link takes now, and links further on as far as is known.
     pub fn max_payload(&self) -> usize {
-        (self.entry.mtu.min(MAX_FRAME) as usize).saturating_sub(Header::LEN)
+        let settling = matches!(self.link.addr(), LinkAddr::Udp(_)) && self.since.elapsed() < SETTLING;
+        let largest = if settling { SMALLEST_PATH.into() } else { self.link.mtu() };
+        (largest.min(self.frame_size.get()) as usize).saturating_sub(Header::LEN)
+    }
+
+    /// Replaces the keys of the link now and then, as long as it lives.
+    async fn keep_keys(self: Arc<Self>) {
+        let put = |keys: &LinkKeys| {
+            self.entry.update(|entry| keys.put(entry));
+            true
+        };
+        self.link.keep_keys(|| self.count.load(Ordering::Relaxed), put).await;
     }
 }
 
-/// A link whose switch fell silent, still in use until then.
+/// A link whose switch fell silent, in use until then at the latest.
 struct Held {
     attachment: Arc<Attachment>,
     until: Instant,
 }
 
-fn lost(held: Option<&Held>, reason: String) -> Status {
-    match held {
-        Some(held) => Status::Held(held.attachment.clone(), reason),
-        None => Status::Down(reason),
+impl Held {
+    /// Returns when the link is of no use any more, and says why.
+    async fn end(&self) -> &'static str {
+        match timeout_at(self.until, self.attachment.until_silent()).await {
+            Ok(()) => "its data plane does not answer either",
+            Err(_) => "its daemon has been silent for too long",
+        }
     }
 }
 
@@ -89,8 +144,8 @@ pub struct Supervisor {
 }
 
 impl Supervisor {
-    pub fn new(state: Arc<State>, target: LinkTarget, pinned: Option<Name>) -> Self {
-        let port_config = PortConfig::endpoint(state.identity.clone());
+    pub fn new(state: Arc<State>, target: LinkTarget, pinned: Option<Name>, rekey: RekeySchedule) -> Self {
+        let port_config = PortConfig { rekey, ..PortConfig::endpoint(state.identity.clone()) };
         Self { state, target, pinned, port_config, port: None }
     }
 
@@ -138,33 +193,57 @@ impl Supervisor {
         loop {
             let reason = self.serve(attachment.clone(), events).await;
             tracing::warn!(switch = %self.target, %reason, "lost the link to the switch");
-            let mut held = attachment.link.fell_silent().then(|| Held { attachment, until: Instant::now() + HOLD });
-            self.state.set_status(lost(held.as_ref(), reason));
-            let mut backoff = Backoff::new();
-            attachment = loop {
-                backoff.wait().await;
-                match self.attempt(held.as_ref()).await {
-                    Ok(attachment) => break attachment,
-                    Err(error) => {
-                        tracing::debug!(switch = %self.target, %error, "no link to the switch");
-                        held = held.filter(|held| Instant::now() < held.until);
-                        self.state.set_status(lost(held.as_ref(), error.to_string()));
-                    }
-                }
+            attachment = if attachment.link.fell_silent() {
+                self.state.set_status(Status::Held(attachment.clone(), reason));
+                let held = Held { attachment, until: Instant::now() + HOLD };
+                self.reconnect_while_held(&held).await
+            } else {
+                self.state.set_status(Status::Down(reason));
+                self.reconnect(None).await
             };
             tracing::info!(switch = %attachment.link.peer().name, "the link to the switch is back");
+        }
+    }
+
+    /// A new link. What the application sends in the meantime goes out on the one that is held, as long as that is of use.
+    async fn reconnect_while_held(&mut self, held: &Held) -> Arc<Attachment> {
+        let state = self.state.clone();
+        let hold = async {
+            let reason = held.end().await;
+            tracing::warn!("nothing is sent to the switch any more: {reason}");
+            state.end_hold();
+            std::future::pending().await
+        };
+        tokio::select! {
+            attachment = self.reconnect(Some(held)) => attachment,
+            attachment = hold => attachment,
+        }
+    }
+
+    async fn reconnect(&mut self, held: Option<&Held>) -> Arc<Attachment> {
+        let mut backoff = Backoff::new();
+        loop {
+            backoff.wait().await;
+            match self.attempt(held).await {
+                Ok(attachment) => return attachment,
+                Err(error) => {
+                    tracing::debug!(switch = %self.target, %error, "no link to the switch");
+                    self.state.still_lost(error.to_string());
+                }
+            }
         }
     }
 
     /// One link's life; returns why it ended.
     async fn serve(&self, attachment: Arc<Attachment>, events: &mut mpsc::UnboundedReceiver<Event>) -> String {
         let _upkeep = AbortOnDrop(tokio::spawn(keep_stated(self.state.clone(), attachment.clone())));
+        let _keys = AbortOnDrop(tokio::spawn(attachment.clone().keep_keys()));
         let link = &attachment.link;
         loop {
             tokio::select! {
                 reason = link.closed() => return reason,
                 Some((request, responder)) = link.accept_request() => {
-                    tokio::spawn(answer(self.state.clone(), request, responder));
+                    tokio::spawn(answer(self.state.clone(), attachment.clone(), request, responder));
                 }
                 Some(event) = events.recv() => {
                     tokio::spawn(handle(self.state.clone(), attachment.clone(), event));
@@ -173,15 +252,16 @@ impl Supervisor {
         }
     }
 
-    /// Makes a link and attaches. Frames on the link that is held are taken for as long as the switch may send them.
+    /// Makes a link and attaches: from then on the switch may send on it, so frames are taken on it before. Those on the link
+    /// that is held are taken for as long as the switch may send them.
     async fn attempt(&mut self, held: Option<&Held>) -> Result<Arc<Attachment>, NodeError> {
         let (port, candidates) = self.locate().await?;
         let link = self.dial_first(&port, &candidates).await?;
         let attachment = Arc::new(Attachment::new(link, &port));
+        let held = held.map(|held| (held.attachment.clone(), held.until.into_std()));
+        self.state.command(Command::Attach { attachment: attachment.clone(), held });
         self.state.attach(&attachment).await?;
         self.state.counters.links.add(1);
-        let held = held.map(|held| (held.attachment.entry, held.until.into_std()));
-        self.state.command(Command::Attach { data: attachment.data.clone(), entry: attachment.entry, held });
         self.state.set_status(Status::Up(attachment.clone()));
         Ok(attachment)
     }
@@ -273,7 +353,7 @@ async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
 }
 
 /// Answers what the switch asks.
-async fn answer(state: Arc<State>, request: Request, responder: Responder) {
+async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request, responder: Responder) {
     let response = match request {
         Request::Writers(push) if push.entity == state.identity.name() && state.subscribes_to(&push.name) => {
             state.authorise(push.name, &push.records);
@@ -282,20 +362,44 @@ async fn answer(state: Arc<State>, request: Request, responder: Responder) {
         Request::Writers(push) => {
             Refusal::new(RefusalCode::NotFound, format!("no subscription to {} here", push.name)).into()
         }
-        _ => Refusal::new(RefusalCode::Unsupported, "an endpoint is only told about writers").into(),
+        // The RIB has forgotten what was stated, as after a restart. Frames go on meanwhile.
+        Request::Detach { entity, .. } if entity == state.identity.name() => {
+            match tokio::time::timeout(REATTACH, attach_again(&state, &attachment)).await {
+                Ok(Ok(())) => Response::Done,
+                Ok(Err(error)) => Refusal::new(RefusalCode::NotAttached, error.to_string()).into(),
+                Err(_) => Refusal::new(RefusalCode::Unreachable, "the RIB did not answer").into(),
+            }
+        }
+        _ => Refusal::new(RefusalCode::Unsupported, "an endpoint is told about writers and its attachment only").into(),
     };
     let _ = responder.respond(response).await;
+}
+
+/// Attaches over the link there is, and has everything stated again. The switch may only be about to find its way to the RIB.
+async fn attach_again(state: &State, attachment: &Attachment) -> Result<(), NodeError> {
+    let mut backoff = Backoff::new();
+    while let Err(error) = state.attach(attachment).await {
+        if !worth_another_attempt(&error) || attachment.link.close_reason().is_some() {
+            return Err(error);
+        }
+        backoff.wait().await;
+    }
+    state.unstated.notify_one();
+    Ok(())
 }
 
 async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
     match event {
         Event::Withdraw { name, stated } => {
             let mut backoff = Backoff::new();
-            // With the link, the switch withdraws everything by itself.
-            while let Err(error) = state.state_withdrawal(&attachment, name, stated).await
-                && attachment.link.close_reason().is_none()
-            {
-                tracing::warn!(%name, %error, "could not be withdrawn; trying again");
+            while let Err(error) = state.state_withdrawal(&attachment, name, stated).await {
+                match error {
+                    // It went with an attachment that ended.
+                    NodeError::Refused(refusal) if refusal.code == RefusalCode::NotFound => return,
+                    // What was stated may outlive the link: that is for the next one to tell.
+                    _ if attachment.link.close_reason().is_some() => return state.withdraw_later(name, stated),
+                    error => tracing::warn!(%name, %error, "could not be withdrawn; trying again"),
+                }
                 backoff.wait().await;
             }
         }

@@ -50,6 +50,7 @@ async fn only_writers_with_the_owners_certificate_are_believed() {
         card.name(),
         Writer::new(card.name(), rogue.name(), owner.key(), rogue.0.state.identity.key().clone(), Backend::default())
             .unwrap(),
+        Arc::default(),
     );
     forger.send(Encoding::Bytes, b"forged").await.unwrap();
     eventually("the forger's frame is dropped", || cloud.counters().drops.contains_key("seal_unknown_writer")).await;

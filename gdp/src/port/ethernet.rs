@@ -3,7 +3,7 @@
 //! other stations, nor those with a VLAN tag. What is sent passes the interface's queueing discipline: without it, frames
 //! would be lost whenever the ring of a NIC is full.
 
-use std::ffi::CString;
+use std::ffi::{CStr, CString};
 use std::fmt;
 use std::io::{self, IoSliceMut};
 use std::mem::{size_of, zeroed};
@@ -39,6 +39,19 @@ pub struct Interface {
     pub mac: [u8; 6],
     /// Bytes behind the Ethernet header.
     pub mtu: u32,
+    /// If it is one: the VLAN that it is, on another interface.
+    pub vlan: Option<Vlan>,
+}
+
+/// A VLAN on an interface.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Vlan {
+    /// The interface that takes the tagged frames.
+    pub lower: String,
+    /// Its index.
+    pub lower_index: u32,
+    /// Of IEEE 802.1Q.
+    pub id: u16,
 }
 
 impl Interface {
@@ -74,7 +87,42 @@ impl Interface {
         for (to, from) in mac.iter_mut().zip(hardware.sa_data) {
             *to = from as u8;
         }
-        Ok(Self { name: name.to_owned(), index, mac, mtu: mtu.max(0) as u32 })
+        let vlan = Vlan::of(&socket, name);
+        Ok(Self { name: name.to_owned(), index, mac, mtu: mtu.max(0) as u32, vlan })
+    }
+}
+
+/// What the kernel's VLAN driver is asked with, and answers.
+#[repr(C)]
+struct VlanRequest {
+    command: libc::c_int,
+    interface: [u8; 24],
+    /// A name, or a number in the first bytes.
+    answer: [u8; 24],
+    qos: libc::c_short,
+}
+
+impl Vlan {
+    fn of(socket: &OwnedFd, name: &str) -> Option<Self> {
+        const REAL_DEVICE_NAME: libc::c_int = 8;
+        const ID: libc::c_int = 9;
+        // linux/sockios.h; not in libc.
+        const SIOCGIFVLAN: libc::c_ulong = 0x8982;
+        let ask = |command| {
+            let mut request = VlanRequest { command, interface: [0; 24], answer: [0; 24], qos: 0 };
+            request.interface[..name.len()].copy_from_slice(name.as_bytes());
+            // SAFETY: the request takes this structure (linux/if_vlan.h) and fills it in.
+            check(unsafe { libc::ioctl(socket.as_raw_fd(), SIOCGIFVLAN as _, &raw mut request) }).ok()?;
+            Some(request.answer)
+        };
+        let lower = ask(REAL_DEVICE_NAME)?;
+        let id = ask(ID)?;
+        let lower = CStr::from_bytes_until_nul(&lower).ok()?;
+        // SAFETY: a string that ends with 0.
+        let lower_index = unsafe { libc::if_nametoindex(lower.as_ptr()) };
+        // It may be in another network namespace.
+        let lower = lower.to_str().ok().filter(|_| lower_index != 0)?.to_owned();
+        Some(Self { lower, lower_index, id: u16::from_ne_bytes([id[0], id[1]]) })
     }
 }
 

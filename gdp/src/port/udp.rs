@@ -30,6 +30,7 @@ pub struct SharedUdp {
     socket: UdpSocket,
     state: UdpSocketState,
     v6: bool,
+    zero_checksums: bool,
     queue: Mutex<VecDeque<(SocketAddr, Vec<u8>)>>,
     /// Set while the queue is not empty.
     event: Event,
@@ -45,8 +46,13 @@ impl SharedUdp {
         // Receive offload would glue datagrams of both kinds together.
         let _ = sys::set_option(socket.as_fd(), libc::SOL_UDP, libc::UDP_GRO, &0i32);
         sys::set_buffers(socket.as_fd(), BUFFER, BUFFER);
+        let v6 = socket.local_addr()?.is_ipv6();
+        // Data frames are checked without it: the hop tag covers the header, decryption the payload. QUIC checks its packets.
+        let zero_checksums =
+            v6 && sys::set_option(socket.as_fd(), libc::SOL_UDP, libc::UDP_NO_CHECK6_RX, &1i32).is_ok();
         Ok(Self {
-            v6: socket.local_addr()?.is_ipv6(),
+            v6,
+            zero_checksums,
             socket: UdpSocket::from_std(socket)?,
             state,
             queue: Mutex::new(VecDeque::with_capacity(64)),
@@ -57,6 +63,11 @@ impl SharedUdp {
 
     pub fn is_v6(&self) -> bool {
         self.v6
+    }
+
+    /// Whether datagrams over IPv6 are taken without a UDP checksum.
+    pub fn takes_zero_checksums(&self) -> bool {
+        self.zero_checksums
     }
 
     pub fn socket_fd(&self) -> BorrowedFd<'_> {

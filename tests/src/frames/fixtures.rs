@@ -3,7 +3,11 @@
 //! Byte strings are hexadecimal; where a long frame ends in zeros they are counted instead of written. Everything else
 //! is as a reader of `docs/wire-format.md` expects.
 
+use std::net::{IpAddr, SocketAddr};
+
 use serde::{Deserialize, Serialize};
+
+use super::carrier::{self, Carrier, Place};
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fixtures {
@@ -28,7 +32,7 @@ pub struct Link {
     pub id: u32,
     pub peer_id: u32,
     pub role: Role,
-    /// `null`: no interface the kernel can redirect to.
+    /// `null`: the kernel cannot send on the link.
     pub port: Option<u32>,
     /// SipHash keys, 16 bytes, by key phase.
     pub rx_keys: [String; 2],
@@ -39,8 +43,14 @@ pub struct Link {
     /// Numbers of egress bits.
     pub reach: Vec<u32>,
     pub mtu: u32,
+    /// The neighbour's; of a link over UDP, the next hop's.
     pub peer_mac: String,
     pub local_mac: String,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub vlan: u16,
+    /// `null`: directly on Ethernet.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub udp: Option<Udp>,
     /// The neighbour's name.
     pub peer: String,
     /// Frames sent on the link before the case.
@@ -48,6 +58,15 @@ pub struct Link {
     /// Counts of frames that arrived on the link before the case.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub taken: Vec<u64>,
+}
+
+/// Addresses and ports of a link over UDP.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Udp {
+    pub local: SocketAddr,
+    pub peer: SocketAddr,
+    /// Whether the kernel is to ask for the next hop; over IPv6, because the neighbour takes datagrams without a checksum.
+    pub routed: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -101,6 +120,50 @@ pub struct Expected {
     /// In the order of their bytes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub copies: Vec<CopyOut>,
+}
+
+/// What becomes of a frame, as data planes say it; [`Expected`] is the same as the file says it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fate {
+    pub verdict: Verdict,
+    pub counter: gdp_wire::Counter,
+    /// The whole frame as it leaves, of a frame that is sent.
+    pub frame: Option<Vec<u8>>,
+    /// In the order of their bytes; those that are dropped first.
+    pub copies: Vec<(Option<Vec<u8>>, gdp_wire::Counter)>,
+}
+
+impl Fate {
+    /// Of a frame that does not leave.
+    pub fn new(verdict: Verdict, counter: gdp_wire::Counter) -> Self {
+        Self { verdict, counter, frame: None, copies: Vec::new() }
+    }
+
+    pub fn sent(frame: Vec<u8>, counter: gdp_wire::Counter) -> Self {
+        Self { frame: Some(frame), ..Self::new(Verdict::Send, counter) }
+    }
+
+    pub fn copied(mut copies: Vec<(Option<Vec<u8>>, gdp_wire::Counter)>) -> Self {
+        copies.sort();
+        Self { copies, ..Self::new(Verdict::Copy, gdp_wire::Counter::Replicated) }
+    }
+}
+
+impl From<Fate> for Expected {
+    fn from(fate: Fate) -> Self {
+        let copy = |(frame, counter): (Option<Vec<u8>>, gdp_wire::Counter)| CopyOut {
+            frame: frame.as_deref().map(Bytes::new),
+            counter: counter.as_str().into(),
+        };
+        let mut copies: Vec<_> = fate.copies.into_iter().map(copy).collect();
+        copies.sort();
+        Self {
+            verdict: fate.verdict,
+            counter: fate.counter.as_str().into(),
+            frame: fate.frame.as_deref().map(Bytes::new),
+            copies,
+        }
+    }
 }
 
 /// What becomes of a copy of a frame.
@@ -192,6 +255,16 @@ impl Switch {
             .map(|(group, route)| (group, &route.readers[..]))
     }
 
+    /// The groups as the kernel holds them: the links that it copies to, and the egress bits that lead to no others.
+    pub fn kernel_groups(&self) -> impl Iterator<Item = (u32, Vec<&Link>, u64)> {
+        self.groups_with_neighbours().map(|(group, links)| {
+            let (members, others): (Vec<_>, Vec<_>) =
+                links.into_iter().partition(|link| link.port.is_some() && link.udp.is_none());
+            let bits_of = |link: &Link| if link.role == Role::Switch { bits(&link.reach) } else { 1 << self.own_bit };
+            (group, members, others.into_iter().fold(u64::MAX, |served, link| served & !bits_of(link)))
+        })
+    }
+
     /// All links of each group.
     pub fn groups_with_neighbours(&self) -> impl Iterator<Item = (u32, Vec<&Link>)> {
         let neighbours = [(gdp_wire::table::NEIGHBOURS, &[][..])];
@@ -199,6 +272,25 @@ impl Switch {
             let is_member = |link: &&Link| link.role == Role::Switch || readers.contains(&link.id);
             (group, self.links.iter().filter(is_member).collect())
         })
+    }
+
+    /// Where frames over UDP arrive.
+    pub fn own_addresses(&self) -> Vec<SocketAddr> {
+        self.links.iter().filter_map(|link| Some(link.udp.as_ref()?.local)).collect()
+    }
+
+    /// VLANs that frames arrive on.
+    pub fn vlans(&self) -> Vec<u16> {
+        self.links.iter().map(|link| link.vlan).filter(|vlan| *vlan != 0).collect()
+    }
+
+    /// Where the frame lies in a packet for this switch.
+    pub fn find(&self, packet: &[u8]) -> Option<Place> {
+        carrier::find(packet, self.ethertype, &self.own_addresses(), &self.vlans())
+    }
+
+    pub fn link(&self, id: u32) -> Option<&Link> {
+        self.links.iter().find(|link| link.id == id)
     }
 
     pub fn next_hops(&self) -> [u32; 64] {
@@ -218,16 +310,67 @@ impl Link {
                 Role::Switch => gdp_wire::LinkRole::Switch,
                 Role::Border => gdp_wire::LinkRole::Border,
             } as u32,
-            port: self.port.unwrap_or(gdp_wire::table::PORT_USERSPACE),
+            port: match &self.udp {
+                Some(udp) if udp.routed => gdp_wire::table::PORT_ROUTED,
+                _ => self.port.unwrap_or(gdp_wire::table::PORT_USERSPACE),
+            },
             rx_keys: self.rx_keys.each_ref().map(|text| key(text)),
             tx_keys: self.tx_keys.each_ref().map(|text| key(text)),
             reach: bits(&self.reach),
             peer: gdp_wire::Name::from_bytes(array(&self.peer)),
             mtu: self.mtu,
             tx_phase: self.tx_phase,
-            carrier: gdp_wire::Carrier::ethernet(mac(&self.peer_mac), mac(&self.local_mac)),
+            carrier: match &self.udp {
+                None => gdp_wire::Carrier {
+                    vlan: self.vlan,
+                    ..gdp_wire::Carrier::ethernet(mac(&self.peer_mac), mac(&self.local_mac))
+                },
+                Some(udp) => gdp_wire::Carrier {
+                    kind: if udp.peer.is_ipv4() { gdp_wire::Carrier::UDP4 } else { gdp_wire::Carrier::UDP6 },
+                    peer_port: udp.peer.port().to_be(),
+                    local_port: udp.local.port().to_be(),
+                    peer_ip: words(udp.peer.ip()),
+                    local_ip: words(udp.local.ip()),
+                    ..Default::default()
+                },
+            },
         }
     }
+
+    /// What a frame that leaves by the link is carried in.
+    pub fn leaves_in(&self, flags: u8) -> Carrier {
+        let class = flags >> 2 & 7;
+        match &self.udp {
+            Some(udp) => Carrier::Udp { from: udp.local, to: udp.peer, class: class << 5 },
+            None if self.vlan != 0 => Carrier::Vlan(self.vlan | u16::from(class) << 13),
+            None => Carrier::Ethernet,
+        }
+    }
+
+    /// What a frame of the neighbour arrives in.
+    pub fn arrives_in(&self) -> Carrier {
+        match &self.udp {
+            Some(udp) => Carrier::Udp { from: udp.peer, to: udp.local, class: 0 },
+            None => self.leaves_in(0),
+        }
+    }
+
+    /// The whole Ethernet frame that carries a GDP frame to the neighbour.
+    pub fn carry(&self, ethertype: u16, gdp: &[u8]) -> Vec<u8> {
+        self.leaves_in(gdp[1]).carry(mac(&self.peer_mac), mac(&self.local_mac), ethertype, gdp)
+    }
+}
+
+/// An IP address as words in network order.
+fn words(ip: IpAddr) -> [u32; 4] {
+    let mut octets = [0; 16];
+    match ip {
+        IpAddr::V4(ip) => octets[..4].copy_from_slice(&ip.octets()),
+        IpAddr::V6(ip) => octets = ip.octets(),
+    }
+    std::array::from_fn(|i| {
+        u32::from_ne_bytes([octets[4 * i], octets[4 * i + 1], octets[4 * i + 2], octets[4 * i + 3]])
+    })
 }
 
 pub fn hex(bytes: &[u8]) -> String {

@@ -1,19 +1,24 @@
 //! Frames for tests, byte by byte after `docs/wire-format.md` and not through `gdp_wire::Header`, so that a mistake in
-//! the one does not hide in the other. [`fixtures`] is the file of forwarding cases that every data plane runs.
+//! the one does not hide in the other. [`fixtures`] is the file of forwarding cases that every data plane runs, [`generate`] makes others by the million.
 //!
 //! Depends on `gdp-wire`, `serde` and `serde_json` alone: the unit tests of `gdp-wire` include it by path.
 #![allow(dead_code, reason = "each test that includes this uses a part of it")]
 
+pub mod carrier;
 pub mod fixtures;
+pub mod generate;
 
+use carrier::Carrier;
 use gdp_wire::siphash::siphash24;
 
-/// An Ethernet frame that carries a GDP data frame. Start from `Frame::default()` and name what differs.
+/// An Ethernet frame that carries a GDP data frame, directly or in what else `carrier` says. Start from `Frame::default()` and name what differs.
 #[derive(Clone, Debug)]
 pub struct Frame {
     pub to_mac: [u8; 6],
     pub from_mac: [u8; 6],
+    /// Of GDP frames.
     pub ethertype: u16,
+    pub carrier: Carrier,
     pub version_type: u8,
     pub flags: u8,
     pub hop_limit: u8,
@@ -42,6 +47,7 @@ impl Default for Frame {
             to_mac: [0x02, 0, 0, 0, 0, 0xfe],
             from_mac: [0x02, 0, 0, 0, 0, 0x01],
             ethertype: 0x88b5,
+            carrier: Carrier::Ethernet,
             version_type: 0x10,
             flags: 0,
             hop_limit: 64,
@@ -65,19 +71,21 @@ impl Default for Frame {
 impl Frame {
     /// The whole Ethernet frame.
     pub fn bytes(&self) -> Vec<u8> {
-        let mut bytes = self.ethernet().to_vec();
-        bytes.extend(self.header());
+        self.carrier.carry(self.to_mac, self.from_mac, self.ethertype, &self.carried())
+    }
+
+    /// The GDP frame, and what lies behind it.
+    pub fn carried(&self) -> Vec<u8> {
+        let mut bytes = self.header().to_vec();
         bytes.extend(&self.payload);
         bytes.resize(bytes.len() + self.padding, 0);
         bytes
     }
 
+    /// The Ethernet header of a frame directly on Ethernet.
     pub fn ethernet(&self) -> [u8; 14] {
-        let mut bytes = [0; 14];
-        bytes[..6].copy_from_slice(&self.to_mac);
-        bytes[6..12].copy_from_slice(&self.from_mac);
-        bytes[12..].copy_from_slice(&self.ethertype.to_be_bytes());
-        bytes
+        let bytes = Carrier::Ethernet.carry(self.to_mac, self.from_mac, self.ethertype, &[]);
+        bytes.try_into().expect("no more than the header")
     }
 
     /// The 96 bytes of the GDP header.

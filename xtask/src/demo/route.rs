@@ -23,7 +23,7 @@ pub fn follow(fabric: &Fabric) -> Result<Vec<Hop>> {
         let entry = fib["routes"].as_array().into_iter().flatten().find(|route| route["name"] == fabric.name.as_str());
         if here == reader_is_at {
             let entry = entry.with_context(|| format!("{label} does not hold {}", fabric.name))?;
-            ensure!(!entry["local"].is_null(), "{label} has no local link for {}", fabric.name);
+            ensure!(entry["readers"][0].is_string(), "{label} has no local link for {}", fabric.name);
             hops.push(Hop { node: label, what: "finds its own bit, looks the name up: the cloud's link".into() });
             break;
         }

@@ -237,7 +237,7 @@ impl Rib {
                 let serial = *self.serials.entry(entity).or_default();
                 return (Response::Attached { serial }, None);
             }
-            EntityRequest::Query { prefix } => {
+            EntityRequest::Query { prefix, .. } => {
                 let found = self.writers.iter().filter(|(name, _)| prefix.matches(name));
                 let records = found.flat_map(|(_, records)| records.clone()).collect();
                 return (Response::Records { records, truncated: false }, None);

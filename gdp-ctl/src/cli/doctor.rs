@@ -1,0 +1,59 @@
+//! `gdp-ctl doctor`: what a daemon would find here, judged by [`crate::doctor`]. Works without a daemon, and changes nothing.
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use clap::Args;
+use serde_json::json;
+
+use super::Context;
+use crate::config::Config;
+use crate::doctor::{self, Finding, Level};
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// The configuration the daemon runs with (YAML).
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Look at this interface instead of the configured ones; may be repeated.
+    #[arg(long, value_name = "DEV")]
+    interface: Vec<String>,
+    /// The eBPF object, instead of the configured or installed one.
+    #[arg(long, value_name = "FILE")]
+    ebpf_object: Option<PathBuf>,
+}
+
+pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
+    let mut config = match &options.config {
+        Some(path) => Config::load(path)?,
+        None => Config::embedded()?,
+    };
+    if let Some(socket) = &context.socket {
+        config.socket = socket.clone();
+    }
+    if !options.interface.is_empty() {
+        config.interfaces = Some(options.interface);
+    }
+    config.ebpf_object = options.ebpf_object.or(config.ebpf_object);
+    let findings = doctor::examine(&doctor::gather::facts(&config));
+    let failed = findings.iter().filter(|finding| finding.level == Level::Failed).count();
+    context.output.print(json!({"ok": failed == 0, "findings": findings}), || {
+        findings.iter().map(line).collect::<Vec<_>>().join("\n")
+    })?;
+    if failed > 0 {
+        bail!("{failed} of {} checks failed", findings.len());
+    }
+    Ok(())
+}
+
+fn line(finding: &Finding) -> String {
+    let subject = match &finding.interface {
+        Some(interface) => format!("{interface}: {}", finding.check),
+        None => finding.check.to_owned(),
+    };
+    let mut line = format!("{:8} {subject}: {}", finding.level.as_str(), finding.fact);
+    if let Some(remedy) = &finding.remedy {
+        line += &format!("\n         → {remedy}");
+    }
+    line
+}

@@ -1,0 +1,82 @@
+//! `gdp-ctl link list`: the daemon's live links.
+
+use clap::Subcommand;
+use serde_json::Value;
+
+use super::Context;
+use super::output::{short, table};
+use crate::admin::Request;
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Print every live link: who is at its other end, how it is reached, and whether the kernel sends on it.
+    List,
+}
+
+pub fn run(command: &Command, context: &Context) -> anyhow::Result<()> {
+    let Command::List = command;
+    let reply = context.client()?.ask_value(&Request::Links)?;
+    context.output.print(reply.clone(), || describe(&reply))
+}
+
+fn describe(reply: &Value) -> String {
+    let rows: Vec<_> = reply["links"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .map(|link| {
+            let text = |key: &str| link[key].as_str().unwrap_or_default().to_owned();
+            let id = format!("{:#x}", link["id"].as_u64().unwrap_or_default());
+            let age = duration(link["age_s"].as_u64().unwrap_or_default());
+            let (mtu, rtt) = (link["mtu"].to_string(), format!("{} µs", link["rtt_us"]));
+            let (taken, dropped) = arrivals(&link["arrivals"]);
+            let place = [text("role"), text("via"), text("address")];
+            let [role, via, address] = place;
+            [id, short(&link["peer"]), role, via, address, mtu, rtt, age, text("plane"), taken, dropped]
+        })
+        .collect();
+    table(
+        ["id", "link to", "role", "via", "address", "MTU", "RTT", "age", "plane", "frames in", "of these dropped"],
+        &rows,
+    )
+}
+
+/// Frames that came in on a link, and how many of them were dropped, by reason.
+fn arrivals(counts: &Value) -> (String, String) {
+    let counts = || counts.as_object().into_iter().flatten();
+    let taken: u64 = counts().filter_map(|(_, frames)| frames.as_u64()).sum();
+    let dropped: Vec<_> =
+        counts().filter_map(|(name, n)| Some(format!("{} {n}", name.strip_prefix("drop_")?))).collect();
+    (taken.to_string(), dropped.join(", "))
+}
+
+/// In the two largest units, as `3h 20m`.
+fn duration(seconds: u64) -> String {
+    let units = [(86400, "d"), (3600, "h"), (60, "m"), (1, "s")];
+    let first = units.iter().position(|(size, _)| seconds >= *size).unwrap_or(3);
+    let parts = units[first..].iter().take(2).scan(seconds, |left, (size, unit)| {
+        let count = *left / size;
+        *left %= size;
+        Some(format!("{count}{unit}"))
+    });
+    parts.collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{arrivals, duration};
+
+    #[test]
+    fn drops_are_named() {
+        let counts = serde_json::json!({"forwarded": 7, "drop_bad_tag": 2, "drop_replayed": 1});
+        assert_eq!(arrivals(&counts), ("10".into(), "bad_tag 2, replayed 1".into()));
+        assert_eq!(arrivals(&serde_json::json!({})), ("0".into(), String::new()));
+    }
+
+    #[test]
+    fn ages_are_told_in_two_units() {
+        for (seconds, text) in [(0, "0s"), (59, "59s"), (61, "1m 1s"), (12_000, "3h 20m"), (90_000, "1d 1h")] {
+            assert_eq!(duration(seconds), text);
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! What [`super::gather`] finds and [`super::examine`] judges.
+
+use std::net::SocketAddr;
+
+use crate::plane::device::{Device, Offloads};
+use crate::plane::kernel_version::KernelVersion;
+use crate::plane::xdp_features::Features;
+
+/// Of one host, in one network namespace.
+#[derive(Clone, Debug)]
+pub struct Facts {
+    pub clock: Clock,
+    pub wanted: Wanted,
+    pub kernel: KernelVersion,
+    /// Capabilities the daemon needs and this process has not.
+    pub missing_capabilities: Vec<&'static str>,
+    /// Whether what the loss counters need is in the kernel.
+    pub losses: Result<(), String>,
+    /// None if the configuration turns pinning off.
+    pub bpffs: Option<Bpffs>,
+    pub object: Result<Loaded, String>,
+    pub left_over: Vec<LeftOver>,
+    /// None if the configuration turns UDP off.
+    pub udp: Option<Udp>,
+    /// The interfaces to run on, or the name of one that is not there.
+    pub interfaces: Result<Vec<Result<Interface, String>>, String>,
+}
+
+/// The data plane that the daemon would try for.
+#[derive(Clone, Copy, Debug)]
+pub enum Wanted {
+    Xdp,
+    /// And why.
+    Userspace(&'static str),
+}
+
+#[derive(Clone, Copy, Debug)]
+pub struct Clock {
+    /// Seconds since 1970.
+    pub unix: u64,
+    pub synchronised: bool,
+}
+
+/// The place for what is to outlive the daemon.
+#[derive(Clone, Debug)]
+pub enum Bpffs {
+    Mounted {
+        path: String,
+    },
+    ReadOnly {
+        path: String,
+        reason: String,
+    },
+    /// Nothing is there, so that it can be mounted.
+    Missing {
+        path: String,
+        /// Whether this process may.
+        may_mount: bool,
+        /// Whether it would be seen, and stay, only as long as this process has company in its mount namespace.
+        private: bool,
+    },
+    Occupied {
+        path: String,
+    },
+}
+
+/// The eBPF object was loaded, attached to nothing.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    pub path: String,
+    /// Capacity of the FIB.
+    pub names: u32,
+    pub jitted: Option<bool>,
+}
+
+/// Pins of a switch.
+#[derive(Clone, Debug)]
+pub struct LeftOver {
+    pub folder: String,
+    pub abi: u32,
+    /// Whether its daemon lives.
+    pub daemon: bool,
+    /// Whether it is in this network namespace.
+    pub here: bool,
+}
+
+#[derive(Clone, Debug)]
+pub struct Udp {
+    pub address: SocketAddr,
+    pub state: PortState,
+    pub zero_checksum_v6: Result<(), String>,
+}
+
+#[derive(Clone, Debug)]
+pub enum PortState {
+    Free,
+    Daemon,
+    /// By whom, if that can be known.
+    Taken(Option<String>),
+    Refused(String),
+}
+
+#[derive(Clone, Debug)]
+pub struct Interface {
+    pub device: Device,
+    pub offloads: Offloads,
+    /// None before Linux 6.3.
+    pub features: Option<Features>,
+    /// Of the program on it, if there is one.
+    pub owner: Owner,
+    /// Whether VLAN interfaces are on it.
+    pub has_vlans: bool,
+}
+
+/// Whose a program is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Owner {
+    Switch,
+    Foreign,
+}

@@ -1,0 +1,251 @@
+//! One interface as the kernel describes it: state, driver, offloads, and the XDP program on it, whoever's. Only asks. For
+//! [`super::Planes`], which says whose program is in its way, and for `gdp-ctl doctor`.
+
+use std::fmt;
+use std::io;
+use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
+
+use aya::programs::links::LinkType;
+use aya::programs::{loaded_links, loaded_programs};
+
+use super::kernel::Mode;
+use super::netlink::{Netlink, attribute, number};
+
+/// Of an `ifinfomsg`.
+const HEADER: usize = 16;
+const RTEXT_FILTER_SKIP_STATS: u32 = 1 << 3;
+const IFLA_IFNAME: u16 = 3;
+const IFLA_MTU: u16 = 4;
+const IFLA_LINK: u16 = 5;
+const IFLA_LINKINFO: u16 = 18;
+const IFLA_INFO_KIND: u16 = 1;
+const IFLA_EXT_MASK: u16 = 29;
+const IFLA_XDP: u16 = 43;
+const IFLA_XDP_PROG_ID: u16 = 4;
+const IFLA_XDP_DRV_PROG_ID: u16 = 5;
+const IFLA_XDP_SKB_PROG_ID: u16 = 6;
+
+/// An interface of this network namespace.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Device {
+    pub name: String,
+    pub index: u32,
+    /// Whether GDP can run on it directly.
+    pub ethernet: bool,
+    pub up: bool,
+    /// Whether the cable, or the other end, is there.
+    pub running: bool,
+    pub mtu: u32,
+    /// `veth`, `bridge`, `vlan`, …; empty for hardware.
+    pub kind: String,
+    /// The interface that a VLAN is on.
+    pub lower: Option<u32>,
+    pub program: Option<AttachedProgram>,
+}
+
+/// An XDP program on an interface.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AttachedProgram {
+    pub interface: String,
+    pub id: u32,
+    /// Its first 15 characters; empty if the kernel does not say.
+    pub name: String,
+    pub mode: Mode,
+    /// Whether a BPF link holds it, and not the interface itself.
+    pub by_link: bool,
+}
+
+/// What the hardware, or who plays it, does to packets before XDP or after; `None` where the driver does not say.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Offloads {
+    pub lro: Option<bool>,
+    pub tx_checksum: Option<bool>,
+    pub rx_vlan: Option<bool>,
+}
+
+impl Device {
+    /// In the calling thread's network namespace.
+    pub fn find(ifindex: u32) -> io::Result<Self> {
+        let mut header = [0; HEADER];
+        header[4..8].copy_from_slice(&ifindex.to_ne_bytes());
+        let skip = (IFLA_EXT_MASK, &RTEXT_FILTER_SKIP_STATS.to_ne_bytes()[..]);
+        let answer = Netlink::open(libc::NETLINK_ROUTE)?.ask(libc::RTM_GETLINK, &header, &[skip])?;
+        parse(&answer).ok_or_else(|| io::ErrorKind::InvalidData.into())
+    }
+
+    /// All there are, in the order of their indices.
+    pub fn list() -> io::Result<Vec<Self>> {
+        // SAFETY: no arguments; the list is freed below.
+        let names = unsafe { libc::if_nameindex() };
+        if names.is_null() {
+            return Err(io::Error::last_os_error());
+        }
+        let mut indices = Vec::new();
+        let mut entry = names;
+        // SAFETY: the list ends with an entry of index 0, and nobody else has it.
+        while let Some(index) = Some(unsafe { (*entry).if_index }).filter(|index| *index != 0) {
+            indices.push(index);
+            // SAFETY: not the last entry.
+            entry = unsafe { entry.add(1) };
+        }
+        // SAFETY: what if_nameindex returned, once.
+        unsafe { libc::if_freenameindex(names) };
+        // One may be gone meanwhile.
+        let found = indices.into_iter().map(Self::find);
+        found.filter(|device| !matches!(device, Err(error) if error.raw_os_error() == Some(libc::ENODEV))).collect()
+    }
+
+    pub fn offloads(&self) -> io::Result<Offloads> {
+        Offloads::of(&self.name)
+    }
+}
+
+impl AttachedProgram {
+    /// Whether it is a GDP switch.
+    pub fn is_switch(&self) -> bool {
+        self.name.starts_with("gdp_switch")
+    }
+
+    /// What takes it off.
+    pub fn remedy(&self) -> String {
+        let (interface, id) = (&self.interface, self.id);
+        let attribute = match self.mode {
+            Mode::Native => "xdpdrv",
+            Mode::Generic => "xdpgeneric",
+        };
+        match (self.is_switch(), self.by_link) {
+            (true, _) => "stop the daemon that it belongs to; if none runs, `gdp-ctl xdp detach` removes it".into(),
+            (_, true) => format!(
+                "it goes with the program that attached it, or with that one's pin: `bpftool link` shows the link of program {id}, \
+                 `bpftool link detach id LINK` removes it"
+            ),
+            _ => format!("`ip link set dev {interface} {attribute} off` removes it"),
+        }
+    }
+}
+
+impl fmt::Display for AttachedProgram {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = if self.name.is_empty() { "without a name".to_owned() } else { format!("`{}`", self.name) };
+        write!(f, "program {} {name}, in {} mode", self.id, self.mode.as_str())
+    }
+}
+
+impl Offloads {
+    fn of(interface: &str) -> io::Result<Self> {
+        const ETHTOOL_GTXCSUM: u32 = 0x16;
+        const ETHTOOL_GFLAGS: u32 = 0x25;
+        const ETH_FLAG_RXVLAN: u32 = 1 << 8;
+        const ETH_FLAG_LRO: u32 = 1 << 15;
+        // SAFETY: no pointers; the descriptor is owned at once.
+        let socket = unsafe {
+            match libc::socket(libc::AF_INET, libc::SOCK_DGRAM | libc::SOCK_CLOEXEC, 0) {
+                -1 => return Err(io::Error::last_os_error()),
+                fd => OwnedFd::from_raw_fd(fd),
+            }
+        };
+        let flags = ethtool(&socket, interface, ETHTOOL_GFLAGS);
+        Ok(Self {
+            lro: flags.map(|flags| flags & ETH_FLAG_LRO != 0),
+            tx_checksum: ethtool(&socket, interface, ETHTOOL_GTXCSUM).map(|on| on != 0),
+            rx_vlan: flags.map(|flags| flags & ETH_FLAG_RXVLAN != 0),
+        })
+    }
+}
+
+/// A value that the driver gives; `None` if it has none.
+fn ethtool(socket: &OwnedFd, interface: &str, command: u32) -> Option<u32> {
+    const SIOCETHTOOL: libc::c_ulong = 0x8946;
+    let mut value = [command, 0];
+    // SAFETY: zero is a valid value of this structure.
+    let mut request: libc::ifreq = unsafe { std::mem::zeroed() };
+    // The last byte stays 0.
+    let room = &mut request.ifr_name[..libc::IFNAMSIZ - 1];
+    if interface.len() > room.len() {
+        return None;
+    }
+    room.iter_mut().zip(interface.bytes()).for_each(|(to, byte)| *to = byte as libc::c_char);
+    request.ifr_ifru.ifru_data = value.as_mut_ptr().cast();
+    // SAFETY: the request points to eight bytes that outlive the call: what these commands read and write.
+    let result = unsafe { libc::ioctl(socket.as_raw_fd(), SIOCETHTOOL as _, &raw mut request) };
+    (result == 0).then_some(value[1])
+}
+
+fn parse(answer: &[u8]) -> Option<Device> {
+    let kind = u16::from_ne_bytes(*answer.get(2..)?.first_chunk()?);
+    let index = u32::from_ne_bytes(*answer.get(4..)?.first_chunk()?);
+    let flags = u32::from_ne_bytes(*answer.get(8..)?.first_chunk()?);
+    let has = |flag: libc::c_int| flags & flag as u32 != 0;
+    let attributes = answer.get(HEADER..)?;
+    let text = |value: &[u8]| String::from_utf8_lossy(value.split(|b| *b == 0).next().unwrap_or_default()).into_owned();
+    let name = text(attribute(attributes, IFLA_IFNAME)?);
+    let info = attribute(attributes, IFLA_LINKINFO).and_then(|info| attribute(info, IFLA_INFO_KIND));
+    Some(Device {
+        index,
+        ethernet: kind == libc::ARPHRD_ETHER && !has(libc::IFF_LOOPBACK),
+        up: has(libc::IFF_UP),
+        running: has(libc::IFF_RUNNING),
+        mtu: number(attributes, IFLA_MTU)?,
+        kind: info.map(text).unwrap_or_default(),
+        lower: number(attributes, IFLA_LINK).filter(|lower| *lower != index),
+        program: attribute(attributes, IFLA_XDP).and_then(|xdp| program(&name, xdp)),
+        name,
+    })
+}
+
+fn program(interface: &str, xdp: &[u8]) -> Option<AttachedProgram> {
+    let native = number(xdp, IFLA_XDP_DRV_PROG_ID);
+    let (id, mode) = match native.or_else(|| number(xdp, IFLA_XDP_SKB_PROG_ID)) {
+        Some(id) => (id, if native.is_some() { Mode::Native } else { Mode::Generic }),
+        // In hardware, then.
+        None => (number(xdp, IFLA_XDP_PROG_ID)?, Mode::Native),
+    };
+    let name = loaded_programs().flatten().find(|program| program.id() == id);
+    let name = name.and_then(|program| program.name_as_str().map(str::to_owned)).unwrap_or_default();
+    let by_link = loaded_links()
+        .flatten()
+        .any(|link| link.program_id() == id && link.link_type().is_ok_and(|kind| kind == LinkType::Xdp));
+    Some(AttachedProgram { interface: interface.to_owned(), id, name, mode, by_link })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn loopback_is_there_and_no_place_for_gdp() {
+        let devices = Device::list().unwrap();
+        let loopback = devices.iter().find(|device| device.name == "lo").expect("lo");
+        assert!(!loopback.ethernet && loopback.program.is_none(), "{loopback:?}");
+        assert_eq!(Device::find(loopback.index).unwrap(), *loopback);
+        let gone = Device::find(u32::MAX >> 1).unwrap_err();
+        assert_eq!(gone.raw_os_error(), Some(libc::ENODEV));
+    }
+
+    #[test]
+    fn an_answer_that_is_cut_is_refused() {
+        let mut answer = vec![0; HEADER];
+        answer[2] = libc::ARPHRD_ETHER as u8;
+        answer.extend([7, 0, 3, 0, b'e', b'0', 0, 0, 8, 0, 4, 0, 220, 5, 0, 0]);
+        let device = parse(&answer).unwrap();
+        assert_eq!((device.name.as_str(), device.mtu, device.ethernet, device.up), ("e0", 1500, true, false));
+        for length in 0..answer.len() {
+            assert_eq!(parse(&answer[..length]), None);
+        }
+    }
+
+    #[test]
+    fn the_way_to_remove_a_program_depends_on_who_holds_it() {
+        let program = AttachedProgram {
+            interface: "eth0".into(),
+            id: 42,
+            name: "drop_all".into(),
+            mode: Mode::Generic,
+            by_link: false,
+        };
+        assert_eq!(program.to_string(), "program 42 `drop_all`, in generic mode");
+        assert_eq!(program.remedy(), "`ip link set dev eth0 xdpgeneric off` removes it");
+        assert!(AttachedProgram { by_link: true, ..program.clone() }.remedy().contains("bpftool link"));
+        assert!(AttachedProgram { name: "gdp_switch".into(), ..program }.remedy().contains("gdp-ctl xdp detach"));
+    }
+}

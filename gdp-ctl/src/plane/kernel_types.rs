@@ -1,0 +1,224 @@
+//! Where the fields of the running kernel's structures are, as its BTF says (Documentation/bpf/btf.rst). Only what
+//! [`super::losses`] needs: structures, their members, and the types that lie between.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// The kernel's own description.
+pub const VMLINUX: &str = "/sys/kernel/btf/vmlinux";
+
+/// A real one has about 6 MB.
+const LARGEST: u64 = 256 << 20;
+
+const MAGIC: u16 = 0xeb9f;
+const KIND_ARRAY: u32 = 3;
+const KIND_STRUCT: u32 = 4;
+const KIND_UNION: u32 = 5;
+const KIND_TYPEDEF: u32 = 8;
+/// Anonymous structures in each other, and types that only stand for others.
+const DEEPEST: u32 = 16;
+
+#[derive(Debug, thiserror::Error)]
+pub enum TypesError {
+    #[error("the kernel does not describe its types: {}: {source} (CONFIG_DEBUG_INFO_BTF)", path.display())]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{} is not a description of types", .0.display())]
+    Malformed(PathBuf),
+    #[error("the kernel has no `{0}`")]
+    NoField(String),
+}
+
+/// The types by number, the structures by name.
+pub struct KernelTypes {
+    path: PathBuf,
+    data: Vec<u8>,
+    /// Where each type begins in `data`; number 0 is `void`.
+    types: Vec<usize>,
+    strings: usize,
+    structures: HashMap<Vec<u8>, u32>,
+}
+
+impl KernelTypes {
+    pub fn load(path: &Path) -> Result<Self, TypesError> {
+        use std::io::Read;
+        let mut data = Vec::new();
+        std::fs::File::open(path)
+            .and_then(|file| file.take(LARGEST).read_to_end(&mut data))
+            .map_err(|source| TypesError::Read { path: path.into(), source })?;
+        Self::parse(path.into(), data).ok_or_else(|| TypesError::Malformed(path.into()))
+    }
+
+    fn parse(path: PathBuf, data: Vec<u8>) -> Option<Self> {
+        let mut btf = Self { path, data, types: vec![0], strings: 0, structures: HashMap::new() };
+        if btf.data.first_chunk().map(|magic| u16::from_ne_bytes(*magic)) != Some(MAGIC) {
+            return None;
+        }
+        let header = btf.word(4)? as usize;
+        let begin = header.checked_add(btf.word(8)? as usize)?;
+        let end = begin.checked_add(btf.word(12)? as usize)?;
+        btf.strings = header.checked_add(btf.word(16)? as usize)?;
+        let mut at = begin;
+        while at < end {
+            let number = u32::try_from(btf.types.len()).ok()?;
+            let (kind, count) = btf.kind(at)?;
+            btf.types.push(at);
+            if kind == KIND_STRUCT {
+                let name = btf.string(btf.word(at)?)?.to_vec();
+                btf.structures.entry(name).or_insert(number);
+            }
+            at = at.checked_add(12 + size_behind(kind, count)?)?;
+        }
+        Some(btf)
+    }
+
+    /// Bytes from the beginning of `structure` to the last field of `path`, each in the structure that the one before is.
+    pub fn offset(&self, structure: &str, path: &[&str]) -> Result<u32, TypesError> {
+        let missing = || TypesError::NoField(format!("struct {structure}.{}", path.join(".")));
+        let mut number = *self.structures.get(structure.as_bytes()).ok_or_else(missing)?;
+        let mut bits = 0;
+        for name in path {
+            let at = self.resolve(number).ok_or_else(missing)?;
+            let (member, offset) = self.member(at, name.as_bytes(), DEEPEST).ok_or_else(missing)?;
+            (number, bits) = (member, offset.checked_add(bits).ok_or_else(missing)?);
+        }
+        if bits % 8 == 0 { Ok(bits / 8) } else { Err(TypesError::Malformed(self.path.clone())) }
+    }
+
+    /// Type of the member, and bits before it.
+    fn member(&self, structure: usize, name: &[u8], depth: u32) -> Option<(u32, u32)> {
+        let (kind, count) = self.kind(structure)?;
+        if !matches!(kind, KIND_STRUCT | KIND_UNION) || depth == 0 {
+            return None;
+        }
+        // Where bit fields are among the members, their sizes are in the highest byte.
+        let mask = if self.word(structure + 4)? >> 31 == 1 { 0x00ff_ffff } else { u32::MAX };
+        for at in (0..count).map(|i| structure + 12 + 12 * i) {
+            let (number, offset) = (self.word(at + 4)?, self.word(at + 8)? & mask);
+            match self.string(self.word(at)?)? {
+                found if found == name => return Some((number, offset)),
+                b"" => {
+                    let inner = self.resolve(number).and_then(|inner| self.member(inner, name, depth - 1));
+                    if let Some((number, further)) = inner {
+                        return Some((number, offset.checked_add(further)?));
+                    }
+                }
+                _ => {}
+            }
+        }
+        None
+    }
+
+    /// Where the type begins that this one stands for.
+    fn resolve(&self, mut number: u32) -> Option<usize> {
+        for _ in 0..DEEPEST {
+            let at = *self.types.get(number as usize).filter(|at| **at != 0)?;
+            match self.kind(at)?.0 {
+                // `typedef`, `volatile`, `const`, `restrict`; a type tag.
+                KIND_TYPEDEF..=11 | 18 => number = self.word(at + 8)?,
+                _ => return Some(at),
+            }
+        }
+        None
+    }
+
+    /// Kind, and how many members.
+    fn kind(&self, at: usize) -> Option<(u32, usize)> {
+        let info = self.word(at + 4)?;
+        Some((info >> 24 & 0x1f, (info & 0xffff) as usize))
+    }
+
+    fn word(&self, at: usize) -> Option<u32> {
+        Some(u32::from_ne_bytes(*self.data.get(at..)?.first_chunk()?))
+    }
+
+    fn string(&self, at: u32) -> Option<&[u8]> {
+        let text = self.data.get(self.strings.checked_add(at as usize)?..)?;
+        Some(&text[..text.iter().position(|byte| *byte == 0)?])
+    }
+}
+
+/// Bytes behind the first 12 of a type.
+fn size_behind(kind: u32, members: usize) -> Option<usize> {
+    Some(match kind {
+        // Integer, variable, declaration tag.
+        1 | 14 | 17 => 4,
+        KIND_ARRAY => 12,
+        KIND_STRUCT | KIND_UNION | 15 | 19 => 12 * members,
+        // Enumeration, function prototype.
+        6 | 13 => 8 * members,
+        // Pointer, forward, those that `resolve` follows, function, float.
+        2 | 7..=12 | 16 | 18 => 0,
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `struct outer { u32 first; union { struct { u32 deep; named last; }; }; }`, `typedef struct { u32 inner; } named`.
+    fn sample() -> Vec<u8> {
+        let strings = b"\0outer\0first\0deep\0last\0inner\0";
+        let name = |text: &[u8]| strings.windows(text.len()).position(|w| w == text).unwrap() as u32;
+        let info = |kind: u32, members: u32| kind << 24 | members;
+        let types: Vec<u32> = [
+            vec![0, info(1, 0), 4, 32],
+            vec![name(b"outer"), info(KIND_STRUCT, 2), 16, name(b"first"), 1, 0, 0, 3, 32],
+            vec![0, info(KIND_UNION, 1), 8, 0, 4, 0],
+            vec![0, info(KIND_STRUCT, 2), 8, name(b"deep"), 1, 0, name(b"last"), 5, 32],
+            vec![0, info(KIND_TYPEDEF, 0), 6],
+            vec![0, info(KIND_STRUCT, 1) | 1 << 31, 4, name(b"inner"), 1, 7 << 24 | 8],
+        ]
+        .concat();
+        let length = types.len() as u32 * 4;
+        let header = [24, 0, length, length, strings.len() as u32];
+        let mut data = vec![0x9f, 0xeb, 1, 0];
+        data.extend(header.iter().chain(&types).flat_map(|word| word.to_ne_bytes()));
+        data.extend(strings);
+        data
+    }
+
+    #[test]
+    fn fields_are_found_through_anonymous_structures_and_typedefs() {
+        let types = KernelTypes::parse("sample".into(), sample()).expect("well formed");
+        assert_eq!(types.offset("outer", &["first"]).unwrap(), 0);
+        assert_eq!(types.offset("outer", &["deep"]).unwrap(), 4);
+        assert_eq!(types.offset("outer", &["last", "inner"]).unwrap(), 9);
+        let missing = types.offset("outer", &["first", "x"]).unwrap_err().to_string();
+        assert_eq!(missing, "the kernel has no `struct outer.first.x`");
+        assert!(types.offset("other", &["first"]).is_err());
+    }
+
+    #[test]
+    fn nonsense_is_refused_or_finds_nothing() {
+        let whole = sample();
+        for length in 0..whole.len() {
+            if let Some(types) = KernelTypes::parse("cut".into(), whole[..length].to_vec()) {
+                let _ = types.offset("outer", &["last", "inner"]);
+            }
+        }
+        for at in 0..whole.len() {
+            let mut mutated = whole.clone();
+            mutated[at] ^= 0xff;
+            if let Some(types) = KernelTypes::parse("mutated".into(), mutated) {
+                let _ = types.offset("outer", &["last", "inner"]);
+            }
+        }
+        let mut huge = whole;
+        huge[4..8].copy_from_slice(&u32::MAX.to_ne_bytes());
+        assert!(KernelTypes::parse("huge".into(), huge).is_none());
+    }
+
+    #[test]
+    fn this_kernel_has_what_is_asked_for() {
+        if !Path::new(VMLINUX).exists() {
+            return;
+        }
+        let types = KernelTypes::load(Path::new(VMLINUX)).unwrap();
+        for (structure, path) in
+            [("net_device", &["ifindex"][..]), ("net_device", &["nd_net", "net"]), ("net", &["ns", "inum"])]
+        {
+            assert!(types.offset(structure, path).unwrap() < 1 << 16, "{structure} {path:?}");
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! What the kernel plane needs to know of UDP: the addresses that the daemon's socket takes datagrams at, the interfaces that have
+//! them, and whether routes can be looked up. Asks and sets the system; [`super::Planes`] writes the maps.
+
+use std::ffi::CStr;
+use std::fs;
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+
+use gdp_wire::LocalAddress;
+use gdp_wire::table::MAX_LOCAL_ADDRESSES;
+
+/// An address of an interface of this network namespace that is up.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InterfaceAddress {
+    pub interface: String,
+    pub loopback: bool,
+    pub ip: IpAddr,
+}
+
+/// Of these addresses those at which a socket bound to `bound` takes datagrams: none but its own, unless that is the unspecified one
+/// (which for IPv6 stands for IPv4 as well, and here for all that are more than link-local).
+pub fn taken_at(bound: SocketAddr, addresses: Vec<InterfaceAddress>) -> Vec<(LocalAddress, InterfaceAddress)> {
+    let own = bound.ip().to_canonical();
+    // Every interface has a link-local address, and `bpf_fib_lookup` knows none.
+    let link_local = |ip: IpAddr| matches!(ip, IpAddr::V6(ip) if ip.is_unicast_link_local());
+    let takes = |ip: IpAddr| match own.is_unspecified() {
+        true => (own.is_ipv6() || ip.is_ipv4()) && !link_local(ip),
+        false => own == ip,
+    };
+    let taken = addresses.into_iter().filter(|address| takes(address.ip)).take(MAX_LOCAL_ADDRESSES as usize);
+    taken.map(|address| (LocalAddress::new(address.ip, bound.port()), address)).collect()
+}
+
+/// All addresses there are.
+pub fn addresses() -> io::Result<Vec<InterfaceAddress>> {
+    let mut first = std::ptr::null_mut();
+    // SAFETY: a pointer to write to.
+    if unsafe { libc::getifaddrs(&mut first) } != 0 {
+        return Err(io::Error::last_os_error());
+    }
+    let (mut found, mut next) = (Vec::new(), first);
+    // SAFETY: a list that the call made, to be freed below; each entry's name ends with 0.
+    while let Some(entry) = unsafe { next.as_ref() } {
+        next = entry.ifa_next;
+        let up = entry.ifa_flags & libc::IFF_UP as u32 != 0;
+        if let (true, Some(ip)) = (up, ip_of(entry.ifa_addr)) {
+            // SAFETY: as above.
+            let name = unsafe { CStr::from_ptr(entry.ifa_name) };
+            let loopback = entry.ifa_flags & libc::IFF_LOOPBACK as u32 != 0;
+            found.push(InterfaceAddress { interface: name.to_string_lossy().into_owned(), loopback, ip });
+        }
+    }
+    // SAFETY: the list from above, which nothing refers to any more.
+    unsafe { libc::freeifaddrs(first) };
+    Ok(found)
+}
+
+fn ip_of(address: *const libc::sockaddr) -> Option<IpAddr> {
+    // SAFETY: null, or an address of the size that its family has.
+    unsafe {
+        match i32::from(address.as_ref()?.sa_family) {
+            libc::AF_INET => {
+                let v4 = address.cast::<libc::sockaddr_in>().read_unaligned();
+                Some(Ipv4Addr::from(v4.sin_addr.s_addr.to_ne_bytes()).into())
+            }
+            libc::AF_INET6 => {
+                let v6 = address.cast::<libc::sockaddr_in6>().read_unaligned();
+                Some(Ipv6Addr::from(v6.sin6_addr.s6_addr).into())
+            }
+            _ => None,
+        }
+    }
+}
+
+/// Whether the kernel plane can ask for routes, or why not.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Routing {
+    pub v4: Result<(), String>,
+    pub v6: Result<(), String>,
+}
+
+impl Routing {
+    /// `bpf_fib_lookup` answers only where forwarding is enabled on the interface that it is asked for. It is asked for `lo`, from
+    /// which nothing is ever forwarded, so that this makes no router of the host.
+    pub fn enable() -> Self {
+        Self {
+            v4: forward("ipv4"),
+            v6: if gets_routes_by_advertisement() { Err(ADVERTISED.into()) } else { forward("ipv6") },
+        }
+    }
+}
+
+const ADVERTISED: &str = "`net.ipv6.conf.lo.forwarding` is 0, and to set it would remove the default route that a router advertised; set \
+                          it when the system starts";
+
+fn forward(family: &str) -> Result<(), String> {
+    let path = format!("/proc/sys/net/{family}/conf/lo/forwarding");
+    if fs::read_to_string(&path).is_ok_and(|text| text.trim() == "1") {
+        return Ok(());
+    }
+    fs::write(&path, "1").map_err(|error| format!("{path} cannot be set to 1: {error}"))
+}
+
+/// Enabling IPv6 forwarding anywhere makes the kernel forget default routes that it learnt from routers.
+fn gets_routes_by_advertisement() -> bool {
+    const DEFAULT: u32 = 0x0001_0000;
+    let enabled = fs::read_to_string("/proc/sys/net/ipv6/conf/lo/forwarding").is_ok_and(|text| text.trim() == "1");
+    let routes = fs::read_to_string("/proc/self/net/ipv6_route").unwrap_or_default();
+    let flags = routes.lines().filter_map(|line| u32::from_str_radix(line.split_whitespace().nth(8)?, 16).ok());
+    !enabled && flags.into_iter().any(|flags| flags & DEFAULT != 0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_socket_takes_datagrams_at_its_own_address_or_at_all_of_its_families() {
+        let all = ["127.0.0.1", "192.0.2.1", "192.0.2.2", "2001:db8::1", "fe80::1"];
+        let taken = |bound: &str| {
+            let address =
+                |ip: &&str| InterfaceAddress { interface: "e0".into(), loopback: false, ip: ip.parse().unwrap() };
+            let taken = taken_at(bound.parse().unwrap(), all.iter().map(address).collect());
+            assert!(taken.iter().all(|(local, _)| local.port == 31415u16.to_be()));
+            taken.into_iter().map(|(_, address)| address.ip.to_string()).collect::<Vec<_>>()
+        };
+        assert_eq!(taken("192.0.2.2:31415"), ["192.0.2.2"]);
+        assert_eq!(taken("[2001:db8::1]:31415"), ["2001:db8::1"]);
+        assert_eq!(taken("0.0.0.0:31415"), all[..3]);
+        assert_eq!(taken("[::]:31415"), all[..4]);
+        assert!(taken("198.51.100.1:31415").is_empty());
+        assert!(addresses().unwrap().iter().any(|address| address.loopback), "there is a loopback address");
+    }
+}

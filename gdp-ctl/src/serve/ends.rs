@@ -1,0 +1,122 @@
+//! The links to one peer in the data plane: the newest, and earlier ones that the peer may still send on. Pure bookkeeping of
+//! ids; [`super::routes`] asks it which link to send on, [`super::core`] and [`super::hold`] say how long links last.
+
+/// The links to a peer. None: the peer is not there.
+#[derive(Debug, Default)]
+pub struct Ends {
+    newest: Option<Newest>,
+    /// The last is the one that was sent on last.
+    earlier: Vec<u32>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Newest {
+    link: u32,
+    /// Whether the peer has said that it takes frames on it.
+    ready: bool,
+}
+
+impl Ends {
+    /// The link to send on: the newest once the peer takes frames on it, and until then the one before.
+    pub fn out(&self) -> Option<u32> {
+        let before = self.earlier.last().copied();
+        match self.newest {
+            Some(newest) if newest.ready => Some(newest.link),
+            newest => before.or(newest.map(|newest| newest.link)),
+        }
+    }
+
+    /// All links that frames of the peer may come on.
+    pub fn all(&self) -> impl Iterator<Item = u32> {
+        self.earlier.iter().copied().chain(self.newest.map(|newest| newest.link))
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.newest.is_none() && self.earlier.is_empty()
+    }
+
+    /// Whether the link is an earlier one.
+    pub fn is_earlier(&self, link: u32) -> bool {
+        self.earlier.contains(&link)
+    }
+
+    /// A link from before this daemon; the last one that is added is the one to send on.
+    pub fn adopt(&mut self, link: u32) {
+        self.earlier.retain(|earlier| *earlier != link);
+        self.earlier.push(link);
+    }
+
+    /// A new link is up. The one that was sent on becomes an earlier one.
+    pub fn up(&mut self, link: u32) {
+        let sent_on = self.out();
+        if let Some(old) = self.newest.replace(Newest { link, ready: false })
+            && sent_on == Some(old.link)
+        {
+            self.earlier.push(old.link);
+        }
+    }
+
+    /// The peer takes frames on this link.
+    pub fn ready(&mut self, link: u32) {
+        if let Some(newest) = self.newest.as_mut().filter(|newest| newest.link == link) {
+            newest.ready = true;
+        }
+    }
+
+    /// The link fell silent. Whether it is worth keeping, as an earlier one: the newest is if it is the one that is sent on.
+    pub fn silent(&mut self, link: u32) -> bool {
+        let sent_on = self.out() == Some(link);
+        if self.newest.take_if(|newest| newest.link == link).is_some() && sent_on {
+            self.earlier.push(link);
+        }
+        self.is_earlier(link)
+    }
+
+    /// The link is gone. Returns earlier ones that go with it: all, if it was ended while it was in use.
+    pub fn gone(&mut self, link: u32) -> Vec<u32> {
+        self.earlier.retain(|earlier| *earlier != link);
+        let ended = self.newest.take_if(|newest| newest.link == link);
+        if ended.is_some_and(|newest| newest.ready) { std::mem::take(&mut self.earlier) } else { Vec::new() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_new_link_is_sent_on_once_the_peer_takes_frames_there() {
+        let mut ends = Ends::default();
+        ends.up(1);
+        assert_eq!(ends.out(), Some(1), "there is no better one");
+        ends.ready(1);
+        ends.up(2);
+        assert_eq!((ends.out(), ends.all().collect::<Vec<_>>()), (Some(1), vec![1, 2]));
+        ends.up(3);
+        assert_eq!((ends.out(), ends.all().collect::<Vec<_>>()), (Some(1), vec![1, 3]), "2 was never in use");
+        ends.ready(2);
+        assert_eq!(ends.out(), Some(1));
+        ends.ready(3);
+        assert_eq!(ends.out(), Some(3));
+        assert!(ends.is_earlier(1) && !ends.is_earlier(3));
+        assert!(ends.gone(1).is_empty());
+        assert_eq!(ends.all().collect::<Vec<_>>(), [3]);
+    }
+
+    #[test]
+    fn a_silent_link_stays_and_one_that_is_ended_takes_earlier_ones_along() {
+        let mut ends = Ends::default();
+        ends.adopt(1);
+        ends.up(2);
+        assert!(!ends.silent(2), "1 is still the better one");
+        assert!(ends.gone(2).is_empty(), "and stays");
+        ends.up(3);
+        ends.ready(3);
+        assert!(ends.silent(3));
+        assert_eq!(ends.out(), Some(3));
+        ends.up(4);
+        ends.ready(4);
+        assert_eq!(ends.gone(4), [1, 3]);
+        assert!(ends.is_empty());
+    }
+}

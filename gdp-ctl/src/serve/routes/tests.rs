@@ -1,0 +1,286 @@
+//! Pushes, links and restarts, and what the data plane is told of them.
+
+use super::*;
+
+#[test]
+fn names_become_links_and_follow_them() {
+    let mut r = Routes::default();
+    let first = push(1, Extent::Full { part: 0, last: true }, vec![route(1, 0, &[7]), route(2, 4, &[])]);
+    let changes = r.push(&first).unwrap();
+    assert_eq!(changes[0], Change::OwnBit(2));
+    assert!(changes.contains(&Change::Remove(name(1))), "its endpoint has no link yet");
+    assert!(changes.contains(&set(2, 4, &[], &[])));
+
+    assert_eq!(r.link_up(Role::Endpoint, name(7), 70), [set(1, 0, &[70], &[])]);
+    assert_eq!(r.link_ready(Role::Endpoint, name(7), 70), [], "it is the one in use already");
+    assert_eq!(r.link_up(Role::Endpoint, name(7), 71), [set(1, 0, &[70], &[])], "not before it takes frames there");
+    assert_eq!(r.link_ready(Role::Endpoint, name(7), 71), [set(1, 0, &[71], &[])], "it moved");
+    assert!(r.is_replaced(Role::Endpoint, &name(7), 70));
+    assert_eq!(gone(&mut r, Role::Endpoint, name(7), 70), [set(1, 0, &[71], &[])], "the old link no longer matters");
+    assert_eq!(gone(&mut r, Role::Endpoint, name(7), 71), [Change::Remove(name(1))]);
+
+    let changes = r.link_up(Role::Switch, name(9), 90);
+    assert_eq!(changes[0], Change::Reach { link: 90, bits: 0b101 });
+    assert_eq!(hops(&changes[1])[..4], [90, 0, 90, 0]);
+    let changes = gone(&mut r, Role::Switch, name(9), 90);
+    assert_eq!(hops(&changes[0])[..4], [0; 4]);
+}
+
+#[test]
+fn writers_become_links_and_lose_their_permission_with_them() {
+    let mut r = Routes::default();
+    let written = |by: &[u8]| Route { writers: by.iter().copied().map(name).collect(), ..route(1, 4, &[]) };
+    let by = |writers: &[u32]| set(1, 4, &[], writers);
+    let first = r.push(&push(1, Extent::Full { part: 0, last: true }, vec![written(&[7, 8, 9])])).unwrap();
+    assert!(first.contains(&by(&[])), "none of them has a link");
+    assert_eq!(r.link_up(Role::Endpoint, name(8), 80), [by(&[80])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(7), 70), [by(&[70, 80])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(9), 90), [by(&[70, 80, 90])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(6), 60), [], "this one does not publish it");
+    assert_eq!(r.push(&push(2, Extent::Delta, vec![written(&[8, 9])])).unwrap(), [by(&[80, 90])]);
+    assert_eq!(gone(&mut r, Role::Endpoint, name(7), 70), [], "nor does this one any more");
+    assert_eq!(gone(&mut r, Role::Endpoint, name(8), 80), [by(&[90])]);
+    assert_eq!(gone(&mut r, Role::Endpoint, name(9), 90), [by(&[])]);
+}
+
+#[test]
+fn each_local_reader_has_its_link_and_a_reader_may_write() {
+    let mut r = Routes::default();
+    let both = Route { writers: vec![name(8)], ..route(1, 3, &[7, 8, 9]) };
+    r.push(&push(1, Extent::Full { part: 0, last: true }, vec![both])).unwrap();
+    assert_eq!(r.link_up(Role::Endpoint, name(8), 80), [set(1, 3, &[80], &[80])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(9), 60), [set(1, 3, &[60, 80], &[80])]);
+    assert_eq!(gone(&mut r, Role::Endpoint, name(8), 80), [set(1, 3, &[60], &[])]);
+    assert_eq!(r.push(&push(2, Extent::Delta, vec![route(1, 0, &[7, 8])])).unwrap(), [Change::Remove(name(1))]);
+}
+
+#[test]
+fn the_whole_sweeps_what_it_does_not_name() {
+    let mut r = Routes::default();
+    r.push(&push(1, Extent::Full { part: 0, last: true }, vec![route(1, 1, &[]), route(2, 1, &[])])).unwrap();
+    let changes = r.push(&push(9, Extent::Full { part: 0, last: false }, vec![route(3, 1, &[])])).unwrap();
+    assert_eq!(changes, [set(3, 1, &[], &[])], "nothing is swept before the last part");
+    let changes = r.push(&push(10, Extent::Full { part: 1, last: true }, vec![route(2, 1, &[])])).unwrap();
+    assert_eq!(changes, [Change::Remove(name(1))], "and what was confirmed is not touched");
+    assert_eq!(r.len(), 2);
+}
+
+/// An endpoint 7 that reads, a neighbour 9 that leads to switches 0 and 2, and a second daemon.
+#[test]
+fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
+    let mut r = Routes::default();
+    let plane = |readers: &[u32], writers: &[u32]| PlaneRoute {
+        egress_bits: 6,
+        readers: readers.to_vec(),
+        writers: writers.to_vec(),
+    };
+    let mut next_hops = [0; 64];
+    (next_hops[0], next_hops[2]) = (90, 90);
+    let routes =
+        vec![(name(1), plane(&[70], &[80])), (name(2), plane(&[], &[ANY_WRITER])), (name(3), plane(&[60], &[]))];
+    let link = |id, role: Role, peer| (LinkEntry { id, peer: name(peer), ..LinkEntry::default() }, role);
+    let links = [
+        link(70, Role::Endpoint, 7),
+        link(69, Role::Endpoint, 7),
+        link(80, Role::Endpoint, 8),
+        link(90, Role::Switch, 9),
+    ];
+    let left = Left { own_bit: 2, links: vec![], routes, next_hops, ports: HashSet::new() };
+    assert_eq!(r.adopt(&left, &links), [set(3, 6, &[], &[])], "one link was not found again");
+    assert_eq!((r.own_bit(), r.len()), (Some(1), 3));
+
+    // The writer is back before the RIB has said a word, and may send on both links.
+    assert_eq!(r.link_up(Role::Endpoint, name(8), 81), [set(1, 6, &[70], &[80, 81])]);
+    // The neighbour is back, but takes frames on the new link a little later.
+    let changes = r.link_up(Role::Switch, name(9), 91);
+    assert_eq!(changes[0], Change::Reach { link: 90, bits: 0b101 });
+    assert_eq!(hops(&changes[1])[..3], [90, 0, 90]);
+    assert_eq!(changes[2], Change::Reach { link: 91, bits: 0 }, "no frame goes twice");
+    let changes = r.link_ready(Role::Switch, name(9), 91);
+    assert_eq!(changes[0], Change::Reach { link: 91, bits: 0b101 });
+    assert_eq!(hops(&changes[1])[..3], [91, 0, 91]);
+    assert_eq!(changes[2], Change::Reach { link: 90, bits: 0 });
+
+    // A new RIB does not know them yet, nor the paths.
+    let mut first = push(1, Extent::Full { part: 0, last: true }, vec![route(1, 2, &[6])]);
+    (first.settling, first.reach) = (true, vec![]);
+    let same = set(1, 6, &[70], &[80, 81]);
+    assert_eq!(r.push(&first).unwrap(), [same], "it adds an endpoint that has no link yet");
+    assert_eq!(r.link_up(Role::Endpoint, name(6), 65), [set(1, 6, &[65, 70], &[80, 81])]);
+    let mut taken_back = push(2, Extent::Delta, vec![]);
+    (taken_back.settling, taken_back.reach, taken_back.remove) = (true, vec![], vec![name(2)]);
+    assert_eq!(r.push(&taken_back).unwrap(), [Change::Remove(name(2))]);
+
+    // Now it knows all there is.
+    let whole = push(3, Extent::Full { part: 0, last: true }, vec![route(1, 2, &[6])]);
+    let mut changes = r.push(&whole).unwrap();
+    changes.sort_by_key(|change| format!("{change:?}"));
+    assert_eq!(changes, [Change::Remove(name(3)), set(1, 2, &[65], &[])]);
+}
+
+#[test]
+fn another_rib_sweeps_nothing_before_it_has_settled() {
+    let mut r = Routes::default();
+    r.push(&push(7, Extent::Full { part: 0, last: true }, vec![route(1, 1, &[]), route(2, 1, &[])])).unwrap();
+    r.link_up(Role::Switch, name(9), 90);
+    let by = |mut push: FibPush, settling| {
+        (push.run, push.settling, push.reach) = (2, settling, vec![]);
+        push
+    };
+    assert!(r.push(&by(push(8, Extent::Delta, vec![]), true)).is_err(), "it does not know what the switch holds");
+    let whole = |generation, set| push(generation, Extent::Full { part: 0, last: true }, set);
+    assert_eq!(r.push(&by(whole(1, vec![]), true)).unwrap(), []);
+    assert_eq!(r.push(&by(push(2, Extent::Delta, vec![route(1, 2, &[])]), true)).unwrap(), [set(1, 3, &[], &[])]);
+    assert_eq!(r.push(&by(whole(3, vec![route(1, 2, &[])]), true)).unwrap(), [], "nor the next time");
+    assert_eq!(r.push(&by(whole(4, vec![]), true)).unwrap(), [set(1, 1, &[], &[])], "but what it said itself");
+    let changes = r.push(&by(whole(5, vec![route(1, 2, &[])]), false)).unwrap();
+    assert_eq!(changes[0], Change::Reach { link: 90, bits: 0 }, "then paths count as it says as well");
+    // What each name goes through is in order; the names are not.
+    let (of_two, of_one) =
+        changes[2..].iter().cloned().partition::<Vec<_>, _>(|change| *change == Change::Remove(name(2)));
+    assert_eq!((of_one, of_two.len()), (vec![set(1, 3, &[], &[]), set(1, 2, &[], &[])], 1));
+}
+
+/// Random pushes by a RIB that follows the rules, links and restarts of RIBs: what the data plane was told equals a model's.
+#[test]
+fn the_data_plane_follows_any_sequence() {
+    let mut seed = 5u64;
+    let mut below = move |bound: u64| {
+        seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (seed >> 33) % bound
+    };
+    for _ in 0..30 {
+        let (mut r, mut plane) = (Routes::default(), BTreeMap::new());
+        let (mut run, mut generation, mut settling) = (1, 0, false);
+        let (mut wanted, mut held) = (BTreeMap::<Name, Route>::new(), BTreeMap::<Name, Route>::new());
+        let mut links = BTreeMap::<Name, u32>::new();
+        for step in 0..200 {
+            let (mut changes, mut said) = (Vec::new(), None);
+            let whole = Extent::Full { part: 0, last: true };
+            match below(10) {
+                0 => {
+                    // Another RIB.
+                    (run, settling) = (run + 1, true);
+                    let mut joint = joined(&wanted, &held);
+                    std::mem::swap(&mut held, &mut joint);
+                    wanted.clear();
+                    said = Some((whole, vec![], vec![]));
+                }
+                1 if run > 1 => {
+                    settling = false;
+                    held.clear();
+                    said = Some((whole, wanted.values().cloned().collect(), vec![]));
+                }
+                2..=4 => {
+                    let (peer, link) = (name(10 + below(4) as u8), 1000 + step);
+                    if let Some(old) = links.remove(&peer) {
+                        changes.extend(gone(&mut r, Role::Endpoint, peer, old));
+                    } else {
+                        changes.extend(r.link_up(Role::Endpoint, peer, link));
+                        changes.extend(r.link_ready(Role::Endpoint, peer, link));
+                        links.insert(peer, link);
+                    }
+                }
+                kind if run > 1 => {
+                    let it = name(below(6) as u8);
+                    if kind == 5 {
+                        wanted.remove(&it);
+                        held.remove(&it);
+                        said = Some((Extent::Delta, vec![], vec![it]));
+                    } else {
+                        let some = |bits: u64| (0..4).filter(|i| bits & 1 << i != 0).map(|i| name(10 + i)).collect();
+                        let (egress_bits, locals, writers) = (below(4), some(below(16)), some(below(16)));
+                        let route = Route { name: it, egress_bits, locals, writers };
+                        wanted.insert(it, route.clone());
+                        said = Some((Extent::Delta, vec![route], vec![]));
+                    }
+                }
+                _ => {}
+            }
+            if let Some((extent, set, remove)) = said {
+                generation += 1;
+                let said = FibPush { run, settling, remove, ..push(generation, extent, set) };
+                changes = r.push(&said).expect("in step");
+            }
+            for change in changes {
+                match change {
+                    Change::Set(name, route) => drop(plane.insert(name, route)),
+                    Change::Remove(name) => drop(plane.remove(&name)),
+                    _ => {}
+                }
+            }
+            let at = |names: &[Name]| sorted(names.iter().filter_map(|name| links.get(name).copied()));
+            let model = joined(&wanted, &held).into_iter().map(|(name, route)| {
+                let (readers, writers) = (at(&route.locals), at(&route.writers));
+                (name, PlaneRoute { egress_bits: route.egress_bits, readers, writers })
+            });
+            let leads = |route: &PlaneRoute| route.egress_bits != 0 || !route.readers.is_empty();
+            assert_eq!(plane, model.filter(|(_, route)| leads(route)).collect());
+        }
+    }
+}
+
+fn joined(some: &BTreeMap<Name, Route>, more: &BTreeMap<Name, Route>) -> BTreeMap<Name, Route> {
+    let mut all = some.clone();
+    for (name, route) in more {
+        let both = all.entry(*name).or_insert_with(|| route.clone());
+        both.egress_bits |= route.egress_bits;
+        both.locals = sorted(both.locals.iter().chain(&route.locals).copied());
+        both.writers = sorted(both.writers.iter().chain(&route.writers).copied());
+    }
+    all
+}
+
+#[test]
+fn a_push_out_of_step_changes_nothing() {
+    let mut r = Routes::default();
+    let set = vec![route(1, 1, &[])];
+    assert!(r.push(&push(1, Extent::Delta, set.clone())).is_err(), "a change of nothing");
+    assert!(r.push(&push(1, Extent::Full { part: 1, last: true }, set.clone())).is_err(), "a part without a first");
+    r.push(&push(5, Extent::Full { part: 0, last: true }, set.clone())).unwrap();
+    for generation in [4, 5, 7] {
+        assert_eq!(r.push(&push(generation, Extent::Delta, vec![])), Err(OutOfStep { held: 5, got: generation }));
+    }
+    let mut delta = push(6, Extent::Delta, vec![]);
+    delta.remove = vec![name(1), name(2)];
+    assert_eq!(r.push(&delta).unwrap(), [Change::Remove(name(1))]);
+    r.push(&push(7, Extent::Full { part: 0, last: false }, vec![])).unwrap();
+    assert!(r.push(&push(8, Extent::Delta, vec![])).is_err(), "a change in the middle of a transfer");
+    assert!(r.push(&push(8, Extent::Full { part: 2, last: true }, vec![])).is_err(), "a part is missing");
+}
+
+/// The link is gone.
+fn gone(r: &mut Routes, role: Role, peer: Name, link: u32) -> Vec<Change> {
+    r.link_gone(role, peer, link).0
+}
+
+fn push(generation: u64, extent: Extent, set: Vec<Route>) -> FibPush {
+    FibPush {
+        switch: name(0),
+        run: 1,
+        settling: false,
+        generation,
+        extent,
+        own_bit: 1,
+        reach: vec![(name(9), 0b101)],
+        set,
+        remove: vec![],
+    }
+}
+
+fn route(i: u8, egress_bits: u64, locals: &[u8]) -> Route {
+    Route { name: name(i), egress_bits, locals: locals.iter().copied().map(name).collect(), writers: vec![] }
+}
+
+fn set(i: u8, egress_bits: u64, readers: &[u32], writers: &[u32]) -> Change {
+    Change::Set(name(i), PlaneRoute { egress_bits, readers: readers.to_vec(), writers: writers.to_vec() })
+}
+
+fn hops(change: &Change) -> &[u32; 64] {
+    let Change::NextHops(hops) = change else { panic!("{change:?}") };
+    hops
+}
+
+fn name(i: u8) -> Name {
+    Name::from_bytes([i; 32])
+}

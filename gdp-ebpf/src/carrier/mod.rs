@@ -1,0 +1,83 @@
+//! What carries a GDP frame in a packet, and its exchange for what carries it on the next link. The frame itself stays where it
+//! is in memory: the start of the packet moves, and headers are written in front of it.
+//!
+//! One file for each carrier, with how it is taken off (`find`) and put on (`dress`). Called by `main.rs`.
+
+pub mod ethernet;
+pub mod udp4;
+pub mod udp6;
+
+use aya_ebpf::programs::XdpContext;
+use gdp_wire::header::FIRST_QUIC_BYTE;
+use gdp_wire::{Carrier, Header, LinkEntry};
+
+use crate::next_hop::NextHop;
+use crate::packet::{self, Packet};
+
+/// Where the frame lies in a packet.
+#[derive(Clone, Copy)]
+pub struct Carried {
+    /// Bytes in front of it.
+    pub at: usize,
+    /// Bytes there are of it, and perhaps of padding behind it.
+    pub available: usize,
+    /// Whether it may also be QUIC.
+    pub over_udp: bool,
+}
+
+/// The frame in a packet of `length` bytes; `None` if it is none of ours. `ethertype`: of GDP frames, in host order.
+#[inline(always)]
+pub fn find(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32) -> Option<Carried> {
+    let found = ethernet::ethertype(packet)?;
+    if u32::from(found) == ethertype {
+        return ethernet::find(length);
+    }
+    match found {
+        ethernet::VLAN => ethernet::find_tagged(context, packet, length, ethertype),
+        ethernet::IPV4 => udp4::find(packet, length),
+        ethernet::IPV6 => udp6::find(packet, length),
+        _ => None,
+    }
+}
+
+/// The first byte of what is carried says whether it is QUIC.
+#[inline(always)]
+pub fn is_quic(carried: &Carried, first_byte: u8) -> bool {
+    carried.over_udp && first_byte >= FIRST_QUIC_BYTE
+}
+
+/// Makes a packet whose frame lies `at` one that carries the frame's first `length` bytes on `link`; `false` if there is no room.
+/// References into the packet are void after. `behind`: bytes of the packet behind those.
+#[inline(always)]
+pub fn exchange(
+    context: &XdpContext,
+    at: usize,
+    length: usize,
+    behind: usize,
+    class: u8,
+    link: &LinkEntry,
+    hop: &NextHop,
+) -> bool {
+    let carrier = &link.carrier;
+    if !packet::cut(context, behind) {
+        return false;
+    }
+    match carrier.kind {
+        Carrier::UDP4 => {
+            packet::shift(context, at, udp4::LEN) && udp4::dress(context, carrier, hop, class, length as u16)
+        }
+        Carrier::UDP6 => {
+            packet::shift(context, at, udp6::LEN) && udp6::dress(context, carrier, hop, class, length as u16)
+        }
+        _ if carrier.vlan != 0 => {
+            packet::shift(context, at, ethernet::TAGGED_LEN) && ethernet::dress_tagged(context, carrier, class)
+        }
+        _ => packet::shift(context, at, ethernet::LEN) && ethernet::dress(context, carrier),
+    }
+}
+
+/// The traffic class of a frame, 0 to 7.
+#[inline(always)]
+pub fn class_of(header: &Header) -> u8 {
+    header.flags >> 2 & 7
+}

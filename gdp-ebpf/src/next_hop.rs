@@ -1,0 +1,87 @@
+//! Where the kernel's routing table leads for a link over UDP: an interface, and the MAC addresses of the neighbour there and of
+//! the interface. Asked before a frame is taken, so that one for which there is no answer (no route, a neighbour that is yet to be
+//! resolved, an interface that takes no redirected frames) is left, untouched, to the host: the daemon's socket then sends it, the
+//! kernel resolves the neighbour for that, and later frames find it.
+
+use core::cell::UnsafeCell;
+
+use aya_ebpf::bindings::bpf_fib_lookup as Lookup;
+use aya_ebpf::helpers::bpf_fib_lookup;
+use aya_ebpf::programs::XdpContext;
+use gdp_wire::{Carrier, LinkEntry};
+
+use crate::carrier::udp4::UDP;
+use crate::ports;
+
+/// The question's family for IPv4, and for IPv6.
+const AF_INET: u8 = 2;
+const AF_INET6: u8 = 10;
+
+/// `lo`, in every network namespace. Asked as if from there, the table answers as it does for what the host itself sends; the
+/// kernel wants forwarding enabled on that interface, which the daemon sees to.
+const LOOPBACK: u32 = 1;
+
+/// The last question, and its answer. On the stack of the program.
+pub struct NextHop(UnsafeCell<Lookup>);
+
+impl NextHop {
+    #[inline(always)]
+    pub fn new() -> Self {
+        // SAFETY: plain integers, for which zero is a value.
+        Self(UnsafeCell::new(unsafe { core::mem::zeroed() }))
+    }
+
+    /// Asks for a frame of `length` bytes; `false` if it cannot be sent. A function of its own also in the kernel: it is asked in
+    /// several places, and inlined the compiler spills a register there that holds nothing, which the verifier refuses.
+    #[inline(never)]
+    pub fn ask(&self, context: &XdpContext, link: &LinkEntry, length: usize) -> bool {
+        let carrier = &link.carrier;
+        let lookup = self.0.get();
+        // SAFETY: the program's own memory, and there is no reference into it. The helper writes within the size it is given.
+        let answer = unsafe {
+            (*lookup).l4_protocol = UDP;
+            (*lookup).sport = carrier.local_port;
+            (*lookup).dport = carrier.peer_port;
+            (*lookup).ifindex = LOOPBACK;
+            (*lookup).__bindgen_anon_2.flowinfo = 0;
+            if carrier.kind == Carrier::UDP6 {
+                (*lookup).family = AF_INET6;
+                (*lookup).__bindgen_anon_1.tot_len = (length + 48) as u16;
+                let mut i = 0;
+                while i < 4 {
+                    (*lookup).__bindgen_anon_3.ipv6_src[i] = carrier.local_ip[i];
+                    (*lookup).__bindgen_anon_4.ipv6_dst[i] = carrier.peer_ip[i];
+                    i += 1;
+                }
+            } else {
+                (*lookup).family = AF_INET;
+                (*lookup).__bindgen_anon_1.tot_len = (length + 28) as u16;
+                (*lookup).__bindgen_anon_3.ipv4_src = carrier.local_ip[0];
+                (*lookup).__bindgen_anon_4.ipv4_dst = carrier.peer_ip[0];
+            }
+            bpf_fib_lookup(context.ctx.cast(), lookup, size_of::<Lookup>() as i32, 0)
+        };
+        answer == 0 && ports::is_there(self.port())
+    }
+
+    /// The interface of the last answer.
+    #[inline(always)]
+    pub fn port(&self) -> u32 {
+        // SAFETY: the program's own memory, and there is no reference into it.
+        unsafe { (*self.0.get()).ifindex }
+    }
+
+    /// The neighbour's MAC address.
+    #[inline(always)]
+    pub fn destination(&self) -> [u16; 3] {
+        // SAFETY: as above; six bytes at an even address.
+        unsafe { (&raw const (*self.0.get()).dmac).cast::<[u16; 3]>().read() }
+    }
+
+    /// The interface's MAC address.
+    #[inline(always)]
+    pub fn source(&self) -> [u16; 3] {
+        // SAFETY: as above.
+        unsafe { (&raw const (*self.0.get()).smac).cast::<[u16; 3]>().read() }
+    }
+}

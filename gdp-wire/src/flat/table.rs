@@ -1,0 +1,398 @@
+//! The writer of a flat table. There is one at a time, so it reads its own memory as it left it; what it writes is ordered for the
+//! readers in the parent module, and for whoever takes the table over if the writer dies between any two stores.
+#![cfg(target_has_atomic = "64")]
+
+use core::fmt;
+use core::sync::atomic::{AtomicU64, Ordering, fence};
+
+use super::{
+    BUCKET, KEY, LINE, LINES, LIVE, MASK, Memory, PASSED, PATH, Place, USED, Words, from_words, lookup, names_in,
+    to_words,
+};
+use crate::{FibEntry, Name};
+
+/// Names whose first lines are fetched at once.
+const BATCH: usize = 16;
+
+/// Lines of its bucket that the name in this one passes.
+const STEPS: Count = Count { shift: 2, max: LINES as u64 - 1 };
+
+/// Names that begin in this bucket and lie in their second one; in the state of a bucket's first line only.
+const SPILLED: Count = Count { shift: 5, max: (1 << 12) - 1 };
+
+/// How often a name moved that begins in this line.
+const MOVED: Count = Count { shift: 17, max: (1 << 15) - 1 };
+
+/// There is no room for a name: the table is too small for what it holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Full;
+
+/// The memory does not hold a table of its size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NotATable;
+
+/// A table in memory that readers share: `1 + 2ⁿ` buckets of [`BUCKET`] words, n > 0.
+pub struct Table<M> {
+    memory: M,
+    key: [u64; 2],
+    mask: u32,
+    names: u32,
+}
+
+impl<M: AsRef<[AtomicU64]>> Table<M> {
+    /// An empty table in memory that is zero. `key`: random, and nobody's business.
+    pub fn begin(memory: M, key: [u64; 2]) -> Result<Self, NotATable> {
+        let mask = mask_for(memory.as_ref())?;
+        let header = memory.as_ref();
+        header[KEY].store(key[0], Ordering::Relaxed);
+        header[KEY + 1].store(key[1], Ordering::Relaxed);
+        header[MASK].store(mask.into(), Ordering::Release);
+        Ok(Self { memory, key, mask, names: 0 })
+    }
+
+    /// Takes over a table whose writer is no more, wherever it stopped. Readers may be at work.
+    pub fn adopt(memory: M) -> Result<Self, NotATable> {
+        let mask = mask_for(memory.as_ref())?;
+        let header = memory.as_ref();
+        if header[MASK].load(Ordering::Acquire) != mask.into() {
+            return Err(NotATable);
+        }
+        let key = [KEY, KEY + 1].map(|word| header[word].load(Ordering::Relaxed));
+        let mut table = Self { memory, key, mask, names: 0 };
+        table.repair();
+        Ok(table)
+    }
+
+    /// Names in the table.
+    pub fn len(&self) -> u32 {
+        self.names
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.names == 0
+    }
+
+    /// Names the table is meant for. It takes more, but not for sure.
+    pub fn capacity(&self) -> u32 {
+        names_in(self.mask + 2)
+    }
+
+    pub fn get(&self, name: &Name) -> Option<FibEntry> {
+        lookup(&self.memory.as_ref(), name)
+    }
+
+    /// All names, in no order.
+    pub fn iter(&self) -> impl Iterator<Item = (Name, FibEntry)> {
+        (BUCKET..self.words().len())
+            .step_by(LINE)
+            .filter(|at| self.is_live(*at))
+            .map(|at| (self.name(at), self.entry(at)))
+    }
+
+    /// Adds a name, or changes where it leads. Whoever looks it up meanwhile finds what was or what is.
+    pub fn insert(&mut self, name: &Name, entry: FibEntry) -> Result<(), Full> {
+        let place = self.place(name);
+        let held = self.find(&place, name);
+        if held.is_some_and(|step| self.entry(place.at(step)) == entry) {
+            return Ok(());
+        }
+        let free = match self.free(&place) {
+            Some(free) => free,
+            None => self.make_room(&place)?,
+        };
+        self.put(&place, free, name, entry)?;
+        match held {
+            Some(step) => self.take_back(&place, step, Some(free)),
+            None => self.names += 1,
+        }
+        Ok(())
+    }
+
+    /// [`Self::insert`] for many, whose cache misses overlap. Those before the one that found no room are in.
+    pub fn insert_all(&mut self, routes: &[(Name, FibEntry)]) -> Result<(), Full> {
+        for batch in routes.chunks(BATCH) {
+            self.fetch(batch.iter().map(|(name, _)| name));
+            batch.iter().try_for_each(|(name, entry)| self.insert(name, *entry))?;
+        }
+        Ok(())
+    }
+
+    /// Brings the lines that names are in, or will be, into the caches, all at once.
+    fn fetch<'n>(&self, names: impl Iterator<Item = &'n Name> + Clone) {
+        let begins = |name| self.place(name).at(0);
+        let first = names.clone().fold(0, |all, name| all | self.state(begins(name)));
+        let others = names.filter(|name| self.state(begins(*name)) & (LIVE | PASSED) != 0);
+        let rest =
+            others.fold(0, |all, name| (0..LINES).fold(all, |all, step| all | self.state(self.place(name).at(step))));
+        core::hint::black_box(first | rest);
+    }
+
+    /// Whether the name was there.
+    pub fn remove(&mut self, name: &Name) -> bool {
+        let place = self.place(name);
+        let Some(step) = self.find(&place, name) else { return false };
+        self.take_back(&place, step, None);
+        self.names -= 1;
+        true
+    }
+
+    /// Fills a free line of a name's path and lets readers find it.
+    fn put(&mut self, place: &Place, free: usize, name: &Name, entry: FibEntry) -> Result<(), Full> {
+        if free >= LINES {
+            self.spill(place, 1)?;
+        }
+        for at in (0..free).map(|step| place.at(step)) {
+            self.set_state(at, self.state(at) | PASSED);
+        }
+        let at = place.at(free);
+        // Readers of what was here before must notice before any of it changes.
+        let used = STEPS.put(self.state(at).wrapping_add(1 << USED), (free % LINES) as u64);
+        self.words()[at].store(used, Ordering::Relaxed);
+        fence(Ordering::Release);
+        for (word, value) in self.words()[at + 1..at + LINE].iter().zip(name.words().iter().chain(&to_words(entry))) {
+            word.store(*value, Ordering::Relaxed);
+        }
+        self.set_state(at, used | LIVE);
+        Ok(())
+    }
+
+    /// Frees the line that a name has at `step` of its path; now it is at step `to`, if anywhere.
+    fn take_back(&mut self, place: &Place, step: usize, to: Option<usize>) {
+        if to.is_some() {
+            let (at, begin) = (place.at(0), self.state(place.at(0)));
+            self.set_state(at, MOVED.put(begin, MOVED.get(begin) + 1));
+        }
+        let at = place.at(step);
+        self.set_state(at, self.state(at) & !LIVE);
+        if step >= LINES {
+            // It was counted, so this is no overflow.
+            let _ = self.spill(place, -1);
+            self.settle(place.second);
+        }
+        // If it went on, it passes what it passed before.
+        if to.unwrap_or(0) < step {
+            self.settle(place.first);
+        }
+    }
+
+    /// Frees a line on a path that has none, by moving the name in it along its own path. The step that is free then.
+    fn make_room(&mut self, place: &Place) -> Result<usize, Full> {
+        for step in 0..PATH {
+            let at = place.at(step);
+            let (name, entry) = (self.name(at), self.entry(at));
+            let its = self.place(&name);
+            let Some(free) = self.free(&its) else { continue };
+            let Some(from) = (0..PATH).find(|step| its.at(*step) == at) else { continue };
+            if self.put(&its, free, &name, entry).is_ok() {
+                self.take_back(&its, from, Some(free));
+                return Ok(step);
+            }
+        }
+        Err(Full)
+    }
+
+    /// Counts the names that begin in the first bucket and lie in the second.
+    fn spill(&mut self, place: &Place, change: i64) -> Result<(), Full> {
+        let at = place.first as usize * BUCKET;
+        let state = self.state(at);
+        let spilled =
+            SPILLED.get(state).checked_add_signed(change).filter(|count| *count <= SPILLED.max).ok_or(Full)?;
+        self.set_state(at, SPILLED.put(state, spilled));
+        Ok(())
+    }
+
+    /// Takes the marks back from lines of a bucket that no name passes any more.
+    fn settle(&mut self, bucket: u32) {
+        let start = bucket as usize * BUCKET;
+        if SPILLED.get(self.state(start)) > 0 {
+            return;
+        }
+        // Lines are bits, so that there are no branches that nobody can foresee.
+        let (mut marked, mut passed) = (0u8, 0u8);
+        for line in 0..LINES as u32 {
+            let state = self.state(start + line as usize * LINE);
+            let steps = (STEPS.get(state) * (state & LIVE)) as u32;
+            marked |= u8::from(state & PASSED != 0) << line;
+            passed |= ((1u8 << steps) - 1).rotate_left(line + LINES as u32 - steps);
+        }
+        let mut stale = marked & !passed;
+        while stale != 0 {
+            let at = start + stale.trailing_zeros() as usize * LINE;
+            self.set_state(at, self.state(at) & !PASSED);
+            stale &= stale - 1;
+        }
+    }
+
+    /// Puts right what a writer that died left half done. Whatever it did, there are marks and counts too many, never too few; a
+    /// name that was moving is there twice.
+    fn repair(&mut self) {
+        for bucket in 1..=self.mask + 1 {
+            let at = bucket as usize * BUCKET;
+            self.set_state(at, SPILLED.put(self.state(at), 0));
+        }
+        for at in (BUCKET..self.words().len()).step_by(LINE) {
+            if !self.is_live(at) {
+                continue;
+            }
+            let name = self.name(at);
+            let place = self.place(&name);
+            let found = self.find(&place, &name);
+            let counted = match found {
+                Some(step) if place.at(step) == at => step < LINES || self.spill(&place, 1).is_ok(),
+                // Readers take the other, or none at all.
+                _ => false,
+            };
+            if counted {
+                self.names += 1;
+            } else {
+                self.set_state(at, self.state(at) & !LIVE);
+            }
+        }
+        (1..=self.mask + 1).for_each(|bucket| self.settle(bucket));
+    }
+
+    /// The step of its path that a name is at.
+    fn find(&self, place: &Place, name: &Name) -> Option<usize> {
+        for step in 0..PATH {
+            let at = place.at(step);
+            let state = self.state(at);
+            if state & LIVE != 0 && self.name(at).is(name) {
+                return Some(step);
+            }
+            if state & PASSED == 0 {
+                return None;
+            }
+        }
+        None
+    }
+
+    fn free(&self, place: &Place) -> Option<usize> {
+        if !self.is_live(place.at(0)) {
+            return Some(0);
+        }
+        let mut step = 0;
+        for bucket in [place.first, place.second] {
+            let start = bucket as usize * BUCKET;
+            let live =
+                (0..LINES).fold(0u8, |live, line| live | ((self.state(start + line * LINE) & LIVE) as u8) << line);
+            let taken = live.rotate_right(place.slot as u32).trailing_ones() as usize;
+            if taken < LINES {
+                return Some(step + taken);
+            }
+            step += LINES;
+        }
+        None
+    }
+
+    fn place(&self, name: &Name) -> Place {
+        Place::of(name, self.key, self.mask)
+    }
+
+    fn is_live(&self, at: usize) -> bool {
+        self.state(at) & LIVE != 0
+    }
+
+    fn name(&self, at: usize) -> Name {
+        let words = [1, 2, 3, 4].map(|word| self.words()[at + word].load(Ordering::Relaxed));
+        Name::from_words(words)
+    }
+
+    fn entry(&self, at: usize) -> FibEntry {
+        from_words([5, 6, 7].map(|word| self.words()[at + word].load(Ordering::Relaxed)))
+    }
+
+    fn state(&self, at: usize) -> u64 {
+        self.words()[at].load(Ordering::Relaxed)
+    }
+
+    /// After everything that was written before.
+    fn set_state(&self, at: usize, state: u64) {
+        self.words()[at].store(state, Ordering::Release);
+    }
+
+    fn words(&self) -> &[AtomicU64] {
+        self.memory.as_ref()
+    }
+}
+
+/// Names in the memory of a table that somebody else writes; one that moves meanwhile may count twice.
+pub fn count(memory: &[AtomicU64]) -> usize {
+    memory.iter().skip(BUCKET).step_by(LINE).filter(|state| state.load(Ordering::Relaxed) & LIVE != 0).count()
+}
+
+/// A number in some bits of a state.
+struct Count {
+    shift: u32,
+    /// One less than a power of two.
+    max: u64,
+}
+
+impl Count {
+    fn get(&self, state: u64) -> u64 {
+        (state >> self.shift) & self.max
+    }
+
+    /// Wraps.
+    fn put(&self, state: u64, count: u64) -> u64 {
+        (state & !(self.max << self.shift)) | ((count & self.max) << self.shift)
+    }
+}
+
+const _: () = {
+    assert!((STEPS.max + 1) << STEPS.shift == 1 << SPILLED.shift);
+    assert!((SPILLED.max + 1) << SPILLED.shift == 1 << MOVED.shift);
+    assert!((MOVED.max + 1) << MOVED.shift == 1 << USED);
+};
+
+impl Place {
+    /// Index of the first word of the line at a step of the path.
+    fn at(&self, step: usize) -> usize {
+        let bucket = if step < LINES { self.first } else { self.second };
+        bucket as usize * BUCKET + (self.slot + step) % LINES * LINE
+    }
+}
+
+/// As long as the writer's process maps the memory.
+impl<'m> Memory for &'m [AtomicU64] {
+    type Bucket = &'m [AtomicU64; BUCKET];
+
+    #[inline]
+    fn bucket(&self, index: u32) -> Option<Self::Bucket> {
+        let (buckets, _) = self.as_chunks();
+        buckets.get(index as usize)
+    }
+}
+
+impl Words for &[AtomicU64; BUCKET] {
+    #[inline]
+    fn load(self, index: usize) -> u64 {
+        self[index].load(Ordering::Relaxed)
+    }
+
+    #[inline]
+    fn after(self, _loaded: u64) -> Self {
+        fence(Ordering::Acquire);
+        self
+    }
+}
+
+impl fmt::Display for Full {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("there is no room for the name in the table")
+    }
+}
+
+impl fmt::Display for NotATable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("the memory does not hold a table of its size")
+    }
+}
+
+impl core::error::Error for Full {}
+impl core::error::Error for NotATable {}
+
+fn mask_for(memory: &[AtomicU64]) -> Result<u32, NotATable> {
+    let buckets = (memory.len() / BUCKET).checked_sub(1).ok_or(NotATable)?;
+    let fits = memory.len().is_multiple_of(BUCKET) && buckets.is_power_of_two() && buckets > 1 && buckets < 1 << 29;
+    if fits { Ok(buckets as u32 - 1) } else { Err(NotATable) }
+}

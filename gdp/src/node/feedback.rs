@@ -1,0 +1,90 @@
+//! What the switch says of the frames that a publisher sends.
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{Arc, Mutex};
+use std::time::SystemTime;
+
+use gdp_wire::{ErrorCode, Header, Name};
+
+use super::counters::{Count, by_code};
+use super::state::lock;
+
+/// The feedback of all names that a node publishes. Bounded by them: errors about others are not kept.
+pub struct Feedbacks {
+    node: Name,
+    names: Mutex<HashMap<Name, Arc<Feedback>>>,
+}
+
+impl Feedbacks {
+    /// `node`: the source of the frames that errors are about.
+    pub fn new(node: Name) -> Self {
+        Self { node, names: Mutex::default() }
+    }
+
+    pub fn of(&self, name: Name) -> Arc<Feedback> {
+        lock(&self.names).entry(name).or_default().clone()
+    }
+
+    pub fn forget(&self, name: &Name) {
+        lock(&self.names).remove(name);
+    }
+
+    /// Takes an error that the switch has sent.
+    pub fn add(&self, code: ErrorCode, error: &Header) {
+        if error.source == self.node
+            && let Some(feedback) = lock(&self.names).get(&error.destination)
+        {
+            feedback.add(code, error);
+        }
+    }
+}
+
+/// The errors that frames to one name drew. Hints, never more: only the switch can have sent them, but it sends few of
+/// those that are due, and none for what is lost further on.
+#[derive(Default)]
+pub struct Feedback {
+    errors: [Count; ErrorCode::COUNT],
+    last: Mutex<Option<FrameError>>,
+}
+
+/// Why the switch did not forward a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}", self.reason())]
+pub struct FrameError {
+    pub code: ErrorCode,
+    /// Of a frame that was too big, the largest the next link takes, in bytes with the header.
+    pub mtu: Option<u32>,
+    /// When this node was told.
+    pub at: SystemTime,
+}
+
+impl Feedback {
+    /// The latest error. It says nothing of frames sent after it.
+    pub fn last(&self) -> Option<FrameError> {
+        *lock(&self.last)
+    }
+
+    /// Errors so far, by what they say. Those that did not come are left out.
+    pub fn errors(&self) -> BTreeMap<&'static str, u64> {
+        by_code(&self.errors)
+    }
+
+    fn add(&self, code: ErrorCode, error: &Header) {
+        self.errors[code.index()].add(1);
+        let mtu = (code == ErrorCode::TooBig).then(|| error.complaint().0);
+        let last = FrameError { code, mtu, at: SystemTime::now() };
+        *lock(&self.last) = Some(last);
+    }
+}
+
+impl FrameError {
+    fn reason(&self) -> String {
+        match (self.code, self.mtu) {
+            (ErrorCode::NoRoute, _) => "nobody takes the name at the moment".into(),
+            (ErrorCode::TooBig, Some(mtu)) => format!("a frame is larger than the {mtu} bytes that a link takes"),
+            (ErrorCode::TooBig, None) => "a frame is larger than a link takes".into(),
+            (ErrorCode::HopLimit, _) => "a frame crossed too many switches; do routes form a loop?".into(),
+            (ErrorCode::NotAuthorised, _) => "the switch does not know this node as a writer of the name".into(),
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! Silence is told from absence: a link whose peer's daemon died is held while the peer's kernel answers echoes, and one whose
+//! cable is cut is not. Under DDS traffic from robot to cloud.
+
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use gdp::link::{HOLD, IDLE_TIMEOUT, liveness::Pace};
+use gdp_tests::Tools;
+use gdp_tests::chain::ChainOptions;
+use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
+use gdp_tests::peers::{self, Conversation, Side, Traffic, Vendor};
+use gdp_tests::wait::wait_for;
+use serde_json::Value;
+
+/// Until a link that nothing answers on is given up: QUIC's silence, the echoes', and as long again for a loaded machine. Far
+/// less than the hold.
+const GIVEN_UP: Duration = Duration::from_secs(2 * (IDLE_TIMEOUT.as_secs() + 1));
+const _: () = assert!(GIVEN_UP.as_secs() < HOLD.as_secs() / 2);
+
+#[test]
+fn a_switch_whose_daemon_died_is_held_by_its_neighbours_while_its_kernel_forwards() -> Result<()> {
+    let mut fabric = fabric(FabricOptions { pinned: true, ..Default::default() })?;
+    let mut conversation = converse(&fabric)?;
+    wait_for_more(&mut conversation, 10)?;
+    fabric.switches[1].process.kill()?;
+    for neighbour in [0, 2] {
+        wait_for("the neighbour to hear nothing more", GIVEN_UP, || Ok(held(&fabric, neighbour, 1)?.map(drop)))
+            .with_context(|| fabric.report())?;
+    }
+    // For much longer than a dead switch would be given.
+    let echoes = 2 * 5 * Pace::ETHERNET.misses as u64;
+    let before = echoed(&fabric, 1)?;
+    wait_for("the kernel to answer echoes", PATIENCE, || Ok((echoed(&fabric, 1)? >= before + echoes).then_some(())))?;
+    for neighbour in [0, 2] {
+        let link = held(&fabric, neighbour, 1)?.context("it is held on")?;
+        ensure!(link["role"] == "switch" && link["errors_received"] == serde_json::json!({}), "{link}");
+    }
+    wait_for_more(&mut conversation, 10)?;
+    let numbers: Vec<i64> = peers::received(&conversation.listener).iter().map(|message| message.sequence).collect();
+    ensure!(numbers == (0..numbers.len() as i64).collect::<Vec<_>>(), "a message was lost: {numbers:?}");
+
+    fabric.chain.switches()[1].ip(&["link", "set", "l0", "down"])?;
+    wait_for("the left neighbour to give it up", GIVEN_UP, || Ok(held(&fabric, 0, 1)?.is_none().then_some(())))?;
+    ensure!(held(&fabric, 2, 1)?.is_some(), "the right cable is whole");
+    Ok(())
+}
+
+#[test]
+fn a_cut_cable_ends_the_hold_on_both_sides_and_a_mended_one_carries_again() -> Result<()> {
+    let chain = ChainOptions { wire: Some(0), ..Default::default() };
+    let mut fabric = fabric(FabricOptions { chain, ..Default::default() })?;
+    let mut conversation = converse(&fabric)?;
+    wait_for_more(&mut conversation, 10)?;
+    let unsent = |fabric: &Fabric| fabric.proxy_stats("robot")["topics"][0]["drops"]["send_failed"].as_u64();
+    ensure!(unsent(&fabric) == Some(0));
+    fabric.chain.cut_wire(true)?;
+    wait_for("the robot's messages to be refused", GIVEN_UP, || Ok(unsent(&fabric).filter(|n| *n > 0)))
+        .with_context(|| fabric.report())?;
+    wait_for("the switch to give the robot up", GIVEN_UP, || {
+        let status = fabric.status(0)?;
+        let all = ["links", "links_held"].map(|links| status[links].as_array().cloned().unwrap_or_default()).concat();
+        Ok(all.iter().all(|link| link["role"] != "endpoint").then_some(()))
+    })
+    .with_context(|| fabric.report())?;
+    fabric.chain.cut_wire(false)?;
+    wait_for("the robot to be back", PATIENCE, || Ok(fabric.proxy_stats("robot")["switch"].as_str().map(drop)))?;
+    fabric.wait_for_route()?;
+    wait_for_more(&mut conversation, 10)
+}
+
+fn fabric(options: FabricOptions) -> Result<Fabric> {
+    let mut fabric = Fabric::start(Tools::beside_this_test()?, options)?;
+    fabric.start_proxies()?;
+    Ok(fabric)
+}
+
+fn converse(fabric: &Fabric) -> Result<Conversation> {
+    let traffic = Traffic::default();
+    let talks = Side { at: fabric.chain.robot(), vendor: Vendor::Cyclone, traffic: &traffic };
+    let hears = Side { at: fabric.chain.cloud(), vendor: Vendor::FastDds, traffic: &traffic };
+    let conversation = Conversation::start(&fabric.tools, talks, hears, fabric.folder())?;
+    conversation.open()?;
+    Ok(conversation)
+}
+
+fn wait_for_more(conversation: &mut Conversation, more: usize) -> Result<()> {
+    let so_far = peers::received(&conversation.listener).len();
+    let listener = &mut conversation.listener;
+    listener.wait_until("more messages", PATIENCE, |p| (peers::received(p).len() >= so_far + more).then_some(()))
+}
+
+/// What switch `i` says of the link to switch `to` that it holds.
+fn held(fabric: &Fabric, i: usize, to: usize) -> Result<Option<Value>> {
+    let status = fabric.status(i)?;
+    let links = status["links_held"].as_array().context("links")?;
+    Ok(links.iter().find(|link| link["peer"] == *fabric.switches[to].name).cloned())
+}
+
+/// Echoes that the kernel of switch `i` answered, whether its daemon lives or not.
+fn echoed(fabric: &Fabric, i: usize) -> Result<u64> {
+    let stats = fabric.xdp("stats")?;
+    let switches = stats["switches"].as_array().context("switches")?;
+    // Known by the first digits of its name.
+    let is_it = |switch: &&Value| switch["switch"].as_str().is_some_and(|id| fabric.switches[i].name.starts_with(id));
+    let found = switches.iter().find(is_it);
+    Ok(found.with_context(|| stats.to_string())?["counters"]["echoed"].as_u64().unwrap_or(0))
+}
