@@ -15,7 +15,7 @@ use aya_ebpf::programs::RawTracePointContext;
 use gdp_wire::Counter;
 use gdp_wire::losses::NetDevices;
 
-use crate::counters;
+use crate::{copies, counters};
 
 /// Frames lost on the way to an interface, by its index.
 #[map]
@@ -25,13 +25,13 @@ static REDIRECT_LOSSES: PerCpuHashMap<u32, u64> = PerCpuHashMap::with_max_entrie
 #[unsafe(no_mangle)]
 static NET_DEVICES: NetDevices = NetDevices { namespace: 0, ifindex: 0, net: 0, inum: 0 };
 
-/// `xdp_devmap_xmit(from_dev, to_dev, sent, drops, err)`: a batch was handed to an interface. What a program in the device map would
-/// drop is among the drops; ours has none.
+/// `xdp_devmap_xmit(from_dev, to_dev, sent, drops, err)`: a batch was handed to an interface. What the program that it went through
+/// dropped is among the drops: the copies that nobody needs, which are no losses.
 #[raw_tracepoint(tracepoint = "xdp_devmap_xmit")]
 pub fn gdp_devmap_xmit(context: RawTracePointContext) -> i32 {
     let drops: i32 = context.arg(3);
     if drops > 0 {
-        lost(context.arg(0), context.arg(1), drops as u64);
+        lost(context.arg(0), context.arg(1), |to| (drops as u64).saturating_sub(copies::take_superfluous(to)));
     }
     0
 }
@@ -44,25 +44,27 @@ pub fn gdp_redirect_err(context: RawTracePointContext) -> i32 {
     if map_type == BPF_MAP_TYPE_DEVMAP || map_type == BPF_MAP_TYPE_DEVMAP_HASH {
         // An entry of a device map begins with the interface, which the kernel keeps so for tracepoints. A broadcast has none.
         let from = context.arg(0);
-        lost(from, read(target).unwrap_or(from), 1);
+        lost(from, read(target).unwrap_or(from), |_| 1);
     }
     0
 }
 
+/// `frames`: how many, on the way to the interface with this index.
 #[inline(always)]
-fn lost(from: *const u8, to: *const u8, frames: u64) {
+fn lost(from: *const u8, to: *const u8, frames: impl FnOnce(u32) -> u64) {
     if watched(from).is_some()
-        && let Some(losses) = watched(to)
+        && let Some((ifindex, losses)) = watched(to)
     {
+        let frames = frames(ifindex);
         // SAFETY: the kernel returned a pointer to this CPU's value, which nobody else writes.
         unsafe { *losses += frames };
         counters::add(Counter::RedirectLost, frames);
     }
 }
 
-/// This CPU's count for a `struct net_device`, if it is one of ours.
+/// The index of a `struct net_device` and this CPU's count for it, if it is one of ours.
 #[inline(always)]
-fn watched(device: *const u8) -> Option<*mut u64> {
+fn watched(device: *const u8) -> Option<(u32, *mut u64)> {
     // SAFETY: a static; user space has replaced its value, which the compiler must not take for known.
     let at = unsafe { ptr::read_volatile(&raw const NET_DEVICES) };
     let net: *const u8 = read(device.wrapping_add(at.net as usize).cast())?;
@@ -71,7 +73,7 @@ fn watched(device: *const u8) -> Option<*mut u64> {
         return None;
     }
     let ifindex: u32 = read(device.wrapping_add(at.ifindex as usize).cast())?;
-    REDIRECT_LOSSES.get_ptr_mut(ifindex)
+    Some((ifindex, REDIRECT_LOSSES.get_ptr_mut(ifindex)?))
 }
 
 #[inline(always)]

@@ -4,14 +4,20 @@
 //! Loaded by `gdp_ctl::plane::kernel`. The modules are the maps, each with the rule of who may write it when; [`packet`] and
 //! [`carrier`], what is around a frame; and [`next_hop`]. Only this file turns outcomes into XDP actions and counters.
 //!
-//! Two programs do the same: [`gdp_switch`] takes packets that span several buffers (MTU above about 3500), which
-//! kernels before 5.18 cannot; for those there is [`gdp_switch_linear`].
+//! [`gdp_switch`] runs where a frame arrives, [`gdp_egress`] where the kernel has been told to send it. The second is there for the
+//! copies of a frame; but the kernel runs one program over all frames that leave by an interface together, so every frame
+//! comes by it.
+//!
+//! Of both there are two that do the same: those above take packets that span several buffers (MTU above about 3500), which
+//! kernels before 5.18 cannot; for those there are [`gdp_switch_linear`] and [`gdp_egress_linear`].
 #![cfg_attr(target_arch = "bpf", no_std, no_main, feature(asm_experimental_arch))]
 
 mod carrier;
 mod config;
+mod copies;
 mod counters;
 mod fib;
+mod groups;
 mod links;
 mod local;
 mod losses;
@@ -27,12 +33,13 @@ mod windows;
 use aya_ebpf::bindings::xdp_action::{XDP_DROP, XDP_PASS, XDP_REDIRECT};
 use aya_ebpf::macros::xdp;
 use aya_ebpf::programs::XdpContext;
-use gdp_wire::forward::{self, Kind, Verdict};
-use gdp_wire::table::PORT_ROUTED;
-use gdp_wire::{Counter, Header};
+use gdp_wire::forward::{self, Copy, Kind, Verdict};
+use gdp_wire::table::Tables;
+use gdp_wire::{Counter, GroupPlace, Header, LinkEntry};
 
 use crate::carrier::Carried;
-use crate::carrier::ethernet::Ethernet;
+use crate::carrier::ethernet::{self, Ethernet};
+use crate::copies::Label;
 use crate::next_hop::NextHop;
 use crate::packet::Packet;
 use crate::tables::Maps;
@@ -49,6 +56,18 @@ pub fn gdp_switch(context: XdpContext) -> u32 {
 pub fn gdp_switch_linear(context: XdpContext) -> u32 {
     let length = context.data_end().saturating_sub(context.data());
     act(handle(&context, length))
+}
+
+/// What leaves, on kernels from 5.18 on.
+#[xdp(frags, map = "devmap")]
+pub fn gdp_egress(context: XdpContext) -> u32 {
+    act_at_egress(leave(&context))
+}
+
+/// What leaves, on older kernels.
+#[xdp(map = "devmap")]
+pub fn gdp_egress_linear(context: XdpContext) -> u32 {
+    act_at_egress(leave(&context))
 }
 
 /// For the interface of an endpoint on a veth: a veth takes redirected frames only if its other end runs a program
@@ -83,6 +102,30 @@ fn act(outcome: Outcome) -> u32 {
         Outcome::Redirected(_) => XDP_REDIRECT,
         Outcome::Passed(_) => XDP_PASS,
         Outcome::Dropped(_) => XDP_DROP,
+    }
+}
+
+/// What becomes of a packet that leaves.
+enum Departure {
+    /// It was made for its link before.
+    Ready,
+    /// It is a copy, now made for its link.
+    Copied(Counter),
+    /// It is a copy that nobody needs.
+    Superfluous,
+    /// It is such a copy, the last at its interface, and has become what no host takes: see [`copies`].
+    Filler,
+}
+
+#[inline(always)]
+fn act_at_egress(departure: Departure) -> u32 {
+    match departure {
+        Departure::Ready | Departure::Filler => XDP_PASS,
+        Departure::Copied(counter) => {
+            counters::count(counter);
+            XDP_PASS
+        }
+        Departure::Superfluous => XDP_DROP,
     }
 }
 
@@ -124,25 +167,95 @@ fn forward_frame(context: &XdpContext, header: &mut Header, carried: Carried, le
 
 #[inline(always)]
 fn forward_headed(context: &XdpContext, header: &mut Header, tag: u64, carried: Carried, length: usize) -> Outcome {
-    let tables = Maps { context, length: header.frame_len(), next_hop: NextHop::new() };
-    let (link, counter) = match forward::decide(header, carried.available, &tables) {
+    let in_one_buffer = length == context.data_end() - context.data();
+    let tables = Maps { context, length: header.frame_len(), in_one_buffer, next_hop: NextHop::new() };
+    let verdict = forward::decide(header, carried.available, &tables);
+    // An answer has no payload, so this is its length as well.
+    let frame = header.frame_len();
+    let behind = length - carried.at - frame;
+    let (link, counter) = match verdict {
         Verdict::Send(link, counter) => {
             tally::sample(tag, header);
             (link, counter)
         }
         Verdict::Answer(link, counter) => (link, counter),
-        // The kernel leaves these to the daemon, so they do not come up.
-        Verdict::Notice(_) | Verdict::Copies(_) | Verdict::Slow => return Outcome::Passed(Counter::Slow),
+        Verdict::Copies(group) => {
+            tally::sample(tag, header);
+            return replicate(context, group, carried.at, behind);
+        }
+        // The kernel leaves a notice to the daemon as well.
+        Verdict::Notice(_) | Verdict::Slow => return Outcome::Passed(Counter::Slow),
         Verdict::Drop(counter) => return Outcome::Dropped(counter),
     };
-    // An answer has no payload, so this is its length as well.
-    let (frame, class) = (header.frame_len(), carrier::class_of(header));
-    let behind = length - carried.at - frame;
+    let class = carrier::class_of(header);
     if !carrier::exchange(context, carried.at, frame, behind, class, link, &tables.next_hop) {
         return Outcome::Dropped(Counter::RedirectFailed);
     }
-    let port = if link.port == PORT_ROUTED { tables.next_hop.port() } else { link.port };
-    if ports::redirect(port) { Outcome::Redirected(counter) } else { Outcome::Dropped(Counter::RedirectFailed) }
+    if ports::redirect(tables.port_of(link)) {
+        Outcome::Redirected(counter)
+    } else {
+        Outcome::Dropped(Counter::RedirectFailed)
+    }
+}
+
+/// Has copies made of the frame that lies `at`, without the bytes `behind` it. Each then becomes one for its link in [`leave`].
+#[inline(always)]
+fn replicate(context: &XdpContext, group: u32, at: usize, behind: usize) -> Outcome {
+    let bare = packet::cut(context, behind) && packet::shift(context, at, ethernet::LEN);
+    if bare && copies::label(&Packet::of(context), group) && groups::redirect(group) {
+        Outcome::Redirected(Counter::Replicated)
+    } else {
+        Outcome::Dropped(Counter::RedirectFailed)
+    }
+}
+
+#[inline(always)]
+fn leave(context: &XdpContext) -> Departure {
+    let mut packet = Packet::of(context);
+    let Some(label) = Label::of(&packet) else { return Departure::Ready };
+    // SAFETY: the context of a program that runs in a device map has the field.
+    let interface = unsafe { (*context.ctx).egress_ifindex };
+    let Some(place) = label.place(interface) else { return Departure::Superfluous };
+    let Some(header) = packet.header(ethernet::LEN) else { return Departure::Superfluous };
+    match copy(context, header, place) {
+        Some(counter) => Departure::Copied(counter),
+        None => superfluous(context, place),
+    }
+}
+
+/// Makes a copy the one for the link at its place; how it is then counted.
+#[inline(always)]
+fn copy(context: &XdpContext, header: &mut Header, place: GroupPlace) -> Option<Counter> {
+    let link: &LinkEntry = groups::link_at(&place).and_then(links::get)?;
+    let ingress = links::get(header.link_id())?;
+    let frame = header.frame_len();
+    let tables = Maps { context, length: frame, in_one_buffer: true, next_hop: NextHop::new() };
+    let counter = match forward::copy(header, frame, link, ingress, &tables) {
+        Copy::Send(counter) => counter,
+        Copy::None => return None,
+        Copy::Drop(counter) => {
+            counters::count(counter);
+            return None;
+        }
+    };
+    let class = carrier::class_of(header);
+    let leaves_here = tables.can_send(link) && tables.port_of(link) == place.interface;
+    if leaves_here && carrier::exchange(context, ethernet::LEN, frame, 0, class, link, &tables.next_hop) {
+        return Some(counter);
+    }
+    counters::count(Counter::RedirectFailed);
+    None
+}
+
+#[inline(always)]
+fn superfluous(context: &XdpContext, place: GroupPlace) -> Departure {
+    let next = GroupPlace { index: place.index + 1, ..place };
+    if groups::link_at(&next).is_none() && copies::become_filler(context) {
+        Departure::Filler
+    } else {
+        copies::count_superfluous(place.interface);
+        Departure::Superfluous
+    }
 }
 
 #[cfg(all(target_arch = "bpf", not(test)))]

@@ -1,5 +1,6 @@
 //! The interfaces frames can leave by, by interface index: those that take redirected frames. Written by user space before a link
-//! with that port exists. A port whose interface is gone is empty, and a redirect to it fails and is counted.
+//! with that port exists. A port whose interface is gone is empty, and a redirect to it fails and is counted. Each element has the
+//! program of what leaves; see `main`.
 
 use aya_ebpf::bindings::xdp_action::XDP_DROP;
 use aya_ebpf::macros::map;
@@ -12,7 +13,9 @@ static PORTS: DevMapHash = DevMapHash::with_max_entries(MAX_PORTS, 0);
 /// Sends the packet to `port` when the program returns; `false` if there is no such interface.
 #[inline(always)]
 pub fn redirect(port: u32) -> bool {
-    PORTS.redirect(port, XDP_DROP.into()).is_ok()
+    let redirected = || PORTS.redirect(port, XDP_DROP.into()).is_ok();
+    // While user space replaces an element there is none for some nanoseconds.
+    redirected() || redirected()
 }
 
 /// Whether there is such an interface.

@@ -2,19 +2,29 @@
 
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::replay::Words;
-use gdp_wire::table::{PORT_ROUTED, PORT_USERSPACE, Tables};
+use gdp_wire::table::{MAX_COPIED_FRAME, PORT_ROUTED, PORT_USERSPACE, Tables};
 use gdp_wire::{FibEntry, LinkEntry, Name, Permit};
 
 use crate::next_hop::NextHop;
-use crate::{config, fib, links, next_hops, permits, windows};
+use crate::{config, fib, groups, links, next_hops, permits, windows};
 
 /// The maps, asked about one frame.
 pub struct Maps<'p> {
     pub context: &'p XdpContext,
     /// Bytes of the frame.
     pub length: usize,
+    /// Whether the packet lies in one buffer: the kernel copies no others.
+    pub in_one_buffer: bool,
     /// Where the link leads that [`Tables::can_send`] was last asked about, if that is over UDP.
     pub next_hop: NextHop,
+}
+
+impl Maps<'_> {
+    /// Where frames for a link leave that can be sent to, as [`Tables::can_send`] has just said.
+    #[inline(always)]
+    pub fn port_of(&self, link: &LinkEntry) -> u32 {
+        if link.port == PORT_ROUTED { self.next_hop.port() } else { link.port }
+    }
 }
 
 impl Tables for Maps<'_> {
@@ -66,8 +76,8 @@ impl Tables for Maps<'_> {
     }
 
     #[inline(always)]
-    fn can_copy(&self, _group: u32, _length: usize) -> bool {
-        false
+    fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool {
+        self.in_one_buffer && length <= MAX_COPIED_FRAME && bits & !groups::served(group) == 0
     }
 
     #[inline(always)]

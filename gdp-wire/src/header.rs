@@ -172,6 +172,7 @@ impl Header {
     }
 
     /// A data frame from `source` to `destination` as its writer makes it, before a link's fields are filled in.
+    #[inline(always)]
     pub fn data(destination: Name, source: Name, payload_len: u16) -> Self {
         Self {
             version_type: FrameType::Data.first_byte(),

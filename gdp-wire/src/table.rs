@@ -17,7 +17,7 @@ pub const MAX_LINKS: u32 = 1024;
 pub const EGRESS_SET_SIZE: u32 = 64;
 
 /// Interfaces a switch can redirect to.
-pub const MAX_PORTS: u32 = 64;
+pub const MAX_PORTS: u32 = 128;
 
 /// `LinkEntry::port` of a link that the kernel cannot send on: the userspace plane does.
 pub const PORT_USERSPACE: u32 = u32::MAX;
@@ -39,6 +39,10 @@ pub const MAX_GROUPS: u32 = 256;
 
 /// Links in a group that the kernel copies frames to.
 pub const MAX_COPIES: u32 = 128;
+
+/// Bytes of a GDP frame that the kernel copies. Its copies, with what lies before them in memory, must fit a page of 4096 bytes;
+/// those that do not vanish without a trace.
+pub const MAX_COPIED_FRAME: usize = 3400;
 
 /// `FibEntry::writer_link` where any endpoint may send to the name, as its own source: while what a daemon left that is no more
 /// is held, which knew its writers by links that are being made anew.
@@ -240,6 +244,28 @@ impl Permit {
     pub const SOURCE: u32 = 1;
 }
 
+/// A place in a group: which link gets the copy with this index, of those that leave by one interface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[repr(C)]
+pub struct GroupPlace {
+    pub group: u32,
+    /// Index of the interface.
+    pub interface: u32,
+    /// 0 for the first copy that leaves there.
+    pub index: u32,
+}
+
+/// Copies of one frame that have left by an interface, on one CPU.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(C)]
+pub struct CopyCount {
+    /// Number of the frame, the low 48 bits.
+    pub sequence: u64,
+    pub copies: u32,
+    /// Copies that nobody needed, of all frames, since the kernel last told how many frames of a batch left.
+    pub superfluous: u32,
+}
+
 /// What a switch knows of itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C)]
@@ -281,9 +307,9 @@ pub trait Tables {
     /// Whether this plane can send by the link now. Asked only of a plane that is not the last.
     fn can_send(&self, link: &LinkEntry) -> bool;
 
-    /// Whether this plane can copy a frame of `length` bytes to the links of a group. Asked only of a plane that is not the
-    /// last.
-    fn can_copy(&self, group: u32, length: usize) -> bool;
+    /// Whether this plane can copy a frame of `length` bytes to those links of a group that `bits` lead to. Asked only of a plane
+    /// that is not the last.
+    fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool;
 
     /// Whether an error may go to the neighbour on this link now. Each that may counts against a rate.
     fn may_complain(&self, link: &LinkEntry) -> bool;
@@ -303,6 +329,8 @@ const _: () = {
     // With its name and a generation, one.
     assert!(size_of::<FibEntry>() == 24 && align_of::<FibEntry>() == 8);
     assert!(size_of::<Permit>() == 40 && align_of::<Permit>() == 8);
+    assert!(size_of::<GroupPlace>() == 12 && align_of::<GroupPlace>() == 4);
+    assert!(size_of::<CopyCount>() == 16 && align_of::<CopyCount>() == 8);
     assert!(size_of::<LocalAddress>() == 20 && align_of::<LocalAddress>() == 4);
     assert!(size_of::<Vlan>() == 8 && align_of::<Vlan>() == 4);
     assert!(size_of::<SwitchConfig>() == 16 && align_of::<SwitchConfig>() == 8);
@@ -319,6 +347,10 @@ mod pod {
     unsafe impl aya::Pod for super::SwitchConfig {}
     // SAFETY: as above.
     unsafe impl aya::Pod for super::Permit {}
+    // SAFETY: as above.
+    unsafe impl aya::Pod for super::GroupPlace {}
+    // SAFETY: as above.
+    unsafe impl aya::Pod for super::CopyCount {}
     // SAFETY: as above.
     unsafe impl aya::Pod for super::LocalAddress {}
     // SAFETY: as above.

@@ -15,7 +15,8 @@ use frames::carrier::Carrier;
 use frames::fixtures::{
     self, Bytes, Case, CopyOut, Expected, Fixtures, Link, NextHop, Role, Route, Switch, Udp, Verdict,
 };
-use gdp_wire::Counter;
+use gdp_wire::table::MAX_COPIED_FRAME;
+use gdp_wire::{Counter, Header};
 use tables::PlainTables;
 
 #[test]
@@ -264,6 +265,9 @@ fn replication() -> Vec<Case> {
     };
     let case = |sent: Sent, name: &str, to: &[(u32, u64)]| sent.case(name, copied(copies_of(&sent, to)));
     let narrow = from(ROBOT).to("wide and narrow").with(|f| f.payload = vec![0x5a; 600]);
+    let mixed = from(ROBOT).to("here twice and far");
+    let large = |length: usize| from(JUMBO).bits(0b11011).with(|f| f.payload = vec![0; length - Header::LEN]);
+    let (copied_last, not_copied) = (large(MAX_COPIED_FRAME), large(MAX_COPIED_FRAME + 1));
     let too_big = CopyOut { frame: None, counter: "drop_too_big".into() };
     vec![
         case(from(ROBOT).to("two behind two neighbours"), "each neighbour gets its bits", &[(WEST, 1), (EAST, 1 << 3)]),
@@ -275,11 +279,15 @@ fn replication() -> Vec<Case> {
         case(from(WEST).bits(OWN | 1 << 3).to("unheard of"), "what is not known here goes onward", &[(EAST, 1 << 3)]),
         case(from(EAST).bits(OWN).to("here twice"), "to two endpoints", &[(ROBOT, 0), (CLOUD, 0)]),
         case(from(ROBOT).to("here twice"), "not to the one that sent it", &[(CLOUD, 0)]),
-        case(
-            from(ROBOT).to("here twice and far"),
-            "to endpoints with and without a port, and two ways onward",
-            &[(CLOUD, 0), (UDP, 0), (WEST, 1), (EAST, 1 << 3)],
-        ),
+        Case {
+            userspace: Some(copied(copies_of(&mixed, &[(CLOUD, 0), (UDP, 0), (WEST, 1), (EAST, 1 << 3)]))),
+            ..mixed.case("to endpoints with and without a port, and two ways onward", pass("slow"))
+        },
+        copied_last.case("the largest that the kernel copies", copied(vec![too_big.clone(), too_big.clone()])),
+        Case {
+            userspace: Some(copied(vec![too_big.clone(), too_big.clone()])),
+            ..not_copied.case("one byte more than the kernel copies", pass("slow"))
+        },
         narrow.case("one copy does not fit", copied([copies_of(&narrow, &[(EAST, 1 << 3)]), vec![too_big]].concat())),
     ]
 }

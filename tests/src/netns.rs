@@ -108,6 +108,12 @@ pub struct Door {
 }
 
 impl Door {
+    /// To the namespace that the calling thread is in.
+    pub fn here() -> Result<Self> {
+        let namespace = File::open("/proc/thread-self/ns/net").context("cannot open the present namespace")?;
+        Ok(Self { namespace, name: "the present namespace".into() })
+    }
+
     /// Moves the calling thread into the namespace until the guard is dropped.
     pub fn enter(&self) -> Result<Entered> {
         let before = File::open("/proc/thread-self/ns/net").context("cannot open the present namespace")?;

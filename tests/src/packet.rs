@@ -81,6 +81,17 @@ impl PacketSocket {
         }
     }
 
+    /// How many bytes of frames may wait to be received, however little the system allows others.
+    pub fn set_receive_buffer(&self, bytes: i32) -> Result<()> {
+        let (pointer, length) = ((&raw const bytes).cast(), size_of::<i32>() as u32);
+        // SAFETY: pointer and length are of one live integer.
+        check(unsafe {
+            libc::setsockopt(self.socket.as_raw_fd(), libc::SOL_SOCKET, libc::SO_RCVBUFFORCE, pointer, length)
+        })
+        .map(drop)
+        .context("cannot set a receive buffer")
+    }
+
     /// Sends a frame, Ethernet header included, as it is.
     pub fn send(&self, frame: &[u8]) -> Result<()> {
         // SAFETY: the buffer is as long as said.

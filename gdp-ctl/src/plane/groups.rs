@@ -10,7 +10,9 @@ use gdp_wire::table::NEIGHBOURS;
 pub struct Groups {
     by_readers: HashMap<Box<[u32]>, u32>,
     used: HashMap<u32, Group>,
+    /// Below the highest number that was used.
     free: BTreeSet<u32>,
+    highest: u32,
 }
 
 struct Group {
@@ -22,6 +24,11 @@ impl Groups {
     /// The group of these readers, for one more name; and whether it is new. `readers`: link ids, sorted, without duplicates.
     /// The lowest free number is taken first: the kernel holds only so many groups.
     pub fn take(&mut self, readers: &[u32]) -> (u32, bool) {
+        self.take_as(readers, None)
+    }
+
+    /// As [`Self::take`]; if the group is new, with a number that it had before, unless another has that now.
+    pub fn take_as(&mut self, readers: &[u32], number: Option<u32>) -> (u32, bool) {
         if readers.is_empty() {
             return (NEIGHBOURS, false);
         }
@@ -31,8 +38,11 @@ impl Groups {
             }
             return (*number, false);
         }
-        // Numbers are used without gaps, but for those that are free.
-        let number = self.free.pop_first().unwrap_or(self.used.len() as u32 + 1);
+        let wanted = number.filter(|number| *number != NEIGHBOURS && !self.used.contains_key(number));
+        let number = wanted.or_else(|| self.free.first().copied()).unwrap_or(self.highest + 1);
+        self.free.extend(self.highest + 1..number);
+        self.free.remove(&number);
+        self.highest = self.highest.max(number);
         self.by_readers.insert(readers.into(), number);
         self.used.insert(number, Group { readers: readers.into(), names: 1 });
         (number, true)
@@ -81,5 +91,15 @@ mod tests {
         assert_eq!(groups.take(&[9]), (3, true));
         assert!(!groups.release(NEIGHBOURS) && !groups.release(99), "not ours to free");
         assert_eq!(groups.iter().count(), 3);
+    }
+
+    #[test]
+    fn a_group_may_keep_the_number_it_had() {
+        let mut groups = Groups::default();
+        assert_eq!(groups.take_as(&[7], Some(4)), (4, true));
+        assert_eq!(groups.take_as(&[7], Some(2)), (4, false), "it has one");
+        assert_eq!(groups.take_as(&[8], Some(4)), (1, true), "another's");
+        assert_eq!(groups.take_as(&[9], Some(NEIGHBOURS)), (2, true));
+        assert_eq!((groups.take(&[10]), groups.take(&[11])), ((3, true), (5, true)));
     }
 }

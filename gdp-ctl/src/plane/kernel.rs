@@ -5,18 +5,20 @@ use std::collections::{HashMap as Table, HashSet};
 use std::hash::Hash;
 use std::path::{Path, PathBuf};
 
-use aya::maps::{Array, DevMapHash, HashMap, MapData, MapError, PerCpuArray};
+use aya::maps::{Array, DevMapHash, HashMap, MapData, MapError, PerCpuArray, PerCpuHashMap, PerCpuValues};
 use aya::pin::PinError;
 use aya::programs::links::{FdLink, LinkError, PinnedLink};
 use aya::programs::xdp::{XdpLink, XdpLinkId, XdpMode};
-use aya::programs::{ProgramError, TestRun, TestRunOptions, Xdp};
+use aya::programs::{ProgramError, ProgramFd, TestRun, TestRunOptions, Xdp};
 use aya::{Ebpf, EbpfError, EbpfLoader};
 use gdp_wire::replay::WORDS;
-use gdp_wire::table::{EGRESS_SET_SIZE, MAX_PORTS, link_index};
+use gdp_wire::table::{CopyCount, EGRESS_SET_SIZE, MAX_PORTS, link_index};
 use gdp_wire::{Counter, FibEntry, LinkEntry, LocalAddress, Name, Permit, SwitchConfig, Vlan};
 
 use super::explain;
 use super::fib::{self, Fib};
+use super::group_places::Member;
+use super::kernel_groups::{GroupMaps, KernelGroups, OpenError};
 use super::kernel_version::KernelVersion;
 use super::link_memory::{LinkMaps, LinkMemory};
 use super::losses::{self, Losses, LossesError};
@@ -45,6 +47,8 @@ pub enum LoadError {
     Map { path: PathBuf, map: &'static str, source: MapError },
     #[error("cannot map the counts and windows of links into memory: {0}")]
     LinkMemory(std::io::Error),
+    #[error("the groups that an earlier daemon left: {0}")]
+    Groups(#[from] OpenError),
     #[error(transparent)]
     Fib(#[from] UpdateError),
     #[error("{}: {source}", path.display())]
@@ -114,6 +118,8 @@ pub struct Adopted {
     pub next_hops: [u32; EGRESS_SET_SIZE as usize],
     /// Interfaces by port.
     pub ports: Vec<(u32, u32)>,
+    /// The links of each group that the kernel holds.
+    pub groups: Vec<(u32, Vec<u32>)>,
 }
 
 /// The action an XDP program returned in [`KernelPlane::test_run`].
@@ -140,6 +146,10 @@ pub struct KernelPlane {
     next_hop: Array<MapData, u32>,
     config: Array<MapData, SwitchConfig>,
     ports: DevMapHash<MapData>,
+    /// The program of what leaves by a port.
+    egress: ProgramFd,
+    copy_counts: PerCpuHashMap<MapData, u32, CopyCount>,
+    groups: KernelGroups,
     addresses: HashMap<MapData, LocalAddress, u32>,
     vlans: HashMap<MapData, Vlan, u32>,
     counters: PerCpuArray<MapData, u64>,
@@ -197,16 +207,35 @@ impl KernelPlane {
         pins: &Option<Pins>,
         mut ebpf: Ebpf,
     ) -> Result<Self, LoadError> {
-        let program = if version >= FRAGS { "gdp_switch" } else { "gdp_switch_linear" };
-        switch(&mut ebpf, program)
-            .ok_or(LoadError::Mismatch { path: path.into(), what: "program", name: program })?
-            .load()
-            .map_err(|source| LoadError::Program { path: path.into(), source: Box::new(source) })?;
+        let (program, egress) = match version >= FRAGS {
+            true => ("gdp_switch", "gdp_egress"),
+            false => ("gdp_switch_linear", "gdp_egress_linear"),
+        };
+        for name in [program, egress] {
+            xdp(&mut ebpf, name)
+                .ok_or(LoadError::Mismatch { path: path.into(), what: "program", name })?
+                .load()
+                .map_err(|source| LoadError::Program { path: path.into(), source: Box::new(source) })?;
+        }
+        let egress = || -> Result<ProgramFd, LoadError> {
+            let program: &Xdp = ebpf
+                .program(egress)
+                .and_then(|program| program.try_into().ok())
+                .ok_or(LoadError::Mismatch { path: path.into(), what: "program", name: egress })?;
+            program
+                .fd()
+                .and_then(|fd| Ok(fd.try_clone()?))
+                .map_err(|source| LoadError::Program { path: path.into(), source: Box::new(source) })
+        };
+        let (egress, of_groups) = (egress()?, egress()?);
 
+        let groups = ebpf.take_map("GROUPS");
+        let groups = groups.ok_or(LoadError::Mismatch { path: path.into(), what: "map", name: "GROUPS" })?;
         let mut maps = Maps { ebpf: &mut ebpf, path };
         let tx_counters: Array<MapData, u64> = maps.take("TX_COUNTERS")?;
         let windows: Array<MapData, [u64; WORDS]> = maps.take("WINDOWS")?;
         let complaints: Array<MapData, u64> = maps.take("COMPLAINTS")?;
+        let groups = GroupMaps { groups, served: maps.take("SERVED")?, places: maps.take("PLACES")? };
         let shared = LinkMaps { counts: &tx_counters, windows: &windows, complaints: &complaints };
         Ok(Self {
             program,
@@ -217,6 +246,9 @@ impl KernelPlane {
             next_hop: maps.take("NEXT_HOP")?,
             config: maps.take("CONFIG")?,
             ports: maps.take("PORTS")?,
+            egress,
+            copy_counts: maps.take("COUNTED")?,
+            groups: KernelGroups::open(groups, of_groups, pins.as_ref().map(|pins| pins.folder().to_owned()))?,
             addresses: maps.take("ADDRESSES")?,
             vlans: maps.take("VLANS")?,
             counters: maps.take("COUNTERS")?,
@@ -253,6 +285,7 @@ impl KernelPlane {
             routes: self.routes().collect(),
             next_hops,
             ports,
+            groups: self.groups.found(),
         }))
     }
 
@@ -313,6 +346,7 @@ impl KernelPlane {
 
     /// From now on everything ends with this process.
     pub fn unpin(&mut self) -> Result<(), PinsError> {
+        self.groups.unpin();
         self.fib.unpin();
         self.pins.take().map_or(Ok(()), |pins| pins.remove())
     }
@@ -330,7 +364,8 @@ impl KernelPlane {
 
     /// Makes `port` lead to an interface of this network namespace.
     pub fn set_port(&mut self, port: u32, ifindex: u32) -> Result<(), UpdateError> {
-        self.ports.insert(port, ifindex, None, 0).map_err(|source| match &source {
+        self.count_copies_at(ifindex)?;
+        self.ports.insert(port, ifindex, Some(&self.egress), 0).map_err(|source| match &source {
             aya::maps::xdp::XdpMapError::MapError(error) if is_full(error) => UpdateError::PortsFull,
             _ => UpdateError::Port { port, ifindex, source },
         })?;
@@ -361,7 +396,26 @@ impl KernelPlane {
 
     /// Frames for `port` are then dropped and counted. An empty port is no error.
     pub fn clear_port(&mut self, port: u32) -> Result<(), UpdateError> {
-        removed(self.ports.remove(port)).map_err(update("PORTS"))
+        removed(self.ports.remove(port)).map_err(update("PORTS"))?;
+        removed(self.copy_counts.remove(&port)).map_err(update("COUNTED"))
+    }
+
+    /// Makes `members` the links of a group; the kernel copies frames to them that have no other egress bits than those `served`,
+    /// unless the links are too many. After an error it does not.
+    pub fn set_group(&mut self, group: u32, members: &[Member], served: u64) -> Result<(), UpdateError> {
+        self.groups.set(group, members, served)
+    }
+
+    /// Says that no route leads to the group any more.
+    pub fn release_group(&mut self, group: u32) {
+        self.groups.release(group);
+    }
+
+    /// Whether frames arrive somewhere by generic XDP. What that copies shares memory, so one copy's header would be that of
+    /// all.
+    pub fn has_generic(&self) -> bool {
+        let pinned = self.pins.iter().flat_map(Pins::links).map(|(_, mode)| mode);
+        self.attached.values().map(|(_, mode)| *mode).chain(pinned).any(|mode| mode == Mode::Generic)
     }
 
     /// From now on takes frames over UDP at these addresses, and no others.
@@ -479,8 +533,21 @@ impl KernelPlane {
         Ok(self.switch().test_run(options)?.duration.subsec_nanos())
     }
 
+    /// What an earlier daemon has there stays.
+    fn count_copies_at(&mut self, ifindex: u32) -> Result<(), UpdateError> {
+        const NOEXIST: u64 = 1;
+        let cpus = aya::util::nr_cpus().map_err(|(_, source)| update("COUNTED")(MapError::IoError(source)))?;
+        let none = PerCpuValues::try_from(vec![CopyCount::default(); cpus]);
+        let none = none.map_err(|source| update("COUNTED")(MapError::IoError(source)))?;
+        match self.copy_counts.insert(ifindex, none, NOEXIST) {
+            Err(error) if is_full(&error) => Err(UpdateError::PortsFull),
+            Err(MapError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::EEXIST) => Ok(()),
+            result => result.map_err(update("COUNTED")),
+        }
+    }
+
     fn switch(&mut self) -> &mut Xdp {
-        switch(&mut self.ebpf, self.program).expect("`load` found the program")
+        xdp(&mut self.ebpf, self.program).expect("`load` found the program")
     }
 }
 
@@ -542,7 +609,7 @@ fn unpin(pin: &Path) -> Result<(), AttachError> {
     std::fs::remove_file(pin).map_err(|source| AttachError::Unpin { path: pin.into(), source })
 }
 
-fn switch<'a>(ebpf: &'a mut Ebpf, program: &str) -> Option<&'a mut Xdp> {
+fn xdp<'a>(ebpf: &'a mut Ebpf, program: &str) -> Option<&'a mut Xdp> {
     ebpf.program_mut(program)?.try_into().ok()
 }
 
@@ -551,7 +618,7 @@ fn is_full(error: &MapError) -> bool {
 }
 
 /// That there was nothing to remove is no error.
-fn removed(result: Result<(), MapError>) -> Result<(), MapError> {
+pub(super) fn removed(result: Result<(), MapError>) -> Result<(), MapError> {
     match result {
         Err(MapError::KeyNotFound | MapError::ElementNotFound) => Ok(()),
         Err(MapError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::ENOENT) => Ok(()),
@@ -566,7 +633,7 @@ fn set_of<K: aya::Pod + Eq + Hash>(map: &mut HashMap<MapData, K, u32>, keys: &Ha
     keys.difference(&held).try_for_each(|key| map.insert(key, 0, 0))
 }
 
-fn update(map: &'static str) -> impl Fn(MapError) -> UpdateError {
+pub(super) fn update(map: &'static str) -> impl Fn(MapError) -> UpdateError {
     move |source| UpdateError::Map { map, source }
 }
 

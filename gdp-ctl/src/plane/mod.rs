@@ -9,7 +9,7 @@
 //! - [`device`]: interfaces as the kernel describes them; [`xdp_features`] and [`netlink`] serve it
 //! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
 //! - [`fib`]: the names in the kernel, and room for more of them
-//! - [`groups`]: which links take copies of a frame
+//! - [`groups`]: which links take copies of a frame; [`kernel_groups`] and [`group_places`]: what the kernel holds of them
 //! - [`link_memory`]: what the two planes share; this and the FIB are [`mapping`]s
 //! - [`notices`]: what neighbours say to this node itself
 //! - [`udp`]: which addresses and interfaces carry links over UDP
@@ -20,8 +20,10 @@ pub mod device;
 pub mod explain;
 pub mod fib;
 pub mod forwarder;
+pub mod group_places;
 pub mod groups;
 pub mod kernel;
+pub mod kernel_groups;
 pub mod kernel_types;
 pub mod kernel_version;
 pub mod link_memory;
@@ -42,11 +44,12 @@ use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLockReadGuard, RwLockWriteGuard};
 
 use gdp::port::{DataSocket, Interface, LinkAddr};
-use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, PORT_ROUTED, PORT_USERSPACE, Tables, ip_of, mac_bytes};
-use gdp_wire::{Carrier, Counter, FibEntry, Header, LinkEntry, Name, Permit, SwitchConfig, Vlan};
+use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS, PORT_ROUTED, PORT_USERSPACE, Tables, ip_of, mac_bytes};
+use gdp_wire::{Carrier, Counter, FibEntry, Header, LinkEntry, LinkRole, Name, Permit, SwitchConfig, Vlan};
 
 use device::Device;
 use forwarder::{Forwarder, Medium, Shared};
+use group_places::Member;
 use groups::Groups;
 use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
 use link_memory::LinkMemory;
@@ -140,6 +143,8 @@ pub struct PlaneRoute {
 
 /// All planes of a daemon. Dropping it detaches the XDP programs and ends the threads; but what was taken over from an earlier
 /// daemon stays in the kernel as long as that has not been brought to an end.
+///
+/// Whatever changes it is to be called in the network namespace of its interfaces: the kernel knows them by number.
 pub struct Planes {
     config: PlaneConfig,
     kernel: Result<KernelPlane, String>,
@@ -234,6 +239,7 @@ impl Planes {
             Some(adopted) => planes.adopt(adopted)?,
             None => planes.set_own_bit(0)?,
         }
+        planes.set_kernel_group(NEIGHBOURS);
         Ok(planes)
     }
 
@@ -254,7 +260,9 @@ impl Planes {
                 tracing::warn!(%error, "a program of an earlier daemon stays on an interface");
             }
         }
-        self.refresh()
+        self.refresh()?;
+        self.set_all_kernel_groups();
+        Ok(())
     }
 
     /// Takes over what arrives on an interface (of the calling thread's network namespace) by the best plane there is. What is a
@@ -278,6 +286,7 @@ impl Planes {
         let port = Port { interface: interface.name.clone(), device, vlan, forwarder };
         self.ports.insert(interface.index, port);
         self.refresh()?;
+        self.set_all_kernel_groups();
         Ok(self.report_of(&interface.name, device))
     }
 
@@ -285,13 +294,14 @@ impl Planes {
     pub fn detach(&mut self, ifindex: u32) {
         let Some(port) = self.ports.remove(&ifindex) else { return };
         self.leave_device(port.device);
+        self.set_all_kernel_groups();
     }
 
     /// Lets go of everything; nothing stays in the kernel.
     pub fn detach_all(&mut self) {
         self.stop_threads();
-        for ifindex in self.ports.keys().copied().collect::<Vec<_>>() {
-            self.detach(ifindex);
+        for port in std::mem::take(&mut self.ports).into_values() {
+            self.leave_device(port.device);
         }
         self.detach_udp();
         self.left = None;
@@ -365,9 +375,14 @@ impl Planes {
                 kernel.begin_link(entry.id)?;
             }
         }
-        self.tables().set_link(entry, to);
+        let before = self.tables().set_link(entry, to);
         if let Ok(kernel) = &mut self.kernel {
             kernel.set_link(&entry)?;
+        }
+        let place = |link: &LinkEntry| (link.id, link.role, link.port, link.reach);
+        if before.as_ref().map(place) != Some(place(&entry)) {
+            self.set_kernel_groups_of(before.as_slice());
+            self.set_kernel_groups_of(&[entry]);
         }
         Ok(())
     }
@@ -389,9 +404,9 @@ impl Planes {
 
     /// An unknown link is no error.
     pub fn remove_link(&mut self, id: u32) -> Result<(), PlaneError> {
-        if self.tables().remove_link(id).is_some()
-            && let Ok(kernel) = &mut self.kernel
-        {
+        let Some(removed) = self.tables().remove_link(id) else { return Ok(()) };
+        self.set_kernel_groups_of(&[removed]);
+        if let Ok(kernel) = &mut self.kernel {
             kernel.remove_link(id)?;
         }
         Ok(())
@@ -404,13 +419,19 @@ impl Planes {
 
     /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold the same number.
     pub fn set_route(&mut self, name: Name, route: &PlaneRoute) -> Result<(), PlaneError> {
+        self.set_route_by_group(name, route, None)
+    }
+
+    /// `number`: the one that the group of the readers had, if it is new here.
+    fn set_route_by_group(&mut self, name: Name, route: &PlaneRoute, number: Option<u32>) -> Result<(), PlaneError> {
         let capacity = self.config.fib_capacity;
         if !self.read_tables().has_room_for(&name, capacity as usize) {
             return Err(UpdateError::FibFull { capacity }.into());
         }
-        let (group, is_new) = self.groups.take(&route.readers);
+        let (group, is_new) = self.groups.take_as(&route.readers, number);
         if is_new {
             self.tables().set_group(group, &route.readers);
+            self.set_kernel_group(group);
         }
         let (entry, permits) = entry_of(&name, route, group);
         let before = self.tables().set_route(name, entry, &permits);
@@ -477,6 +498,7 @@ impl Planes {
         if let Ok(kernel) = &mut self.kernel {
             kernel.set_config(config)?;
         }
+        self.set_all_kernel_groups();
         Ok(())
     }
 
@@ -769,7 +791,55 @@ impl Planes {
     fn release_group(&mut self, group: u32) {
         if self.groups.release(group) {
             self.tables().set_group(group, &[]);
+            if let Ok(kernel) = &mut self.kernel {
+                kernel.release_group(group);
+            }
         }
+    }
+
+    fn set_all_kernel_groups(&mut self) {
+        let groups: Vec<u32> = self.groups.iter().map(|(group, _)| group).collect();
+        groups.into_iter().chain([NEIGHBOURS]).for_each(|group| self.set_kernel_group(group));
+    }
+
+    /// Of the groups that the links are in, or were.
+    fn set_kernel_groups_of(&mut self, links: &[LinkEntry]) {
+        if links.iter().any(|link| link.role == LinkRole::Switch as u32) {
+            return self.set_all_kernel_groups();
+        }
+        let has_one = |readers: &[u32]| links.iter().any(|link| readers.binary_search(&link.id).is_ok());
+        let groups = self.groups.iter().filter(|(_, readers)| has_one(readers)).map(|(group, _)| group);
+        groups.collect::<Vec<_>>().into_iter().for_each(|group| self.set_kernel_group(group));
+    }
+
+    /// Tells the kernel which links are in a group. What it cannot copy to is left to the userspace plane.
+    fn set_kernel_group(&mut self, group: u32) {
+        let Ok(kernel) = &self.kernel else { return };
+        let mut served = if kernel.has_generic() { 0 } else { u64::MAX };
+        let mut members = Vec::new();
+        let tables = self.read_tables();
+        for link in tables.members(group).filter_map(|id| tables.link(id)) {
+            match self.egress_interface(link) {
+                Some(interface) => members.push(Member { link: link.id, interface }),
+                None if link.role == LinkRole::Switch as u32 => served &= !link.reach,
+                None => served &= !self.own_bit,
+            }
+        }
+        drop(tables);
+        if let Ok(kernel) = &mut self.kernel
+            && let Err(error) = kernel.set_group(group, &members, served)
+        {
+            tracing::warn!(group, %error, "the userspace plane copies the frames for a group of links");
+        }
+    }
+
+    /// Where the kernel's frames for a link leave, if it can send them.
+    fn egress_interface(&self, link: &LinkEntry) -> Option<u32> {
+        let known = match self.devices.get(&link.port) {
+            Some(device) => device.sends,
+            None => self.left.as_ref().is_some_and(|left| left.ports.contains(&link.port)),
+        };
+        known.then_some(link.port)
     }
 
     fn kernel_can_send_to(&self, ifindex: u32) -> bool {
@@ -783,7 +853,7 @@ impl Planes {
     }
 
     fn adopt(&mut self, adopted: Adopted) -> Result<(), PlaneError> {
-        let Adopted { config, links, routes, next_hops, ports } = adopted;
+        let Adopted { config, links, routes, next_hops, ports, groups } = adopted;
         self.own_bit = config.own_bit;
         let ports = ports.into_iter().map(|(port, _)| port).collect();
         let mut left = Left { own_bit: config.own_bit, links: Vec::new(), routes: Vec::new(), next_hops, ports };
@@ -806,13 +876,40 @@ impl Planes {
         if let Ok(kernel) = &mut self.kernel {
             kernel.forbid_all()?;
         }
-        for (name, entry) in routes {
-            let route = adopted_route(&entry);
-            self.set_route(name, &route)?;
-            left.routes.push((name, route));
-        }
+        let readers = self.adopted_readers(&groups);
         self.left = Some(left);
+        let mut adopted = Vec::with_capacity(routes.len());
+        // Those with a number of their own come first, so that no other takes it.
+        let (numbered, others): (Vec<_>, Vec<_>) =
+            routes.into_iter().partition(|(_, entry)| readers.contains_key(&entry.group));
+        for (name, entry) in numbered.into_iter().chain(others) {
+            let route = adopted_route(&entry, readers.get(&entry.group).map(Vec::as_slice));
+            // By the same number, so that nothing changes for frames under way.
+            let number = readers.contains_key(&entry.group).then_some(entry.group);
+            self.set_route_by_group(name, &route, number)?;
+            adopted.push((name, route));
+        }
+        if let (Ok(kernel), used) = (&mut self.kernel, &self.groups) {
+            let unused = readers.into_keys().filter(|group| used.readers(*group).is_empty());
+            unused.for_each(|group| kernel.release_group(group));
+        }
+        if let Some(left) = &mut self.left {
+            left.routes = adopted;
+        }
         Ok(())
+    }
+
+    /// The local readers of each group that has any, sorted.
+    fn adopted_readers(&self, groups: &[(u32, Vec<u32>)]) -> HashMap<u32, Vec<u32>> {
+        let tables = self.read_tables();
+        let is_reader = |id: &u32| tables.link(*id).is_some_and(|link| link.role != LinkRole::Switch as u32);
+        let of = |members: &[u32]| {
+            let mut readers: Vec<u32> = members.iter().copied().filter(is_reader).collect();
+            readers.sort_unstable();
+            readers
+        };
+        let groups = groups.iter().map(|(group, members)| (*group, of(members)));
+        groups.filter(|(group, readers)| *group != NEIGHBOURS && !readers.is_empty()).collect()
     }
 
     fn read_tables(&self) -> RwLockReadGuard<'_, UserTables> {
@@ -866,11 +963,13 @@ fn adopted_address(entry: &LinkEntry) -> Option<LinkAddr> {
 }
 
 /// A route that an earlier daemon left. If there are several writers here, their permits cannot be read back: until the RIB has
-/// said them again, every endpoint may send to the name, as itself; readers know who may write.
-fn adopted_route(entry: &FibEntry) -> PlaneRoute {
+/// said them again, every endpoint may send to the name, as itself; readers know who may write. `readers`: of its group, as far
+/// as that was in the kernel.
+fn adopted_route(entry: &FibEntry, readers: Option<&[u32]>) -> PlaneRoute {
+    let only = Some(entry.local_link).filter(|link| *link != 0);
     PlaneRoute {
         egress_bits: entry.egress_bits,
-        readers: Some(entry.local_link).filter(|link| *link != 0).into_iter().collect(),
+        readers: readers.map_or_else(|| only.into_iter().collect(), <[u32]>::to_vec),
         writers: match (entry.writer_link, entry.more_writers) {
             (0, _) => Vec::new(),
             (writer, 0) => vec![writer],

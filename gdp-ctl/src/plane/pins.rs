@@ -2,6 +2,7 @@
 //!
 //! ```text
 //!  BPFFS/gdp/v1/75e1….-4026531840/LINKS, FIB, …      the maps, by name
+//!             │ │      │          /GROUP-3            the device map of group 3
 //!             │ │      │          /xdp-7-native       the program on interface 7
 //!             │ │      └ network namespace
 //!             │ └ switch, 16 digits
@@ -123,6 +124,7 @@ impl Pins {
         }
     }
 
+    /// Where they are.
     pub fn folder(&self) -> &Path {
         &self.folder
     }

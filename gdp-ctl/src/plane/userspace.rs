@@ -192,7 +192,7 @@ impl UserTables {
     }
 
     /// The links of a group.
-    fn members(&self, group: u32) -> impl Iterator<Item = u32> {
+    pub fn members(&self, group: u32) -> impl Iterator<Item = u32> {
         self.groups.get(&group).into_iter().flatten().chain(&self.neighbours).copied()
     }
 
@@ -238,7 +238,7 @@ impl Tables for UserTables {
         true
     }
 
-    fn can_copy(&self, _: u32, _: usize) -> bool {
+    fn can_copy(&self, _: u32, _: u64, _: usize) -> bool {
         true
     }
 

@@ -137,7 +137,7 @@ fn fate<'t, T: Tables>(header: &Header, ingress: &'t LinkEntry, tables: &'t T) -
 fn is_for_this_plane<T: Tables>(fate: &Fate<'_>, length: usize, tables: &T) -> bool {
     match fate.what {
         What::Send | What::Echo => tables.can_send(fate.link),
-        What::Copy => tables.can_copy(fate.group, length),
+        What::Copy => tables.can_copy(fate.group, fate.bits, length),
         What::Refuse => true,
         What::Notice => false,
     }

@@ -6,8 +6,8 @@ use std::collections::{HashMap, HashSet};
 use gdp_wire::forward::{self, Copy, Kind};
 use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::replay::{self, Window};
-use gdp_wire::table::Tables;
-use gdp_wire::{Counter, FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
+use gdp_wire::table::{MAX_COPIED_FRAME, Tables};
+use gdp_wire::{Counter, FibEntry, Header, LinkEntry, Name, Permit};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::frames::carrier::Place;
@@ -20,14 +20,16 @@ pub struct PlainTables<const KERNEL: bool> {
     links: HashMap<u32, LinkEntry>,
     routes: HashMap<Name, FibEntry>,
     permits: HashSet<Permit>,
+    /// All links of each group.
     groups: HashMap<u32, Vec<u32>>,
     next_hops: [u32; 64],
     own_bit: u64,
     switch: Switch,
     sent: RefCell<HashMap<u32, u64>>,
     windows: HashMap<u32, Window>,
-    /// Whether the kernel has groups.
-    can_copy: bool,
+    /// Egress bits that the kernel copies for, by group.
+    served: HashMap<u32, u64>,
+    makes_copies: bool,
 }
 
 impl<const KERNEL: bool> PlainTables<KERNEL> {
@@ -36,20 +38,24 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             links: switch.links().map(|link| (link.id, link)).collect(),
             routes: switch.routes().map(|(name, entry, _)| (name, entry)).collect(),
             permits: switch.routes().flat_map(|(_, _, permits)| permits).collect(),
-            groups: switch.groups().map(|(group, readers)| (group, readers.to_vec())).collect(),
+            groups: switch
+                .groups_with_neighbours()
+                .map(|(group, links)| (group, links.iter().map(|link| link.id).collect()))
+                .collect(),
             next_hops: switch.next_hops(),
             own_bit: switch.config().own_bit,
             switch: switch.clone(),
             sent: RefCell::new(switch.links.iter().map(|link| (link.id, link.tx_counter)).collect()),
             windows: switch.links.iter().map(|link| (link.id, window(&link.taken))).collect(),
-            can_copy: true,
+            served: switch.kernel_groups().map(|(group, _, served)| (group, served)).collect(),
+            makes_copies: true,
         }
     }
 
-    /// Of a kernel that was given no groups of links.
+    /// Of a kernel under a test run: copies would be made later.
     #[allow(dead_code, reason = "each test that includes this uses a part of it")]
-    pub fn without_groups(self) -> Self {
-        Self { can_copy: false, ..self }
+    pub fn without_copies(self) -> Self {
+        Self { makes_copies: false, ..self }
     }
 
     /// What becomes of an Ethernet frame.
@@ -90,10 +96,10 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
     }
 
     fn copies(&self, header: &Header, payload: &[u8], group: u32, ingress: u32) -> Vec<(Option<Vec<u8>>, Counter)> {
-        let neighbours = self.links.values().filter(|link| link.role == LinkRole::Switch as u32).map(|link| link.id);
-        let members = self.groups.get(&group).into_iter().flatten().copied().chain(neighbours);
-        let links = members.filter_map(|id| self.links.get(&id));
-        links
+        if !self.makes_copies {
+            return Vec::new();
+        }
+        self.links_of(group)
             .filter_map(|link| {
                 let mut header = *header;
                 let length = Header::LEN + payload.len();
@@ -104,6 +110,10 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
                 }
             })
             .collect()
+    }
+
+    fn links_of(&self, group: u32) -> impl Iterator<Item = &LinkEntry> {
+        self.groups.get(&group).into_iter().flatten().filter_map(|id| self.links.get(id))
     }
 
     fn carried(&self, link: &LinkEntry, header: &Header, payload: &[u8]) -> Vec<u8> {
@@ -150,8 +160,9 @@ impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
         self.switch.link(link.id).is_some_and(|link| link.port.is_some())
     }
 
-    fn can_copy(&self, _: u32, _: usize) -> bool {
-        self.can_copy
+    fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool {
+        let served = self.served.get(&group).copied().unwrap_or(0);
+        length <= MAX_COPIED_FRAME && bits & !served == 0
     }
 
     fn may_complain(&self, _: &LinkEntry) -> bool {

@@ -255,6 +255,25 @@ impl Switch {
             .map(|(group, route)| (group, &route.readers[..]))
     }
 
+    /// The groups as the kernel holds them: the links that it copies to, and the egress bits that lead to no others.
+    pub fn kernel_groups(&self) -> impl Iterator<Item = (u32, Vec<&Link>, u64)> {
+        self.groups_with_neighbours().map(|(group, links)| {
+            let (members, others): (Vec<_>, Vec<_>) =
+                links.into_iter().partition(|link| link.port.is_some() && link.udp.is_none());
+            let bits_of = |link: &Link| if link.role == Role::Switch { bits(&link.reach) } else { 1 << self.own_bit };
+            (group, members, others.into_iter().fold(u64::MAX, |served, link| served & !bits_of(link)))
+        })
+    }
+
+    /// All links of each group.
+    pub fn groups_with_neighbours(&self) -> impl Iterator<Item = (u32, Vec<&Link>)> {
+        let neighbours = [(gdp_wire::table::NEIGHBOURS, &[][..])];
+        neighbours.into_iter().chain(self.groups()).map(|(group, readers)| {
+            let is_member = |link: &&Link| link.role == Role::Switch || readers.contains(&link.id);
+            (group, self.links.iter().filter(is_member).collect())
+        })
+    }
+
     /// Where frames over UDP arrive.
     pub fn own_addresses(&self) -> Vec<SocketAddr> {
         self.links.iter().filter_map(|link| Some(link.udp.as_ref()?.local)).collect()

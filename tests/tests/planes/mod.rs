@@ -4,6 +4,7 @@
 
 use anyhow::{Context, Result, bail, ensure};
 use gdp::port::Interface;
+use gdp_ctl::plane::group_places::Member;
 use gdp_ctl::plane::kernel::{Action, KernelPlane};
 use gdp_ctl::plane::link_memory::LinkMemory;
 use gdp_ctl::plane::udp::Routing;
@@ -55,7 +56,7 @@ impl Site {
         Ok(Self { _inside: inside, switch, _gateway: gateway })
     }
 
-    /// The fixtures' switch in the kernel, without groups.
+    /// The fixtures' switch in the kernel.
     pub fn kernel_plane(&self, switch: &Switch) -> Result<KernelPlane> {
         let mut plane = KernelPlane::load(&Tools::beside_this_test()?.ebpf_object()?, 1024)?;
         let e0 = Interface::find("e0").with_context(|| self.switch.name().to_owned())?.index;
@@ -83,6 +84,10 @@ pub fn fill(plane: &mut KernelPlane, switch: &Switch) -> Result<()> {
         plane.set_route(&name, entry)?;
     }
     plane.set_next_hops(&switch.next_hops())?;
+    for (group, links, served) in switch.kernel_groups() {
+        let members: Vec<_> = links.iter().map(|link| Member { link: link.id, interface: LOOPBACK }).collect();
+        plane.set_group(group, &members, served)?;
+    }
     Ok(())
 }
 
@@ -111,7 +116,11 @@ pub fn user_tables_with(switch: &Switch, link_memory: LinkMemory) -> UserTables 
 pub fn run(plane: &mut KernelPlane, frame: &[u8]) -> Result<Fate> {
     let before = plane.counters()?;
     let fate = run_uncounted(plane, frame)?;
-    Ok(Fate { counter: counted(before, plane.counters()?)?, ..fate })
+    Ok(match counted(before, plane.counters()?)? {
+        // What is to be copied is not yet a frame; the copies would be made where they leave.
+        Counter::Replicated => Fate::copied(vec![]),
+        counter => Fate { counter, ..fate },
+    })
 }
 
 /// What the kernel does with a frame, but for how that is counted: `Slow`, `Forwarded` and `RedirectFailed` stand for whatever
