@@ -12,6 +12,7 @@ mod carrier;
 mod config;
 mod counters;
 mod fib;
+mod host_pair;
 mod links;
 mod local;
 mod losses;
@@ -40,14 +41,14 @@ use crate::tables::Maps;
 #[xdp(frags)]
 pub fn gdp_switch(context: XdpContext) -> u32 {
     let length = packet::length(&context);
-    act(handle(&context, length))
+    act(&context, handle(&context, length))
 }
 
 /// The switch, on older kernels.
 #[xdp]
 pub fn gdp_switch_linear(context: XdpContext) -> u32 {
     let length = context.data_end().saturating_sub(context.data());
-    act(handle(&context, length))
+    act(&context, handle(&context, length))
 }
 
 /// For the interface of an endpoint on a veth: a veth takes redirected frames only if its other end runs a program
@@ -61,15 +62,16 @@ pub fn gdp_pass(_context: XdpContext) -> u32 {
 enum Outcome {
     /// It is on its way to another interface.
     Redirected(Counter),
-    /// The host takes it, untouched.
+    /// The host takes it, untouched but for what [`host_pair`] does.
     Passed(Counter),
     Dropped(Counter),
 }
 
 #[inline(always)]
-fn act(outcome: Outcome) -> u32 {
+fn act(context: &XdpContext, outcome: Outcome) -> u32 {
     let (counter, action) = match outcome {
         Outcome::Redirected(counter) => (counter, XDP_REDIRECT),
+        Outcome::Passed(counter) if host_pair::is_ingress(context) => (counter, host_pair::leave(context, counter)),
         Outcome::Passed(counter) => (counter, XDP_PASS),
         Outcome::Dropped(counter) => (counter, XDP_DROP),
     };
