@@ -131,7 +131,11 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     }
     let udp = match config.udp {
         Some(bind) => Some((bind, ports::open_udp(&daemon, bind).await?)),
-        None => None,
+        None => {
+            // An earlier daemon may have been killed, and configured otherwise.
+            ports::remove_host_pair(&daemon).await;
+            None
+        }
     };
     if interfaces.is_empty() && udp.is_none() {
         return Err(StartError::NoPort);

@@ -102,14 +102,7 @@ pub fn turn_back(packet: &Packet) -> bool {
 
 /// `length`: of the frame. `routed`: whether `hop` says which stations it goes between, and not the carrier.
 #[inline(always)]
-pub fn dress(
-    context: &XdpContext,
-    carrier: &Carrier,
-    routed: bool,
-    hop: &NextHop,
-    class: u8,
-    length: u16,
-) -> bool {
+pub fn dress(context: &XdpContext, carrier: &Carrier, routed: bool, hop: &NextHop, class: u8, length: u16) -> bool {
     let packet = Packet::of(context);
     let (Some(ethernet), Some(ip), Some(udp)) = (
         packet.get::<Ethernet>(0),
