@@ -116,6 +116,11 @@ pub(crate) enum Place {
 }
 
 impl Place {
+    /// Whether a peer's address is one of this host: then the kernel sends from it as well.
+    fn leads_to_this_host(self, peer: SocketAddr) -> bool {
+        matches!(self, Self::Udp { bound, .. } if udp_source(bound.ip(), peer) == peer.ip().to_canonical())
+    }
+
     fn by(self, end: PairEnd) -> Self {
         match self {
             Self::Udp { bound, .. } => Self::Udp { bound, pair: Some(end) },

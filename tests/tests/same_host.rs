@@ -159,6 +159,22 @@ fn without_xdp_or_the_pair_frames_go_through_the_daemon() -> Result<()> {
     Ok(())
 }
 
+/// As by a packet filter.
+#[test]
+fn a_pair_that_is_blocked_is_not_used() -> Result<()> {
+    let site = Site::build("xdp")?;
+    let neighbours: Value = serde_json::from_str(&site.host.ip(&["-j", "neigh", "show", "nud", "permanent"])?)?;
+    let switch = neighbours[0]["dst"].as_str().context("the switch's address on the pair")?;
+    site.host.ip(&["route", "replace", "blackhole", switch])?;
+    let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
+    let next = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
+    let mut way = Way::open(&near, &next)?;
+    wait_for("a message", SOON, || Ok(way.carries(b"by the daemon")?.then_some(())))?;
+    let links = site.status()?["links"].to_string();
+    ensure!(links.matches("udp:127.0.0.1:").count() == 2, "{links}");
+    Ok(())
+}
+
 /// A daemon with all that a fabric needs, its host, and another one.
 struct Site {
     daemon: Process,

@@ -330,7 +330,7 @@ impl Site {
             let ebpf_object = Some(Tools::beside_this_test()?.ebpf_object()?);
             let mut planes = Planes::open(PlaneConfig { wanted, ebpf_object, ..Default::default() })?;
             planes.attach(ports[0].interface().context("an interface")?, ports[0].data())?;
-            let reports = planes.attach_udp(ports[1].data(), ports[1].udp_addr().context("an address")?)?;
+            let reports = planes.attach_udp(ports[1].data(), ports[1].udp_addr().context("an address")?, None)?;
             let native =
                 |report: &gdp_ctl::plane::InterfacePlane| report.kind == "xdp-native" && report.interface == "r0";
             ensure!(wanted == Wanted::Userspace || matches!(&reports[..], [report] if native(report)), "{reports:?}");

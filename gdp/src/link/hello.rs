@@ -79,7 +79,9 @@ pub async fn greet_as_client(
 ) -> Result<Link, LinkError> {
     let (mut send, mut recv) = connection.open_bi().await?;
     let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
-    let host = config.host.filter(|_| config.role == Role::Endpoint);
+    // Nobody else is told.
+    let is_here = || place.leads_to_this_host(connection.remote_address());
+    let host = config.host.filter(|_| config.role == Role::Endpoint && is_here());
     say(&mut send, config, &id, host, None).await?;
     let (peer, peer_end) = hear(&mut recv, &connection).await?;
     if let Some(expected) = expected
