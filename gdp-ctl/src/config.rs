@@ -7,6 +7,7 @@ use std::io::Read;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
+use gdp::link::RekeySchedule;
 use gdp_wire::Name;
 use serde::{Deserialize, Deserializer};
 
@@ -37,6 +38,8 @@ pub struct Config {
     pub fib_capacity: u32,
     /// The BPF file system in which XDP outlives the daemon; `None`: it ends with it.
     pub bpffs: Option<PathBuf>,
+    /// When the keys of links are replaced. No option of the file.
+    pub rekey: RekeySchedule,
 }
 
 /// Which data plane the user wants.
@@ -119,6 +122,7 @@ impl Config {
             ebpf_object: None,
             fib_capacity: FIB_CAPACITY,
             bpffs: default_bpffs(),
+            rekey: RekeySchedule::default(),
         })
     }
 
@@ -292,6 +296,7 @@ impl File {
             ebpf_object: self.ebpf_object.map(here),
             fib_capacity,
             bpffs: self.bpffs.map(here),
+            rekey: RekeySchedule::default(),
         })
     }
 }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use gdp::cert::{AdCert, Advert, AdvertOp, Mode, ReadGrant, RtCert, Signed, issue};
 use gdp::control::{EntityRequest, Request, Response};
-use gdp::link::{Link, LinkIds};
+use gdp::link::{Link, LinkIds, RekeySchedule};
 use gdp::node::{NodeError, Publisher, SubscribeOptions, Subscription};
 use gdp::port::{LinkAddr, OutFrame, Port, PortConfig};
 use gdp::seal::{Encoding, EpochKey};
@@ -303,6 +303,7 @@ fn config(folder: &Path, label: &str) -> Config {
         neighbours: Vec::new(),
         ebpf_object: None,
         fib_capacity: 1024,
+        rekey: RekeySchedule::default(),
     }
 }
 

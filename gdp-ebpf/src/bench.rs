@@ -1,10 +1,10 @@
-//! What `cargo xtask bench forward` and kernel tests run around the switch: generator and sink, and [`bench_lookups`].
+//! What `cargo xtask bench forward` and kernel tests load beside the switch: generators, a sink, the least a switch can do, and
+//! [`bench_lookups`].
 //!
-//! The generator runs under `BPF_PROG_TEST_RUN` with live frames: the kernel hands it frames, it sends them by an interface, as
-//! long as not too many are under way. The sink sits on the interface where they should arrive.
-//!
-//! Toward a switch the generator is an endpoint, which counts and tags each frame; that is work of its own for each frame, beside
-//! what is measured.
+//! Generators run under `BPF_PROG_TEST_RUN` with live frames: the kernel hands them frames, they send them by an interface. The
+//! sink sits on the interface where the frames should arrive. A generator is an endpoint: it counts and tags each frame.
+//! It does the same whatever forwards behind it, also where nothing will look at the tag, so that its own work weighs the same
+//! on all that are compared.
 #![cfg_attr(target_arch = "bpf", no_std, no_main, feature(asm_experimental_arch))]
 
 mod bench_lookups;
@@ -12,77 +12,105 @@ mod bench_names;
 mod fib;
 
 use aya_ebpf::bindings::xdp_action::{XDP_ABORTED, XDP_DROP, XDP_PASS};
+use aya_ebpf::helpers::bpf_ktime_get_ns;
 use aya_ebpf::macros::{map, xdp};
 use aya_ebpf::maps::{Array, DevMap};
 use aya_ebpf::programs::XdpContext;
-use gdp_wire::{Header, LinkEntry, forward};
+use gdp_wire::{Header, LinkEntry, Name, forward};
 
-/// What forwarding changes lies in the first 48 bytes: Ethernet and all of a GDP header before the destination name, or
-/// Ethernet, IPv4 and UDP.
-const CHANGED_WORDS: usize = 6;
+/// What forwarding changes lies in the first 104 bytes: at most Ethernet with a VLAN tag, IPv6, UDP, and a GDP header up to
+/// the destination name.
+const TEMPLATE_WORDS: usize = 13;
 
-const ETHERNET_LEN: usize = 14;
+/// Above any offset of a GDP header that a template may have.
+const MAX_HEADER_AT: usize = 127;
 
 /// Frames under way at most. Less than a veth's ring of 256 would hold back the planes that work in batches; more than the
 /// receive buffer of a packet socket takes would lose frames.
 const WINDOW: u64 = 1024;
 
-/// The first bytes of every frame. Written by user space while the generator does not run.
-#[map]
-static TEMPLATE: Array<[u64; CHANGED_WORDS]> = Array::with_max_entries(1, 0);
+/// Unknown names that [`flood`] sends to in turn.
+const UNKNOWN_NAMES: u64 = 1 << 20;
 
-/// Entry 0: where frames leave. Written by user space before the generator runs.
-#[map]
-static OUT: DevMap = DevMap::with_max_entries(1, 0);
+/// How a frame is made. Written by user space while no generator runs.
+#[repr(C)]
+#[derive(Clone, Copy)]
+struct Pattern {
+    template: [u64; TEMPLATE_WORDS],
+    /// All ones; or 0 for frames to a switch that takes 0 for every tag.
+    tag_mask: u64,
+    /// Nanoseconds between the frames of [`flood`] to the known name.
+    known_interval: u64,
+    /// Nanoseconds between those to unknown names; 0 for none.
+    unknown_interval: u64,
+    /// Offset of the GDP header in the frame.
+    header_at: u64,
+}
 
-/// Entry 0: frames sent. Written by the generator, which runs on one CPU; by user space while it does not run.
 #[map]
-static SENT: Array<u64> = Array::with_max_entries(1, 0);
+static PATTERN: Array<Pattern> = Array::with_max_entries(1, 0);
 
-/// Entry 0: the link that frames leave by; one with id 0 if they are no GDP frames. Written by user space while the generator
-/// does not run.
+/// Entry 0: the link that frames leave by. Written by user space while no generator runs.
 #[map]
 static LINK: Array<LinkEntry> = Array::with_max_entries(1, 0);
 
-/// Entry 0: frames sent on the link. Written by the generator only, and never begun again.
+/// Entry 0: where frames leave. Written by user space before any program runs.
+#[map]
+static OUT: DevMap = DevMap::with_max_entries(1, 0);
+
+/// Entry 0: frames sent to the known name. Written by the generator, which runs on one CPU; by user space while it does not run.
+#[map]
+static SENT: Array<u64> = Array::with_max_entries(1, 0);
+
+/// Entry 0: frames sent on the link, to whatever name. Written by the generators only, and never begun again.
 #[map]
 static LINK_COUNT: Array<u64> = Array::with_max_entries(1, 0);
+
+/// When [`flood`] sends next: to the known name, to an unknown one. Written by it only.
+#[map]
+static DUE: Array<[u64; 2]> = Array::with_max_entries(1, 0);
 
 /// Entry 0: frames that arrived. Written by the sink: its interface has one queue, so it runs on one CPU at a time.
 #[map]
 static ARRIVED: Array<u64> = Array::with_max_entries(1, 0);
 
+/// Sends frames to the known name as fast as they arrive.
 #[xdp]
 pub fn generate(context: XdpContext) -> u32 {
-    let (start, end) = (context.data(), context.data_end());
-    let (Some(template), Some(sent), Some(arrived)) = (TEMPLATE.get(0), SENT.get_ptr_mut(0), ARRIVED.get_ptr(0)) else {
-        return XDP_ABORTED;
-    };
-    let (Some(link), Some(link_count)) = (LINK.get(0), LINK_COUNT.get_ptr_mut(0)) else { return XDP_ABORTED };
+    let (Some(sent), Some(arrived)) = (SENT.get_ptr_mut(0), ARRIVED.get_ptr(0)) else { return XDP_ABORTED };
     // SAFETY: elements of the maps; what another CPU writes meanwhile is read once.
     let (count, done) = unsafe { (*sent, arrived.read_volatile()) };
-    if count.wrapping_sub(done) >= WINDOW || start + CHANGED_WORDS * 8 > end {
+    if count.wrapping_sub(done) >= WINDOW {
         return XDP_DROP;
-    }
-    // The kernel reuses the pages of frames that were received, with all that was rewritten on the way.
-    let mut i = 0;
-    while i < CHANGED_WORDS {
-        // SAFETY: within the bounds checked above.
-        unsafe { *(start as *mut u64).add(i) = template[i] };
-        i += 1;
-    }
-    let at = start + ETHERNET_LEN;
-    if link.id != 0 && at + Header::LEN <= end {
-        // SAFETY: within the bounds just checked; for the alignment see `packet`.
-        let header = unsafe { &mut *(at as *mut Header) };
-        // SAFETY: an element of the map that only this program writes.
-        let link_count = unsafe { &mut *link_count };
-        *link_count += 1;
-        forward::stamp(header, link, *link_count);
     }
     // SAFETY: an element of the map that only this program writes.
     unsafe { *sent = count + 1 };
-    OUT.redirect(0, 0).unwrap_or(XDP_ABORTED)
+    send(&context, None)
+}
+
+/// Sends frames to the known name at a fixed rate, and to unknown names at another.
+#[xdp]
+pub fn flood(context: XdpContext) -> u32 {
+    let (Some(pattern), Some(due), Some(sent)) = (PATTERN.get(0), DUE.get_ptr_mut(0), SENT.get_ptr_mut(0)) else {
+        return XDP_ABORTED;
+    };
+    // SAFETY: elements of the maps that only this program writes; a helper without arguments.
+    let (due, sent, now) = unsafe { (&mut *due, &mut *sent, bpf_ktime_get_ns()) };
+    if is_due(&mut due[0], now, pattern.known_interval) {
+        *sent += 1;
+        return send(&context, None);
+    }
+    if pattern.unknown_interval != 0 && is_due(&mut due[1], now, pattern.unknown_interval) {
+        let Some(count) = LINK_COUNT.get(0) else { return XDP_ABORTED };
+        return send(&context, Some(unknown_name(count % UNKNOWN_NAMES)));
+    }
+    XDP_DROP
+}
+
+/// The least a switch can do.
+#[xdp]
+pub fn bare(_context: XdpContext) -> u32 {
+    OUT.redirect(0, XDP_DROP.into()).unwrap_or(XDP_ABORTED)
 }
 
 /// Counts frames and drops them; lets what hosts say to each other (ARP, and other short ones) pass.
@@ -97,6 +125,63 @@ pub fn sink(context: XdpContext) -> u32 {
         unsafe { *arrived += 1 };
     }
     XDP_DROP
+}
+
+/// Writes the frame, counts and tags it, and sends it: to the template's name or to another.
+#[inline(always)]
+fn send(context: &XdpContext, destination: Option<Name>) -> u32 {
+    let (start, end) = (context.data(), context.data_end());
+    let (Some(pattern), Some(link), Some(count)) = (PATTERN.get(0), LINK.get(0), LINK_COUNT.get_ptr_mut(0)) else {
+        return XDP_ABORTED;
+    };
+    if start + TEMPLATE_WORDS * 8 > end {
+        return XDP_ABORTED;
+    }
+    // The kernel reuses the pages of frames that were received, with all that was rewritten on the way.
+    let mut i = 0;
+    while i < TEMPLATE_WORDS {
+        // SAFETY: within the bounds checked above.
+        unsafe { *(start as *mut u64).add(i) = pattern.template[i] };
+        i += 1;
+    }
+    let at = start + (pattern.header_at as usize & MAX_HEADER_AT);
+    if at + Header::LEN > end {
+        return XDP_ABORTED;
+    }
+    // SAFETY: within the bounds just checked; for the alignment see `packet`. The count is an element of a map that only one
+    // program writes at a time.
+    let (header, count) = unsafe { (&mut *(at as *mut Header), &mut *count) };
+    if let Some(destination) = destination {
+        header.destination = destination;
+    }
+    *count += 1;
+    forward::stamp(header, link, *count);
+    header.set_tag(header.tag() & pattern.tag_mask);
+    OUT.redirect(0, XDP_DROP.into()).unwrap_or(XDP_ABORTED)
+}
+
+/// Whether `due` is over; if so, it is moved on. What was missed is made up for, if that is less than 20 milliseconds.
+#[inline(always)]
+fn is_due(due: &mut u64, now: u64, interval: u64) -> bool {
+    const MISSED: u64 = 20_000_000;
+    if now < *due {
+        return false;
+    }
+    let since = if now - *due > MISSED { now } else { *due };
+    *due = since + interval;
+    true
+}
+
+/// Distinct for distinct numbers, and as random as the hash that a name is.
+#[inline(always)]
+fn unknown_name(number: u64) -> Name {
+    // The finalizer of SplitMix64.
+    let mut word = number.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    word = (word ^ word >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    word = (word ^ word >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    word ^= word >> 31;
+    // SAFETY: a name is four words, all values of which are valid.
+    unsafe { core::mem::transmute([word, !word, word.rotate_left(17), word.rotate_left(41)]) }
 }
 
 #[cfg(all(target_arch = "bpf", not(test)))]

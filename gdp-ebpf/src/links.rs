@@ -1,6 +1,9 @@
 //! The switch's links. `LINKS` is written by user space only, whole entries: a link is written before any route leads
-//! to it and removed after, and keys do not change while its id stays. A frame that races with the first write of an
-//! entry fails its tag or finds no link.
+//! to it and removed after. A frame that races with the first write of an entry fails its tag or finds no link.
+//!
+//! While its id stays, a link's keys change in two writes: first a key that no frame is tagged with, then, a round trip or
+//! more later, the phase that points to it. So a program that reads while the kernel copies finds one phase or the other, and
+//! the key of either whole.
 //!
 //! `TX_COUNTERS` is shared with the userspace plane, which maps it: a link has one sequence of counters, whichever
 //! plane sends. Hence atomic additions, and nothing else, on both sides.

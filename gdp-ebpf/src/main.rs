@@ -22,6 +22,7 @@ mod packet;
 mod permits;
 mod ports;
 mod tables;
+mod tally;
 mod windows;
 
 use aya_ebpf::bindings::xdp_action::{XDP_DROP, XDP_PASS, XDP_REDIRECT};
@@ -67,16 +68,24 @@ enum Outcome {
     Dropped(Counter),
 }
 
+impl Outcome {
+    #[inline(always)]
+    fn counter(&self) -> Counter {
+        match self {
+            Outcome::Redirected(counter) | Outcome::Passed(counter) | Outcome::Dropped(counter) => *counter,
+        }
+    }
+}
+
 #[inline(always)]
 fn act(context: &XdpContext, outcome: Outcome) -> u32 {
-    let (counter, action) = match outcome {
-        Outcome::Redirected(counter) => (counter, XDP_REDIRECT),
-        Outcome::Passed(counter) if host_pair::is_ingress(context) => (counter, host_pair::leave(context, counter)),
-        Outcome::Passed(counter) => (counter, XDP_PASS),
-        Outcome::Dropped(counter) => (counter, XDP_DROP),
-    };
-    counters::count(counter);
-    action
+    counters::count(outcome.counter());
+    match outcome {
+        Outcome::Redirected(_) => XDP_REDIRECT,
+        Outcome::Passed(counter) if host_pair::is_ingress(context) => host_pair::leave(context, counter),
+        Outcome::Passed(_) => XDP_PASS,
+        Outcome::Dropped(_) => XDP_DROP,
+    }
 }
 
 #[inline(always)]
@@ -109,9 +118,21 @@ fn handle(context: &XdpContext, length: usize) -> Outcome {
 
 #[inline(always)]
 fn forward_frame(context: &XdpContext, header: &mut Header, carried: Carried, length: usize) -> Outcome {
+    let (ingress, tag) = (header.link_id(), header.tag());
+    let outcome = forward_headed(context, header, tag, carried, length);
+    tally::count_arrival(ingress, outcome.counter());
+    outcome
+}
+
+#[inline(always)]
+fn forward_headed(context: &XdpContext, header: &mut Header, tag: u64, carried: Carried, length: usize) -> Outcome {
     let tables = Maps { context, length: header.frame_len(), next_hop: NextHop::new() };
     let (link, counter) = match forward::decide(header, carried.available, &tables) {
-        Verdict::Send(link, counter) | Verdict::Answer(link, counter) => (link, counter),
+        Verdict::Send(link, counter) => {
+            tally::sample(tag, header);
+            (link, counter)
+        }
+        Verdict::Answer(link, counter) => (link, counter),
         // The kernel leaves these to the daemon, so they do not come up.
         Verdict::Notice(_) | Verdict::Copies(_) | Verdict::Slow => return Outcome::Passed(Counter::Slow),
         Verdict::Drop(counter) => return Outcome::Dropped(counter),

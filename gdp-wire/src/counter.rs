@@ -1,6 +1,18 @@
 //! Every frame a data plane sees ends in exactly one of these counters, and every copy; what is lost after that is counted once more,
 //! see [`Counter::RedirectLost`]. One enum, one per-CPU array, one metric family, the same for all planes.
 
+/// Of how many frames that leave one is counted for its name.
+pub const SAMPLING: u64 = 64;
+
+/// Names that each plane counts frames for; a switch forgets those it saw least.
+pub const BUSIEST_NAMES: u32 = 1024;
+
+/// Whether a frame that arrived with this hop tag is counted for its name. A tag is as good as random.
+#[inline(always)]
+pub const fn is_sampled(tag: u64) -> bool {
+    tag.is_multiple_of(SAMPLING)
+}
+
 macro_rules! counters {
     ($($(#[$doc:meta])* $variant:ident = $text:literal,)*) => {
         /// What became of a frame.
@@ -73,6 +85,16 @@ counters! {
 impl Counter {
     /// How many counters there are.
     pub const COUNT: usize = Counter::ALL.len();
+
+    /// Whether frames counted here were dropped before it was known that they are on a link.
+    pub const fn is_before_link(self) -> bool {
+        matches!(self, Counter::Truncated | Counter::Unknown | Counter::NoLink)
+    }
+
+    /// Whether frames counted here were sent on, in one copy or several.
+    pub const fn is_onward(self) -> bool {
+        matches!(self, Counter::Forwarded | Counter::Delivered | Counter::Replicated)
+    }
 
     /// Whether frames counted here are lost.
     pub const fn is_drop(self) -> bool {

@@ -43,6 +43,9 @@ pub enum Request {
     Fib(FibPush),
     /// RIB → each subscriber, relayed down: the writers of a name it subscribed to are now these.
     Writers(WritersPush),
+    /// Either end of a link → the other: my data frames are now under the link key of this generation. Answered once the
+    /// one after it is held; until then there is no further change.
+    Ratcheted { generation: u64 },
 }
 
 /// What an entity may ask of the RIB, through the switch it is attached to.

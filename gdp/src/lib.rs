@@ -14,6 +14,8 @@ pub mod node;
 pub mod port;
 pub mod seal;
 pub mod secret_file;
+#[cfg(test)]
+mod vectors;
 
 pub use card::NameCard;
 pub use identity::{Identity, SigningKey, VerifyKey};

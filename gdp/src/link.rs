@@ -7,20 +7,23 @@
 mod hello;
 mod ids;
 pub mod liveness;
+mod ratchet;
+mod rekey;
 mod streams;
 mod tls;
 
 use std::fmt;
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
-use std::sync::Arc;
-use std::time::Duration;
+use std::sync::{Arc, Mutex as StdMutex};
+use std::time::{Duration, Instant};
 
 use gdp_wire::table::ip_words;
 use gdp_wire::{Carrier, LinkEntry, LinkRole, Name};
 use serde::{Deserialize, Serialize};
 use tokio::sync::{Mutex, mpsc};
 use tokio::task::JoinHandle;
+use zeroize::Zeroizing;
 
 use crate::control::{CodecError, Refusal, Request, Response};
 use crate::identity::VerifyKey;
@@ -28,9 +31,13 @@ use crate::name::NameProof;
 use crate::port::{HostPair, LinkAddr};
 
 pub use ids::{LinkId, LinkIds};
+pub use ratchet::{LinkKeys, RekeySchedule};
 pub use streams::Responder;
 
 use hello::PeerEnd;
+use ratchet::Ratchet;
+use rekey::{Announcement, MAX_ANNOUNCEMENTS};
+
 pub(crate) use hello::{HelloConfig, MIN_MTU, greet_as_client, greet_as_server};
 pub(crate) use tls::{QuicMtu, SERVER_NAME, configs};
 
@@ -87,8 +94,8 @@ struct Inner {
     peer: Peer,
     local_id: LinkId,
     peer_id: u32,
-    rx_keys: [[u64; 2]; 2],
-    tx_keys: [[u64; 2]; 2],
+    ratchet: StdMutex<Ratchet>,
+    announcements: Mutex<mpsc::Receiver<Announcement>>,
     mtu: u32,
     /// Whether the peer takes datagrams over IPv6 without a UDP checksum.
     zero_checksum: bool,
@@ -186,18 +193,22 @@ impl Link {
         peer: Peer,
         peer_end: PeerEnd,
         dialled: bool,
+        schedule: RekeySchedule,
     ) -> Result<Self, LinkError> {
-        let to_server = export_keys(&connection, b"client to server")?;
-        let to_client = export_keys(&connection, b"server to client")?;
-        let (rx_keys, tx_keys) = if dialled { (to_client, to_server) } else { (to_server, to_client) };
+        let to_server = export_secret(&connection, b"client to server")?;
+        let to_client = export_secret(&connection, b"server to client")?;
+        let (rx, tx) = if dialled { (to_client, to_server) } else { (to_server, to_client) };
+        let ratchet = Ratchet::new(rx, tx, schedule, Instant::now())
+            .map_err(|error| LinkError::Handshake(format!("no keys can be derived: {error}")))?;
         let (sender, requests) = mpsc::channel(MAX_STREAMS as usize);
-        let streams = tokio::spawn(streams::serve(connection.clone(), sender));
+        let (heard, announcements) = mpsc::channel(MAX_ANNOUNCEMENTS);
+        let streams = tokio::spawn(streams::serve(connection.clone(), streams::Takers { requests: sender, heard }));
         Ok(Self(Arc::new(Inner {
             peer,
             local_id: local.0,
             peer_id: peer_end.id,
-            rx_keys,
-            tx_keys,
+            ratchet: StdMutex::new(ratchet),
+            announcements: Mutex::new(announcements),
             mtu: local.1.min(peer_end.mtu),
             zero_checksum: peer_end.zero_checksum,
             place,
@@ -276,22 +287,27 @@ impl Link {
         }
     }
 
-    /// The link as a data plane holds it, with `port` as its key in a device map. A switch fills in what it reaches.
+    /// The link as a data plane holds it, with `port` as its key in a device map, and with the keys of this moment
+    /// ([`Self::keep_keys`] replaces them). A switch fills in what it reaches.
     pub fn entry(&self, port: u32) -> LinkEntry {
         let inner = &*self.0;
-        LinkEntry {
+        let mut entry = LinkEntry {
             id: self.local_id(),
             peer_id: inner.peer_id,
             role: LinkRole::from(inner.peer.role) as u32,
             port,
-            rx_keys: inner.rx_keys,
-            tx_keys: inner.tx_keys,
-            reach: 0,
             peer: inner.peer.name,
             mtu: self.mtu(),
-            tx_phase: 0,
             carrier: self.carrier(),
-        }
+            ..LinkEntry::default()
+        };
+        self.ratchet().keys().put(&mut entry);
+        entry
+    }
+
+    /// How often the keys of frames that arrive, and of those that leave, have been replaced.
+    pub fn key_generations(&self) -> (u64, u64) {
+        self.ratchet().generations()
     }
 
     /// Asks the peer and waits for its answer, [`REQUEST_TIMEOUT`] at most. A refusal is an answer.
@@ -368,15 +384,13 @@ fn udp_source(bound: IpAddr, peer: SocketAddr) -> IpAddr {
     ask().map_or(bound, |local| local.ip().to_canonical())
 }
 
-/// The first two keys of a direction. RFC 5705: the same on both sides, unknown to anybody else.
-fn export_keys(connection: &quinn::Connection, context: &[u8]) -> Result<[[u64; 2]; 2], LinkError> {
-    let mut keys = [0; 32];
+/// What the keys of a direction come from. RFC 5705: the same on both sides, unknown to anybody else.
+fn export_secret(connection: &quinn::Connection, context: &[u8]) -> Result<Zeroizing<[u8; 32]>, LinkError> {
+    let mut secret = Zeroizing::new([0; 32]);
     connection
-        .export_keying_material(&mut keys, b"EXPORTER-gdp-link", context)
+        .export_keying_material(secret.as_mut_slice(), b"EXPORTER-gdp-link", context)
         .map_err(|_| LinkError::Handshake("TLS exports no keys".into()))?;
-    let (words, _) = keys.as_chunks();
-    let word = |i: usize| u64::from_le_bytes(words[i]);
-    Ok([[word(0), word(1)], [word(2), word(3)]])
+    Ok(secret)
 }
 
 /// What a person should read. The peer's own words are bounded and made printable.

@@ -19,6 +19,7 @@ mod held;
 mod intake;
 mod publisher;
 mod receiver;
+mod shared_entry;
 mod state;
 mod subscription;
 mod supervisor;
@@ -39,7 +40,7 @@ use crate::cert::{AdCert, CertError, ReadGrant, Signed};
 use crate::control::{Record, RecordPlace, Refusal};
 use crate::crypto::Backend;
 use crate::identity::Identity;
-use crate::link::LinkError;
+use crate::link::{LinkError, RekeySchedule};
 use crate::name::{NamePrefix, NameProof};
 use crate::port::LinkAddr;
 use crate::seal::{EpochKey, Reader, SealError, Writer};
@@ -60,12 +61,15 @@ pub struct NodeConfig {
     pub switch: Option<Name>,
     /// How long [`Node::connect`] keeps trying.
     pub connect_timeout: Duration,
+    /// When the keys of data frames are replaced.
+    pub rekey: RekeySchedule,
 }
 
 impl NodeConfig {
     /// Any switch at `link`, waited for 10 s.
     pub fn new(identity: Identity, link: LinkTarget) -> Self {
-        Self { identity, link, switch: None, connect_timeout: Duration::from_secs(10) }
+        let (connect_timeout, rekey) = (Duration::from_secs(10), RekeySchedule::default());
+        Self { identity, link, switch: None, connect_timeout, rekey }
     }
 }
 
@@ -144,7 +148,7 @@ impl Node {
             .spawn(move || receiver.run())
             .map_err(|source| LinkError::Io { what: "receiving thread".into(), source })?;
 
-        let mut supervisor = Supervisor::new(state.clone(), config.link, config.switch);
+        let mut supervisor = Supervisor::new(state.clone(), config.link, config.switch, config.rekey);
         let first = supervisor.connect(config.connect_timeout).await?;
         let stop = watch::Sender::new(false);
         let task = tokio::spawn(supervisor.run(first, event_queue, stop.subscribe()));

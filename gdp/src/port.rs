@@ -25,8 +25,8 @@ use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::identity::Identity;
 use crate::link::{
-    self, HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, Place, QuicMtu, Role, greet_as_client,
-    greet_as_server,
+    self, HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, Place, QuicMtu, RekeySchedule, Role,
+    greet_as_client, greet_as_server,
 };
 
 pub use addr::{DisplayMac, LinkAddr, parse_mac};
@@ -40,7 +40,7 @@ pub use host::HostPair;
 pub const UDP_MTU: u32 = 1500 - 20 - 8;
 
 /// What any path takes, as QUIC assumes of all (RFC 9000 §14).
-const SMALLEST_PATH: u16 = 1200;
+pub const SMALLEST_PATH: u16 = 1200;
 
 /// Largest QUIC packet on Ethernet. More gains control traffic nothing, and jumbo frames may not pass everywhere.
 const MAX_ETHERNET_QUIC: u32 = 1472;
@@ -75,17 +75,24 @@ pub struct PortConfig {
     pub listen: bool,
     /// Ethertype of GDP frames.
     pub ethertype: u16,
+    /// When the keys of data frames are replaced.
+    pub rekey: RekeySchedule,
 }
 
 impl PortConfig {
     /// For a switch: peers dial in and discover it.
     pub fn switch(identity: Identity, link_ids: LinkIds) -> Self {
-        Self { identity, role: Role::Switch, link_ids, listen: true, ethertype: gdp_wire::ETHERTYPE }
+        Self { listen: true, ..Self::new(identity, Role::Switch, link_ids) }
     }
 
     /// For an endpoint: it only dials out.
     pub fn endpoint(identity: Identity) -> Self {
-        Self { identity, role: Role::Endpoint, link_ids: LinkIds::new(), listen: false, ethertype: gdp_wire::ETHERTYPE }
+        Self::new(identity, Role::Endpoint, LinkIds::new())
+    }
+
+    fn new(identity: Identity, role: Role, link_ids: LinkIds) -> Self {
+        let (ethertype, rekey) = (gdp_wire::ETHERTYPE, RekeySchedule::default());
+        Self { identity, role, link_ids, listen: false, ethertype, rekey }
     }
 }
 
@@ -168,6 +175,7 @@ impl Port {
             role: config.role,
             link_ids: config.link_ids.clone(),
             mtu: frame_mtu,
+            rekey: config.rekey,
             zero_checksum: matches!(medium, Medium::Udp { zero_checksum: true, .. }),
             host: if let Medium::Udp { host, .. } = medium { host } else { None },
             pair: CurrentPair::default(),

@@ -375,9 +375,10 @@ fn flipped_header_bits_are_refused_by_the_next_switch() -> Result<()> {
         flips(4..6).into_iter().partition::<Vec<_>, _>(|frame| payload_length(frame) > payload_length(&scene.frame));
     scene.refused_by_s2("drop_truncated", &longer)?;
     scene.refused_by_s2("drop_bad_tag", &shorter)?;
-    // Header length; version and type, but for the lowest bit, which makes a control frame.
+    // Header length; version and type, but for the bits that make a control frame, an error and an echo.
     scene.refused_by_s2("drop_unknown", &flips(6..7))?;
-    scene.refused_by_s2("drop_unknown", &(1..8).map(|bit| scene.flipped(bit)).collect::<Vec<_>>())?;
+    scene.refused_by_s2("drop_unknown", &(3..8).map(|bit| scene.flipped(bit)).collect::<Vec<_>>())?;
+    scene.refused_by_s2("drop_bad_tag", &[scene.flipped(1), scene.flipped(2)])?;
     scene.refused_by_s2("control", &[scene.flipped(0)])?;
     scene.only_honest_messages_arrived()
 }

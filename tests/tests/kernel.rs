@@ -1,23 +1,23 @@
 //! The XDP switch under `BPF_PROG_TEST_RUN`: the real program in the real kernel, one frame at a time. Nothing is sent; but it asks
 //! the routing table of a network namespace where links over UDP lead.
 
+mod planes;
+
 use std::process::Command;
 use std::sync::Barrier;
 
 use anyhow::{Context, Result, ensure};
-use gdp::port::Interface;
 use gdp_ctl::plane::kernel::{self, Action, KernelPlane, LoadError, UpdateError};
 use gdp_ctl::plane::link_memory::LinkMemory;
 use gdp_ctl::plane::pins::{self, Pins};
-use gdp_ctl::plane::udp::Routing;
-use gdp_ctl::plane::userspace::{Outcome, UserTables, copies, handle};
+use gdp_ctl::plane::userspace::{Outcome, handle};
 use gdp_tests::Tools;
 use gdp_tests::frames::Frame;
-use gdp_tests::frames::fixtures::{self, Bytes, CopyOut, Expected, Fixtures, Switch, Verdict};
-use gdp_tests::netns::{End, Entered, Namespace, execute, veth};
-use gdp_wire::header::FIRST_QUIC_BYTE;
-use gdp_wire::{Counter, FibEntry, Header, LocalAddress, Name, Vlan, replay};
-use zerocopy::IntoBytes;
+use gdp_tests::frames::fixtures::{self, Expected, Fate, Fixtures, Switch, Verdict};
+use gdp_tests::netns::execute;
+use gdp_wire::{Counter, FibEntry, Name, replay};
+
+use planes::{Site, fill, is_for_no_data_socket, run, run_userspace, user_tables, user_tables_with};
 
 #[test]
 fn every_fixture_through_the_kernel() -> Result<()> {
@@ -26,9 +26,10 @@ fn every_fixture_through_the_kernel() -> Result<()> {
     let mut plane = site.kernel_plane(&switch)?;
     for case in &cases {
         reset(plane.link_memory(), &switch);
-        let got = run(&mut plane, &case.frame.bytes()).with_context(|| case.name.clone())?;
+        let got = Expected::from(run(&mut plane, &case.frame.bytes()).with_context(|| case.name.clone())?);
         // A plane without groups leaves what is to be copied to the userspace plane.
-        let expected = if case.kernel.verdict == Verdict::Copy { &pass("slow") } else { &case.kernel };
+        let slow = Fate::new(Verdict::Pass, Counter::Slow).into();
+        let expected = if case.kernel.verdict == Verdict::Copy { &slow } else { &case.kernel };
         ensure!(got == *expected, "{}:\n     got {got:?}\nexpected {expected:?}", case.name);
     }
     Ok(())
@@ -44,63 +45,8 @@ fn every_fixture_through_the_userspace_plane() -> Result<()> {
         }
         let (tables, link_memory) = user_tables(&switch);
         reset(&link_memory, &switch);
-        let got = run_userspace(&tables, &switch, &case.frame.bytes());
+        let got = Expected::from(run_userspace(&tables, &switch, &case.frame.bytes()));
         ensure!(got == *expected, "{}:\n     got {got:?}\nexpected {expected:?}", case.name);
-    }
-    Ok(())
-}
-
-/// Frames that are nearly right in many ways must meet the same fate in both planes, also when they come again.
-#[test]
-fn random_frames_get_the_same_verdict_from_both_planes() -> Result<()> {
-    let Fixtures { switch, .. } = fixtures::read();
-    let site = Site::build()?;
-    let mut kernel = site.kernel_plane(&switch)?;
-    let (tables, link_memory) = user_tables(&switch);
-    let mut random = Random(0x9e37_79b9_7f4a_7c15);
-    let mut seen = [0u32; Counter::COUNT];
-    for round in 0..40_000 {
-        let frame = random_frame(&mut random, &switch);
-        reset(kernel.link_memory(), &switch);
-        reset(&link_memory, &switch);
-        let got = run(&mut kernel, &frame)?;
-        let counter = Counter::ALL.iter().position(|c| c.as_str() == got.counter).context("a counter")?;
-        seen[counter] += 1;
-        if is_for_no_data_socket(&switch, &frame) {
-            let counter = Counter::ALL[counter];
-            ensure!(matches!(counter, Counter::Foreign | Counter::Control), "round {round}: {got:?}");
-            continue;
-        }
-        let userspace = run_userspace(&tables, &switch, &frame);
-        let same = match Counter::ALL[counter] {
-            // The kernel leaves these to the userspace plane, or would redirect to an interface that is not there.
-            Counter::Slow => userspace.verdict != Verdict::Drop,
-            Counter::RedirectFailed => userspace.verdict == Verdict::Send,
-            // A neighbour that the kernel cannot send to is not told why.
-            _ if got.verdict == Verdict::Drop && link_of(&frame, &switch).is_some_and(|link| link.port.is_none()) => {
-                got.counter == userspace.counter
-            }
-            _ => got == userspace,
-        };
-        let shown = fixtures::hex(&frame[..frame.len().min(128)]);
-        ensure!(same, "round {round}: kernel {got:?}\nuserspace {userspace:?}\nframe {shown}");
-        if Counter::ALL[counter] == Counter::Slow {
-            continue;
-        }
-        let again = (run(&mut kernel, &frame)?, run_userspace(&tables, &switch, &frame));
-        ensure!(again.0.counter == again.1.counter, "round {round}, again: {again:?}\nframe {shown}");
-        let replayed = again.0.counter == Counter::Replayed.as_str();
-        ensure!(
-            replayed || !matches!(userspace.verdict, Verdict::Send | Verdict::Copy),
-            "round {round}, again: {again:?}\nframe {shown}"
-        );
-    }
-    for (counter, seen) in Counter::ALL.iter().zip(seen) {
-        if matches!(counter, Counter::Notice | Counter::Replicated | Counter::RedirectLost) {
-            // The kernel leaves the first two to the userspace plane; what a redirect loses is known only after it.
-            continue;
-        }
-        ensure!(seen > 20, "the random frames reached {counter:?} only {seen} times");
     }
     Ok(())
 }
@@ -166,6 +112,42 @@ fn frames_that_come_to_both_planes_at_once_are_taken_once() -> Result<()> {
 }
 
 #[test]
+fn arrivals_are_counted_by_link_and_busy_names_by_samples() -> Result<()> {
+    const FRAMES: u64 = 4096;
+    let Fixtures { switch, .. } = fixtures::read();
+    let site = Site::build()?;
+    let mut plane = site.kernel_plane(&switch)?;
+    let (link, other, route) = (&switch.links[0], &switch.links[1], &switch.routes[0]);
+    plane.link_memory().begin(link.id);
+    for count in 1..=FRAMES {
+        let frame = Frame {
+            link_id: link.id,
+            key: fixtures::key(&link.rx_keys[0]),
+            link_counter: count,
+            destination: fixtures::array(&route.name),
+            source: fixtures::array(&link.peer),
+            ..Frame::default()
+        };
+        plane.test_run(&frame.bytes())?;
+        if count == 1 {
+            plane.test_run(&frame.bytes())?;
+            plane.test_run(&Frame { tag: Some(0), ..frame }.bytes())?;
+        }
+    }
+    let arrivals = plane.tally().of(link.id)?;
+    let counted = |counter: Counter| arrivals[counter as usize];
+    ensure!((counted(Counter::Forwarded), counted(Counter::Replayed), counted(Counter::BadTag)) == (FRAMES, 1, 1));
+    ensure!(arrivals.iter().sum::<u64>() == FRAMES + 2, "{arrivals:?}");
+    ensure!(plane.tally().of(other.id)?.iter().all(|frames| *frames == 0));
+    let busiest = plane.tally().busiest()?;
+    let about = busiest.get(&Name::from_bytes(fixtures::array(&route.name))).copied().unwrap_or(0);
+    ensure!((FRAMES / 2..FRAMES * 2).contains(&about) && busiest.len() == 1, "{busiest:?}");
+    plane.begin_link(link.id)?;
+    ensure!(plane.tally().of(link.id)?.iter().all(|frames| *frames == 0), "a new link begins with nothing");
+    Ok(())
+}
+
+#[test]
 fn the_map_is_the_fib() -> Result<()> {
     let Fixtures { switch, .. } = fixtures::read();
     let site = Site::build()?;
@@ -211,7 +193,7 @@ fn a_successor_takes_over_a_fib_that_has_grown() -> Result<()> {
     };
     let forwards = |plane: &mut KernelPlane| -> Result<()> {
         reset(plane.link_memory(), &switch);
-        let got = run(plane, &case.frame.bytes())?;
+        let got = Expected::from(run(plane, &case.frame.bytes())?);
         ensure!(got == case.kernel, "{got:?}");
         Ok(())
     };
@@ -263,77 +245,6 @@ fn what_cannot_be_loaded_is_named() -> Result<()> {
     Ok(())
 }
 
-/// The network of the fixtures' switch: one interface, with a gateway of each family behind it.
-struct Site {
-    // Order is the order of the end.
-    _inside: Entered,
-    switch: Namespace,
-    _gateway: Namespace,
-}
-
-impl Site {
-    /// The calling thread is inside while it lives.
-    fn build() -> Result<Self> {
-        let (switch, gateway) = (Namespace::create("switch")?, Namespace::create("gateway")?);
-        switch.enable_ipv6()?;
-        veth(
-            &End { namespace: &switch, interface: "e0", mac: [2, 0, 0, 0, 0xee, 1] },
-            &End { namespace: &gateway, interface: "e0", mac: [2, 0, 0, 0, 0xee, 4] },
-            9000,
-        )?;
-        let ip = |arguments: &str| switch.ip(&arguments.split(' ').collect::<Vec<_>>());
-        ip("addr add 10.0.0.1/24 dev e0")?;
-        ip("addr add 2001:db8::1/64 dev e0 nodad")?;
-        for (family, gateway, mac) in
-            [("-4", "10.0.0.4", "02:00:00:00:ee:04"), ("-6", "2001:db8::6", "02:00:00:00:ee:06")]
-        {
-            ip(&format!("neigh add {gateway} lladdr {mac} dev e0 nud permanent"))?;
-            let far = if family == "-4" {
-                ["192.0.2.0/24", "198.51.100.0/24"]
-            } else {
-                ["2001:db8:9::/64", "2001:db8:a::/64"]
-            };
-            for far in far {
-                ip(&format!("{family} route add {far} via {gateway}"))?;
-            }
-        }
-        let inside = switch.enter()?;
-        let routing = Routing::enable();
-        ensure!(routing == Routing { v4: Ok(()), v6: Ok(()) }, "{routing:?}");
-        Ok(Self { _inside: inside, switch, _gateway: gateway })
-    }
-
-    /// The fixtures' switch in the kernel.
-    fn kernel_plane(&self, switch: &Switch) -> Result<KernelPlane> {
-        let mut plane = KernelPlane::load(&Tools::beside_this_test()?.ebpf_object()?, 1024)?;
-        let e0 = Interface::find("e0").with_context(|| self.switch.name().to_owned())?.index;
-        ensure!(e0 < PORTS, "e0 is {e0}");
-        fill(&mut plane, switch)?;
-        Ok(plane)
-    }
-}
-
-/// Ports below this lead to `lo`: in a test run nothing is sent.
-const PORTS: u32 = 6;
-
-fn fill(plane: &mut KernelPlane, switch: &Switch) -> Result<()> {
-    // A test run comes in by it as well.
-    const LOOPBACK: u32 = 1;
-    (0..PORTS).try_for_each(|port| plane.set_port(port, LOOPBACK))?;
-    let addresses = switch.own_addresses().into_iter().map(|own| LocalAddress::new(own.ip(), own.port()));
-    plane.set_addresses(&addresses.collect())?;
-    let vlans = switch.vlans().into_iter().map(|id| Vlan { ifindex: LOOPBACK, id: id.into() });
-    plane.set_vlans(&vlans.collect())?;
-    plane.set_config(switch.config())?;
-    switch.links().try_for_each(|link| plane.set_link(&link))?;
-    for (name, entry, permitted) in switch.routes() {
-        permitted.iter().try_for_each(|permit| plane.permit(permit))?;
-        plane.set_route(&name, entry)?;
-    }
-    plane.set_next_hops(&switch.next_hops())?;
-    Ok(())
-}
-
 /// A folder in which [`Pins`] mounts a BPF file system.
 struct Bpffs(tempfile::TempDir);
 
@@ -343,181 +254,10 @@ impl Drop for Bpffs {
     }
 }
 
-fn user_tables(switch: &Switch) -> (UserTables, LinkMemory) {
-    let link_memory = LinkMemory::new();
-    (user_tables_with(switch, link_memory.clone()), link_memory)
-}
-
-fn user_tables_with(switch: &Switch, link_memory: LinkMemory) -> UserTables {
-    let mut tables = UserTables::new(link_memory);
-    for link in switch.links() {
-        // Only to be told apart.
-        let to = gdp::port::LinkAddr::Ethernet { ifindex: link.port, mac: [0; 6] };
-        tables.set_link(link, to);
-    }
-    for (name, entry, permitted) in switch.routes() {
-        tables.set_route(name, entry, &permitted);
-    }
-    switch.groups().for_each(|(group, readers)| tables.set_group(group, readers));
-    tables.set_next_hops(&switch.next_hops());
-    tables.set_own_bit(switch.config().own_bit);
-    tables
-}
-
 fn reset(memory: &LinkMemory, switch: &Switch) {
     for link in &switch.links {
         memory.begin(link.id);
         memory.set_count(link.id, link.tx_counter);
         link.taken.iter().for_each(|count| assert!(replay::take(memory.window(link.id), *count)));
-    }
-}
-
-/// What the kernel does with a frame: the action, and exactly one counter.
-fn run(plane: &mut KernelPlane, frame: &[u8]) -> Result<Expected> {
-    let before = plane.counters()?;
-    let (action, out) = plane.test_run(frame)?;
-    let after = plane.counters()?;
-    let mut counted = Vec::new();
-    for (counter, (before, after)) in Counter::ALL.iter().zip(before.into_iter().zip(after)) {
-        counted.extend((before..after).map(|_| counter.as_str()));
-    }
-    let [counter] = counted[..] else { anyhow::bail!("counted {counted:?}") };
-    let verdict = match action {
-        Action::Redirect => Verdict::Send,
-        Action::Pass => Verdict::Pass,
-        Action::Drop => Verdict::Drop,
-        Action::Other(action) => anyhow::bail!("action {action}"),
-    };
-    ensure!(verdict != Verdict::Pass || out == frame, "a frame that passes was changed");
-    let sent = (verdict == Verdict::Send).then(|| Bytes::new(&out));
-    Ok(Expected { verdict, counter: counter.into(), frame: sent, copies: vec![] })
-}
-
-/// What the userspace plane does with a frame, dressed in the Ethernet header it came with or leaves with.
-fn run_userspace(tables: &UserTables, switch: &Switch, frame: &[u8]) -> Expected {
-    let place = switch.find(frame).expect("a frame of ours");
-    let mut gdp = frame[place.at..place.at + place.length].to_vec();
-    let outcome = |verdict, counter: Counter| Expected { verdict, ..pass(counter.as_str()) };
-    let carried = |link: u32, parts: &[&[u8]]| {
-        let link = switch.link(link).expect("a link of the switch");
-        Some(Bytes::new(&link.carry(switch.ethertype, &parts.concat())))
-    };
-    match handle(&mut gdp, tables) {
-        Outcome::Send { link, length, counter, .. } => {
-            Expected { frame: carried(link, &[&gdp[..length]]), ..outcome(Verdict::Send, counter) }
-        }
-        Outcome::Copies { ingress, group } => {
-            let (mut sent, mut dropped) = (Vec::new(), Vec::new());
-            copies(&gdp, (ingress, group), tables, |copy| sent.push(copy), |counter| dropped.push(counter));
-            let sent = sent.iter().map(|copy| CopyOut {
-                frame: carried(copy.link, &[copy.header.as_bytes(), &gdp[Header::LEN..copy.header.frame_len()]]),
-                counter: copy.counter.as_str().into(),
-            });
-            let dropped = dropped.iter().map(|counter| CopyOut { frame: None, counter: counter.as_str().into() });
-            let mut copies: Vec<_> = sent.chain(dropped).collect();
-            copies.sort();
-            Expected { copies, ..outcome(Verdict::Copy, Counter::Replicated) }
-        }
-        Outcome::Notice { .. } => outcome(Verdict::Pass, Counter::Notice),
-        Outcome::Control => outcome(Verdict::Pass, Counter::Control),
-        Outcome::Drop(counter) => outcome(Verdict::Drop, counter),
-    }
-}
-
-fn pass(counter: &str) -> Expected {
-    Expected { verdict: Verdict::Pass, counter: counter.into(), frame: None, copies: vec![] }
-}
-
-/// Whether the sockets of the userspace plane do not get to see a packet: it is another protocol's, or QUIC's.
-fn is_for_no_data_socket(switch: &Switch, packet: &[u8]) -> bool {
-    match switch.find(packet) {
-        Some(place) => place.over_udp && place.length > 0 && packet[place.at] >= FIRST_QUIC_BYTE,
-        None => true,
-    }
-}
-
-/// The link that a frame says it is on.
-fn link_of<'s>(frame: &[u8], switch: &'s Switch) -> Option<&'s fixtures::Link> {
-    let at = switch.find(frame)?.at + 8;
-    switch.link(u32::from_be_bytes(*frame.get(at..)?.first_chunk()?))
-}
-
-/// A frame that is often right, and otherwise wrong in one or a few ways.
-fn random_frame(random: &mut Random, switch: &Switch) -> Vec<u8> {
-    let link = &switch.links[random.below(switch.links.len())];
-    let route = &switch.routes[random.below(switch.routes.len())];
-    let mut frame = Frame {
-        link_id: link.id,
-        key: fixtures::key(&link.rx_keys[0]),
-        link_counter: match link.taken[..] {
-            [] => random.next() as u32 as u64,
-            // Around those, some of them.
-            _ => random.one_of(&link.taken) + random.below(3) as u64,
-        },
-        hop_limit: random.one_of(&[0, 1, 2, 3, 64, 64, 64, 255]),
-        egress_set: random.one_of(&[0, 0, 3, 255]),
-        egress_bits: match random.below(5) {
-            0 => random.next(),
-            1 => 0,
-            2 => 1 << switch.own_bit,
-            _ => 1 << random.below(20),
-        },
-        destination: fixtures::array(&route.name),
-        source: match random.below(16) {
-            0 => std::array::from_fn(|_| random.next() as u8),
-            _ => match switch.routes.iter().find(|route| route.sources.contains(&link.id)) {
-                Some(source) => fixtures::array(&source.name),
-                None => fixtures::array(&link.peer),
-            },
-        },
-        payload: vec![random.next() as u8; random.one_of(&[0, 1, 64, 500, 505, 1404, 1405, 1500])],
-        padding: random.one_of(&[0, 0, 0, 1, 30]),
-        carrier: switch.links[random.below(switch.links.len())].arrives_in(),
-        ..Frame::default()
-    };
-    match random.below(24) {
-        0 => frame.version_type = random.next() as u8,
-        1 => frame.header_words = random.next() as u8,
-        2 => frame.payload_len = Some(random.next() as u16),
-        3 => frame.link_id = random.next() as u32,
-        4 => frame.tag = Some(random.next()),
-        5 => frame.ethertype = random.next() as u16,
-        6 => frame.destination = std::array::from_fn(|_| random.next() as u8),
-        7 => frame.version_type = random.one_of(&[0x11, 0x12, 0x14]),
-        8 => frame.flags = 0x40,
-        _ => {}
-    }
-    let mut bytes = frame.bytes();
-    match random.below(12) {
-        0 => bytes.truncate(14 + random.below(bytes.len() - 14)),
-        1 => bytes.resize(bytes.len() + random.below(64), 0),
-        2 => {
-            let at = random.below(bytes.len().min(62));
-            bytes[at] ^= 1 << random.below(8);
-        }
-        3 => {
-            let at = random.below(bytes.len());
-            bytes[at] ^= 1 << random.below(8);
-        }
-        _ => {}
-    }
-    bytes
-}
-
-/// A linear congruential generator: the same frames in every run.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        self.0 ^ self.0 >> 29
-    }
-
-    fn below(&mut self, limit: usize) -> usize {
-        (self.next() >> 8) as usize % limit
-    }
-
-    fn one_of<T: Copy>(&mut self, values: &[T]) -> T {
-        values[self.below(values.len())]
     }
 }

@@ -11,10 +11,11 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
 use gdp::link::LinkIds;
-use gdp::port::{LinkAddr, Port, PortConfig};
+use gdp::port::{Interface, LinkAddr, Port, PortConfig};
 use gdp_ctl::plane::{PlaneConfig, PlaneError, PlaneRoute, Planes, Wanted};
 use gdp_tests::Tools;
 use gdp_tests::frames::Frame;
+use gdp_tests::frames::carrier::Carrier as Carried;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
 use gdp_tests::wait::wait_for;
@@ -63,6 +64,7 @@ fn frames_cross_a_switch_in_userspace() -> Result<()> {
     let crossed = site.send_through(1400)?;
     ensure!(crossed.len() == 14 + 1400);
     ensure!(switch.counted(Counter::Delivered)? == (0, 1));
+    ensure!(switch.planes.arrivals(left_link().id)?[Counter::Delivered as usize] == 1);
     Ok(())
 }
 
@@ -207,6 +209,46 @@ fn no_frame_is_lost_while_the_fib_grows() -> Result<()> {
     grown?;
     ensure!(switch.planes.routes()?.len() == NAMES as usize + 1);
     ensure!(switch.count(Counter::Delivered)? == (sent?, 0), "{:?}", switch.planes.counters());
+    Ok(())
+}
+
+/// A VLAN is served on the interface below it. Here another interface stands for the VLAN's own.
+#[test]
+fn a_vlan_is_served_on_the_interface_below_it() -> Result<()> {
+    const TAG: Carried = Carried::Vlan(5);
+    let site = Site::build(1500)?;
+    site.switch.ip(&["link", "add", "v0", "type", "veth", "peer", "name", "v1"])?;
+    let mut switch = site.switch(Wanted::Xdp)?;
+    let _inside = site.switch.enter()?;
+    let lower = Interface::find("l0")?;
+    switch.planes.detach(lower.index);
+    let vlan = gdp::port::Vlan { lower: lower.name, lower_index: lower.index, id: 5 };
+    let interface = Interface { vlan: Some(vlan), ..Interface::find("v0")? };
+    let port = {
+        let _runtime = switch.runtime.enter();
+        Port::ethernet("v0", &PortConfig::switch(Identity::generate("switch")?, LinkIds::new()))?
+    };
+    let report = switch.planes.attach(&interface, port.data())?;
+    ensure!((report.interface.as_str(), report.kind) == ("v0", "xdp-native"), "{report:?}");
+    let on_vlan = LinkEntry { carrier: Carrier { vlan: 5, ..left_link().carrier }, ..left_link() };
+    switch.planes.set_link(on_vlan, LinkAddr::Ethernet { ifindex: interface.index, mac: LEFT_MAC })?;
+
+    let to = PacketSocket::open(&site.right, "e0")?;
+    site.send(&Frame { carrier: TAG, ..site.next_frame(200) })?;
+    to.receive(SOON, gdp_tests::packet::is_gdp_data)?;
+    ensure!(switch.counted(Counter::Delivered)? == (1, 0));
+
+    // An echo comes back tagged: the kernel takes the tag off before a packet socket sees the frame, and counts it there.
+    let from = PacketSocket::open(&site.left, "e0")?;
+    let echo = Frame { carrier: TAG, version_type: 0x14, hop_limit: 1, payload: vec![], ..site.next_frame(96) };
+    site.send(&echo)?;
+    let answer = from.receive(SOON, |frame| frame.len() == 110 && frame[14] == 0x14)?;
+    ensure!(answer[..12] == [LEFT_MAC, L0_MAC].concat() && switch.count(Counter::Echoed)? == (1, 0), "{answer:02x?}");
+
+    site.send(&Frame { carrier: Carried::Vlan(6), ..site.next_frame(200) })?;
+    wait_for("another VLAN's frame to pass", SOON, || Ok((switch.count(Counter::Foreign)?.0 > 0).then_some(())))?;
+    switch.planes.detach(interface.index);
+    ensure!(!site.switch.ip(&["-o", "link", "show", "l0"])?.contains("xdp"), "nothing needs it any more");
     Ok(())
 }
 

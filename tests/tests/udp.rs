@@ -15,14 +15,16 @@ use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
 use gdp::link::{Link, LinkIds};
 use gdp::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
-use gdp_ctl::plane::{PlaneConfig, PlaneRoute, Planes, Wanted};
+use gdp_ctl::plane::kernel::KernelPlane;
+use gdp_ctl::plane::pins::Pins;
+use gdp_ctl::plane::{PinPlace, PlaneConfig, PlaneRoute, Planes, Wanted};
 use gdp_tests::Tools;
 use gdp_tests::frames::carrier::internet_checksum;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
 use gdp_tests::wait::wait_for;
-use gdp_wire::table::{PORT_ROUTED, PORT_USERSPACE};
-use gdp_wire::{Counter, ErrorCode, FrameType, Header, LinkEntry, Name, forward, replay};
+use gdp_wire::table::{PORT_ROUTED, PORT_USERSPACE, ip_words};
+use gdp_wire::{Carrier, Counter, ErrorCode, FrameType, Header, LinkEntry, Name, SwitchConfig, forward, replay};
 use tokio::runtime::Runtime;
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -256,6 +258,43 @@ fn an_address_that_comes_later_is_served_as_well() -> Result<()> {
     site.send(ROBOT, INET, b"and back")?;
     site.received(INET, b"and back")?;
     ensure!(site.count(Counter::Delivered)? == (2, 0));
+    Ok(())
+}
+
+/// What carries a link is in its entry, so a daemon finds in the kernel where the links of the one before it lead.
+#[test]
+fn links_over_udp_are_taken_over_from_an_earlier_daemon() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let namespace = Namespace::create("switch")?;
+    let _inside = namespace.enter()?;
+    let object = Tools::beside_this_test()?.ebpf_object()?;
+    let carrier = |peer: &str| -> Result<Carrier> {
+        let peer: SocketAddr = peer.parse()?;
+        let (kind, peer_ip) = ip_words(peer.ip());
+        Ok(Carrier { kind, peer_ip, peer_port: peer.port().to_be(), local_ip: peer_ip, ..Carrier::default() })
+    };
+    let link = |id, carrier, port| LinkEntry { id, role: 1, mtu: 1400, port, carrier, ..LinkEntry::default() };
+    let links = [
+        link(0x1401, carrier("192.0.2.1:2000")?, PORT_ROUTED),
+        link(0x1402, carrier("[2001:db8::2]:3000")?, PORT_USERSPACE),
+        link(0x1403, carrier("[fe80::3]:4000")?, PORT_USERSPACE),
+    ];
+    {
+        let pins = Pins::open(folder.path(), &FORBIDDEN)?;
+        let mut before = KernelPlane::load_pinned(&object, 1024, Some(pins))?;
+        before.set_config(SwitchConfig { own_bit: 1, ethertype: 0x88b5, host_pair: 0 })?;
+        links.iter().try_for_each(|link| before.set_link(link))?;
+    }
+    let pins = Some(PinPlace { bpffs: folder.path().into(), switch: FORBIDDEN });
+    let config = PlaneConfig { ebpf_object: Some(object), fib_capacity: 1024, pins, ..Default::default() };
+    let mut planes = Planes::open(config)?;
+    let left = planes.left().map(|left| left.links.clone()).unwrap_or_default();
+    planes.detach_all();
+    execute(std::process::Command::new("umount").arg("--lazy").arg(folder.path()))?;
+    let mut left: Vec<_> = left.into_iter().map(|(entry, to)| (entry, to.to_string())).collect();
+    left.sort_by_key(|(entry, _)| entry.id);
+    // Which interface the link-local address is on is not in its entry.
+    ensure!(left == [(links[0], "udp:192.0.2.1:2000".into()), (links[1], "udp:[2001:db8::2]:3000".into())], "{left:?}");
     Ok(())
 }
 

@@ -153,6 +153,7 @@ impl Site {
                 ebpf_object: ebpf_object.clone(),
                 fib_capacity: 1024,
                 bpffs: None,
+                rekey: Default::default(),
             })
         };
         let switch = |namespace: &Namespace, config: Config| -> Result<Switch> {

@@ -47,8 +47,13 @@ pub fn ebpf() -> Result<()> {
     copy_if_changed(&built, &workspace::ebpf_object())
 }
 
+/// The shipped programs with a hop tag that costs nothing, for `bench forward`, to [`workspace::ebpf_untagged_object`].
+pub fn ebpf_untagged() -> Result<()> {
+    shell::run(ebpf_cargo("build")?.args(["--package", "gdp-ebpf-untagged"]))
+}
+
 /// `cargo VERB --release` for the eBPF target, in the eBPF workspace.
-pub fn ebpf_cargo(verb: &str) -> Result<Command> {
+fn ebpf_cargo(verb: &str) -> Result<Command> {
     let Some(compiler) = EbpfCompiler::find() else { bail!("no compiler for eBPF: run `cargo xtask setup`") };
     let Some(linker) = setup::bpf_linker() else { bail!("no bpf-linker: run `cargo xtask setup`") };
     let mut command = Command::new("cargo");

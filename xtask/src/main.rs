@@ -6,6 +6,7 @@
 mod bench;
 mod build;
 mod demo;
+mod fuzz;
 mod peers;
 mod run;
 mod setup;
@@ -37,6 +38,8 @@ enum Verb {
     Test(test::Options),
     /// A ROS 2 topic crosses three switches from one DDS vendor to another, and what can be seen of it (needs root)
     Demo(demo::Options),
+    /// Look for bytes from the wire that do what none may
+    Fuzz(fuzz::Options),
     /// Measure, and print a table or JSON (needs root)
     Bench(bench::Options),
 }
@@ -48,6 +51,7 @@ fn main() -> ExitCode {
         Verb::Run(options) => run::run(options),
         Verb::Test(options) => test::run(options),
         Verb::Demo(options) => demo::run(options),
+        Verb::Fuzz(options) => fuzz::run(options),
         Verb::Bench(options) => bench::run(options),
     };
     match result {

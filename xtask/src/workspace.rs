@@ -20,9 +20,14 @@ pub fn ebpf_object() -> PathBuf {
     target().join("bpf/gdp-ebpf")
 }
 
-/// The object with the generator and the sink of `bench forward`.
+/// The object with the generators and the sink of `bench forward`.
 pub fn ebpf_bench_object() -> PathBuf {
     target().join("bpf/bpfel-unknown-none/release/gdp-ebpf-bench")
+}
+
+/// The object that `bench forward` compares the shipped one with, to show what the hop tag costs.
+pub fn ebpf_untagged_object() -> PathBuf {
+    target().join("bpf/bpfel-unknown-none/release/gdp-ebpf-untagged")
 }
 
 /// Which of Cargo's profiles an executable is built with.

@@ -29,10 +29,25 @@ fn describe(reply: &Value) -> String {
             let id = format!("{:#x}", link["id"].as_u64().unwrap_or_default());
             let age = duration(link["age_s"].as_u64().unwrap_or_default());
             let (mtu, rtt) = (link["mtu"].to_string(), format!("{} µs", link["rtt_us"]));
-            [id, short(&link["peer"]), text("role"), text("via"), text("address"), mtu, rtt, age, text("plane")]
+            let (taken, dropped) = arrivals(&link["arrivals"]);
+            let place = [text("role"), text("via"), text("address")];
+            let [role, via, address] = place;
+            [id, short(&link["peer"]), role, via, address, mtu, rtt, age, text("plane"), taken, dropped]
         })
         .collect();
-    table(["id", "link to", "role", "via", "address", "MTU", "RTT", "age", "plane"], &rows)
+    table(
+        ["id", "link to", "role", "via", "address", "MTU", "RTT", "age", "plane", "frames in", "of these dropped"],
+        &rows,
+    )
+}
+
+/// Frames that came in on a link, and how many of them were dropped, by reason.
+fn arrivals(counts: &Value) -> (String, String) {
+    let counts = || counts.as_object().into_iter().flatten();
+    let taken: u64 = counts().filter_map(|(_, frames)| frames.as_u64()).sum();
+    let dropped: Vec<_> =
+        counts().filter_map(|(name, n)| Some(format!("{} {n}", name.strip_prefix("drop_")?))).collect();
+    (taken.to_string(), dropped.join(", "))
 }
 
 /// In the two largest units, as `3h 20m`.
@@ -49,7 +64,14 @@ fn duration(seconds: u64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::duration;
+    use super::{arrivals, duration};
+
+    #[test]
+    fn drops_are_named() {
+        let counts = serde_json::json!({"forwarded": 7, "drop_bad_tag": 2, "drop_replayed": 1});
+        assert_eq!(arrivals(&counts), ("10".into(), "bad_tag 2, replayed 1".into()));
+        assert_eq!(arrivals(&serde_json::json!({})), ("0".into(), String::new()));
+    }
 
     #[test]
     fn ages_are_told_in_two_units() {

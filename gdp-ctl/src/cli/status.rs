@@ -64,6 +64,11 @@ fn describe(status: &Value) -> String {
     if !counters.is_empty() {
         out += &format!("\n{}\n", table(["frames", "kernel", "userspace"], &counters));
     }
+    let busiest: Vec<_> =
+        items(&status["busiest"]).iter().map(|name| [short(&name["name"]), name["frames"].to_string()]).collect();
+    if !busiest.is_empty() {
+        out += &format!("\n{}\n", table(["busiest names", "frames, about"], &busiest));
+    }
     for interface in items(&status["interfaces"]).iter().filter(|interface| interface["redirect_lost"] != 0) {
         let (lost, name) = (&interface["redirect_lost"], text(&interface["interface"]));
         out += &format!(

@@ -10,9 +10,10 @@ use std::time::Duration;
 
 use gdp::port::{BATCH, DataSocket, LinkAddr, OutFrame, RecvBatch};
 use gdp_wire::{Counter, Header};
-use zerocopy::IntoBytes;
+use zerocopy::{FromBytes, IntoBytes};
 
 use super::notices::Notices;
+use super::tally::Tally;
 use super::userspace::{CopyOut, Outcome, UserTables, copies, handle};
 
 /// How long a thread takes to notice that it should end.
@@ -38,6 +39,7 @@ impl From<LinkAddr> for Medium {
 pub struct Shared {
     pub tables: RwLock<UserTables>,
     pub notices: Notices,
+    pub tally: Tally,
     sockets: RwLock<HashMap<Medium, Arc<DataSocket>>>,
     counters: [AtomicU64; Counter::COUNT],
 }
@@ -47,6 +49,7 @@ impl Shared {
         Self {
             tables: RwLock::new(tables),
             notices: Notices::default(),
+            tally: Tally::default(),
             sockets: RwLock::new(HashMap::new()),
             counters: [const { AtomicU64::new(0) }; Counter::COUNT],
         }
@@ -159,24 +162,41 @@ impl Worker {
         let mut counts = [0u64; Counter::COUNT];
         let tables = self.shared.tables.read().unwrap_or_else(PoisonError::into_inner);
         for (index, (frame, _)) in self.batch.frames().enumerate() {
-            match handle(frame, &tables) {
+            let arrived = Header::ref_from_prefix(frame).ok().map(|(header, _)| (header.link_id(), header.tag()));
+            let outcome = handle(frame, &tables);
+            let counter = match outcome {
                 Outcome::Send { to, length, counter, .. } => {
                     self.sends.push(Send { frame: index, to, length, header: None, counter });
+                    counter
                 }
                 Outcome::Copies { ingress, group } => {
-                    counts[Counter::Replicated as usize] += 1;
                     let send = |CopyOut { to, header, counter, .. }| {
                         let length = header.frame_len();
                         self.sends.push(Send { frame: index, to, length, header: Some(header), counter });
                     };
                     copies(frame, (ingress, group), &tables, send, |counter| counts[counter as usize] += 1);
+                    Counter::Replicated
                 }
-                Outcome::Control => counts[Counter::Control as usize] += 1,
+                Outcome::Control => Counter::Control,
                 Outcome::Notice { link, header } => {
-                    let known = self.shared.notices.take(link, &header);
-                    counts[if known { Counter::Notice } else { Counter::Unknown } as usize] += 1;
+                    if self.shared.notices.take(link, &header) {
+                        Counter::Notice
+                    } else {
+                        Counter::Unknown
+                    }
                 }
-                Outcome::Drop(counter) => counts[counter as usize] += 1,
+                Outcome::Drop(counter) => counter,
+            };
+            if !matches!(outcome, Outcome::Send { .. }) {
+                counts[counter as usize] += 1;
+            }
+            if let Some((link, tag)) = arrived {
+                self.shared.tally.count_arrival(link, counter);
+                if let Ok((header, _)) = Header::ref_from_prefix(frame)
+                    && counter.is_onward()
+                {
+                    self.shared.tally.sample(tag, &header.destination);
+                }
             }
         }
         drop(tables);

@@ -21,6 +21,7 @@ use super::kernel_version::KernelVersion;
 use super::link_memory::{LinkMaps, LinkMemory};
 use super::losses::{self, Losses, LossesError};
 use super::pins::{Pins, PinsError};
+use super::tally::KernelTally;
 
 /// The oldest kernel the programs are meant for.
 pub const FLOOR: KernelVersion = KernelVersion(5, 15);
@@ -142,6 +143,7 @@ pub struct KernelPlane {
     addresses: HashMap<MapData, LocalAddress, u32>,
     vlans: HashMap<MapData, Vlan, u32>,
     counters: PerCpuArray<MapData, u64>,
+    tally: KernelTally,
     link_memory: LinkMemory,
     losses: Losses,
     /// Why lost redirects are not counted, if they are not.
@@ -218,6 +220,7 @@ impl KernelPlane {
             addresses: maps.take("ADDRESSES")?,
             vlans: maps.take("VLANS")?,
             counters: maps.take("COUNTERS")?,
+            tally: KernelTally { links: maps.take("LINK_COUNTERS")?, busiest: maps.take("BUSIEST")? },
             link_memory: LinkMemory::map(shared).map_err(LoadError::LinkMemory)?,
             losses: Losses::new(maps.take(losses::MAP)?),
             uncounted: None,
@@ -375,6 +378,11 @@ impl KernelPlane {
         self.config.set(0, config, 0).map_err(update("CONFIG"))
     }
 
+    /// Forgets what was counted of the link that had the index of `id` before.
+    pub fn begin_link(&mut self, id: u32) -> Result<(), UpdateError> {
+        self.tally.begin(id).map_err(update("LINK_COUNTERS"))
+    }
+
     pub fn set_link(&mut self, link: &LinkEntry) -> Result<(), UpdateError> {
         self.links.set(link_index(link.id), link, 0).map_err(update("LINKS"))
     }
@@ -432,6 +440,11 @@ impl KernelPlane {
             *sum = self.counters.get(&index, 0).map_err(update("COUNTERS"))?.iter().sum();
         }
         Ok(sums)
+    }
+
+    /// What became of the frames of each link, and the busiest names.
+    pub fn tally(&self) -> &KernelTally {
+        &self.tally
     }
 
     /// The counts and windows of the links, shared with whoever else sends and receives on them.

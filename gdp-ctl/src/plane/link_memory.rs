@@ -55,13 +55,18 @@ impl LinkMemory {
     /// Forgets the link that had the index before. For a link that no plane takes frames from yet.
     pub fn begin(&self, id: u32) {
         self.set_count(id, 0);
-        self.complaint(id).store(0, Ordering::Relaxed);
+        self.forgive(id);
         self.window(id).iter().for_each(|word| word.store(0, Ordering::Relaxed));
     }
 
     /// The count for the next frame on link `id`: 1 for the first of a link.
     pub fn next_count(&self, id: u32) -> u64 {
         self.count(id).fetch_add(1, Ordering::Relaxed).wrapping_add(1)
+    }
+
+    /// How many frames have left by the link.
+    pub fn sent(&self, id: u32) -> u64 {
+        self.count(id).load(Ordering::Relaxed)
     }
 
     /// Says how many frames have left by the link.
@@ -83,6 +88,11 @@ impl LinkMemory {
             last.store(now, Ordering::Relaxed);
         }
         may
+    }
+
+    /// Lets the next error leave by the link at once.
+    pub fn forgive(&self, id: u32) {
+        self.complaint(id).store(0, Ordering::Relaxed);
     }
 
     fn complaint(&self, id: u32) -> &AtomicU64 {

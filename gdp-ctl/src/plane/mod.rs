@@ -14,6 +14,7 @@
 //! - [`notices`]: what neighbours say to this node itself
 //! - [`host_pair`]: the interfaces between the switch and endpoints on its own host
 //! - [`udp`]: which addresses and interfaces carry links over UDP
+//! - [`tally`]: what is counted by link and by name
 //! - [`pins`]: what stays in the kernel when the daemon dies
 
 pub mod device;
@@ -32,6 +33,7 @@ pub mod netlink;
 pub mod notices;
 pub mod object;
 pub mod pins;
+pub mod tally;
 pub mod udp;
 pub mod userspace;
 pub mod xdp_features;
@@ -382,17 +384,24 @@ impl Planes {
     /// Adds or replaces a link; frames of it are sent to `to`. `entry.port` is filled in here.
     pub fn set_link(&mut self, mut entry: LinkEntry, to: LinkAddr) -> Result<(), PlaneError> {
         entry.port = self.port_for(&entry, to);
-        let mut tables = self.tables();
-        if tables.link(entry.id).is_none() {
+        if self.read_tables().link(entry.id).is_none() {
             self.link_memory.begin(entry.id);
             self.shared.notices.begin(entry.id);
+            self.shared.tally.begin(entry.id);
+            if let Ok(kernel) = &mut self.kernel {
+                kernel.begin_link(entry.id)?;
+            }
         }
-        tables.set_link(entry, to);
-        drop(tables);
+        self.tables().set_link(entry, to);
         if let Ok(kernel) = &mut self.kernel {
             kernel.set_link(&entry)?;
         }
         Ok(())
+    }
+
+    /// Frames sent on a link by any plane.
+    pub fn frames_sent(&self, id: u32) -> u64 {
+        self.link_memory.sent(id)
     }
 
     /// Asks the data plane of the neighbour on a link whether it lives.
@@ -503,6 +512,27 @@ impl Planes {
         let kernel = self.kernel.as_ref().map_or(Ok([0; Counter::COUNT]), KernelPlane::counters)?;
         let userspace = self.shared.counters();
         Ok(Counter::ALL.iter().zip(kernel.into_iter().zip(userspace)).map(|(c, (k, u))| (*c, k, u)).collect())
+    }
+
+    /// What became of the frames that came in on a link, whichever plane took them. In the order of [`Counter::ALL`].
+    pub fn arrivals(&self, link: u32) -> Result<tally::Row, PlaneError> {
+        let userspace = self.shared.tally.of(link);
+        let Ok(kernel) = &self.kernel else { return Ok(userspace) };
+        let kernel = kernel.tally().of(link).map_err(|source| UpdateError::Map { map: "LINK_COUNTERS", source })?;
+        Ok(std::array::from_fn(|i| kernel[i] + userspace[i]))
+    }
+
+    /// The names most frames left for, the busiest first, with about how many those were.
+    pub fn busiest(&self, limit: usize) -> Result<Vec<(Name, u64)>, PlaneError> {
+        let mut names = self.shared.tally.busiest();
+        if let Ok(kernel) = &self.kernel {
+            let counted = kernel.tally().busiest().map_err(|source| UpdateError::Map { map: "BUSIEST", source })?;
+            counted.into_iter().for_each(|(name, frames)| *names.entry(name).or_default() += frames);
+        }
+        let mut names: Vec<_> = names.into_iter().collect();
+        names.sort_unstable_by_key(|(name, frames)| (std::cmp::Reverse(*frames), *name));
+        names.truncate(limit);
+        Ok(names)
     }
 
     /// Frames that were lost after a redirect, by the name of the interface they were to leave by; or why that is not known.

@@ -8,7 +8,7 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 use gdp::control::{EntityRequest, FibPush, Refusal, RefusalCode, Request, Response};
 use gdp::crypto;
 use gdp::identity::Identity;
-use gdp::link::{HOLD, Link, LinkIds, Peer, Role};
+use gdp::link::{HOLD, Link, LinkIds, LinkKeys, Peer, Role};
 use gdp::name::NameProof;
 use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
@@ -289,6 +289,17 @@ impl Core {
         }
     }
 
+    /// Writes the keys that a link has from now on to the data planes; `false` if it is gone, or a plane refuses.
+    pub fn put_keys(&mut self, id: u32, keys: &LinkKeys) -> bool {
+        let Some(state) = self.links.get_mut(&id) else { return false };
+        keys.put(&mut state.entry);
+        let result = self.planes.set_link(state.entry, state.to);
+        if let Err(error) = &result {
+            tracing::error!(link = id, %error, "the data plane did not take a link's new keys; it keeps those it has");
+        }
+        result.is_ok()
+    }
+
     /// Looks whether peers have moved to other addresses, as QUIC has validated; and what the paths to them take.
     pub fn follow_addresses(&mut self) {
         for state in self.links.values_mut() {
@@ -383,7 +394,7 @@ impl Core {
                     return refuse(RefusalCode::Unreachable, reason);
                 }
             }
-            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) | Request::Ready => {
+            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) | Request::Ready | Request::Ratcheted { .. } => {
                 let reason = "only the uplink of a switch may send it this; check uplink in the configuration of both";
                 return refuse(RefusalCode::Malformed, reason);
             }
@@ -403,7 +414,7 @@ impl Core {
                 rib.report(now, &switch, &neighbours, attached.as_deref(), own_bit)
             }
             Request::Detach { switch, entity } => rib.detach(now, &switch, &entity),
-            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) | Request::Ready => {
+            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) | Request::Ready | Request::Ratcheted { .. } => {
                 Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into()
             }
         })

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
-use gdp::link::{Link, Responder, Role};
+use gdp::link::{Link, LinkKeys, Responder, Role};
 use gdp_wire::Name;
 use tokio::time::timeout;
 
@@ -41,6 +41,7 @@ pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     }
     let role = if switch { "switch" } else { "endpoint" };
     tracing::info!(peer = %format_args!("{peer:#}"), role, %via, addr = %link.addr(), "link up");
+    daemon.spawn(keep_keys(daemon.clone(), link.clone()));
     if switch {
         daemon.topology_changed();
         daemon.spawn(say_ready(link.clone()));
@@ -48,6 +49,13 @@ pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     } else {
         daemon.spawn(serve_endpoint(daemon.clone(), link));
     }
+}
+
+/// Replaces the link's keys in the data planes now and then, as long as it lives.
+async fn keep_keys(daemon: Arc<Daemon>, link: Link) {
+    let id = link.local_id();
+    let put = |keys: &LinkKeys| daemon.core().put_keys(id, keys);
+    link.keep_keys(|| daemon.core().planes.frames_sent(id), put).await;
 }
 
 /// The neighbour goes on sending on an earlier link until it hears this.

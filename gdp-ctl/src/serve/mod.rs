@@ -105,7 +105,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     core.take_over(&link_ids);
     let daemon = Arc::new(Daemon {
         name: identity.name(),
-        port_config: PortConfig::switch(identity, link_ids),
+        port_config: PortConfig { rekey: config.rekey, ..PortConfig::switch(identity, link_ids) },
         core: Mutex::new(core),
         ports: Mutex::default(),
         lanes: Mutex::default(),

@@ -5,12 +5,15 @@ use std::sync::Arc;
 
 use gdp::control::RecordPlace;
 use gdp::link::Role;
-use gdp_wire::{ErrorCode, FibEntry, Name};
+use gdp_wire::{Counter, ErrorCode, FibEntry, Name};
 use serde_json::{Map, Value, json};
 
 use super::core::Core;
 use super::{Daemon, interfaces};
 use crate::plane::host_pair;
+
+/// Names that the status shows as the busiest.
+const BUSIEST: usize = 10;
 
 /// `gdp-ctl status`.
 pub async fn status(daemon: &Arc<Daemon>) -> Value {
@@ -44,6 +47,10 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         }
         Err(error) => errors.push(error.to_string()),
     }
+    let busiest = core.planes.busiest(BUSIEST).unwrap_or_else(|error| {
+        errors.push(error.to_string());
+        Vec::new()
+    });
     errors.extend(core.unplaced());
     // What the host itself has made is no interface that anybody asked about.
     let outward: Vec<_> = report.into_iter().filter(|plane| !host_pair::is_end(&plane.interface)).collect();
@@ -58,6 +65,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "links_held": links_held(&core),
         "counters": counters,
         "counters_by_plane": by_plane,
+        "busiest": busiest.iter().map(|(name, frames)| json!({"name": name, "frames": frames})).collect::<Vec<_>>(),
         "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
         "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
         "uplink": core.uplink.map(|switch| json!({
@@ -75,6 +83,7 @@ pub fn links(core: &Core) -> Vec<Value> {
         .into_iter()
         .map(|state| {
             let (link, peer) = (&state.link, state.link.peer());
+            let (rx_keys, tx_keys) = link.key_generations();
             json!({
                 "peer": peer.name,
                 "role": role(peer.role),
@@ -82,9 +91,11 @@ pub fn links(core: &Core) -> Vec<Value> {
                 "address": link.addr().to_string(),
                 "id": link.local_id(),
                 "mtu": link.mtu(),
+                "key_generations": {"rx": rx_keys, "tx": tx_keys},
                 "rtt_us": link.rtt().as_micros() as u64,
                 "age_s": state.since.elapsed().as_secs(),
                 "errors_received": errors_received(core, link.local_id()),
+                "arrivals": arrivals(core, link.local_id()),
                 "plane": if core.planes.kernel_sends_on(link.local_id()) { "kernel" } else { "userspace" },
             })
         })
@@ -106,6 +117,20 @@ fn links_held(core: &Core) -> Vec<Value> {
             })
         })
         .collect()
+}
+
+/// What became of the frames that came in on a link; counters without any are left out.
+fn arrivals(core: &Core, link: u32) -> Value {
+    match core.planes.arrivals(link) {
+        Ok(counts) => {
+            let counts = Counter::ALL.iter().zip(counts).filter(|(_, frames)| *frames > 0);
+            counts
+                .map(|(counter, frames)| (counter.as_str().to_owned(), Value::from(frames)))
+                .collect::<Map<_, _>>()
+                .into()
+        }
+        Err(error) => error.to_string().into(),
+    }
 }
 
 fn role(role: Role) -> &'static str {

@@ -147,7 +147,9 @@ fn is_for_this_plane<T: Tables>(fate: &Fate<'_>, length: usize, tables: &T) -> b
 /// sent on the link, with this one.
 #[inline(always)]
 pub fn stamp(header: &mut Header, link: &LinkEntry, count: u64) {
-    let second = link.tx_phase & 1 != 0;
+    // Once, although user space may change it meanwhile: flag and key must be of the same phase.
+    // SAFETY: a field of a live entry.
+    let second = unsafe { (&raw const link.tx_phase).read_volatile() } & 1 != 0;
     header.flags = header.flags & !Header::KEY_PHASE | if second { Header::KEY_PHASE } else { 0 };
     header.set_link_id(link.peer_id);
     header.set_link_counter(count as u32);

@@ -11,7 +11,9 @@ use gdp_wire::{Counter, FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::frames::carrier::Place;
-use crate::frames::fixtures::{Bytes, CopyOut, Expected, Switch, Verdict};
+use crate::frames::fixtures::{Switch, Verdict};
+
+pub use crate::frames::fixtures::Fate;
 
 /// `KERNEL`: leaves to another plane what it cannot send.
 pub struct PlainTables<const KERNEL: bool> {
@@ -24,6 +26,8 @@ pub struct PlainTables<const KERNEL: bool> {
     switch: Switch,
     sent: RefCell<HashMap<u32, u64>>,
     windows: HashMap<u32, Window>,
+    /// Whether the kernel has groups.
+    can_copy: bool,
 }
 
 impl<const KERNEL: bool> PlainTables<KERNEL> {
@@ -38,80 +42,74 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             switch: switch.clone(),
             sent: RefCell::new(switch.links.iter().map(|link| (link.id, link.tx_counter)).collect()),
             windows: switch.links.iter().map(|link| (link.id, window(&link.taken))).collect(),
+            can_copy: true,
         }
     }
 
+    /// Of a kernel that was given no groups of links.
+    #[allow(dead_code, reason = "each test that includes this uses a part of it")]
+    pub fn without_groups(self) -> Self {
+        Self { can_copy: false, ..self }
+    }
+
     /// What becomes of an Ethernet frame.
-    pub fn run(&self, frame: &[u8]) -> Expected {
+    pub fn run(&self, frame: &[u8]) -> Fate {
         let Some(Place { at, length, over_udp }) = self.switch.find(frame) else {
-            return outcome(Verdict::Pass, Counter::Foreign);
+            return Fate::new(Verdict::Pass, Counter::Foreign);
         };
         let gdp = &frame[at..at + length];
         match gdp.first().copied() {
-            Some(FIRST_QUIC_BYTE..) if over_udp => return outcome(Verdict::Pass, Counter::Control),
+            Some(FIRST_QUIC_BYTE..) if over_udp => return Fate::new(Verdict::Pass, Counter::Control),
             Some(first) => match forward::classify(first) {
                 Kind::Headed => {}
-                Kind::Control => return outcome(Verdict::Pass, Counter::Control),
-                Kind::Unknown => return outcome(Verdict::Drop, Counter::Unknown),
+                Kind::Control => return Fate::new(Verdict::Pass, Counter::Control),
+                Kind::Unknown => return Fate::new(Verdict::Drop, Counter::Unknown),
             },
-            None => return outcome(Verdict::Drop, Counter::Truncated),
+            None => return Fate::new(Verdict::Drop, Counter::Truncated),
         }
         let Ok((mut header, payload)) = Header::read_from_prefix(gdp) else {
-            return outcome(Verdict::Drop, Counter::Truncated);
+            return Fate::new(Verdict::Drop, Counter::Truncated);
         };
         let ingress = header.link_id();
         let payload = payload.get(..header.payload_len().into()).unwrap_or(payload);
         let send = |link: &LinkEntry, header: &Header, payload: &[u8], counter| {
             // The fixtures leave this port without an interface.
             if KERNEL && link.port == 63 {
-                return outcome(Verdict::Drop, Counter::RedirectFailed);
+                return Fate::new(Verdict::Drop, Counter::RedirectFailed);
             }
-            let frame = Some(self.carried(link, header, payload));
-            Expected { frame, ..outcome(Verdict::Send, counter) }
+            Fate::sent(self.carried(link, header, payload), counter)
         };
         match forward::decide(&mut header, length, self) {
             forward::Verdict::Send(link, counter) => send(link, &header, payload, counter),
             forward::Verdict::Answer(link, counter) => send(link, &header, &[], counter),
-            forward::Verdict::Copies(group) => {
-                let copies = self.copies(&header, payload, group, ingress);
-                Expected { copies, ..outcome(Verdict::Copy, Counter::Replicated) }
-            }
-            forward::Verdict::Notice(_) => outcome(Verdict::Pass, Counter::Notice),
-            forward::Verdict::Slow => outcome(Verdict::Pass, Counter::Slow),
-            forward::Verdict::Drop(counter) => outcome(Verdict::Drop, counter),
+            forward::Verdict::Copies(group) => Fate::copied(self.copies(&header, payload, group, ingress)),
+            forward::Verdict::Notice(_) => Fate::new(Verdict::Pass, Counter::Notice),
+            forward::Verdict::Slow => Fate::new(Verdict::Pass, Counter::Slow),
+            forward::Verdict::Drop(counter) => Fate::new(Verdict::Drop, counter),
         }
     }
 
-    fn copies(&self, header: &Header, payload: &[u8], group: u32, ingress: u32) -> Vec<CopyOut> {
+    fn copies(&self, header: &Header, payload: &[u8], group: u32, ingress: u32) -> Vec<(Option<Vec<u8>>, Counter)> {
         let neighbours = self.links.values().filter(|link| link.role == LinkRole::Switch as u32).map(|link| link.id);
         let members = self.groups.get(&group).into_iter().flatten().copied().chain(neighbours);
         let links = members.filter_map(|id| self.links.get(&id));
-        let mut copies: Vec<CopyOut> = links
+        links
             .filter_map(|link| {
                 let mut header = *header;
                 let length = Header::LEN + payload.len();
                 match forward::copy(&mut header, length, link, &self.links[&ingress], self) {
-                    Copy::Send(counter) => {
-                        let frame = Some(self.carried(link, &header, payload));
-                        Some(CopyOut { frame, counter: counter.as_str().into() })
-                    }
-                    Copy::Drop(counter) => Some(CopyOut { frame: None, counter: counter.as_str().into() }),
+                    Copy::Send(counter) => Some((Some(self.carried(link, &header, payload)), counter)),
+                    Copy::Drop(counter) => Some((None, counter)),
                     Copy::None => None,
                 }
             })
-            .collect();
-        copies.sort();
-        copies
+            .collect()
     }
 
-    fn carried(&self, link: &LinkEntry, header: &Header, payload: &[u8]) -> Bytes {
+    fn carried(&self, link: &LinkEntry, header: &Header, payload: &[u8]) -> Vec<u8> {
         let link = self.switch.link(link.id).expect("a link of the switch");
-        Bytes::new(&link.carry(self.switch.ethertype, &[header.as_bytes(), payload].concat()))
+        link.carry(self.switch.ethertype, &[header.as_bytes(), payload].concat())
     }
-}
-
-fn outcome(verdict: Verdict, counter: Counter) -> Expected {
-    Expected { verdict, counter: counter.as_str().into(), frame: None, copies: vec![] }
 }
 
 impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
@@ -153,7 +151,7 @@ impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
     }
 
     fn can_copy(&self, _: u32, _: usize) -> bool {
-        true
+        self.can_copy
     }
 
     fn may_complain(&self, _: &LinkEntry) -> bool {

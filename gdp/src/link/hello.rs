@@ -8,7 +8,7 @@ use quinn::{Connection, RecvStream, SendStream};
 use serde::{Deserialize, Serialize};
 
 use super::ids::{LinkId, LinkIds};
-use super::{Link, LinkError, PairEnd, Peer, Place, Role, streams, tls};
+use super::{Link, LinkError, PairEnd, Peer, Place, RekeySchedule, Role, streams, tls};
 use crate::control;
 use crate::identity::Identity;
 use crate::name::NameProof;
@@ -58,6 +58,8 @@ pub struct HelloConfig {
     pub host: Option<u64>,
     /// A switch's, for endpoints on its host.
     pub pair: CurrentPair,
+    /// Not said, but needed for the link that is made.
+    pub rekey: RekeySchedule,
 }
 
 /// What the peer said of its end of the link.
@@ -96,7 +98,7 @@ pub async fn greet_as_client(
         Some(ip) if host.is_some() && ip.is_link_local() => place.by(PairEnd::toward(ip)),
         Some(ip) => return Err(LinkError::Protocol(format!("{ip} is no place to send frames to"))),
     };
-    Link::new(connection, place, (id, config.mtu), peer, peer_end, true)
+    Link::new(connection, place, (id, config.mtu), peer, peer_end, true, config.rekey)
 }
 
 /// Answers the hello of a connection the peer dialled. Nothing is allocated before the peer has proven and said who it is.
@@ -107,7 +109,7 @@ pub async fn greet_as_server(connection: Connection, place: Place, config: &Hell
     let pair = config.pair.get().filter(|_| is_beside(config, &connection, &peer, &peer_end));
     say(&mut send, config, &id, None, pair.map(|pair| pair.switch_ip)).await?;
     let place = pair.map_or(place, |pair| place.by(PairEnd::of_switch(&pair)));
-    Link::new(connection, place, (id, config.mtu), peer, peer_end, false)
+    Link::new(connection, place, (id, config.mtu), peer, peer_end, false, config.rekey)
 }
 
 /// Whether the peer is an endpoint on this host. It says so; that its packets come from the address they go to shows it, because

@@ -7,6 +7,7 @@ use quinn::{Connection, ReadExactError, RecvStream, SendStream, VarInt};
 use tokio::sync::mpsc;
 use tokio::time::timeout;
 
+use super::rekey::Announcement;
 use super::{LinkError, REQUEST_TIMEOUT};
 use crate::control::{self, MAX_MESSAGE, Refusal, RefusalCode, Request, Response};
 
@@ -51,20 +52,32 @@ pub async fn request(connection: &Connection, request: &Request) -> Result<Respo
         .unwrap_or(Err(LinkError::Timeout { what: "the answer to a request", after: REQUEST_TIMEOUT }))
 }
 
-/// Reads the peer's requests into `sender` until the connection is closed. The number of streams is bounded by QUIC.
-pub async fn serve(connection: Connection, sender: mpsc::Sender<(Request, Responder)>) {
+/// Where what the peer asks goes.
+#[derive(Clone)]
+pub struct Takers {
+    pub requests: mpsc::Sender<(Request, Responder)>,
+    /// Changes of keys: the link's own business.
+    pub heard: mpsc::Sender<Announcement>,
+}
+
+/// Reads the peer's requests until the connection is closed. The number of streams is bounded by QUIC.
+pub async fn serve(connection: Connection, takers: Takers) {
     while let Ok((send, recv)) = connection.accept_bi().await {
-        tokio::spawn(read_request(send, recv, sender.clone()));
+        tokio::spawn(read_request(send, recv, takers.clone()));
     }
 }
 
-async fn read_request(send: SendStream, mut recv: RecvStream, sender: mpsc::Sender<(Request, Responder)>) {
+async fn read_request(send: SendStream, mut recv: RecvStream, takers: Takers) {
     let responder = Responder(Some(send));
     match timeout(READ_TIMEOUT, read_message(&mut recv, MAX_MESSAGE)).await {
         Ok(Ok(bytes)) => match control::decode(&bytes) {
+            Ok(Request::Ratcheted { generation }) => {
+                // Without room, or anybody who keeps the keys, it is left unanswered, and the peer asks again.
+                let _ = takers.heard.try_send((generation, responder));
+            }
             Ok(request) => {
                 // The receiver is gone only when the link is.
-                let _ = sender.send((request, responder)).await;
+                let _ = takers.requests.send((request, responder)).await;
             }
             Err(error) => refuse(responder, error.to_string()).await,
         },

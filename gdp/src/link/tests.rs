@@ -2,6 +2,7 @@
 
 use std::collections::HashSet;
 use std::net::SocketAddr;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use gdp_wire::{Counter, FrameType, Header, forward, replay};
@@ -249,6 +250,101 @@ async fn data_frames_pass_beside_quic() {
     let elsewhere = LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] };
     let lost = dialler.data().send_batch([OutFrame { to: elsewhere, head: &[0x10], body: &[] }]);
     assert_eq!((lost.sent, lost.lost, dialler.data().send_drops()), (0, 1, 1));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn keys_are_replaced_on_both_sides_while_frames_cross() {
+    let (listener, dialler) = (listen_by(OFTEN), open_by(OFTEN));
+    let (client, server) = link(&dialler, &listener).await;
+    let ends = [End::new(&client), End::new(&server)];
+    let first = (0..2).map(|i| ends[i].frame()).collect::<Vec<_>>();
+    let deadline = Instant::now() + Duration::from_secs(20);
+    while ends.iter().any(|end| end.link.key_generations().0 < 5 || end.link.key_generations().1 < 5) {
+        assert!(Instant::now() < deadline, "{:?} {:?}", client.key_generations(), server.key_generations());
+        for (from, to) in [(0, 1), (1, 0)] {
+            let header = ends[from].frame();
+            assert_eq!(ends[to].take(&header), Ok(FrameType::Data), "{:?}", ends[from].link.key_generations());
+        }
+        tokio::task::yield_now().await;
+    }
+    for (from, to) in [(0, 1), (1, 0)] {
+        assert_eq!(ends[to].take(&first[from]), Err(Counter::BadTag), "it was recorded under the first key");
+    }
+}
+
+/// As one whose daemon died, and whose kernel forwards on by the keys it has.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_peer_that_does_not_answer_keeps_its_keys_and_takes_what_comes() {
+    let (listener, dialler) = (listen_by(OFTEN), open_by(OFTEN));
+    let (client, server) = link(&dialler, &listener).await;
+    let (end, silent) = (End::new(&client), server.entry(0));
+    let window = replay::empty();
+    let until = Instant::now() + OFTEN.overlap * 4 + Duration::from_secs(2);
+    while Instant::now() < until {
+        assert_eq!(forward::accept(&end.frame(), Header::LEN, &silent, &window), Ok(FrameType::Data));
+        tokio::task::yield_now().await;
+    }
+    assert_eq!(client.key_generations(), (0, 1), "it has moved once, and asks");
+    // Whoever takes the link into service answers, and it goes on.
+    let _end = End::new(&server);
+    let deadline = Instant::now() + Duration::from_secs(20);
+    while client.key_generations().1 < 3 {
+        assert!(Instant::now() < deadline);
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+}
+
+const OFTEN: RekeySchedule =
+    RekeySchedule { interval: Duration::from_millis(20), frames: u64::MAX, overlap: Duration::from_millis(100) };
+
+/// One end of a link, with the table of a data plane of a page.
+struct End {
+    link: Link,
+    entry: Arc<StdMutex<LinkEntry>>,
+    sent: Arc<AtomicU64>,
+    window: Box<replay::Window>,
+    task: JoinHandle<()>,
+}
+
+impl End {
+    fn new(link: &Link) -> Self {
+        let (entry, sent) = (Arc::new(StdMutex::new(link.entry(0))), Arc::new(AtomicU64::new(0)));
+        let (table, counted, kept) = (entry.clone(), sent.clone(), link.clone());
+        let task = tokio::spawn(async move {
+            let put = |keys: &LinkKeys| {
+                keys.put(&mut table.lock().unwrap());
+                true
+            };
+            kept.keep_keys(|| counted.load(Ordering::Relaxed), put).await;
+        });
+        Self { link: link.clone(), entry, sent, window: Box::new(replay::empty()), task }
+    }
+
+    fn frame(&self) -> Header {
+        let mut header = Header::data(Name::from_bytes([1; 32]), Name::from_bytes([2; 32]), 0);
+        forward::stamp(&mut header, &self.entry.lock().unwrap(), self.sent.fetch_add(1, Ordering::Relaxed) + 1);
+        header
+    }
+
+    fn take(&self, header: &Header) -> Result<FrameType, Counter> {
+        forward::accept(header, Header::LEN, &self.entry.lock().unwrap(), &*self.window)
+    }
+}
+
+impl Drop for End {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+fn listen_by(rekey: RekeySchedule) -> Port {
+    let config = PortConfig { rekey, ..PortConfig::switch(identity("switch"), LinkIds::new()) };
+    Port::udp("127.0.0.1:0".parse().unwrap(), &config).unwrap()
+}
+
+fn open_by(rekey: RekeySchedule) -> Port {
+    let config = PortConfig { rekey, ..PortConfig::endpoint(identity("proxy")) };
+    Port::udp("127.0.0.1:0".parse().unwrap(), &config).unwrap()
 }
 
 fn identity(kind: &str) -> Identity {

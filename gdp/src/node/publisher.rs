@@ -78,13 +78,14 @@ fn send_batch(
     payloads: &mut dyn Iterator<Item = &[u8]>,
     node: &Handle,
 ) -> usize {
+    let entry = attachment.entry.get();
     let mut bodies = [&[][..]; BATCH];
     let mut count = 0;
     for body in payloads.take(BATCH) {
         let header = &mut headers[count];
         // The writer keeps payloads within the link's MTU, which 16 bits can express.
         *header = Header::data(destination, source, body.len() as u16);
-        forward::stamp(header, &attachment.entry, attachment.next_count());
+        forward::stamp(header, &entry, attachment.next_count());
         bodies[count] = body;
         count += 1;
     }

@@ -15,6 +15,7 @@ use super::counters::Counters;
 use super::feedback::Feedbacks;
 use super::held::Held;
 use super::intake::{Intake, Writer};
+use super::shared_entry::SharedEntry;
 use super::supervisor::{Attachment, Event};
 use crate::port::{DataSocket, RecvBatch};
 use crate::seal::DropReason;
@@ -97,7 +98,10 @@ impl Receiver {
                         continue;
                     }
                 }
-                Ok(_) => intakes.take(batch, links, counters, &self.feedback, &self.events),
+                Ok(_) => {
+                    links.refresh();
+                    intakes.take(batch, links, counters, &self.feedback, &self.events);
+                }
                 Err(error) => {
                     // The link is about to be lost as well; the next one brings its socket.
                     tracing::debug!(%error, "the data socket failed");
@@ -145,6 +149,12 @@ impl Links {
         links
     }
 
+    /// Meets the keys that were put before; to be called after frames were received.
+    fn refresh(&mut self) {
+        let held = self.held.iter_mut().map(|(link, _)| link);
+        held.chain([&mut self.current]).for_each(|link| link.entry = link.shared.get());
+    }
+
     /// The link a frame says it is on; the current one for a frame that is on none, to be refused by it.
     fn of(&self, header: &Header) -> &Ingress {
         let held = self.held.iter().map(|(link, _)| link).find(|link| link.entry.id == header.link_id());
@@ -154,6 +164,8 @@ impl Links {
 
 /// A link that frames come from, and which of them came.
 struct Ingress {
+    shared: SharedEntry,
+    /// As it is for the batch at hand.
     entry: LinkEntry,
     window: Box<Window>,
     /// For answers, as long as the node sends on the link.
@@ -161,12 +173,12 @@ struct Ingress {
 }
 
 impl Ingress {
-    fn new(entry: LinkEntry, attachment: Weak<Attachment>) -> Self {
-        Self { entry, window: Box::new(replay::empty()), attachment }
+    fn new(shared: SharedEntry, attachment: Weak<Attachment>) -> Self {
+        Self { entry: shared.get(), shared, window: Box::new(replay::empty()), attachment }
     }
 
     fn of(attachment: &Arc<Attachment>) -> Self {
-        Self::new(attachment.entry, Arc::downgrade(attachment))
+        Self::new(attachment.entry.clone(), Arc::downgrade(attachment))
     }
 
     /// What the switch says to this node itself.
@@ -326,7 +338,8 @@ mod tests {
     #[test]
     fn a_frame_that_comes_again_on_its_link_is_refused() {
         let mut intakes = subscribed();
-        let (entry, counters) = (LinkEntry::default(), Counters::default());
+        let (shared, counters) = (SharedEntry::new(LinkEntry::default()), Counters::default());
+        let entry = shared.get();
         let (events, _asked) = async_mpsc::unbounded_channel();
         let mut take = |link: &Links, counts: &[u64]| {
             let mut batch = RecvBatch::new(1500);
@@ -375,7 +388,7 @@ mod tests {
     }
 
     fn links() -> Links {
-        Links::new(Ingress::new(LinkEntry::default(), Weak::new()))
+        Links::new(Ingress::new(SharedEntry::new(LinkEntry::default()), Weak::new()))
     }
 
     fn feedback() -> Feedbacks {
@@ -384,7 +397,8 @@ mod tests {
 
     #[test]
     fn a_link_that_fell_silent_keeps_its_window_through_attempts_to_replace_it() {
-        let link = |id| Ingress::new(LinkEntry { id, ..LinkEntry::default() }, Weak::new());
+        let entry = |id| SharedEntry::new(LinkEntry { id, ..LinkEntry::default() });
+        let link = |id| Ingress::new(entry(id), Weak::new());
         let until = Instant::now() + Duration::from_secs(60);
         let first = Links::new(link(1));
         assert!(replay::take(&*first.current.window, 7));

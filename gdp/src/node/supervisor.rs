@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use gdp_wire::table::PORT_USERSPACE;
-use gdp_wire::{Header, LinkEntry, Name, forward};
+use gdp_wire::{Header, Name, forward};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep, sleep_until, timeout_at};
@@ -15,13 +15,14 @@ use zerocopy::IntoBytes;
 
 use super::frame_size::FrameSize;
 use super::receiver::Command;
+use super::shared_entry::SharedEntry;
 use super::state::{self, State, Status};
 use super::{LinkTarget, NodeError, Stated};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
 use crate::link::liveness::{Liveness, Pace, Step};
-use crate::link::{HOLD, Link, LinkError, Responder, Role};
-use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig};
+use crate::link::{HOLD, Link, LinkError, LinkKeys, RekeySchedule, Responder, Role};
+use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, SMALLEST_PATH};
 
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -41,6 +42,10 @@ const REATTACH: Duration = Duration::from_secs(4);
 /// How often certificates and statements with a lifetime of [`state::LIFETIME`] are renewed.
 const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
 
+/// How long frames on a new link over UDP stay as small as any path takes: meanwhile QUIC learns the paths of links that are made at the
+/// same time, and switches learn them from it.
+const SETTLING: Duration = Duration::from_secs(3);
+
 /// What the rest of the node tells the supervisor.
 pub enum Event {
     /// A publisher or subscription was dropped.
@@ -52,12 +57,13 @@ pub enum Event {
 /// The link as publishers use it.
 pub struct Attachment {
     pub link: Link,
-    pub entry: LinkEntry,
+    pub entry: SharedEntry,
     pub data: Arc<DataSocket>,
     /// Bytes of the largest frame that may come.
     pub largest: usize,
     /// What links further on take, as far as it is known.
     pub frame_size: FrameSize,
+    since: Instant,
     count: AtomicU64,
     /// Cookie of the latest answer to an echo.
     answer: AtomicU64,
@@ -65,9 +71,9 @@ pub struct Attachment {
 
 impl Attachment {
     fn new(link: Link, port: &Port) -> Self {
-        let (entry, data, largest) = (link.entry(PORT_USERSPACE), port.data(), port.mtu() as usize);
+        let (entry, data, largest) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data(), port.mtu() as usize);
         let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
-        Self { entry, link, data, largest, frame_size, count, answer }
+        Self { entry, link, data, largest, frame_size, since: Instant::now(), count, answer }
     }
 
     /// The count for the next frame: 1 for the first.
@@ -77,7 +83,7 @@ impl Attachment {
 
     /// Sends a frame without a payload to the switch itself; if it is lost, so be it.
     pub fn send(&self, mut header: Header) {
-        forward::stamp(&mut header, &self.entry, self.next_count());
+        forward::stamp(&mut header, &self.entry.get(), self.next_count());
         self.data.send_batch([OutFrame { to: self.link.addr(), head: header.as_bytes(), body: &[] }]);
     }
 
@@ -117,7 +123,18 @@ impl Attachment {
 
     /// Largest payload of a frame, in bytes: what this link takes now, and links further on as far as is known.
     pub fn max_payload(&self) -> usize {
-        (self.link.mtu().min(self.frame_size.get()) as usize).saturating_sub(Header::LEN)
+        let settling = matches!(self.link.addr(), LinkAddr::Udp(_)) && self.since.elapsed() < SETTLING;
+        let largest = if settling { SMALLEST_PATH.into() } else { self.link.mtu() };
+        (largest.min(self.frame_size.get()) as usize).saturating_sub(Header::LEN)
+    }
+
+    /// Replaces the keys of the link now and then, as long as it lives.
+    async fn keep_keys(self: Arc<Self>) {
+        let put = |keys: &LinkKeys| {
+            self.entry.update(|entry| keys.put(entry));
+            true
+        };
+        self.link.keep_keys(|| self.count.load(Ordering::Relaxed), put).await;
     }
 }
 
@@ -146,8 +163,8 @@ pub struct Supervisor {
 }
 
 impl Supervisor {
-    pub fn new(state: Arc<State>, target: LinkTarget, pinned: Option<Name>) -> Self {
-        let port_config = PortConfig::endpoint(state.identity.clone());
+    pub fn new(state: Arc<State>, target: LinkTarget, pinned: Option<Name>, rekey: RekeySchedule) -> Self {
+        let port_config = PortConfig { rekey, ..PortConfig::endpoint(state.identity.clone()) };
         Self { state, target, pinned, port_config, port: None }
     }
 
@@ -239,6 +256,7 @@ impl Supervisor {
     /// One link's life; returns why it ended.
     async fn serve(&self, attachment: Arc<Attachment>, events: &mut mpsc::UnboundedReceiver<Event>) -> String {
         let _upkeep = AbortOnDrop(tokio::spawn(keep_stated(self.state.clone(), attachment.clone())));
+        let _keys = AbortOnDrop(tokio::spawn(attachment.clone().keep_keys()));
         let link = &attachment.link;
         loop {
             tokio::select! {

@@ -1,13 +1,11 @@
-//! The published test vectors, recomputed and compared. `GDP_WRITE_VECTORS=1 cargo test -p gdp vectors` writes them anew.
-//! Signatures in them are those of RFC 6979, so that the vectors are the same on every run.
+//! The published test vectors of names and segments. Signatures in them are those of RFC 6979, so that the vectors are the same on every run.
 
 use super::*;
 use crate::crypto::Backend;
 use crate::identity::SigningKey;
 use crate::name::{self, Metadata, Name};
-use serde_json::{Value, json};
-use std::fs;
-use std::path::PathBuf;
+use crate::vectors::check;
+use serde_json::json;
 
 #[test]
 fn vectors_of_names() {
@@ -117,17 +115,6 @@ fn vectors_of_segments() {
             "vectors": vectors,
         }),
     );
-}
-
-fn check(file: &str, computed: &Value) {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs/vectors").join(file);
-    if std::env::var_os("GDP_WRITE_VECTORS").is_some() {
-        fs::create_dir_all(path.parent().unwrap()).unwrap();
-        fs::write(&path, serde_json::to_string_pretty(computed).unwrap() + "\n").unwrap();
-    }
-    let text = fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-    let published: Value = serde_json::from_str(&text).unwrap();
-    assert_eq!(&published, computed, "{file} differs from what this code computes");
 }
 
 fn map(entries: &[(&str, &str)]) -> Metadata {

@@ -1,96 +1,116 @@
-//! Frames per second through one and three switches, three ways: XDP, the kernel's IPv4 routers, and the userspace plane
-//! on packet sockets. Run by `cargo xtask bench forward`; needs root.
+//! What forwarding costs, beside what else could forward, in the same run. Run by `cargo xtask bench forward`; needs root.
 //!
-//! ```text
-//!  robot ── s1 ( ── s2 ── s3 ) ── cloud
-//!  generator                      sink       (both XDP, the same for all)
-//! ```
+//! One file a row of the figures, each a function from [`Bench`] to [`Figure`]s:
 //!
-//! No daemons: the tables are what a RIB would have installed, put there through the same `Planes`. All paths exist at
-//! once and are measured in turn, so that a busy machine slows all of them; a ratio is the median of the rounds' ratios.
-//! The generator keeps a number of frames under way and waits for arrivals beyond that, so a rate is one without loss. XDP and
-//! the routers run on the generator's core, which is how veths work; the userspace plane's threads take whatever is left.
-//! Toward switches the generator counts and tags every frame, as an endpoint must; toward routers it is spared that. So the first
-//! hop of XDP pays for a tag more than it computes.
+//! - [`cost`]: nanoseconds of one frame in the switch, by test runs
+//! - [`fib`]: lookups in a FIB of a million names (programs and tables: [`lookups`]), and changes of it
+//! - [`hops`]: frames per second through chains of switches
+//! - [`flood`]: frames to known names while others ask for unknown ones
+//! - [`senders`]: what the first switch costs a program that sends by a socket
 //!
-//! Then the FIB alone, with a million names.
+//! They are made from [`path`] (what forwards), [`traffic`] (generators and sink), [`rounds`] (in turn), [`figure`] (results);
+//! [`table`] and [`plot`] (on [`svg`]) show these.
+//!
+//! No daemons: the tables are what a RIB would have installed, put there through the same `Planes`.
 
+mod cost;
 mod fib;
+mod figure;
+mod flood;
+mod hops;
 mod lookups;
 mod path;
-mod report;
+mod plot;
+mod rounds;
+mod senders;
+mod svg;
+mod table;
 mod traffic;
 
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Context, Result, bail};
 use clap::Parser;
-
-use path::{Kind, Path};
-use report::{Report, Row};
-use traffic::Generator;
-
-/// Payload bytes of the GDP frames; IPv4 packets have the same length as the frames.
-const PAYLOADS: [usize; 2] = [64, 1400];
+use figure::{Figure, Report};
 
 #[derive(Parser)]
 struct Options {
+    #[command(flatten)]
+    bench: Bench,
+    /// Only these rows
+    #[arg(long)]
+    only: Vec<String>,
+    /// One JSON object on stdout instead of tables
+    #[arg(long)]
+    json: bool,
+    /// A folder to draw plots into
+    #[arg(long)]
+    plots: Option<PathBuf>,
+    /// What cargo passes to every benchmark
+    #[arg(long = "bench", hide = true)]
+    _cargo: bool,
+}
+
+/// What every row is given.
+#[derive(clap::Args)]
+struct Bench {
     /// The XDP switch
     #[arg(long)]
     ebpf_object: PathBuf,
-    /// Generator and sink, `gdp-ebpf-bench`
+    /// The same with a hop tag that costs nothing
+    #[arg(long)]
+    untagged_object: PathBuf,
+    /// Generators and sink
     #[arg(long)]
     bench_object: PathBuf,
-    /// Each path is measured this often, in turn
+    /// Whatever is compared is measured this often, in turn
     #[arg(long, default_value_t = 7)]
     rounds: usize,
     /// How long one measurement takes
-    #[arg(long, default_value_t = 300)]
+    #[arg(long, default_value_t = 200)]
     milliseconds: u64,
-    /// One JSON object on stdout instead of a table
-    #[arg(long)]
-    json: bool,
-    /// What cargo passes to every benchmark
-    #[arg(long, hide = true)]
-    bench: bool,
 }
+
+impl Bench {
+    fn duration(&self) -> Duration {
+        Duration::from_millis(self.milliseconds)
+    }
+}
+
+type Row = fn(&Bench) -> Result<Vec<Figure>>;
+
+const ROWS: [(&str, Row); 6] = [
+    ("cost", cost::run),
+    ("fib", fib::run),
+    ("hops", hops::small_frames),
+    ("large", hops::large_frames),
+    ("flood", flood::run),
+    ("senders", senders::run),
+];
 
 fn main() -> Result<()> {
     let options = Options::parse();
+    if let Some(unknown) = options.only.iter().find(|only| ROWS.iter().all(|(name, _)| name != only)) {
+        bail!("no row `{unknown}`; there are {}", ROWS.map(|(name, _)| name).join(", "));
+    }
     gdp_tests::wait::catch_interrupts();
     gdp_tests::netns::sweep()?;
-    let mut paths = Vec::new();
-    for hops in [1, 3] {
-        for kind in [Kind::Xdp, Kind::Ip, Kind::Userspace] {
-            let path = Path::build(kind, hops, &options.ebpf_object)?;
-            let generator = Generator::new(path.chain(), &path.robot_link(), &options.bench_object)?;
-            paths.push((path, generator));
-        }
-    }
-    let duration = Duration::from_millis(options.milliseconds);
-    let mut rows: Vec<Row> = Vec::new();
-    for payload in PAYLOADS {
-        let first = rows.len();
-        rows.extend(paths.iter().map(|(path, _)| Row::new(path.kind(), path.hops(), payload)));
-        for round in 0..=options.rounds {
-            for ((path, generator), row) in paths.iter_mut().zip(&mut rows[first..]) {
-                let rate = generator.measure(&path.frame(payload), duration)?;
-                // The first round warms caches and neighbour tables up.
-                if round > 0 {
-                    row.add(rate);
-                }
+    let mut figures = Vec::new();
+    for (name, row) in ROWS {
+        if options.only.is_empty() || options.only.iter().any(|only| only == name) {
+            let row = row(&options.bench).with_context(|| format!("row {name}"))?;
+            if !options.json {
+                row.iter().for_each(|figure| print!("{figure}"));
             }
+            figures.extend(row);
         }
     }
-    for (path, _) in &paths {
-        path.check()?;
+    if let Some(folder) = &options.plots {
+        plot::draw(&figures, folder)?;
     }
-    let report = Report::new(rows, fib::measure(&options.bench_object, options.rounds)?);
     if options.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
-    } else {
-        print!("{report}");
+        println!("{}", serde_json::to_string_pretty(&Report::new(figures)?)?);
     }
     Ok(())
 }

@@ -1,4 +1,7 @@
-//! Generator and sink: the programs of `gdp-ebpf/src/bench.rs` at the two ends of a chain.
+//! Generators and sink: the programs of `gdp-ebpf/src/bench.rs` at the two ends of a chain.
+//!
+//! XDP programs and the kernel's routers run on the generator's core, which is how veths work; the threads of the userspace plane
+//! take whatever is left.
 
 use std::path::Path;
 use std::sync::mpsc;
@@ -6,126 +9,253 @@ use std::thread::ScopedJoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use aya::maps::{Array, DevMap, MapData};
+use aya::maps::{Array, DevMap, Map, MapData, MapError};
 use aya::programs::xdp::XdpMode;
 use aya::programs::{ProgramError, TestRun, TestRunAttrs, TestRunOptions, Xdp};
 use aya::{Ebpf, Pod};
 use gdp::port::Interface;
 use gdp_tests::chain::Chain;
+use gdp_tests::netns::Namespace;
 use gdp_tests::wait::wait_for;
 use gdp_wire::LinkEntry;
+
+use crate::Bench;
+use crate::rounds::Sample;
 
 /// Frames the kernel sends at a time: a quarter of a veth's ring.
 const BATCH: u32 = 64;
 
-/// The kernel takes some milliseconds to begin with a test run; then caches fill.
-const RUN_UP: Duration = Duration::from_millis(100);
+/// How long the kernel may take to begin with a test run.
+const START: Duration = Duration::from_secs(5);
+
+/// Then caches fill.
+const RUN_UP: Duration = Duration::from_millis(50);
 
 /// How long nothing may arrive before what is missing is taken as lost.
 const PATIENCE: Duration = Duration::from_millis(200);
 
-pub struct Generator {
-    /// Both programs; the sink is attached while this lives.
-    programs: Ebpf,
-    template: Array<MapData, Template>,
-    sent: Array<MapData, u64>,
+/// A loaded object of the bench; its programs are attached while this lives.
+pub struct Programs(Ebpf);
+
+impl Programs {
+    pub fn load(object: &Path, names: &[&str]) -> Result<Self> {
+        let mut programs = Self(Ebpf::load_file(object).with_context(|| format!("cannot load {}", object.display()))?);
+        names.iter().try_for_each(|name| programs.load_program(name))?;
+        Ok(programs)
+    }
+
+    fn load_program(&mut self, name: &str) -> Result<()> {
+        self.program(name)?.load().with_context(|| format!("cannot load {name}"))
+    }
+
+    pub fn program(&mut self, name: &str) -> Result<&mut Xdp> {
+        Ok(self.0.program_mut(name).with_context(|| format!("no program {name}"))?.try_into()?)
+    }
+
+    /// Once for each map.
+    pub fn map<T: TryFrom<Map, Error = MapError>>(&mut self, name: &str) -> Result<T> {
+        let map = self.0.take_map(name).with_context(|| format!("no map {name}"))?;
+        T::try_from(map).with_context(|| format!("map {name}"))
+    }
+
+    /// Puts a program on an interface of the calling thread's network namespace.
+    pub fn attach(&mut self, name: &str, interface: &str) -> Result<()> {
+        let attached = self.program(name)?.attach(interface, XdpMode::Driver);
+        attached.map(drop).with_context(|| format!("cannot attach {name} to {interface}"))
+    }
+}
+
+/// What a generator sends.
+#[derive(Clone)]
+pub struct Frames {
+    /// One frame, all others being like it but for count and tag.
+    pub frame: Vec<u8>,
+    /// Where in it the GDP header is.
+    pub header_at: usize,
+    /// How they are counted and tagged.
+    pub link: LinkEntry,
+    /// False for a switch to which every tag is 0. The tag is computed all the same.
+    pub tagged: bool,
+}
+
+const TEMPLATE_WORDS: usize = 13;
+
+/// As in `gdp-ebpf/src/bench.rs`.
+#[derive(Clone, Copy)]
+#[repr(C)]
+struct Pattern {
+    template: [u64; TEMPLATE_WORDS],
+    tag_mask: u64,
+    known_interval: u64,
+    unknown_interval: u64,
+    header_at: u64,
+}
+
+// SAFETY: an array of integers, and integers of the same size.
+unsafe impl Pod for Pattern {}
+
+/// Frames per second that [`Traffic::flood`] sends.
+#[derive(Clone, Copy, Debug)]
+pub struct Offered {
+    pub known: u32,
+    pub unknown: u32,
+}
+
+/// Counts the frames that arrive at an interface, and drops them.
+pub struct Sink {
+    programs: Programs,
     arrived: Array<MapData, u64>,
+}
+
+impl Sink {
+    pub fn attach(at: &Namespace, interface: &str, bench: &Bench) -> Result<Self> {
+        let _inside = at.enter()?;
+        let mut programs = Programs::load(&bench.bench_object, &["sink"])?;
+        programs.attach("sink", interface)?;
+        Ok(Self { arrived: programs.map("ARRIVED")?, programs })
+    }
+
+    /// Frames until now.
+    pub fn arrived(&self) -> Result<u64> {
+        Ok(self.arrived.get(&0, 0)?)
+    }
+}
+
+/// The generators on the robot's interface of a chain, and the sink on the cloud's.
+pub struct Traffic {
+    /// The generators are in the sink's object: they look at what has arrived.
+    sink: Sink,
+    frames: Frames,
+    pattern: Array<MapData, Pattern>,
+    sent: Array<MapData, u64>,
+    link_count: Array<MapData, u64>,
     _out: DevMap<MapData>,
 }
 
-/// The first bytes of every frame, which forwarding changes and the generator writes anew.
-#[derive(Clone, Copy)]
-#[repr(transparent)]
-struct Template([u64; 6]);
-
-// SAFETY: an array of integers.
-unsafe impl Pod for Template {}
-
-/// What one measurement found.
-#[derive(Clone, Copy, Debug)]
-pub struct Rate {
-    /// Frames per second that arrived.
-    pub pps: f64,
-    pub sent: u64,
-    pub lost: u64,
-}
-
-impl Generator {
-    /// `link`: how frames are counted and tagged; one with id 0 if they are no GDP frames.
-    pub fn new(chain: &Chain, link: &LinkEntry, object: &Path) -> Result<Self> {
-        let loaded = Ebpf::load_file(object);
-        let mut programs = loaded.with_context(|| format!("cannot load {}", object.display()))?;
-        for name in ["sink", "generate"] {
-            program(&mut programs, name)?.load().with_context(|| format!("cannot load {name}"))?;
+impl Traffic {
+    pub fn new(chain: &Chain, frames: Frames, bench: &Bench) -> Result<Self> {
+        let mut sink = Sink::attach(chain.cloud(), "l0", bench)?;
+        let programs = &mut sink.programs;
+        for generator in ["generate", "flood"] {
+            programs.load_program(generator)?;
         }
-        {
-            let _inside = chain.cloud().enter()?;
-            program(&mut programs, "sink")?.attach("l0", XdpMode::Driver).context("cannot attach the sink")?;
-        }
-        let mut out: DevMap<MapData> = map(&mut programs, "OUT")?;
+        let mut out: DevMap<MapData> = programs.map("OUT")?;
         {
             let _inside = chain.robot().enter()?;
             out.set(0, Interface::find("r0")?.index, None, 0)?;
         }
-        let mut out_link: Array<MapData, LinkEntry> = map(&mut programs, "LINK")?;
-        out_link.set(0, link, 0)?;
+        let mut link: Array<MapData, LinkEntry> = programs.map("LINK")?;
+        link.set(0, frames.link, 0)?;
         Ok(Self {
-            template: map(&mut programs, "TEMPLATE")?,
-            sent: map(&mut programs, "SENT")?,
-            arrived: map(&mut programs, "ARRIVED")?,
+            pattern: programs.map("PATTERN")?,
+            sent: programs.map("SENT")?,
+            link_count: programs.map("LINK_COUNT")?,
             _out: out,
-            programs,
+            frames,
+            sink,
         })
     }
 
-    /// Sends `frame` for `duration`.
-    pub fn measure(&mut self, frame: &[u8], duration: Duration) -> Result<Rate> {
-        gdp_tests::wait::check_interrupt()?;
-        let mut words = [0; 6];
-        for (word, bytes) in words.iter_mut().zip(frame.chunks_exact(8)) {
-            *word = u64::from_ne_bytes(bytes.try_into()?);
-        }
-        self.template.set(0, Template(words), 0)?;
-        let before = self.arrived.get(&0, 0)?;
+    /// Frames per second that arrive, sent as fast as they do: a number of frames is kept under way, so that a rate is one without
+    /// loss.
+    pub fn rate(&mut self, duration: Duration) -> Result<Sample> {
+        self.run("generate", Offered { known: 0, unknown: 0 }, duration).map(|run| run.known)
+    }
+
+    /// Frames to the known name per second that arrive while others ask for unknown names, both at a fixed rate.
+    pub fn flood(&mut self, offered: Offered, duration: Duration) -> Result<Run> {
+        self.run("flood", offered, duration)
+    }
+
+    fn run(&mut self, program: &str, offered: Offered, duration: Duration) -> Result<Run> {
+        self.pattern.set(0, self.frames.pattern(offered), 0)?;
+        let before = self.sink.arrived()?;
         self.sent.set(0, before, 0)?;
 
-        let (generate, arrived) = (program(&mut self.programs, "generate")?, &self.arrived);
-        let pps = std::thread::scope(|scope| -> Result<f64> {
+        let (generator, frame) = (self.sink.programs.program(program)?, &self.frames.frame);
+        let (arrived, link_count, sent) = (&self.sink.arrived, &self.link_count, &self.sent);
+        let now = || -> Result<Moment> {
+            let unknown = link_count.get(&0, 0)?.wrapping_sub(sent.get(&0, 0)?);
+            Ok(Moment { arrived: arrived.get(&0, 0)?, unknown, at: Instant::now() })
+        };
+        let (known, unknown) = std::thread::scope(|scope| -> Result<(f64, f64)> {
             let (itself, thread) = mpsc::channel();
             let running = scope.spawn(move || {
                 // SAFETY: no preconditions.
                 itself.send(unsafe { libc::pthread_self() })?;
-                send_until_signalled(generate, frame)
+                send_until_signalled(generator, frame)
             });
             let thread = thread.recv()?;
-            std::thread::sleep(RUN_UP);
-            let (first, start) = (arrived.get(&0, 0)?, Instant::now());
-            std::thread::sleep(duration);
-            let (last, elapsed) = (arrived.get(&0, 0)?, start.elapsed());
+            let measured = (|| -> Result<(Moment, Moment)> {
+                let begun = || Ok((arrived.get(&0, 0)? > before).then_some(()));
+                wait_for("the first frame to arrive", START, begun)?;
+                std::thread::sleep(RUN_UP);
+                let first = now()?;
+                std::thread::sleep(duration);
+                Ok((first, now()?))
+            })();
+            // Also after a failure: the generator does not end by itself.
             stop(thread, running)?;
-            Ok((last - first) as f64 / elapsed.as_secs_f64())
+            let (first, last) = measured?;
+            let seconds = (last.at - first.at).as_secs_f64();
+            let per_second = |of: fn(&Moment) -> u64| of(&last).wrapping_sub(of(&first)) as f64 / seconds;
+            Ok((per_second(|moment| moment.arrived), per_second(|moment| moment.unknown)))
         })?;
 
         let sent = self.sent.get(&0, 0)? - before;
-        ensure!(pps > 0.0, "no frame of {sent} arrived");
-        Ok(Rate { pps, sent, lost: self.lost(before, sent)? })
+        ensure!(known > 0.0, "no frame arrived within {duration:?}");
+        let lost = self.lost(before, sent)?;
+        Ok(Run { known: Sample { value: known, sent, lost }, unknown })
     }
 
     /// Frames that do not arrive even when waited for.
     fn lost(&self, before: u64, sent: u64) -> Result<u64> {
-        let missing = || -> Result<u64> { Ok(sent - (self.arrived.get(&0, 0)? - before)) };
+        let missing = || -> Result<u64> { Ok(sent - (self.sink.arrived()? - before)) };
         let all = wait_for("the last frames", PATIENCE, || Ok((missing()? == 0).then_some(0)));
         if all.is_ok() { Ok(0) } else { missing() }
     }
 }
 
+/// What was counted until a moment.
+struct Moment {
+    arrived: u64,
+    /// But for a constant.
+    unknown: u64,
+    at: Instant,
+}
+
+/// What became of the frames of a flood.
+#[derive(Clone, Copy, Debug)]
+pub struct Run {
+    pub known: Sample,
+    /// Frames sent to unknown names per second.
+    pub unknown: f64,
+}
+
+impl Frames {
+    fn pattern(&self, offered: Offered) -> Pattern {
+        let mut template = [0; TEMPLATE_WORDS];
+        for (word, bytes) in template.iter_mut().zip(self.frame.as_chunks().0) {
+            *word = u64::from_ne_bytes(*bytes);
+        }
+        let interval = |rate| 1_000_000_000u64.checked_div(u64::from(rate)).unwrap_or(0);
+        Pattern {
+            template,
+            tag_mask: if self.tagged { u64::MAX } else { 0 },
+            known_interval: interval(offered.known),
+            unknown_interval: interval(offered.unknown),
+            header_at: self.header_at as u64,
+        }
+    }
+}
+
 /// The kernel ends a test run early only for a signal.
-fn send_until_signalled(generate: &mut Xdp, frame: &[u8]) -> Result<()> {
+fn send_until_signalled(generator: &mut Xdp, frame: &[u8]) -> Result<()> {
     let mut options = TestRunOptions::new();
     options.data_in = Some(frame);
     options.repeat = u32::MAX;
     options.attrs = TestRunAttrs::new().xdp_live_frames(BATCH);
-    match generate.test_run(options) {
+    match generator.test_run(options) {
         Err(ProgramError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::EINTR) => Ok(()),
         Err(error) => Err(error).context("cannot generate frames"),
         Ok(_) => Ok(()),
@@ -143,13 +273,4 @@ fn stop(thread: libc::pthread_t, running: ScopedJoinHandle<Result<()>>) -> Resul
         Ok(running.is_finished().then_some(()))
     })?;
     running.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-}
-
-fn program<'a>(programs: &'a mut Ebpf, name: &str) -> Result<&'a mut Xdp> {
-    Ok(programs.program_mut(name).with_context(|| format!("no program {name}"))?.try_into()?)
-}
-
-fn map<T: TryFrom<aya::maps::Map, Error = aya::maps::MapError>>(programs: &mut Ebpf, name: &str) -> Result<T> {
-    let map = programs.take_map(name).with_context(|| format!("no map {name}"))?;
-    T::try_from(map).with_context(|| format!("map {name}"))
 }

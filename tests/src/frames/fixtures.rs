@@ -122,6 +122,50 @@ pub struct Expected {
     pub copies: Vec<CopyOut>,
 }
 
+/// What becomes of a frame, as data planes say it; [`Expected`] is the same as the file says it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fate {
+    pub verdict: Verdict,
+    pub counter: gdp_wire::Counter,
+    /// The whole frame as it leaves, of a frame that is sent.
+    pub frame: Option<Vec<u8>>,
+    /// In the order of their bytes; those that are dropped first.
+    pub copies: Vec<(Option<Vec<u8>>, gdp_wire::Counter)>,
+}
+
+impl Fate {
+    /// Of a frame that does not leave.
+    pub fn new(verdict: Verdict, counter: gdp_wire::Counter) -> Self {
+        Self { verdict, counter, frame: None, copies: Vec::new() }
+    }
+
+    pub fn sent(frame: Vec<u8>, counter: gdp_wire::Counter) -> Self {
+        Self { frame: Some(frame), ..Self::new(Verdict::Send, counter) }
+    }
+
+    pub fn copied(mut copies: Vec<(Option<Vec<u8>>, gdp_wire::Counter)>) -> Self {
+        copies.sort();
+        Self { copies, ..Self::new(Verdict::Copy, gdp_wire::Counter::Replicated) }
+    }
+}
+
+impl From<Fate> for Expected {
+    fn from(fate: Fate) -> Self {
+        let copy = |(frame, counter): (Option<Vec<u8>>, gdp_wire::Counter)| CopyOut {
+            frame: frame.as_deref().map(Bytes::new),
+            counter: counter.as_str().into(),
+        };
+        let mut copies: Vec<_> = fate.copies.into_iter().map(copy).collect();
+        copies.sort();
+        Self {
+            verdict: fate.verdict,
+            counter: fate.counter.as_str().into(),
+            frame: fate.frame.as_deref().map(Bytes::new),
+            copies,
+        }
+    }
+}
+
 /// What becomes of a copy of a frame.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct CopyOut {

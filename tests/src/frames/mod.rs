@@ -1,11 +1,12 @@
 //! Frames for tests, byte by byte after `docs/wire-format.md` and not through `gdp_wire::Header`, so that a mistake in
-//! the one does not hide in the other. [`fixtures`] is the file of forwarding cases that every data plane runs.
+//! the one does not hide in the other. [`fixtures`] is the file of forwarding cases that every data plane runs, [`generate`] makes others by the million.
 //!
 //! Depends on `gdp-wire`, `serde` and `serde_json` alone: the unit tests of `gdp-wire` include it by path.
 #![allow(dead_code, reason = "each test that includes this uses a part of it")]
 
 pub mod carrier;
 pub mod fixtures;
+pub mod generate;
 
 use carrier::Carrier;
 use gdp_wire::siphash::siphash24;

@@ -1,5 +1,5 @@
-//! Frames per second through one and three switches: XDP, the kernel's IPv4 routers, a forwarder on packet sockets. The
-//! measurement itself is a bench target of `gdp-tests`, which has the eBPF loader; here it is built and run.
+//! What forwarding costs: XDP beside a bare redirect, the kernel's IPv4 routers and a forwarder on packet sockets. The
+//! measurements themselves are a bench target of `gdp-tests`, which has the eBPF loader; here it is built and run.
 
 use anyhow::{Result, bail};
 
@@ -9,14 +9,20 @@ use crate::{build, shell};
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// One JSON object on stdout instead of a table
+    /// One JSON object on stdout instead of tables
     #[arg(long)]
     json: bool,
-    /// Each path is measured this often, in turn
+    /// Only this row of the figures (can be given several times); an unknown one lists all
+    #[arg(long, value_name = "ROW")]
+    only: Vec<String>,
+    /// Draw the plots in docs/plots anew
+    #[arg(long)]
+    plots: bool,
+    /// Whatever is compared is measured this often, in turn
     #[arg(long, default_value_t = 7)]
     rounds: u32,
     /// How long one measurement takes
-    #[arg(long, default_value_t = 300)]
+    #[arg(long, default_value_t = 200)]
     milliseconds: u64,
 }
 
@@ -26,11 +32,19 @@ pub fn run(options: Options) -> Result<()> {
     }
     setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces])?;
     build::ebpf()?;
+    build::ebpf_untagged()?;
     let mut command = shell::cargo();
     command.args(["bench", "--profile", Profile::Release.name(), "--workspace", "--bench", "forward", "--"]);
     command.arg("--ebpf-object").arg(workspace::ebpf_object());
+    command.arg("--untagged-object").arg(workspace::ebpf_untagged_object());
     command.arg("--bench-object").arg(workspace::ebpf_bench_object());
     command.args(["--rounds", &options.rounds.to_string(), "--milliseconds", &options.milliseconds.to_string()]);
+    for row in &options.only {
+        command.args(["--only", row]);
+    }
+    if options.plots {
+        command.arg("--plots").arg(workspace::root().join("docs/plots"));
+    }
     if options.json {
         command.arg("--json");
     }

@@ -18,7 +18,7 @@ pub struct Options {
 enum Figure {
     /// One-way latency, DDS to DDS: over three XDP switches, beside the same programs over three IP routers
     Latency(latency::Options),
-    /// Frames per second through one and three switches: XDP, the kernel's IPv4 routers, a forwarder on packet sockets
+    /// What forwarding costs: XDP beside a bare redirect, the kernel's IPv4 routers and a forwarder on packet sockets
     Forward(forward::Options),
     /// From one endpoint to another on the switch's host: through the daemon, on packet sockets, past both
     Local(local::Options),

@@ -1,0 +1,27 @@
+//! Certificates, statements and name cards, as they come from a file or a peer.
+
+use gdp::NameCard;
+use gdp::cert::{AdCert, Advert, Claims, ReadGrant, RtCert, Signed};
+
+/// Bytes that are taken for a certificate are its only encoding, and survive their text form.
+pub fn cert(data: &[u8]) {
+    decode::<AdCert>(data);
+    decode::<ReadGrant>(data);
+    decode::<RtCert>(data);
+    decode::<Advert>(data);
+    let Ok(text) = str::from_utf8(data) else { return };
+    if let Ok(signed) = Signed::<AdCert>::from_pem(text) {
+        assert_eq!(Signed::<AdCert>::from_pem(&signed.to_pem()).expect("its own text").as_bytes(), signed.as_bytes());
+    }
+    if let Ok(card) = NameCard::from_json(text) {
+        assert_eq!(NameCard::from_json(&card.to_json()).expect("its own text").name(), card.name());
+    }
+}
+
+fn decode<T: Claims>(data: &[u8]) {
+    let Ok(signed) = Signed::<T>::from_bytes(data.to_vec()) else { return };
+    if signed.claims_unverified().is_ok() {
+        let again = Signed::<T>::from_pem(&signed.to_pem()).expect("its own text");
+        assert_eq!(again.as_bytes(), data);
+    }
+}

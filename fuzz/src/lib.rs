@@ -1,0 +1,35 @@
+//! What bytes from a wire must never do, as functions of those bytes. Each is run by libFuzzer, guided by coverage
+//! (`cargo xtask fuzz TARGET`), and by the tests over the [seeds] and over `corpus/TARGET`: a file there is a case worth keeping,
+//! named for what it shows; what a crash leaves goes there under a name of its own.
+
+mod cert;
+mod control;
+mod decide;
+mod seeds;
+
+use gdp_tests::frames;
+#[path = "../../gdp-wire/tests/tables/mod.rs"]
+mod tables;
+
+pub use cert::cert;
+pub use control::control;
+pub use decide::decide;
+pub use seeds::seeds;
+
+/// What is fuzzed: a function that panics at what must not be.
+pub type Target = fn(&[u8]);
+
+/// All targets, by the names of their executables and corpora.
+pub const TARGETS: [(&str, Target); 3] = [("decide", decide), ("control", control), ("cert", cert)];
+
+/// Names the folder that [`write_seeds`] writes to.
+pub const SEED_FOLDER: &str = "GDP_FUZZ_SEEDS";
+
+/// Puts the seeds of a target where the fuzzer is about to look for them.
+pub fn write_seeds(target: &str) {
+    let Some(folder) = std::env::var_os(SEED_FOLDER).map(std::path::PathBuf::from) else { return };
+    for (name, bytes) in seeds(target) {
+        let file = folder.join(name.replace('/', " "));
+        std::fs::write(&file, bytes).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+    }
+}

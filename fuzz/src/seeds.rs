@@ -1,0 +1,138 @@
+//! What fuzzing begins with, by target and name: a whole and right input of each kind. Made by the code under test, so that they
+//! are messages of this version, and not of the one before.
+
+use gdp::cert::{AdCert, Advert, AdvertOp, Mode, ReadGrant, RtCert, Signed, issue};
+use gdp::control::{
+    Credential, EntityRequest, Extent, FibPush, Record, Refusal, RefusalCode, Request, Response, Route, WritersPush,
+    encode,
+};
+use gdp::{Identity, NameCard, SigningKey};
+use gdp_wire::Counter;
+use serde::Serialize;
+
+use crate::decide::{TAGGED, TWICE};
+use crate::frames::fixtures;
+
+type Seeds = Vec<(String, Vec<u8>)>;
+
+/// Of the target with this name.
+pub fn seeds(target: &str) -> Seeds {
+    match target {
+        "decide" => frames(),
+        "control" => Papers::new().messages(),
+        "cert" => Papers::new().certificates(),
+        _ => Vec::new(),
+    }
+}
+
+/// The fixtures, each twice in a row; what becomes of one by mutation has a good tag, unless that is what the fixture is about.
+fn frames() -> Seeds {
+    let input = |options: u8, frame: Vec<u8>| [&[options][..], &(frame.len() as u16).to_be_bytes(), &frame].concat();
+    let cases = fixtures::read().cases.into_iter().map(|case| {
+        let tagged = if case.kernel.counter == Counter::BadTag.as_str() { 0 } else { TAGGED };
+        (case.name, input(TWICE | tagged, case.frame.bytes()))
+    });
+    cases.filter(|(_, input)| input.len() < 1000).collect()
+}
+
+/// One of each.
+struct Papers {
+    card: NameCard,
+    robot: Identity,
+    ad_cert: Signed<AdCert>,
+    grant: Signed<ReadGrant>,
+    rt_cert: Signed<RtCert>,
+    advert: Signed<Advert>,
+}
+
+impl Papers {
+    fn new() -> Self {
+        let (owner, robot) =
+            (SigningKey::generate().expect("a key"), Identity::generate("proxy").expect("an identity"));
+        let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None).expect("a card");
+        let (name, entity, switch) = (card.name(), robot.name(), card.name());
+        let (not_before, not_after) = (0, 1 << 40);
+        let ad_cert = AdCert { name, entity, mode: Mode::Unicast, scope: vec![name], not_before, not_after };
+        let advert = Advert { op: AdvertOp::Publish, name, entity, switch, serial: 7, lifetime: 60 };
+        Self {
+            ad_cert: issue(&owner, &ad_cert).expect("a certificate"),
+            grant: issue(&owner, &ReadGrant { name, entity, not_before, not_after }).expect("a certificate"),
+            rt_cert: issue(robot.key(), &RtCert { entity, switch, not_after }).expect("a certificate"),
+            advert: issue(robot.key(), &advert).expect("a statement"),
+            card,
+            robot,
+        }
+    }
+
+    fn certificates(&self) -> Seeds {
+        [
+            ("an ad cert", self.ad_cert.as_bytes().to_vec()),
+            ("a read grant", self.grant.as_bytes().to_vec()),
+            ("an rt cert", self.rt_cert.as_bytes().to_vec()),
+            ("an advert", self.advert.as_bytes().to_vec()),
+            ("an ad cert as text", self.ad_cert.to_pem().into_bytes()),
+            ("a name card", self.card.to_json().into_bytes()),
+        ]
+        .map(|(name, bytes)| (name.to_owned(), bytes))
+        .to_vec()
+    }
+
+    fn messages(&self) -> Seeds {
+        let (name, entity, switch) = (self.card.name(), self.robot.name(), self.card.name());
+        let (proof, robot) = (self.card.proof(), self.robot.proof());
+        let Self { ad_cert, grant, rt_cert, advert, .. } = self;
+        let advertise = EntityRequest::Advertise { proof, ad_cert: ad_cert.clone(), advert: advert.clone() };
+        let record = Record {
+            name,
+            proof,
+            entity: robot,
+            switch,
+            credential: Credential::Writer(ad_cert.clone()),
+            advert: advert.clone(),
+            expires_in: 60,
+        };
+        let place = record.place().ok();
+        let route = Route { name, egress_bits: 3, locals: vec![entity], writers: vec![entity] };
+        let push = FibPush {
+            switch,
+            run: 1,
+            settling: true,
+            generation: 7,
+            extent: Extent::Full { part: 0, last: true },
+            own_bit: 63,
+            reach: vec![(name, u64::MAX)],
+            set: vec![route],
+            remove: vec![name],
+        };
+        let neighbours = vec![(switch, 3)];
+        let from_entity = Request::Entity;
+        vec![
+            seed("attach", &from_entity(EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: true })),
+            seed("relay", &Request::Relay { switch, entity: Some(robot), by_tool: false, request: advertise }),
+            seed(
+                "subscribe",
+                &from_entity(EntityRequest::Subscribe { proof, grant: grant.clone(), advert: advert.clone() }),
+            ),
+            seed("withdraw", &from_entity(EntityRequest::Withdraw { advert: advert.clone() })),
+            seed("query", &from_entity(EntityRequest::Query { prefix: name.into(), after: place })),
+            seed(
+                "report",
+                &Request::Report { switch: robot, neighbours, attached: Some(vec![entity]), own_bit: Some(63) },
+            ),
+            seed("detach", &Request::Detach { switch, entity }),
+            seed("ready", &Request::Ready),
+            seed("fib push", &Request::Fib(push)),
+            seed("writers", &Request::Writers(WritersPush { switch, entity, name, records: vec![record.clone()] })),
+            seed("ratcheted", &Request::Ratcheted { generation: u64::MAX }),
+            seed("done", &Response::Done),
+            seed("attached", &Response::Attached { serial: 9 }),
+            seed("records", &Response::Records { records: vec![record], truncated: true }),
+            seed("refused", &Response::from(Refusal::new(RefusalCode::Limit, "full"))),
+        ]
+    }
+}
+
+/// Without the length in front.
+fn seed(name: &str, message: &impl Serialize) -> (String, Vec<u8>) {
+    (name.to_owned(), encode(message).expect("a message that fits")[4..].to_vec())
+}

@@ -1,0 +1,28 @@
+//! The entry of the node's link, which frames are tagged and checked by. Publishers and the receiving thread read it, batch by
+//! batch; the supervisor writes it when keys change. Once a write has returned, every batch that begins meets it.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use gdp_wire::LinkEntry;
+
+/// Clones are the same entry.
+#[derive(Clone)]
+pub struct SharedEntry(Arc<Mutex<LinkEntry>>);
+
+impl SharedEntry {
+    pub fn new(entry: LinkEntry) -> Self {
+        Self(Arc::new(Mutex::new(entry)))
+    }
+
+    pub fn get(&self) -> LinkEntry {
+        *self.lock()
+    }
+
+    pub fn update(&self, change: impl FnOnce(&mut LinkEntry)) {
+        change(&mut self.lock());
+    }
+
+    fn lock(&self) -> MutexGuard<'_, LinkEntry> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,92 @@
+//! Frames per second through one, three and five switches, and what a hop costs.
+//!
+//! ```text
+//!  robot ── s1 ( ── s2 ── s3 ( ── s4 ── s5 )) ── cloud
+//!  generator                                     sink       (both XDP, the same for all)
+//! ```
+//!
+//! The generator does the same for all: its frames are counted and tagged even where nobody looks. What it and the sink cost is
+//! measured by itself, on a chain without a switch, and falls out of the cost of a hop, which is the difference of five hops
+//! and one.
+
+use anyhow::Result;
+
+use crate::Bench;
+use crate::figure::{Aim, BARE, Figure, IPV4, Measure, SWITCH, UNTAGGED, USERSPACE, Unit};
+use crate::path::{Kind, Path};
+use crate::rounds::{Contender, alternate};
+use crate::traffic::Traffic;
+
+const ALONE: &str = "generator and sink alone";
+
+const KINDS: [(&str, Kind); 5] = [
+    (BARE, Kind::Bare),
+    (UNTAGGED, Kind::Untagged),
+    (SWITCH, Kind::Xdp),
+    (IPV4, Kind::Ip),
+    (USERSPACE, Kind::Userspace),
+];
+
+/// With 64 bytes of payload.
+pub fn small_frames(bench: &Bench) -> Result<Vec<Figure>> {
+    let measures = measure(bench, &[1, 3, 5], 64)?;
+    let hops =
+        compare(Figure::new("hops", "Frames of 174 B through switches in a row", Unit::FramesPerSecond, measures));
+    let costs = KINDS.iter().filter_map(|(series, _)| {
+        let [one, five] = [1, 5].map(|n| hops.measure(series, &hops_text(n)));
+        let rounds = one?.rounds.iter().zip(&five?.rounds).map(|(one, five)| (1e9 / five - 1e9 / one) / 4.0);
+        Some(Measure::new(series, "a further hop", rounds.collect()))
+    });
+    let costs = costs.collect();
+    let hop = Figure::new("hop", "What a further hop costs a frame of 174 B", Unit::Nanoseconds, costs)
+        .compare(UNTAGGED, BARE, |_| None)
+        .compare(IPV4, SWITCH, |_| None);
+    Ok(vec![hops, hop])
+}
+
+/// With 1400 bytes of payload.
+pub fn large_frames(bench: &Bench) -> Result<Vec<Figure>> {
+    let measures = measure(bench, &[1, 3], 1400)?;
+    let title = "Frames of 1510 B through switches in a row";
+    Ok(vec![compare(Figure::new("large", title, Unit::FramesPerSecond, measures))])
+}
+
+fn compare(figure: Figure) -> Figure {
+    let at_least = |aims: [f64; 3]| {
+        move |case: &str| {
+            let aim = [1, 3, 5].into_iter().zip(aims).find(|(hops, _)| hops_text(*hops) == case);
+            aim.map(|(_, aim)| Aim::AtLeast(aim))
+        }
+    };
+    figure
+        .compare(UNTAGGED, BARE, at_least([0.9; 3]))
+        .compare(SWITCH, BARE, |_| None)
+        .compare(SWITCH, IPV4, at_least([1.8, 2.2, 2.6]))
+        .compare(SWITCH, USERSPACE, at_least([8.0; 3]))
+}
+
+fn measure(bench: &Bench, hops: &[usize], payload: usize) -> Result<Vec<Measure>> {
+    let mut paths = vec![(ALONE, Path::build(Kind::Cable, 0, bench)?)];
+    for hops in hops {
+        for (series, kind) in KINDS {
+            paths.push((series, Path::build(kind, *hops, bench)?));
+        }
+    }
+    let mut contenders = Vec::new();
+    for (series, path) in &paths {
+        let mut traffic = Traffic::new(path.chain(), path.frames(payload), bench)?;
+        let case = hops_text(path.chain().switches().len());
+        contenders.push(Contender::new(series, case, move || traffic.rate(bench.duration())));
+    }
+    let measures = alternate(bench.rounds, contenders)?;
+    paths.iter().try_for_each(|(_, path)| path.check(None))?;
+    Ok(measures)
+}
+
+fn hops_text(hops: usize) -> String {
+    match hops {
+        0 => "no hop".to_owned(),
+        1 => "1 hop".to_owned(),
+        hops => format!("{hops} hops"),
+    }
+}

@@ -1,0 +1,56 @@
+//! Contenders are measured in turn, round after round, so that whatever else the machine does meets all of them; every other
+//! round goes backwards, so that none always follows the same one.
+
+use anyhow::{Context, Result};
+
+use crate::figure::Measure;
+
+/// One measurement.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Sample {
+    /// In the unit of the figure.
+    pub value: f64,
+    /// Frames, if they are followed to their end; else 0.
+    pub sent: u64,
+    pub lost: u64,
+}
+
+/// Something to be measured again and again.
+pub struct Contender<'a> {
+    pub series: &'static str,
+    pub case: String,
+    pub measure: Box<dyn FnMut() -> Result<Sample> + 'a>,
+}
+
+impl<'a> Contender<'a> {
+    pub fn new(series: &'static str, case: impl Into<String>, measure: impl FnMut() -> Result<Sample> + 'a) -> Self {
+        Self { series, case: case.into(), measure: Box::new(measure) }
+    }
+}
+
+/// Measures all contenders `rounds` times, at least once.
+pub fn alternate(rounds: usize, mut contenders: Vec<Contender<'_>>) -> Result<Vec<Measure>> {
+    let mut samples: Vec<Vec<Sample>> = contenders.iter().map(|_| Vec::new()).collect();
+    // The first round warms caches and neighbour tables up.
+    for round in 0..=rounds.max(1) {
+        let mut order: Vec<usize> = (0..contenders.len()).collect();
+        if round % 2 == 1 {
+            order.reverse();
+        }
+        for i in order {
+            gdp_tests::wait::check_interrupt()?;
+            let Contender { series, case, measure } = &mut contenders[i];
+            let sample = measure().with_context(|| format!("{series}, {case}"))?;
+            if round > 0 {
+                samples[i].push(sample);
+            }
+        }
+    }
+    let finished = contenders.into_iter().zip(samples).map(|(Contender { series, case, .. }, samples)| {
+        let mut measure = Measure::new(series, case, samples.iter().map(|sample| sample.value).collect());
+        let [sent, lost] = [|s: &Sample| s.sent, |s: &Sample| s.lost].map(|of| samples.iter().map(of).sum::<u64>());
+        measure.lost_percent = (sent > 0).then(|| 100.0 * lost as f64 / sent as f64);
+        measure
+    });
+    Ok(finished.collect())
+}

@@ -1,0 +1,246 @@
+//! Frames by the million for one switch: most of them what its neighbours would send, the others wrong in one or a few ways that
+//! somebody who knows the format might try. A seed says which; the same seed, the same frames.
+//!
+//! What comes out is a sequence: counts go up link by link, and earlier frames come again. Every plane that is to be compared gets
+//! all of it, in order.
+
+use super::carrier::Carrier;
+use super::fixtures::{self, Link, Role, Switch};
+use super::{Frame, hop_tag};
+
+/// Frames that may come again.
+const REMEMBERED: usize = 512;
+
+/// Where in its life a link is at the beginning: at its first frame, or shortly before 2³².
+const STARTS: [u64; 2] = [0, (1 << 32) - 20_000];
+
+const ETHERNET: usize = 14;
+const HEADER: usize = 96;
+
+pub struct Generator {
+    random: Random,
+    switch: Switch,
+    carriers: Vec<Carrier>,
+    links: Vec<Sender>,
+    names: Vec<[u8; 32]>,
+    sizes: Vec<usize>,
+    sent: Vec<Vec<u8>>,
+}
+
+/// A neighbour.
+struct Sender {
+    link: Link,
+    keys: [[u64; 2]; 2],
+    /// Its own name; or those that it may send as, if it is in another domain.
+    sources: Vec<[u8; 32]>,
+    /// Names that it may send to, or, of a switch, all of them.
+    destinations: Vec<[u8; 32]>,
+    count: u64,
+}
+
+impl Generator {
+    pub fn new(seed: u64, switch: &Switch) -> Self {
+        let name = |route: &fixtures::Route| fixtures::array(&route.name);
+        let sender = |(i, link): (usize, &Link)| {
+            let foreign: Vec<_> =
+                switch.routes.iter().filter(|route| route.sources.contains(&link.id)).map(name).collect();
+            let may_send_to = |route: &&fixtures::Route| link.role == Role::Switch || route.writers.contains(&link.id);
+            let destinations: Vec<_> = switch.routes.iter().filter(may_send_to).map(name).collect();
+            Sender {
+                link: link.clone(),
+                keys: link.rx_keys.each_ref().map(|text| fixtures::key(text)),
+                sources: if foreign.is_empty() { vec![fixtures::array(&link.peer)] } else { foreign },
+                destinations,
+                count: STARTS[i % STARTS.len()],
+            }
+        };
+        // Payloads of which the frame fits a link exactly, or not quite, or easily.
+        let limits = switch.links.iter().flat_map(|link| [0, 1, 2].map(|less| link.mtu as usize - HEADER + 1 - less));
+        Self {
+            random: Random(seed ^ 0x9e37_79b9_7f4a_7c15),
+            switch: switch.clone(),
+            carriers: switch.links.iter().map(Link::arrives_in).collect(),
+            links: switch.links.iter().enumerate().map(sender).collect(),
+            names: switch.routes.iter().map(name).collect(),
+            sizes: limits.filter(|size| *size < 3000).chain([0, 1, 6, 64, 300]).collect(),
+            sent: Vec::new(),
+        }
+    }
+
+    /// The next Ethernet frame.
+    pub fn frame(&mut self) -> Vec<u8> {
+        if self.random.one_in(12) && !self.sent.is_empty() {
+            let mut again = self.random.one_of(&self.sent);
+            if self.random.one_in(2) {
+                self.damage(&mut again);
+            }
+            return again;
+        }
+        let mut frame = self.carried();
+        if self.random.one_in(8) {
+            self.damage(&mut frame);
+        }
+        match self.sent.len() {
+            REMEMBERED => {
+                let at = self.random.below(REMEMBERED);
+                self.sent[at] = frame.clone();
+            }
+            _ => self.sent.push(frame.clone()),
+        }
+        frame
+    }
+
+    /// A frame in what carries it. Where it comes in says nothing of its link, so any carrier will do for any frame.
+    fn carried(&mut self) -> Vec<u8> {
+        let mut frame = self.gdp();
+        frame.carrier = self.random.one_of(&self.carriers);
+        frame.ethertype = match self.random.below(64) {
+            0 => self.random.one_of(&[0x0800, 0x86dd, 0x8100, 0x88b6, 0]),
+            _ => self.switch.ethertype,
+        };
+        if self.random.one_in(64) {
+            frame.carrier = match frame.carrier {
+                Carrier::Ethernet => Carrier::Vlan(self.random.next() as u16),
+                Carrier::Vlan(control) => Carrier::Vlan(control ^ 1 << self.random.below(16)),
+                Carrier::Udp { from, mut to, class } => {
+                    to.set_port(to.port() ^ 1 << self.random.below(16));
+                    Carrier::Udp { from, to, class }
+                }
+            };
+        }
+        frame.bytes()
+    }
+
+    /// What a neighbour sends, tagged by it; more or less sensible.
+    fn gdp(&mut self) -> Frame {
+        let random = &mut self.random;
+        let at = random.below(self.links.len());
+        let sender = &mut self.links[at];
+        sender.count += match random.below(64) {
+            0 => 1 + random.below(5000) as u64,
+            1 => 1 + random.below(1 << 20) as u64,
+            _ => 1,
+        };
+        let link_counter = match random.below(16) {
+            0 => sender.count.saturating_sub(random.below(6000) as u64),
+            _ => sender.count,
+        };
+        let mut frame = Frame {
+            link_id: sender.link.id,
+            link_counter,
+            hop_limit: random.one_of(&[64, 64, 64, 64, 255, 3, 2, 1, 0]),
+            egress_set: random.one_of(&[0, 0, 0, 3, 255]),
+            egress_bits: match (sender.link.role, random.below(8)) {
+                (Role::Endpoint, 1..) => 0,
+                (_, 0) => random.next(),
+                (_, 1) => 0,
+                (_, 2 | 3) => 1 << self.switch.own_bit,
+                (_, 4) => 1 << self.switch.own_bit | 1 << random.below(14),
+                (_, 5) => 1 << random.below(14) | 1 << random.below(14),
+                _ => 1 << random.below(64),
+            },
+            destination: match random.below(32) {
+                0 => std::array::from_fn(|_| random.next() as u8),
+                1..=15 if !sender.destinations.is_empty() => random.one_of(&sender.destinations),
+                _ => random.one_of(&self.names),
+            },
+            source: match random.below(24) {
+                0 => std::array::from_fn(|_| random.next() as u8),
+                1 => random.one_of(&self.names),
+                _ => random.one_of(&sender.sources),
+            },
+            payload: vec![random.next() as u8; random.one_of(&self.sizes)],
+            padding: random.one_of(&[0, 0, 0, 0, 1, 30]),
+            ..Frame::default()
+        };
+        if random.one_in(10) {
+            frame.flags = 0x40;
+        }
+        if random.one_in(5) {
+            match random.below(10) {
+                0 => frame.version_type = random.next() as u8,
+                1..=3 => frame.version_type = random.one_of(&[0x11, 0x12, 0x13, 0x14, 0x14]),
+                4 => frame.flags = random.next() as u8,
+                5 => frame.flags = 0x80,
+                6 => frame.header_words = random.one_of(&[0, 1, 11, 13, 255]),
+                7 => frame.payload_len = Some(random.one_of(&[0, 1, 5, 7, 1404, 1405, 65535])),
+                8 => frame.reserved = random.next() as u8,
+                _ => frame.egress_set = random.next() as u8,
+            }
+        }
+        // Under the key that the flags say, or now and then the other one, or another link's.
+        let phase = usize::from(frame.flags >> 7);
+        frame.key = match random.below(40) {
+            0 => sender.keys[1 - phase],
+            1 => self.links[random.below(self.links.len())].keys[phase],
+            _ => sender.keys[phase],
+        };
+        if random.one_in(40) {
+            frame.tag = Some(random.next());
+        }
+        frame
+    }
+
+    /// Changes a packet somewhere. Sometimes its neighbour did, and has tagged it so.
+    fn damage(&mut self, frame: &mut Vec<u8>) {
+        let random = &mut self.random;
+        match random.below(6) {
+            0 => frame.truncate(ETHERNET + random.below(frame.len() - ETHERNET + 1)),
+            1 => frame.resize(frame.len() + random.below(200), 0),
+            2 => (0..=random.below(4)).for_each(|_| {
+                let at = random.below(frame.len());
+                frame[at] = random.next() as u8;
+            }),
+            // In the headers, where it matters.
+            3 => {
+                let at = random.below(ETHERNET + 48);
+                if let Some(byte) = frame.get_mut(at) {
+                    *byte ^= 1 << random.below(8);
+                }
+            }
+            _ => {
+                let at = self.switch.find(frame).map_or(ETHERNET, |place| place.at) + random.below(HEADER);
+                if let Some(byte) = frame.get_mut(at) {
+                    *byte ^= 1 << random.below(8);
+                }
+            }
+        }
+        if self.random.one_in(2) {
+            self.tag_again(frame);
+        }
+    }
+
+    /// Tags a frame as the neighbour would that its link id and flags speak of, under the count that is up.
+    fn tag_again(&mut self, frame: &mut [u8]) {
+        let Some(place) = self.switch.find(frame) else { return };
+        let Some(header) = frame[place.at..].first_chunk_mut::<HEADER>() else { return };
+        let id = u32::from_be_bytes([header[8], header[9], header[10], header[11]]);
+        let Some(sender) = self.links.iter_mut().find(|sender| sender.link.id == id) else { return };
+        sender.count += 1;
+        header[12..16].copy_from_slice(&(sender.count as u32).to_be_bytes());
+        let tag = hop_tag(sender.keys[usize::from(header[1] >> 7)], sender.count, header);
+        header[16..24].copy_from_slice(&tag.to_be_bytes());
+    }
+}
+
+/// A linear congruential generator.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        self.0 ^ self.0 >> 29
+    }
+
+    fn below(&mut self, limit: usize) -> usize {
+        (self.next() >> 8) as usize % limit
+    }
+
+    fn one_in(&mut self, times: usize) -> bool {
+        self.below(times) == 0
+    }
+
+    fn one_of<T: Clone>(&mut self, values: &[T]) -> T {
+        values[self.below(values.len())].clone()
+    }
+}

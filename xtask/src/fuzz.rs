@@ -1,0 +1,62 @@
+//! `cargo xtask fuzz TARGET`: libFuzzer, guided by coverage, on the compiler that builds everything else.
+//!
+//! The instrumentation is LLVM's and needs no nightly flags; only the address sanitizer would, and the targets are safe Rust
+//! but for a few lines. What is found is kept in the target folder; what a crash leaves is named, to become a case in `fuzz/corpus`.
+
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::setup::{self, Part};
+use crate::{shell, workspace};
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// What to fuzz: an executable of `fuzz`
+    #[arg(value_parser = ["decide", "control", "cert"])]
+    target: String,
+    /// How long
+    #[arg(long, default_value_t = 60)]
+    seconds: u32,
+}
+
+/// Counters at each edge of the control flow, and what comparisons compared.
+const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+                        -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
+                        -Cllvm-args=-sanitizer-coverage-trace-compares -Ccodegen-units=1";
+
+pub fn run(options: Options) -> Result<()> {
+    setup::ensure(&[Part::Workspace])?;
+    let Options { target, seconds } = options;
+    let folder = workspace::target().join("fuzz");
+    let host = host()?;
+    // With `--target`, so that build scripts are not instrumented: they have no engine to talk to.
+    let mut build = shell::cargo();
+    build.args(["build", "-p", "gdp-fuzz", "--features", "libfuzzer", "--bin", &target, "--profile", "checked"]);
+    build.args(["--target", &host, "--target-dir"]).arg(&folder).env("RUSTFLAGS", COVERAGE);
+    shell::run(&mut build)?;
+
+    let [found, seeds, crashes] = ["found", "seeds", "crashes"].map(|kind| folder.join(kind).join(&target));
+    for folder in [&found, &seeds, &crashes] {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    }
+    let mut fuzzer = Command::new(folder.join(host).join("checked").join(&target));
+    fuzzer.arg(format!("-max_total_time={seconds}")).args(["-max_len=4096", "-timeout=5", "-rss_limit_mb=2048"]);
+    fuzzer.arg(format!("-artifact_prefix={}/", crashes.display()));
+    // Written by the executable itself, before it reads them.
+    fuzzer.env("GDP_FUZZ_SEEDS", &seeds);
+    shell::say_and_run(fuzzer.arg(found).arg(seeds).arg(workspace::root().join("fuzz/corpus").join(&target)))
+        .with_context(|| {
+            format!(
+                "what made it fail is in {}: copy it to fuzz/corpus/{target} under a name that says what it shows",
+                crashes.display()
+            )
+        })
+}
+
+/// The platform that this compiler builds for by itself.
+fn host() -> Result<String> {
+    let version = shell::output_of("rustc", &["-vV"]).context("rustc does not say its version")?;
+    let host = version.lines().find_map(|line| line.strip_prefix("host: ")).context("rustc does not say its host")?;
+    Ok(host.to_owned())
+}
