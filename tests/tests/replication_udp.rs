@@ -105,8 +105,8 @@ fn a_changed_route_is_followed() -> Result<()> {
     site.wait_for(&[readers[3]], 1).context("its route did not change")?;
     site.take();
 
-    site.exchange(Plane::Userspace, &onto(&readers)).context("before the groups follow")?;
     site.ways = [1, 0];
+    site.exchange(Plane::Userspace, &onto(&readers)).context("before the groups follow")?;
     site.refresh()?;
     site.exchange(Plane::Kernel, &onto(&readers)).context("after")
 }
@@ -413,6 +413,9 @@ fn build_routes(switch: &Namespace, router: &Namespace, cloud: &Namespace) -> Re
         (switch, "neigh replace 10.1.0.254 lladdr 02:00:00:05:00:00 dev r0 nud reachable"),
         (switch, "neigh replace 2001:db8:1::254 lladdr 02:00:00:05:00:00 dev r0 nud reachable"),
         (switch, "neigh replace 10.2.0.254 lladdr 02:00:00:05:00:01 dev r1 nud reachable"),
+        // While it asked the router would keep no more than 49 packets.
+        (router, "neigh replace 10.9.0.9 lladdr 02:00:00:06:00:02 dev c0 nud permanent"),
+        (router, "neigh replace 2001:db8:9::9 lladdr 02:00:00:06:00:02 dev c0 nud permanent"),
     ] {
         side.ip(&command.split(' ').collect::<Vec<_>>())?;
     }
