@@ -368,11 +368,11 @@ impl Site {
         })
     }
 
-    /// What has arrived since the last time, by the link id in it, with the interface of those that were over UDP.
-    fn take(&self) -> HashMap<u32, Vec<(usize, Vec<u8>)>> {
+    /// What has arrived since the last time.
+    fn take(&self) -> Taken {
         let ethernet = self.far.take().into_iter();
         let ethernet = ethernet.map(|(link, frames)| (link, frames.into_iter().map(|frame| (0, frame)).collect()));
-        let mut taken: HashMap<_, Vec<_>> = self.routed.take();
+        let mut taken = self.routed.take();
         ethernet.for_each(|(link, frames): (u32, Vec<_>)| taken.entry(link).or_default().extend(frames));
         taken
     }
@@ -425,6 +425,9 @@ fn build_routes(switch: &Namespace, router: &Namespace, cloud: &Namespace) -> Re
     Ok(())
 }
 
+/// Packets by the link id in them; each with the router's interface that it came in by, if it was over UDP.
+type Taken = HashMap<u32, Vec<(usize, Vec<u8>)>>;
+
 /// Keeps all data frames over UDP that the router gets, and counts those that it passes on.
 struct Routed {
     inbox: Arc<Inbox>,
@@ -434,8 +437,7 @@ struct Routed {
 #[derive(Default)]
 struct Inbox {
     stop: AtomicBool,
-    /// By the link id in them, with the interface they came in by.
-    frames: Mutex<HashMap<u32, Vec<(usize, Vec<u8>)>>>,
+    frames: Mutex<Taken>,
     passed_on: Mutex<HashMap<u32, u64>>,
 }
 
@@ -457,7 +459,7 @@ impl Routed {
         came.min(lock(&self.inbox.passed_on).get(&link).copied().unwrap_or(0))
     }
 
-    fn take(&self) -> HashMap<u32, Vec<(usize, Vec<u8>)>> {
+    fn take(&self) -> Taken {
         lock(&self.inbox.passed_on).clear();
         std::mem::take(&mut lock(&self.inbox.frames))
     }
