@@ -13,6 +13,6 @@ pub fn get() -> SwitchConfig {
     match CONFIG.get(0) {
         Some(config) => *config,
         // Not reachable: an array of one entry has entry 0. The verifier wants it said.
-        None => SwitchConfig { own_bit: 0, ethertype: ETHERTYPE as u32, reserved: 0 },
+        None => SwitchConfig { own_bit: 0, ethertype: ETHERTYPE as u32, host_pair: 0 },
     }
 }

@@ -18,6 +18,7 @@ mod copies;
 mod counters;
 mod fib;
 mod groups;
+mod host_pair;
 mod links;
 mod local;
 mod losses;
@@ -48,14 +49,14 @@ use crate::tables::Maps;
 #[xdp(frags)]
 pub fn gdp_switch(context: XdpContext) -> u32 {
     let length = packet::length(&context);
-    act(handle(&context, length))
+    act(&context, handle(&context, length))
 }
 
 /// The switch, on older kernels.
 #[xdp]
 pub fn gdp_switch_linear(context: XdpContext) -> u32 {
     let length = context.data_end().saturating_sub(context.data());
-    act(handle(&context, length))
+    act(&context, handle(&context, length))
 }
 
 /// What leaves, on kernels from 5.18 on.
@@ -81,7 +82,7 @@ pub fn gdp_pass(_context: XdpContext) -> u32 {
 enum Outcome {
     /// It is on its way to another interface.
     Redirected(Counter),
-    /// The host takes it, untouched.
+    /// The host takes it, untouched but for what [`host_pair`] does.
     Passed(Counter),
     Dropped(Counter),
 }
@@ -96,10 +97,11 @@ impl Outcome {
 }
 
 #[inline(always)]
-fn act(outcome: Outcome) -> u32 {
+fn act(context: &XdpContext, outcome: Outcome) -> u32 {
     counters::count(outcome.counter());
     match outcome {
         Outcome::Redirected(_) => XDP_REDIRECT,
+        Outcome::Passed(counter) if host_pair::is_ingress(context) => host_pair::leave(context, counter),
         Outcome::Passed(_) => XDP_PASS,
         Outcome::Dropped(_) => XDP_DROP,
     }

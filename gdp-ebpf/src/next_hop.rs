@@ -21,14 +21,25 @@ const AF_INET6: u8 = 10;
 /// kernel wants forwarding enabled on that interface, which the daemon sees to.
 const LOOPBACK: u32 = 1;
 
-/// The last question, and its answer. On the stack of the program.
-pub struct NextHop(UnsafeCell<Lookup>);
+/// Words of a question.
+const WORDS: usize = size_of::<Lookup>() / size_of::<u64>();
+
+/// The last question, and its answer. On the stack of the program, as words because those are what it begins with.
+pub struct NextHop(UnsafeCell<[u64; WORDS]>);
+
+const _: () = assert!(WORDS * size_of::<u64>() == size_of::<Lookup>() && align_of::<Lookup>() <= align_of::<u64>());
 
 impl NextHop {
+    /// The kernel wants all of it written before anything is read. Most frames never ask, so this must cost next to nothing: a zero that
+    /// the compiler knows becomes a call of a function that writes byte by byte.
     #[inline(always)]
     pub fn new() -> Self {
-        // SAFETY: plain integers, for which zero is a value.
-        Self(UnsafeCell::new(unsafe { core::mem::zeroed() }))
+        Self(UnsafeCell::new([core::hint::black_box(0); WORDS]))
+    }
+
+    #[inline(always)]
+    fn lookup(&self) -> *mut Lookup {
+        self.0.get().cast()
     }
 
     /// Asks for a frame of `length` bytes; `false` if it cannot be sent. A function of its own also in the kernel: it is asked in
@@ -36,7 +47,7 @@ impl NextHop {
     #[inline(never)]
     pub fn ask(&self, context: &XdpContext, link: &LinkEntry, length: usize) -> bool {
         let carrier = &link.carrier;
-        let lookup = self.0.get();
+        let lookup = self.lookup();
         // SAFETY: the program's own memory, and there is no reference into it. The helper writes within the size it is given.
         let answer = unsafe {
             (*lookup).l4_protocol = UDP;
@@ -68,20 +79,20 @@ impl NextHop {
     #[inline(always)]
     pub fn port(&self) -> u32 {
         // SAFETY: the program's own memory, and there is no reference into it.
-        unsafe { (*self.0.get()).ifindex }
+        unsafe { (*self.lookup()).ifindex }
     }
 
     /// The neighbour's MAC address.
     #[inline(always)]
     pub fn destination(&self) -> [u16; 3] {
         // SAFETY: as above; six bytes at an even address.
-        unsafe { (&raw const (*self.0.get()).dmac).cast::<[u16; 3]>().read() }
+        unsafe { (&raw const (*self.lookup()).dmac).cast::<[u16; 3]>().read() }
     }
 
     /// The interface's MAC address.
     #[inline(always)]
     pub fn source(&self) -> [u16; 3] {
         // SAFETY: as above.
-        unsafe { (&raw const (*self.0.get()).smac).cast::<[u16; 3]>().read() }
+        unsafe { (&raw const (*self.lookup()).smac).cast::<[u16; 3]>().read() }
     }
 }

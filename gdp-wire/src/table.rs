@@ -8,7 +8,7 @@ use crate::{Name, replay};
 
 /// The version of everything a data plane keeps in memory that outlives a daemon: the maps, and what their entries mean. To
 /// be raised with every change of meaning; of sizes as well, though a daemon compares those itself.
-pub const ABI: u32 = 3;
+pub const ABI: u32 = 4;
 
 /// Links a switch can have at once; the low bits of a link id are the index of its entry.
 pub const MAX_LINKS: u32 = 1024;
@@ -70,7 +70,8 @@ pub struct LinkEntry {
     pub peer_id: u32,
     /// [`LinkRole`] of the neighbour; 0 for a free entry.
     pub role: u32,
-    /// Key in the device map of the interface the neighbour is behind, [`PORT_ROUTED`] or [`PORT_USERSPACE`].
+    /// Key in the device map of the interface the neighbour is behind, [`PORT_ROUTED`] or [`PORT_USERSPACE`]. Over UDP an
+    /// interface is given only for an endpoint on the switch's own host.
     pub port: u32,
     /// SipHash keys of frames that arrive, by the key phase in their flags. Both are always keys of the link: the one in use and
     /// the one that follows it.
@@ -110,9 +111,9 @@ pub struct Carrier {
     pub flags: u8,
     /// IEEE 802.1Q tag control information, in host order; 0: no tag. On Ethernet only.
     pub vlan: u16,
-    /// The neighbour's MAC address. On Ethernet only.
+    /// The neighbour's MAC address. On Ethernet, and over UDP where [`LinkEntry::port`] is an interface.
     pub peer_mac: [u16; 3],
-    /// Ours. On Ethernet only.
+    /// Ours, likewise.
     pub local_mac: [u16; 3],
     /// UDP port of the neighbour, in network order.
     pub peer_port: u16,
@@ -274,8 +275,8 @@ pub struct SwitchConfig {
     pub own_bit: u64,
     /// Ethertype of GDP frames, in host order.
     pub ethertype: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// The interface by which endpoints on the switch's own host reach it; 0: there is none.
+    pub host_pair: u32,
 }
 
 /// What [`crate::forward::decide`] asks of a data plane. Lookups must be bounded and must not block.

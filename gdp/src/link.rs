@@ -14,7 +14,7 @@ mod tls;
 
 use std::fmt;
 use std::io;
-use std::net::{IpAddr, SocketAddr, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::{Arc, Mutex as StdMutex};
 use std::time::{Duration, Instant};
 
@@ -28,7 +28,7 @@ use zeroize::Zeroizing;
 use crate::control::{CodecError, Refusal, Request, Response};
 use crate::identity::VerifyKey;
 use crate::name::NameProof;
-use crate::port::LinkAddr;
+use crate::port::{HostPair, LinkAddr};
 
 pub use ids::{LinkId, LinkIds};
 pub use ratchet::{LinkKeys, RekeySchedule};
@@ -115,9 +115,46 @@ pub(crate) enum Place {
         peer_mac: [u8; 6],
     },
     /// `bound`: what the port's socket is bound to, perhaps the unspecified address.
+    /// `pair`: how frames go, if not by where QUIC is.
     Udp {
         bound: SocketAddr,
+        pair: Option<PairEnd>,
     },
+}
+
+impl Place {
+    /// Whether a peer's address is one of this host: then the kernel sends from it as well.
+    fn leads_to_this_host(self, peer: SocketAddr) -> bool {
+        matches!(self, Self::Udp { bound, .. } if udp_source(bound.ip(), peer) == peer.ip().to_canonical())
+    }
+
+    fn by(self, end: PairEnd) -> Self {
+        match self {
+            Self::Udp { bound, .. } => Self::Udp { bound, pair: Some(end) },
+            ethernet => ethernet,
+        }
+    }
+}
+
+/// One side's view of a [`HostPair`].
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PairEnd {
+    /// Not known to the endpoint, nor are MAC addresses: its kernel knows them.
+    local_ip: Ipv4Addr,
+    local_mac: [u8; 6],
+    peer_ip: Ipv4Addr,
+    peer_mac: [u8; 6],
+}
+
+impl PairEnd {
+    fn toward(switch: Ipv4Addr) -> Self {
+        Self { local_ip: Ipv4Addr::UNSPECIFIED, local_mac: [0; 6], peer_ip: switch, peer_mac: [0; 6] }
+    }
+
+    fn of_switch(pair: &HostPair) -> Self {
+        let HostPair { switch_ip, switch_mac, host_ip, host_mac } = *pair;
+        Self { local_ip: switch_ip, local_mac: switch_mac, peer_ip: host_ip, peer_mac: host_mac }
+    }
 }
 
 /// Why a link could not be made, or failed a request.
@@ -202,8 +239,16 @@ impl Link {
     pub fn addr(&self) -> LinkAddr {
         match self.0.place {
             Place::Ethernet { ifindex, peer_mac, .. } => LinkAddr::Ethernet { ifindex, mac: peer_mac },
-            Place::Udp { .. } => LinkAddr::udp(self.0.connection.remote_address()),
+            Place::Udp { pair: None, .. } => LinkAddr::udp(self.0.connection.remote_address()),
+            Place::Udp { pair: Some(pair), .. } => {
+                LinkAddr::udp((pair.peer_ip, self.0.connection.remote_address().port()).into())
+            }
         }
+    }
+
+    /// Whether frames go by the [`HostPair`] of the switch.
+    pub fn is_by_pair(&self) -> bool {
+        matches!(self.0.place, Place::Udp { pair: Some(_), .. })
     }
 
     /// What carries data frames to the peer. Over UDP it follows the addresses of both sides.
@@ -213,7 +258,15 @@ impl Link {
             Place::Ethernet { vlan, local_mac, peer_mac, .. } => {
                 Carrier { vlan, ..Carrier::ethernet(peer_mac, local_mac) }
             }
-            Place::Udp { bound } => {
+            Place::Udp { bound, pair: Some(pair) } => Carrier {
+                kind: Carrier::UDP4,
+                peer_port: inner.connection.remote_address().port().to_be(),
+                local_port: bound.port().to_be(),
+                peer_ip: ip_words(pair.peer_ip.into()).1,
+                local_ip: ip_words(pair.local_ip.into()).1,
+                ..Carrier::ethernet(pair.peer_mac, pair.local_mac)
+            },
+            Place::Udp { bound, pair: None } => {
                 let peer = inner.connection.remote_address();
                 // Only the side that was dialled knows it from its peer's packets.
                 let local = inner.connection.local_ip().map(|ip| ip.to_canonical());

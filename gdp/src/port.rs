@@ -8,6 +8,7 @@ mod addr;
 mod data;
 mod discover;
 mod ethernet;
+mod host;
 mod sys;
 mod udp;
 
@@ -31,6 +32,8 @@ use crate::link::{
 pub use addr::{DisplayMac, LinkAddr, parse_mac};
 pub use data::{BATCH, DataSocket, OutFrame, RecvBatch, Sent};
 pub use ethernet::{Interface, Vlan};
+pub(crate) use host::CurrentPair;
+pub use host::HostPair;
 
 /// Largest data frame on a UDP link, in bytes: what fits into IPv4 on Ethernet. A link takes as much of it as its path does, which
 /// QUIC finds out.
@@ -107,7 +110,7 @@ pub struct Port {
 #[derive(Clone)]
 enum Medium {
     Ethernet(Interface, Arc<ethernet::ControlSocket>),
-    Udp { bound: SocketAddr, zero_checksum: bool },
+    Udp { bound: SocketAddr, zero_checksum: bool, host: Option<u64> },
 }
 
 impl Port {
@@ -142,8 +145,11 @@ impl Port {
         let socket = Arc::new(udp::SharedUdp::bind(bind).map_err(fail)?);
         let mtu = QuicMtu { initial: SMALLEST_PATH, discover_up_to: Some(UDP_MTU as u16) };
         let data = DataSocket::new(data::Kind::Udp(socket.clone())).map_err(fail)?;
-        let medium =
-            Medium::Udp { bound: socket.local_addr().map_err(fail)?, zero_checksum: socket.takes_zero_checksums() };
+        let medium = Medium::Udp {
+            bound: socket.local_addr().map_err(fail)?,
+            zero_checksum: socket.takes_zero_checksums(),
+            host: socket.host(),
+        };
         Self::open(config, socket, medium, data, mtu, UDP_MTU)
     }
 
@@ -171,6 +177,8 @@ impl Port {
             mtu: frame_mtu,
             rekey: config.rekey,
             zero_checksum: matches!(medium, Medium::Udp { zero_checksum: true, .. }),
+            host: if let Medium::Udp { host, .. } = medium { host } else { None },
+            pair: CurrentPair::default(),
         };
         let (sender, accepted) = mpsc::channel(MAX_HANDSHAKES);
         let acceptor =
@@ -180,6 +188,15 @@ impl Port {
 
     /// Makes a link to the peer at `to`; refuses any other than `expected`, if that is given.
     pub async fn dial(&self, to: LinkAddr, expected: Option<Name>) -> Result<Link, LinkError> {
+        self.dial_as(to, expected, &self.hello).await
+    }
+
+    /// As [`Self::dial`], but if the peer is a switch on this host, frames go through its daemon all the same.
+    pub async fn dial_apart(&self, to: LinkAddr, expected: Option<Name>) -> Result<Link, LinkError> {
+        self.dial_as(to, expected, &HelloConfig { host: None, ..self.hello.clone() }).await
+    }
+
+    async fn dial_as(&self, to: LinkAddr, expected: Option<Name>, hello: &HelloConfig) -> Result<Link, LinkError> {
         let address = match (to, &self.medium) {
             (LinkAddr::Ethernet { ifindex, mac }, Medium::Ethernet(interface, _)) if ifindex == interface.index => {
                 addr::mac_to_socket(mac)
@@ -196,7 +213,7 @@ impl Port {
                 .await
                 .map_err(|error| LinkError::Handshake(format!("no answer from {to} that is one of a peer: {error}")))?;
             let place = self.medium.place(&connection);
-            greet_as_client(connection, place, &self.hello, expected).await
+            greet_as_client(connection, place, hello, expected).await
         };
         timeout(HANDSHAKE_TIMEOUT, handshake)
             .await
@@ -261,6 +278,11 @@ impl Port {
         }
     }
 
+    /// From now on endpoints on this host that dial in send their frames by this pair; or through the daemon.
+    pub fn set_host_pair(&self, pair: Option<HostPair>) {
+        self.hello.pair.set(pair);
+    }
+
     /// Largest data frame that fits this port's links, in bytes.
     pub fn mtu(&self) -> u32 {
         self.hello.mtu
@@ -291,7 +313,7 @@ impl Medium {
                 local_mac: interface.mac,
                 peer_mac: addr::socket_to_mac(&connection.remote_address()),
             },
-            Self::Udp { bound, .. } => Place::Udp { bound: *bound },
+            Self::Udp { bound, .. } => Place::Udp { bound: *bound, pair: None },
         }
     }
 

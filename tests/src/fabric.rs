@@ -277,7 +277,7 @@ fn start_switch(
 }
 
 /// A file system that is unmounted, and with it all that is pinned there.
-struct Mounted(PathBuf);
+pub struct Mounted(pub PathBuf);
 
 impl Drop for Mounted {
     fn drop(&mut self) {

@@ -254,7 +254,7 @@ impl Site {
 /// In the namespace of the switch.
 fn start(mode: Mode, pins: Option<Pins>) -> Result<KernelPlane> {
     let mut plane = KernelPlane::load_pinned(&Tools::beside_this_test()?.ebpf_object()?, 16, pins)?;
-    plane.set_config(SwitchConfig { own_bit: OWN_BIT, ethertype: ETHERTYPE.into(), reserved: 0 })?;
+    plane.set_config(SwitchConfig { own_bit: OWN_BIT, ethertype: ETHERTYPE.into(), host_pair: 0 })?;
     for (i, (id, interface)) in LINKS.into_iter().enumerate() {
         let port = ifindex(interface)?;
         plane.set_port(port, port)?;

@@ -282,7 +282,7 @@ fn links_over_udp_are_taken_over_from_an_earlier_daemon() -> Result<()> {
     {
         let pins = Pins::open(folder.path(), &FORBIDDEN)?;
         let mut before = KernelPlane::load_pinned(&object, 1024, Some(pins))?;
-        before.set_config(SwitchConfig { own_bit: 1, ethertype: 0x88b5, reserved: 0 })?;
+        before.set_config(SwitchConfig { own_bit: 1, ethertype: 0x88b5, host_pair: 0 })?;
         links.iter().try_for_each(|link| before.set_link(link))?;
     }
     let pins = Some(PinPlace { bpffs: folder.path().into(), switch: FORBIDDEN });
@@ -369,7 +369,7 @@ impl Site {
             let ebpf_object = Some(Tools::beside_this_test()?.ebpf_object()?);
             let mut planes = Planes::open(PlaneConfig { wanted, ebpf_object, ..Default::default() })?;
             planes.attach(ports[0].interface().context("an interface")?, ports[0].data())?;
-            let reports = planes.attach_udp(ports[1].data(), ports[1].udp_addr().context("an address")?)?;
+            let reports = planes.attach_udp(ports[1].data(), ports[1].udp_addr().context("an address")?, None)?;
             let native =
                 |report: &gdp_ctl::plane::InterfacePlane| report.kind == "xdp-native" && report.interface == "r0";
             ensure!(wanted == Wanted::Userspace || matches!(&reports[..], [report] if native(report)), "{reports:?}");

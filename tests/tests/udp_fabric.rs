@@ -21,7 +21,10 @@ use gdp_tests::Tools;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::wait::wait_for;
 use serde_json::Value;
-use tokio::runtime::Runtime;
+
+use inside::{Inside, ROOT};
+
+mod inside;
 
 const SOON: Duration = Duration::from_secs(20);
 
@@ -39,11 +42,11 @@ fn messages_cross_three_carriers_without_leaving_the_kernel() -> Result<()> {
     let cert = AdCert { name, entity: robot.name(), mode: Mode::Unicast, scope: vec![], not_before, not_after };
     let cert = issue(&owner, &cert)?;
 
-    let reader = Inside::new(&site.far)?;
+    let reader = Inside::new(&site.far, ROOT)?;
     let reading = reader.run(Node::connect(NodeConfig::new(far, "udp://[2001:db8:3::9]:31415".parse()?)))??;
     let subscribe = reading.subscribe(card.proof(), grant, &key, SubscribeOptions::default());
     let mut subscription = reader.runtime.block_on(subscribe)?;
-    let writer = Inside::new(&site.robot)?;
+    let writer = Inside::new(&site.robot, ROOT)?;
     let writing = writer.run(Node::connect(NodeConfig::new(robot, "eth://e0".parse()?)))??;
     let mut publisher = writer.runtime.block_on(writing.publish(card.proof(), cert, &key))?;
     let mut exchange = |body: &[u8]| -> Result<bool> {
@@ -69,26 +72,6 @@ fn messages_cross_three_carriers_without_leaving_the_kernel() -> Result<()> {
     reader.runtime.block_on(reading.close());
     [edge, cloud].into_iter().for_each(Switch::stop);
     Ok(())
-}
-
-/// A runtime whose threads are in a namespace.
-struct Inside {
-    runtime: Runtime,
-}
-
-impl Inside {
-    fn new(namespace: &Namespace) -> Result<Self> {
-        let door = namespace.door()?;
-        // A thread of the runtime stays inside until it ends.
-        let enter = move || std::mem::forget(door.enter().expect("a namespace that is there"));
-        let mut builder = tokio::runtime::Builder::new_multi_thread();
-        Ok(Self { runtime: builder.worker_threads(1).enable_all().on_thread_start(enter).build()? })
-    }
-
-    /// On a thread of the runtime: `block_on` stays on the calling one, where sockets would be of another namespace.
-    fn run<T: Send + 'static>(&self, future: impl Future<Output = T> + Send + 'static) -> Result<T> {
-        Ok(self.runtime.block_on(self.runtime.spawn(future))?)
-    }
 }
 
 struct Switch {
@@ -174,7 +157,7 @@ impl Site {
             })
         };
         let switch = |namespace: &Namespace, config: Config| -> Result<Switch> {
-            let inside = Inside::new(namespace)?;
+            let inside = Inside::new(namespace, ROOT)?;
             Ok(Switch { running: inside.run(start(config))??, inside })
         };
         let switches = [

@@ -10,14 +10,15 @@ use serde_json::{Map, Value, json};
 
 use super::Context;
 use super::output::table;
-use crate::plane::kernel;
 use crate::plane::pins::{self, BPFFS, Found, Pins, PinsError};
+use crate::plane::{host_pair, kernel};
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Print what the XDP programs count and hold.
     Stats(Options),
-    /// Take the XDP programs off and free their maps, where no daemon runs. A daemon that is stopped does so itself.
+    /// Take the XDP programs off and free their maps, where no daemon runs; and in the present network namespace remove the
+    /// interfaces that a daemon made for endpoints on its host. A daemon that is stopped does so itself.
     Detach(Options),
 }
 
@@ -48,10 +49,14 @@ fn stats(options: &Options, context: &Context) -> anyhow::Result<()> {
 
 fn detach(options: &Options, context: &Context) -> anyhow::Result<()> {
     let (mut detached, mut running) = (Vec::new(), Vec::new());
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     for found in options.find()? {
         match Pins::of(&found) {
             Ok(pins) => {
                 pins.remove()?;
+                if found.is_of_this_namespace() {
+                    runtime.block_on(host_pair::remove(&found.switch))?;
+                }
                 detached.push(found.folder.display().to_string());
             }
             Err(PinsError::InUse(folder)) => running.push(folder.display().to_string()),

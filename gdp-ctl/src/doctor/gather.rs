@@ -14,6 +14,7 @@ use super::facts::{Bpffs, Clock, Facts, Interface, LeftOver, Loaded, Owner, Port
 use crate::config::{Config, DataPlane};
 use crate::folders;
 use crate::plane::device::Device;
+use crate::plane::host_pair;
 use crate::plane::kernel::KernelPlane;
 use crate::plane::kernel_version::KernelVersion;
 use crate::plane::pins::{self, Pins, PinsError};
@@ -188,7 +189,11 @@ fn interfaces(config: &Config) -> io::Result<Vec<Result<Interface, String>>> {
             let find = |name: &String| all.iter().find(|device| device.name == *name).ok_or_else(|| name.clone());
             names.iter().map(find).collect()
         }
-        None if folders::is_root() => all.iter().filter(|device| device.ethernet && device.up).map(Ok).collect(),
+        None if folders::is_root() => all
+            .iter()
+            .filter(|device| device.ethernet && device.up && !host_pair::is_end(&device.name))
+            .map(Ok)
+            .collect(),
         None => Vec::new(),
     };
     let look = |device: &Device| {

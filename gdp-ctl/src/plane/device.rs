@@ -137,26 +137,39 @@ impl Offloads {
         const ETHTOOL_GFLAGS: u32 = 0x25;
         const ETH_FLAG_RXVLAN: u32 = 1 << 8;
         const ETH_FLAG_LRO: u32 = 1 << 15;
-        // SAFETY: no pointers; the descriptor is owned at once.
-        let socket = unsafe {
-            match libc::socket(libc::AF_INET, libc::SOCK_DGRAM | libc::SOCK_CLOEXEC, 0) {
-                -1 => return Err(io::Error::last_os_error()),
-                fd => OwnedFd::from_raw_fd(fd),
-            }
-        };
-        let flags = ethtool(&socket, interface, ETHTOOL_GFLAGS);
+        let socket = socket()?;
+        let flags = ethtool(&socket, interface, [ETHTOOL_GFLAGS, 0]);
         Ok(Self {
             lro: flags.map(|flags| flags & ETH_FLAG_LRO != 0),
-            tx_checksum: ethtool(&socket, interface, ETHTOOL_GTXCSUM).map(|on| on != 0),
+            tx_checksum: ethtool(&socket, interface, [ETHTOOL_GTXCSUM, 0]).map(|on| on != 0),
             rx_vlan: flags.map(|flags| flags & ETH_FLAG_RXVLAN != 0),
         })
     }
 }
 
-/// A value that the driver gives; `None` if it has none.
-fn ethtool(socket: &OwnedFd, interface: &str, command: u32) -> Option<u32> {
+/// Turns generic receive offload on. A veth takes redirected frames for its other end only if that has it (or a program).
+pub fn set_gro(interface: &str) -> io::Result<()> {
+    const ETHTOOL_SGRO: u32 = 0x2c;
+    let socket = socket()?;
+    match ethtool(&socket, interface, [ETHTOOL_SGRO, 1]) {
+        Some(_) => Ok(()),
+        None => Err(io::Error::last_os_error()),
+    }
+}
+
+fn socket() -> io::Result<OwnedFd> {
+    // SAFETY: no pointers; the descriptor is owned at once.
+    unsafe {
+        match libc::socket(libc::AF_INET, libc::SOCK_DGRAM | libc::SOCK_CLOEXEC, 0) {
+            -1 => Err(io::Error::last_os_error()),
+            fd => Ok(OwnedFd::from_raw_fd(fd)),
+        }
+    }
+}
+
+/// The value that the driver has after a command with one; `None` if it does not know the command, or refuses.
+fn ethtool(socket: &OwnedFd, interface: &str, mut value: [u32; 2]) -> Option<u32> {
     const SIOCETHTOOL: libc::c_ulong = 0x8946;
-    let mut value = [command, 0];
     // SAFETY: zero is a valid value of this structure.
     let mut request: libc::ifreq = unsafe { std::mem::zeroed() };
     // The last byte stays 0.

@@ -12,6 +12,7 @@
 //! - [`groups`]: which links take copies of a frame; [`kernel_groups`] and [`group_places`]: what the kernel holds of them
 //! - [`link_memory`]: what the two planes share; this and the FIB are [`mapping`]s
 //! - [`notices`]: what neighbours say to this node itself
+//! - [`host_pair`]: the interfaces between the switch and endpoints on its own host
 //! - [`udp`]: which addresses and interfaces carry links over UDP
 //! - [`tally`]: what is counted by link and by name
 //! - [`pins`]: what stays in the kernel when the daemon dies
@@ -22,6 +23,7 @@ pub mod fib;
 pub mod forwarder;
 pub mod group_places;
 pub mod groups;
+pub mod host_pair;
 pub mod kernel;
 pub mod kernel_groups;
 pub mod kernel_types;
@@ -43,9 +45,11 @@ use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLockReadGuard, RwLockWriteGuard};
 
-use gdp::port::{DataSocket, Interface, LinkAddr};
+use gdp::port::{DataSocket, HostPair, Interface, LinkAddr};
 use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS, PORT_ROUTED, PORT_USERSPACE, Tables, ip_of, mac_bytes};
-use gdp_wire::{Carrier, Counter, FibEntry, Header, LinkEntry, LinkRole, Name, Permit, SwitchConfig, Vlan};
+use gdp_wire::{
+    Carrier, Counter, FibEntry, Header, LinkEntry, LinkRole, LocalAddress, Name, Permit, SwitchConfig, Vlan,
+};
 
 use device::Device;
 use forwarder::{Forwarder, Medium, Shared};
@@ -158,6 +162,8 @@ pub struct Planes {
     /// Interfaces that have a program, or should: those of Ethernet ports, or below them, and those that carry UDP.
     devices: HashMap<u32, Served>,
     udp: Option<UdpPort>,
+    /// The switch's end of the pair, of this daemon or the one before; 0 if there is none.
+    host_pair: u32,
     /// Once links over UDP are used.
     routing: Option<Routing>,
     left: Option<Left>,
@@ -189,7 +195,9 @@ struct Port {
 struct UdpPort {
     bound: SocketAddr,
     forwarder: Forwarder,
-    /// Interfaces that have one of the socket's addresses.
+    /// For endpoints on this host.
+    pair: Option<host_pair::Ends>,
+    /// Interfaces that have one of the socket's addresses, and the switch's end of the pair.
     devices: HashSet<u32>,
 }
 
@@ -232,6 +240,7 @@ impl Planes {
             ports: HashMap::new(),
             devices: HashMap::new(),
             udp: None,
+            host_pair: 0,
             routing: None,
             left: None,
         };
@@ -324,19 +333,39 @@ impl Planes {
     }
 
     /// Takes over what arrives over UDP at `bound`: in the kernel on the Ethernet interfaces that have such an address and can run
-    /// native XDP (generic XDP would burden all that the host receives there), otherwise in userspace.
+    /// native XDP (generic XDP would burden all that the host receives there), otherwise in userspace. `pair`: by which endpoints on
+    /// this host are to send.
     pub fn attach_udp(
         &mut self,
         socket: Arc<DataSocket>,
         bound: SocketAddr,
+        pair: Option<host_pair::Ends>,
     ) -> Result<Vec<InterfacePlane>, PlaneError> {
         self.detach_udp();
         let forwarder = Forwarder::start(Medium::Udp, socket, LARGEST_UDP_FRAME, &self.shared)
             .map_err(|source| PlaneError::Thread { interface: "udp".into(), source })?;
-        self.udp = Some(UdpPort { bound, forwarder, devices: HashSet::new() });
+        self.host_pair = pair.as_ref().map_or(0, |pair| pair.switch.index);
+        self.udp = Some(UdpPort { bound, forwarder, pair, devices: HashSet::new() });
+        self.set_own_bit(self.own_bit)?;
         self.refresh()?;
         let devices = self.udp.iter().flat_map(|udp| &udp.devices);
         Ok(devices.map(|device| self.report_of(&self.devices[device].name, *device)).collect())
+    }
+
+    /// Whether endpoints on this host can get past the daemon, if there is a kernel plane and `bound` is where they dial in.
+    pub fn takes_pair(&self, bound: SocketAddr) -> Result<(), String> {
+        self.kernel.as_ref().map_err(String::clone)?;
+        // What the kernel plane leaves to the daemon comes to the host's address on the pair.
+        let any = bound.ip().is_unspecified();
+        any.then_some(()).ok_or_else(|| format!("the UDP address is {bound}, and not 0.0.0.0 or [::]"))
+    }
+
+    /// The pair by which endpoints on this host reach the kernel plane, and it them; if that works now.
+    pub fn host_pair(&self) -> Option<HostPair> {
+        let pair = self.udp.as_ref()?.pair.as_ref()?;
+        let works =
+            self.devices.get(&pair.switch.index).is_some_and(|device| device.attached.is_some() && device.sends);
+        works.then_some(pair.addresses)
     }
 
     fn detach_udp(&mut self) {
@@ -494,7 +523,7 @@ impl Planes {
     pub fn set_own_bit(&mut self, own_bit: u64) -> Result<(), PlaneError> {
         self.own_bit = own_bit;
         self.tables().set_own_bit(own_bit);
-        let config = SwitchConfig { own_bit, ethertype: self.config.ethertype.into(), reserved: 0 };
+        let config = SwitchConfig { own_bit, ethertype: self.config.ethertype.into(), host_pair: self.host_pair };
         if let Ok(kernel) = &mut self.kernel {
             kernel.set_config(config)?;
         }
@@ -538,7 +567,7 @@ impl Planes {
         }
         let losses = kernel.losses().map_err(|error| error.to_string())?;
         let named =
-            losses.into_iter().filter_map(|(ifindex, lost)| Some((self.ports.get(&ifindex)?.interface.clone(), lost)));
+            losses.into_iter().filter_map(|(ifindex, lost)| Some((self.devices.get(&ifindex)?.name.clone(), lost)));
         Ok(named.collect())
     }
 
@@ -617,16 +646,22 @@ impl Planes {
             return if self.left.is_none() { Ok(kernel.set_addresses(&HashSet::new())?) } else { Ok(()) };
         };
         let taken = match udp::addresses() {
-            Ok(addresses) => udp::taken_at(udp.bound, addresses),
+            Ok(mut addresses) => {
+                addresses.retain(|address| !host_pair::is_end(&address.interface));
+                udp::taken_at(udp.bound, addresses)
+            }
             Err(error) => {
                 tracing::warn!(%error, "the addresses of interfaces cannot be read; UDP is taken where it was");
                 return Ok(());
             }
         };
         self.routing.get_or_insert_with(Routing::enable);
-        kernel.set_addresses(&taken.iter().map(|(address, _)| *address).collect())?;
+        let pair = udp.pair.as_ref();
+        let by_pair = pair.map(|pair| LocalAddress::new(pair.addresses.switch_ip.into(), udp.bound.port()));
+        kernel.set_addresses(&taken.iter().map(|(address, _)| *address).chain(by_pair).collect())?;
         // Those that are no Ethernet interfaces cannot be found.
         let interfaces = taken.iter().filter(|(_, at)| !at.loopback).map(|(_, at)| at.interface.as_str());
+        let interfaces = interfaces.chain(pair.map(|pair| pair.switch.name.as_str()));
         let found = interfaces.collect::<HashSet<_>>().into_iter().filter_map(|name| Interface::find(name).ok());
         let found: HashMap<u32, String> = found.map(|interface| (interface.index, interface.name)).collect();
         let Some(udp) = &mut self.udp else { return Ok(()) };
@@ -744,16 +779,21 @@ impl Planes {
         let (port, sends) = match to {
             LinkAddr::Ethernet { ifindex, .. } => {
                 let device = self.ports.get(&ifindex).map_or(ifindex, |port| port.device);
-                let sends = match self.devices.get(&device) {
-                    Some(device) => device.sends,
-                    // Not taken over yet, perhaps.
-                    None => self.left.as_ref().is_some_and(|left| left.ports.contains(&device)),
-                };
-                (device, sends)
+                (device, self.sends_to(device))
             }
+            LinkAddr::Udp(_) if entry.carrier.local_mac != [0; 3] => (self.host_pair, self.sends_to(self.host_pair)),
             LinkAddr::Udp(_) => (PORT_ROUTED, self.kernel_routes(&entry.carrier)),
         };
         if sends { port } else { PORT_USERSPACE }
+    }
+
+    /// Whether the kernel sends to an interface.
+    fn sends_to(&self, ifindex: u32) -> bool {
+        match self.devices.get(&ifindex) {
+            Some(device) => device.sends,
+            // Not taken over yet, perhaps.
+            None => self.left.as_ref().is_some_and(|left| left.ports.contains(&ifindex)),
+        }
     }
 
     /// Whether the kernel plane can send datagrams to where a carrier says.
@@ -854,7 +894,7 @@ impl Planes {
 
     fn adopt(&mut self, adopted: Adopted) -> Result<(), PlaneError> {
         let Adopted { config, links, routes, next_hops, ports, groups } = adopted;
-        self.own_bit = config.own_bit;
+        (self.own_bit, self.host_pair) = (config.own_bit, config.host_pair);
         let ports = ports.into_iter().map(|(port, _)| port).collect();
         let mut left = Left { own_bit: config.own_bit, links: Vec::new(), routes: Vec::new(), next_hops, ports };
         for entry in links {

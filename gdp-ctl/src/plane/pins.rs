@@ -30,6 +30,8 @@ use super::kernel::Mode;
 /// Where the BPF file system is, unless configured otherwise.
 pub const BPFFS: &str = "/sys/fs/bpf";
 
+const THIS_NAMESPACE: &str = "/proc/thread-self/ns/net";
+
 /// Ours in it.
 const FOLDER: &str = "gdp";
 
@@ -92,9 +94,7 @@ impl Pins {
     /// system if it is missing.
     pub fn open(bpffs: &Path, switch: &Name) -> Result<Self, PinsError> {
         mount(bpffs)?;
-        let namespace = fs::metadata("/proc/thread-self/ns/net")
-            .map_err(|source| PinsError::Io { path: "/proc/thread-self/ns/net".into(), source })?
-            .ino();
+        let namespace = this_namespace().map_err(|source| PinsError::Io { path: THIS_NAMESPACE.into(), source })?;
         let digits = &switch.to_string()[..16];
         let foreign = find(bpffs)?
             .into_iter()
@@ -182,6 +182,11 @@ impl Pins {
 }
 
 impl Found {
+    /// Whether it is in the calling thread's network namespace.
+    pub fn is_of_this_namespace(&self) -> bool {
+        this_namespace().is_ok_and(|namespace| namespace == self.namespace)
+    }
+
     pub fn links(&self) -> Vec<(u32, Mode)> {
         links(&self.folder)
     }
@@ -203,6 +208,11 @@ pub fn find(bpffs: &Path) -> Result<Vec<Found>, PinsError> {
         }
     }
     Ok(found)
+}
+
+/// The inode number of the calling thread's network namespace.
+fn this_namespace() -> io::Result<u64> {
+    fs::metadata(THIS_NAMESPACE).map(|namespace| namespace.ino())
 }
 
 /// Whether there is a BPF file system.

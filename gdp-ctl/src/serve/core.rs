@@ -321,6 +321,13 @@ impl Core {
         }
     }
 
+    /// The interfaces to endpoints on this host are gone: they are to make links anew, and send through the daemon.
+    pub fn close_links_by_pair(&self) {
+        for state in self.links.values().filter(|state| state.link.is_by_pair()) {
+            state.link.close("the interfaces between the switch and its host are gone");
+        }
+    }
+
     /// The link to a peer, if it is up.
     pub fn link_to(&self, peer: &Name) -> Option<Link> {
         self.peers.get(peer).and_then(|id| self.links.get(id)).map(|state| state.link.clone())

@@ -31,6 +31,7 @@ use tokio::task::JoinSet;
 use self::core::Core;
 use crate::config::{Config, DataPlane};
 use crate::folders;
+use crate::plane::host_pair;
 use crate::plane::{PinPlace, PlaneConfig, PlaneError, Planes, Wanted};
 
 /// How often the addresses of peers are looked at, because QUIC moves without saying so; and links that are held.
@@ -128,7 +129,14 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
             Err(error) => return Err(error),
         });
     }
-    let udp = config.udp.map(|bind| ports::open_udp(&daemon, bind).map(|port| (bind, port))).transpose()?;
+    let udp = match config.udp {
+        Some(bind) => Some((bind, ports::open_udp(&daemon, bind).await?)),
+        None => {
+            // An earlier daemon may have been killed, and configured otherwise.
+            ports::remove_host_pair(&daemon).await;
+            None
+        }
+    };
     if interfaces.is_empty() && udp.is_none() {
         return Err(StartError::NoPort);
     }
@@ -176,6 +184,7 @@ impl Running {
         futures::future::join_all(ports.iter().map(|port| port.close("shutting down"))).await;
         drop(ports);
         self.daemon.core().planes.detach_all();
+        ports::remove_host_pair(&self.daemon).await;
         drop(self.admin);
     }
 }
@@ -260,7 +269,7 @@ async fn interfaces_to_use(config: &Config) -> Result<Vec<String>, StartError> {
         return Ok(Vec::new());
     }
     let found = interfaces::list().await?;
-    Ok(found.into_iter().filter(|i| i.up && i.ethernet).map(|i| i.name).collect())
+    Ok(found.into_iter().filter(|i| i.up && i.ethernet && !host_pair::is_end(&i.name)).map(|i| i.name).collect())
 }
 
 fn is_absent(error: &StartError) -> bool {

@@ -14,6 +14,7 @@ use tokio::time::{Instant, sleep, timeout};
 
 use super::{Daemon, StartError, interfaces, links};
 use crate::config::{Place, Via};
+use crate::plane::host_pair;
 
 /// How long a neighbour may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -35,13 +36,15 @@ pub fn open_ethernet(daemon: &Arc<Daemon>, name: &str) -> Result<Arc<Port>, Star
 }
 
 /// Opens the UDP port.
-pub fn open_udp(daemon: &Arc<Daemon>, bind: std::net::SocketAddr) -> Result<Arc<Port>, StartError> {
+pub async fn open_udp(daemon: &Arc<Daemon>, bind: std::net::SocketAddr) -> Result<Arc<Port>, StartError> {
     let port = Arc::new(Port::udp(bind, &daemon.port_config)?);
     let addr = port.udp_addr().unwrap_or(bind);
-    let (reports, in_userspace) = {
+    let pair = open_host_pair(daemon, addr).await;
+    let (reports, in_userspace, pair) = {
         let planes = &mut daemon.core().planes;
-        (planes.attach_udp(port.data(), addr)?, planes.udp_in_userspace())
+        (planes.attach_udp(port.data(), addr, pair)?, planes.udp_in_userspace(), planes.host_pair())
     };
+    port.set_host_pair(pair);
     for report in reports {
         tracing::info!("udp {addr} on {}: data plane {}: {}", report.interface, report.kind, report.reason);
     }
@@ -51,6 +54,30 @@ pub fn open_udp(daemon: &Arc<Daemon>, bind: std::net::SocketAddr) -> Result<Arc<
         }
     }
     Ok(port)
+}
+
+/// The interfaces by which endpoints on this host reach the kernel plane, if there can be any; otherwise says why not.
+async fn open_host_pair(daemon: &Daemon, bound: std::net::SocketAddr) -> Option<host_pair::Ends> {
+    let possible = daemon.core().planes.takes_pair(bound);
+    let opened = match possible {
+        Ok(()) => host_pair::open(&daemon.name).await.map_err(|error| error.to_string()),
+        Err(reason) => Err(reason),
+    };
+    match opened {
+        Ok(ends) => Some(ends),
+        Err(reason) => {
+            tracing::info!("udp {bound}: frames of endpoints on this host go through the daemon: {reason}");
+            remove_host_pair(daemon).await;
+            None
+        }
+    }
+}
+
+/// Removes what this daemon, or an earlier one, made for endpoints on this host.
+pub async fn remove_host_pair(daemon: &Daemon) {
+    if let Err(error) = host_pair::remove(&daemon.name.to_string()).await {
+        tracing::warn!(%error, "an interface of this switch stays");
+    }
 }
 
 /// Runs a port until the daemon ends.
@@ -64,6 +91,11 @@ pub async fn run_udp(
         loop {
             look(&mut changes).await;
             refresh(&daemon);
+            let pair = daemon.core().planes.host_pair();
+            port.set_host_pair(pair);
+            if pair.is_none() {
+                daemon.core().close_links_by_pair();
+            }
         }
     };
     let via = Via::Udp(bind);

@@ -10,6 +10,7 @@ use serde_json::{Map, Value, json};
 
 use super::core::Core;
 use super::{Daemon, interfaces};
+use crate::plane::host_pair;
 
 /// Names that the status shows as the busiest.
 const BUSIEST: usize = 10;
@@ -17,8 +18,9 @@ const BUSIEST: usize = 10;
 /// `gdp-ctl status`.
 pub async fn status(daemon: &Arc<Daemon>) -> Value {
     let interfaces = interfaces::list().await.unwrap_or_default();
-    let udp_links = daemon.core().links.values().filter(|l| matches!(l.via, crate::config::Via::Udp(_))).count();
     let core = daemon.core();
+    let over_udp = core.links.iter().filter(|(_, state)| matches!(state.via, crate::config::Via::Udp(_)));
+    let udp_links = over_udp.filter(|(id, _)| !core.planes.kernel_sends_on(**id)).count();
     let report = core.planes.report();
     let (losses, mut errors) = match core.planes.losses() {
         Ok(losses) => (losses, Vec::new()),
@@ -50,7 +52,9 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         Vec::new()
     });
     errors.extend(core.unplaced());
-    let (data_plane, reason) = summary(&report, udp_links);
+    // What the host itself has made is no interface that anybody asked about.
+    let outward: Vec<_> = report.into_iter().filter(|plane| !host_pair::is_end(&plane.interface)).collect();
+    let (data_plane, reason) = summary(&outward, udp_links);
     json!({
         "v": 1,
         "name": core.name(),
@@ -142,7 +146,7 @@ fn errors_received(core: &Core, link: u32) -> Map<String, Value> {
     errors.filter(|(_, count)| *count > 0).map(|(code, count)| (code.as_str().into(), count.into())).collect()
 }
 
-/// One word for all interfaces, and why.
+/// One word for all interfaces, and why. `udp_links`: those over UDP that the kernel does not send on.
 fn summary(report: &[crate::plane::InterfacePlane], udp_links: usize) -> (&'static str, String) {
     let Some(first) = report.first() else {
         return ("userspace", "no Ethernet interface is in use; links over UDP are forwarded by the daemon".into());
@@ -155,7 +159,7 @@ fn summary(report: &[crate::plane::InterfacePlane], udp_links: usize) -> (&'stat
         .map(|plane| format!("{}: {} {}", plane.interface, plane.kind, plane.reason).trim_end().to_owned())
         .collect();
     if udp_links > 0 {
-        reasons.push("links over UDP are forwarded by the daemon".into());
+        reasons.push(format!("the daemon sends on {udp_links} links over UDP"));
     }
     if reasons.is_empty() {
         reasons.push("every interface took it".into());

@@ -9,6 +9,7 @@ pub mod udp6;
 
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::header::FIRST_QUIC_BYTE;
+use gdp_wire::table::PORT_ROUTED;
 use gdp_wire::{Carrier, Header, LinkEntry};
 
 use crate::next_hop::NextHop;
@@ -64,7 +65,8 @@ pub fn exchange(
     }
     match carrier.kind {
         Carrier::UDP4 => {
-            packet::shift(context, at, udp4::LEN) && udp4::dress(context, carrier, hop, class, length as u16)
+            packet::shift(context, at, udp4::LEN)
+                && udp4::dress(context, carrier, link.port == PORT_ROUTED, hop, class, length as u16)
         }
         Carrier::UDP6 => {
             packet::shift(context, at, udp6::LEN) && udp6::dress(context, carrier, hop, class, length as u16)

@@ -72,9 +72,37 @@ pub fn find(packet: &Packet, length: usize) -> Option<Carried> {
     })
 }
 
-/// `length`: of the frame.
+/// Sends a datagram back to where it came from: only that its sender's address is on this host makes sense of it there. `false` if
+/// it is none.
 #[inline(always)]
-pub fn dress(context: &XdpContext, carrier: &Carrier, hop: &NextHop, class: u8, length: u16) -> bool {
+pub fn turn_back(packet: &Packet) -> bool {
+    let (Some(ethernet), Some(ip), Some(udp)) = (
+        packet.get::<Ethernet>(0),
+        packet.get::<Ipv4>(ethernet::LEN),
+        packet.get::<Udp>(ethernet::LEN + size_of::<Ipv4>()),
+    ) else {
+        return false;
+    };
+    // SAFETY: `get` checked the bounds.
+    unsafe {
+        if (*ethernet).ethertype != ethernet::IPV4.to_be() {
+            return false;
+        }
+        let (to, from) = ((*ethernet).source, (*ethernet).destination);
+        ethernet::address(ethernet, to, from, ethernet::IPV4);
+        // Their sum stays what it was.
+        let (to, from) = ((*ip).source, (*ip).destination);
+        (*ip).source = from;
+        (*ip).destination = to;
+        // The sender left it to be finished by hardware that is not there.
+        (*udp).checksum = 0;
+    }
+    true
+}
+
+/// `length`: of the frame. `routed`: whether `hop` says which stations it goes between, and not the carrier.
+#[inline(always)]
+pub fn dress(context: &XdpContext, carrier: &Carrier, routed: bool, hop: &NextHop, class: u8, length: u16) -> bool {
     let packet = Packet::of(context);
     let (Some(ethernet), Some(ip), Some(udp)) = (
         packet.get::<Ethernet>(0),
@@ -102,7 +130,11 @@ pub fn dress(context: &XdpContext, carrier: &Carrier, hop: &NextHop, class: u8, 
     let sum = (sum & 0xffff) + (sum >> 16);
     // SAFETY: `get` checked the bounds.
     unsafe {
-        ethernet::address(ethernet, hop.destination(), hop.source(), ethernet::IPV4);
+        if routed {
+            ethernet::address(ethernet, hop.destination(), hop.source(), ethernet::IPV4);
+        } else {
+            ethernet::address(ethernet, carrier.peer_mac, carrier.local_mac, ethernet::IPV4);
+        }
         *ip = Ipv4 {
             version_length: VERSION_LENGTH,
             class,

@@ -1,17 +1,20 @@
 //! The first exchange on a link: what TLS did not say. The side that dialled speaks first; each hello is bounded in size,
 //! the whole exchange in time (by the caller).
 
+use std::net::Ipv4Addr;
+
 use gdp_wire::{Header, Name};
 use quinn::{Connection, RecvStream, SendStream};
 use serde::{Deserialize, Serialize};
 
 use super::ids::{LinkId, LinkIds};
-use super::{Link, LinkError, Peer, Place, RekeySchedule, Role, streams, tls};
+use super::{Link, LinkError, PairEnd, Peer, Place, RekeySchedule, Role, streams, tls};
 use crate::control;
 use crate::identity::Identity;
 use crate::name::NameProof;
+use crate::port::CurrentPair;
 
-const VERSION: u8 = 2;
+const VERSION: u8 = 3;
 
 /// Longest encoded hello, in bytes; a real one has about 100.
 const MAX_HELLO: usize = 512;
@@ -35,6 +38,11 @@ struct Hello {
     mtu: u32,
     /// Whether the sender takes datagrams over IPv6 without a UDP checksum (RFC 6936).
     zero_checksum: bool,
+    /// Of an endpoint: the host it is on, if its socket takes datagrams at any IPv4 address of that.
+    host: Option<u64>,
+    /// Of a switch, to an endpoint on its host: the link-local IPv4 address where frames are to be sent to, as they will come from
+    /// there, and not from where QUIC is. The ports are those of QUIC.
+    frames_at: Option<[u8; 4]>,
 }
 
 /// What this side says of itself.
@@ -46,6 +54,10 @@ pub struct HelloConfig {
     pub mtu: u32,
     /// See [`Hello`].
     pub zero_checksum: bool,
+    /// See [`Hello`].
+    pub host: Option<u64>,
+    /// A switch's, for endpoints on its host.
+    pub pair: CurrentPair,
     /// Not said, but needed for the link that is made.
     pub rekey: RekeySchedule,
 }
@@ -56,6 +68,8 @@ pub struct PeerEnd {
     pub id: u32,
     pub mtu: u32,
     pub zero_checksum: bool,
+    pub host: Option<u64>,
+    pub frames_at: Option<Ipv4Addr>,
 }
 
 /// Says hello on a connection this side dialled; `expected` is who should be there, if that is known.
@@ -67,7 +81,10 @@ pub async fn greet_as_client(
 ) -> Result<Link, LinkError> {
     let (mut send, mut recv) = connection.open_bi().await?;
     let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
-    say(&mut send, config, &id).await?;
+    // Nobody else is told.
+    let is_here = || place.leads_to_this_host(connection.remote_address());
+    let host = config.host.filter(|_| config.role == Role::Endpoint && is_here());
+    say(&mut send, config, &id, host, None).await?;
     let (peer, peer_end) = hear(&mut recv, &connection).await?;
     if let Some(expected) = expected
         && expected != peer.name
@@ -75,6 +92,12 @@ pub async fn greet_as_client(
         connection.close(quinn::VarInt::from_u32(0), b"another peer was expected");
         return Err(LinkError::WrongPeer { expected, found: peer.name });
     }
+    let place = match peer_end.frames_at {
+        None => place,
+        // Nobody else's host can be meant.
+        Some(ip) if host.is_some() && ip.is_link_local() => place.by(PairEnd::toward(ip)),
+        Some(ip) => return Err(LinkError::Protocol(format!("{ip} is no place to send frames to"))),
+    };
     Link::new(connection, place, (id, config.mtu), peer, peer_end, true, config.rekey)
 }
 
@@ -83,11 +106,29 @@ pub async fn greet_as_server(connection: Connection, place: Place, config: &Hell
     let (mut send, mut recv) = connection.accept_bi().await?;
     let (peer, peer_end) = hear(&mut recv, &connection).await?;
     let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
-    say(&mut send, config, &id).await?;
+    let pair = config.pair.get().filter(|_| is_beside(config, &connection, &peer, &peer_end));
+    say(&mut send, config, &id, None, pair.map(|pair| pair.switch_ip)).await?;
+    let place = pair.map_or(place, |pair| place.by(PairEnd::of_switch(&pair)));
     Link::new(connection, place, (id, config.mtu), peer, peer_end, false, config.rekey)
 }
 
-async fn say(send: &mut SendStream, config: &HelloConfig, id: &LinkId) -> Result<(), LinkError> {
+/// Whether the peer is an endpoint on this host. It says so; that its packets come from the address they go to shows it, because
+/// the kernel takes such packets from nobody else.
+fn is_beside(config: &HelloConfig, connection: &Connection, peer: &Peer, peer_end: &PeerEnd) -> bool {
+    let from = connection.remote_address().ip().to_canonical();
+    peer.role == Role::Endpoint
+        && peer_end.host.is_some()
+        && peer_end.host == config.host
+        && connection.local_ip().is_some_and(|local| local.to_canonical() == from)
+}
+
+async fn say(
+    send: &mut SendStream,
+    config: &HelloConfig,
+    id: &LinkId,
+    host: Option<u64>,
+    frames_at: Option<Ipv4Addr>,
+) -> Result<(), LinkError> {
     let hello = Hello {
         version: VERSION,
         role: config.role,
@@ -95,6 +136,8 @@ async fn say(send: &mut SendStream, config: &HelloConfig, id: &LinkId) -> Result
         link_id: id.get(),
         mtu: config.mtu,
         zero_checksum: config.zero_checksum,
+        host,
+        frames_at: frames_at.map(|ip| ip.octets()),
     };
     streams::write_message(send, &control::encode(&hello)?).await
 }
@@ -115,6 +158,7 @@ async fn hear(recv: &mut RecvStream, connection: &Connection) -> Result<(Peer, P
     let key = tls::peer_key(connection)?;
     let proof = NameProof { owner_key: *key.as_bytes(), digest: hello.digest };
     let name = crate::name::derive(&proof.owner_key, &proof.digest);
-    let end = PeerEnd { id: hello.link_id, mtu: hello.mtu, zero_checksum: hello.zero_checksum };
+    let Hello { link_id: id, mtu, zero_checksum, host, frames_at, .. } = hello;
+    let end = PeerEnd { id, mtu, zero_checksum, host, frames_at: frames_at.map(Ipv4Addr::from) };
     Ok((Peer { name, proof, key, role: hello.role }, end))
 }

@@ -33,6 +33,9 @@ const MAX_CANDIDATES: usize = 8;
 /// Between attempts to get the link back, and to state what was refused: doubled from the first to the second.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
+/// How long a switch on the same host may take to answer the first frame.
+const ANSWER: Duration = Duration::from_millis(500);
+
 /// How long the node tries to attach again over the link it has; the switch waits a little longer for its answer.
 const REATTACH: Duration = Duration::from_secs(4);
 
@@ -100,6 +103,22 @@ impl Attachment {
             }
             sleep(liveness.pace().interval).await;
         }
+    }
+
+    /// Whether the data plane of the switch answers where frames are sent to. On the host itself that takes microseconds, but the
+    /// daemon may not have taken the link into service yet.
+    async fn is_answered(&self) -> bool {
+        let (mut asked, until) = (Vec::new(), Instant::now() + ANSWER);
+        while Instant::now() < until {
+            let cookie = crypto::random().map_or(0, u64::from_le_bytes);
+            asked.push(cookie);
+            self.send(Header::echo(cookie));
+            sleep(ANSWER / 50).await;
+            if asked.contains(&self.answer.load(Ordering::Relaxed)) {
+                return true;
+            }
+        }
+        false
     }
 
     /// Largest payload of a frame, in bytes: what this link takes now, and links further on as far as is known.
@@ -256,10 +275,22 @@ impl Supervisor {
     /// that is held are taken for as long as the switch may send them.
     async fn attempt(&mut self, held: Option<&Held>) -> Result<Arc<Attachment>, NodeError> {
         let (port, candidates) = self.locate().await?;
-        let link = self.dial_first(&port, &candidates).await?;
-        let attachment = Arc::new(Attachment::new(link, &port));
         let held = held.map(|held| (held.attachment.clone(), held.until.into_std()));
-        self.state.command(Command::Attach { attachment: attachment.clone(), held });
+        let mut apart = false;
+        let attachment = loop {
+            let link = self.dial_first(&port, &candidates, apart).await?;
+            let attachment = Arc::new(Attachment::new(link, &port));
+            self.state.command(Command::Attach { attachment: attachment.clone(), held: held.clone() });
+            if !attachment.link.is_by_pair() || attachment.is_answered().await {
+                break attachment;
+            }
+            tracing::warn!(
+                to = %attachment.link.addr(),
+                "the switch on this host does not answer where it takes frames (a packet filter?); they go through its daemon"
+            );
+            attachment.link.close("frames do not reach the switch by its pair of interfaces");
+            apart = true;
+        };
         self.state.attach(&attachment).await?;
         self.state.counters.links.add(1);
         self.state.set_status(Status::Up(attachment.clone()));
@@ -267,10 +298,20 @@ impl Supervisor {
     }
 
     /// Anybody on the segment can answer discovery in the name of the switch: the first that proves to be it counts.
-    async fn dial_first(&self, port: &Port, candidates: &[(LinkAddr, Option<Name>)]) -> Result<Link, NodeError> {
+    /// `apart`: frames are to go through the daemon even of a switch on this host.
+    async fn dial_first(
+        &self,
+        port: &Port,
+        candidates: &[(LinkAddr, Option<Name>)],
+        apart: bool,
+    ) -> Result<Link, NodeError> {
         let mut failure = None;
         for (to, expected) in candidates.iter().take(MAX_CANDIDATES) {
-            match port.dial(*to, *expected).await {
+            let dialled = match apart {
+                false => port.dial(*to, *expected).await,
+                true => port.dial_apart(*to, *expected).await,
+            };
+            match dialled {
                 Ok(link) if link.peer().role == Role::Switch => return Ok(link),
                 Ok(_) => failure = Some(NodeError::NotASwitch(*to)),
                 Err(error) => failure = Some(error.into()),

@@ -19,6 +19,15 @@ pub fn set_option<T>(fd: BorrowedFd, level: libc::c_int, option: libc::c_int, va
     .map(drop)
 }
 
+/// `T`: an integer of the size that the option has.
+pub fn get_option<T: Copy + Default>(fd: BorrowedFd, level: libc::c_int, option: libc::c_int) -> io::Result<T> {
+    let mut value = T::default();
+    let mut length = size_of::<T>() as u32;
+    // SAFETY: the kernel writes at most `length` bytes into `value`; the callers' types are integers, which any bytes are.
+    check(unsafe { libc::getsockopt(fd.as_raw_fd(), level, option, (&raw mut value).cast(), &raw mut length) })?;
+    Ok(value)
+}
+
 /// Asks for socket buffers of `bytes`: beyond the system's limit with CAP_NET_ADMIN, else up to the limit.
 pub fn set_buffers(fd: BorrowedFd, receive: usize, send: usize) {
     for (bytes, force, polite) in

@@ -19,6 +19,7 @@ use tokio::net::UdpSocket;
 
 use super::LinkAddr;
 use super::data::RecvBatch;
+use super::host;
 use super::sys::{self, Event};
 
 /// Data frames that wait to be taken; more are dropped and counted.
@@ -31,6 +32,7 @@ pub struct SharedUdp {
     state: UdpSocketState,
     v6: bool,
     zero_checksums: bool,
+    host: Option<u64>,
     queue: Mutex<VecDeque<(SocketAddr, Vec<u8>)>>,
     /// Set while the queue is not empty.
     event: Event,
@@ -46,13 +48,16 @@ impl SharedUdp {
         // Receive offload would glue datagrams of both kinds together.
         let _ = sys::set_option(socket.as_fd(), libc::SOL_UDP, libc::UDP_GRO, &0i32);
         sys::set_buffers(socket.as_fd(), BUFFER, BUFFER);
-        let v6 = socket.local_addr()?.is_ipv6();
+        let bound = socket.local_addr()?;
+        let v6 = bound.is_ipv6();
+        let takes_all = bound.ip().is_unspecified() && (!v6 || host::takes_ipv4(socket.as_fd()));
         // Data frames are checked without it: the hop tag covers the header, decryption the payload. QUIC checks its packets.
         let zero_checksums =
             v6 && sys::set_option(socket.as_fd(), libc::SOL_UDP, libc::UDP_NO_CHECK6_RX, &1i32).is_ok();
         Ok(Self {
             v6,
             zero_checksums,
+            host: if takes_all { host::id(socket.as_fd()) } else { None },
             socket: UdpSocket::from_std(socket)?,
             state,
             queue: Mutex::new(VecDeque::with_capacity(64)),
@@ -68,6 +73,11 @@ impl SharedUdp {
     /// Whether datagrams over IPv6 are taken without a UDP checksum.
     pub fn takes_zero_checksums(&self) -> bool {
         self.zero_checksums
+    }
+
+    /// The [host](host::id), if datagrams are taken at all its IPv4 addresses.
+    pub fn host(&self) -> Option<u64> {
+        self.host
     }
 
     pub fn socket_fd(&self) -> BorrowedFd<'_> {

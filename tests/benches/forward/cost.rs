@@ -90,7 +90,7 @@ impl Ring {
     fn load(object: &Path, role: LinkRole, tagged: bool) -> Result<Self> {
         let mut plane = KernelPlane::load(object, 1024)?;
         plane.set_port(0, LOOPBACK)?;
-        plane.set_config(SwitchConfig { own_bit: 1, ethertype: gdp_wire::ETHERTYPE.into(), reserved: 0 })?;
+        plane.set_config(SwitchConfig { own_bit: 1, ethertype: gdp_wire::ETHERTYPE.into(), host_pair: 0 })?;
         let link = LinkEntry { peer_id: IN, rx_keys: [KEY; 2], tx_keys: [KEY; 2], mtu: 1500, ..LinkEntry::default() };
         plane.set_link(&LinkEntry { id: IN, role: role as u32, peer: Name::from_bytes(WRITER), ..link })?;
         plane.set_link(&LinkEntry { id: OUT, role: LinkRole::Switch as u32, reach: 1 << EGRESS, ..link })?;

@@ -219,7 +219,7 @@ pub fn read() -> Fixtures {
 /// The tables of the fixtures' switch, as a data plane takes them.
 impl Switch {
     pub fn config(&self) -> gdp_wire::SwitchConfig {
-        gdp_wire::SwitchConfig { own_bit: 1 << self.own_bit, ethertype: self.ethertype.into(), reserved: 0 }
+        gdp_wire::SwitchConfig { own_bit: 1 << self.own_bit, ethertype: self.ethertype.into(), host_pair: 0 }
     }
 
     pub fn links(&self) -> impl Iterator<Item = gdp_wire::LinkEntry> {

@@ -4,6 +4,7 @@
 
 mod forward;
 mod latency;
+mod local;
 
 use anyhow::Result;
 
@@ -19,11 +20,14 @@ enum Figure {
     Latency(latency::Options),
     /// What forwarding costs: XDP beside a bare redirect, the kernel's IPv4 routers and a forwarder on packet sockets
     Forward(forward::Options),
+    /// From one endpoint to another on the switch's host: through the daemon, on packet sockets, past both
+    Local(local::Options),
 }
 
 pub fn run(options: Options) -> Result<()> {
     match options.figure {
         Figure::Latency(options) => latency::run(options),
         Figure::Forward(options) => forward::run(options),
+        Figure::Local(options) => local::run(options),
     }
 }
