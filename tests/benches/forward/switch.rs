@@ -104,7 +104,7 @@ impl Switch {
         let _within = self.runtime.enter();
         let any = SocketAddr::new(Ipv6Addr::UNSPECIFIED.into(), UDP_PORT);
         let port = Port::udp(any, &PortConfig::switch(Identity::generate("switch")?, LinkIds::new()))?;
-        self.planes.attach_udp(port.data(), port.udp_addr().context("a UDP port has an address")?)?;
+        self.planes.attach_udp(port.data(), port.udp_addr().context("a UDP port has an address")?, None)?;
         self.ports.push(port);
         Ok(())
     }
