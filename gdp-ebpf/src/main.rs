@@ -248,7 +248,8 @@ fn copy(context: &XdpContext, header: &mut Header, place: GroupPlace) -> Option<
         }
     };
     let class = carrier::class_of(header);
-    let leaves_here = tables.can_send(link) && tables.port_of(link) == place.interface;
+    let can_ask = link.port != PORT_ROUTED || next_hop::asks_at_egress();
+    let leaves_here = can_ask && tables.can_send(link) && tables.port_of(link) == place.interface;
     if leaves_here && carrier::exchange(context, ethernet::LEN, frame, 0, class, link, &tables.next_hop) {
         return Some(counter);
     }
@@ -266,7 +267,8 @@ fn route(context: &XdpContext) -> Option<u32> {
     let link = links::get(unsafe { *id })?;
     let length = (link.mtu as usize).min(MAX_COPIED_FRAME);
     let next_hop = NextHop::new();
-    (link.port == PORT_ROUTED && next_hop.ask(context, link, length)).then(|| next_hop.port())
+    let found = next_hop::asks_at_egress() && link.port == PORT_ROUTED && next_hop.ask(context, link, length);
+    found.then(|| next_hop.port())
 }
 
 #[inline(always)]

@@ -21,6 +21,18 @@ const AF_INET6: u8 = 10;
 /// kernel wants forwarding enabled on that interface, which the daemon sees to.
 const LOOPBACK: u32 = 1;
 
+/// Not 0: also programs in device maps can ask. User space replaces the value before the programs are loaded. Before Linux 6.12 they run
+/// without the interface that a packet came by, from which the kernel takes the network namespace: to ask there would crash it.
+#[unsafe(no_mangle)]
+static ASKS_AT_EGRESS: u32 = 0;
+
+/// Whether what leaves can be asked for where it does.
+#[inline(always)]
+pub fn asks_at_egress() -> bool {
+    // SAFETY: a static; user space has replaced its value, which the compiler must not take for known.
+    unsafe { (&raw const ASKS_AT_EGRESS).read_volatile() != 0 }
+}
+
 /// Words of a question.
 const WORDS: usize = size_of::<Lookup>() / size_of::<u64>();
 

@@ -13,6 +13,7 @@ mod star;
 
 use std::collections::HashMap;
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -22,10 +23,13 @@ use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
 use gdp::link::LinkIds;
 use gdp::port::{LinkAddr, Port, PortConfig};
+use gdp_ctl::plane::kernel::pinned_stats;
+use gdp_ctl::plane::{PinPlace, PlaneConfig, pins};
 use gdp_tests::Tools;
 use gdp_tests::frames::{Frame, carrier};
-use gdp_tests::netns::{End, Namespace, execute, veth};
+use gdp_tests::netns::{Door, End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
+use gdp_tests::process::Process;
 use gdp_tests::wait::wait_for;
 use gdp_wire::table::ip_words;
 use gdp_wire::{Carrier, Counter, LinkEntry, Name};
@@ -36,6 +40,7 @@ use star::{Far, Leaf, OWN_BIT, SOON, Star, Switch, WRITER, check_copy, xdp};
 const TOPIC: Name = Name::from_bytes([0xd0; 32]);
 const OTHER: Name = Name::from_bytes([0xe0; 32]);
 
+const ETHERNETS: usize = 2;
 const PORT: u16 = 31415;
 const FRAMES: u64 = 50;
 /// What a frame in a datagram may have on these cables, with room to spare.
@@ -94,7 +99,7 @@ fn a_changed_route_is_followed() -> Result<()> {
     site.switch.set_route(TOPIC, OWN_BIT, &leaves(&readers))?;
     site.exchange(Plane::Kernel, &onto(&readers))?;
 
-    site.star.switch.ip(&["route", "replace", "10.9.0.0/24", "via", "10.2.0.254"])?;
+    site.outside.star.switch.ip(&["route", "replace", "10.9.0.0/24", "via", "10.2.0.254"])?;
     let lost = site.far.next_frame(&WRITER, TOPIC, 600);
     site.far.send(&lost)?;
     site.far.wait_for_frames(&[ethernet.leaf], 1).context("nobody else's copy is lost")?;
@@ -117,7 +122,7 @@ fn an_unresolved_router_is_resolved_by_the_userspace_plane() -> Result<()> {
     let readers = [peer(2, Over::Ethernet(1), 0), peer(3, Over::Udp4, 0), peer(4, Over::Udp6, 0)];
     let mut site = Site::build(&readers)?;
     site.switch.set_route(TOPIC, OWN_BIT, &leaves(&readers))?;
-    site.star.switch.ip(&["neigh", "flush", "dev", "r0"])?;
+    site.outside.star.switch.ip(&["neigh", "flush", "dev", "r0"])?;
     site.refresh()?;
     site.exchange(Plane::Userspace, &onto(&readers))?;
     site.refresh()?;
@@ -137,6 +142,97 @@ fn a_reader_moves() -> Result<()> {
         site.exchange(Plane::Kernel, &onto(&readers)).with_context(|| format!("by {over:?} {port}"))?;
     }
     Ok(())
+}
+
+/// A daemon is killed and another comes after it: the kernel copies on, by the same group.
+#[test]
+fn no_copy_is_lost_when_the_switch_is_killed_and_comes_again() -> Result<()> {
+    let readers = process_readers();
+    let site = Outside::build()?;
+    let folder = tempfile::tempdir()?;
+    let bpffs = Mounted(folder.path().join(BPFFS));
+    let mut far = Far::start(&site.star)?;
+    let routed = Routed::start(&site.router, &site.cloud)?;
+    let mut sent = 0;
+    let mut traffic = |more: &mut dyn FnMut(u64) -> Result<bool>| -> Result<()> {
+        let begun = sent;
+        while more(sent - begun)? {
+            let frame = far.next_frame(&WRITER, TOPIC, 600);
+            far.send(&frame)?;
+            sent += 1;
+            wait_for(&format!("frame {sent}"), SOON, || {
+                let slowest = readers.iter().map(|peer| routed.received(peer.leaf.peer_id())).min();
+                Ok((slowest >= Some(sent) && far.received(&PROCESS_READER) >= sent).then_some(()))
+            })?;
+        }
+        Ok(())
+    };
+    let start = |label: &str| -> Result<Process> {
+        let mut command = site.star.switch.command(std::env::current_exe()?)?;
+        command.args(["--exact", "switch_process", "--nocapture"]).env(SWITCH_PROCESS, folder.path());
+        Process::spawn(label, command, folder.path())
+    };
+    let is_up = |process: &mut Process| -> Result<bool> {
+        process.check_alive()?;
+        Ok(!process.json_lines().is_empty())
+    };
+    let mut process = start("first")?;
+    wait_for("the switch", SOON, || Ok(is_up(&mut process)?.then_some(())))?;
+    traffic(&mut |frames| Ok(frames < 100))?;
+    process.kill()?;
+    traffic(&mut |frames| Ok(frames < 100)).context("without a daemon")?;
+    let mut process = start("second")?;
+    traffic(&mut |_| Ok(!is_up(&mut process)?)).context("while the second came")?;
+    traffic(&mut |frames| Ok(frames < 100)).context("with the second")?;
+
+    let pins = pins::find(&bpffs.0)?.pop().context("pins")?;
+    let counted = pinned_stats(&pins.folder)?.counters;
+    let of = |wanted| counted.iter().find(|(counter, _)| *counter == wanted).map(|(_, count)| *count);
+    ensure!(of(Counter::Replicated) == Some(sent) && of(Counter::Slow) == Some(0), "{counted:?}");
+    ensure!(of(Counter::Delivered) == Some(sent * (readers.len() as u64 + 1)), "a copy twice: {counted:?}");
+    Ok(())
+}
+
+/// Names the folder of the process, which otherwise does nothing.
+const SWITCH_PROCESS: &str = "GDP_TEST_SWITCH_PROCESS";
+const BPFFS: &str = "bpf";
+const PROCESS_READER: Leaf = Leaf { index: 2, interface: 1, reach: 0 };
+
+/// Those over UDP; and there is [`PROCESS_READER`].
+fn process_readers() -> [Peer; 3] {
+    [peer(3, Over::Udp4, 0), peer(4, Over::Udp4, 0), peer(5, Over::Udp6, 0)]
+}
+
+/// Not a test of its own, but the process that is killed in the one above.
+#[test]
+fn switch_process() -> Result<()> {
+    let Some(folder) = std::env::var_os(SWITCH_PROCESS) else { return Ok(()) };
+    let pins = PinPlace { bpffs: PathBuf::from(folder).join(BPFFS), switch: TOPIC };
+    let config = PlaneConfig { pins: Some(pins), ..xdp(Tools::beside_this_test()?.ebpf_object()?) };
+    let mut switch = Switch::open(config, Door::here()?, ETHERNETS)?;
+    let is_first = switch.planes().left().is_none();
+    let _udp = attach_udp(&mut switch)?;
+    if is_first {
+        switch.change(|planes| planes.set_own_bit(OWN_BIT))??;
+        switch.set_link(&WRITER, MTU)?;
+        switch.set_link(&PROCESS_READER, MTU)?;
+        process_readers().iter().try_for_each(|peer| set_link(&mut switch, peer))?;
+        switch.set_route(TOPIC, OWN_BIT, &[&[PROCESS_READER], &leaves(&process_readers())[..]].concat())?;
+    }
+    println!("\n{{\"first\": {is_first}}}");
+    loop {
+        std::thread::park();
+    }
+}
+
+/// A file system that is unmounted, and with it all that is pinned there.
+struct Mounted(PathBuf);
+
+impl Drop for Mounted {
+    fn drop(&mut self) {
+        // Not mounted, if no process came so far.
+        let _ = execute(std::process::Command::new("umount").arg("--lazy").arg(&self.0));
+    }
 }
 
 fn copies_to(count: u32, over: Over) -> Result<()> {
@@ -225,45 +321,66 @@ struct Site {
     writer: Peer,
     /// By which of the router's interfaces frames leave over IPv4, and over IPv6.
     ways: [usize; 2],
-    _port: Port,
-    _runtime: Runtime,
-    _router: Namespace,
-    _cloud: Namespace,
+    _udp: (Port, Runtime),
+    outside: Outside,
+}
+
+/// What is around the switch.
+struct Outside {
     star: Star,
+    router: Namespace,
+    cloud: Namespace,
+}
+
+impl Outside {
+    fn build() -> Result<Self> {
+        let star = Star::build(ETHERNETS, 1500)?;
+        let [router, cloud] = ["router", "cloud"].map(Namespace::create);
+        let outside = Self { star, router: router?, cloud: cloud? };
+        build_routes(&outside.star.switch, &outside.router, &outside.cloud)?;
+        Ok(outside)
+    }
+}
+
+/// Has a switch take what arrives over UDP. To be called in its namespace.
+fn attach_udp(switch: &mut Switch) -> Result<(Port, Runtime)> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+    let port = {
+        let _runtime = runtime.enter();
+        let config = PortConfig::switch(Identity::generate("switch")?, LinkIds::new());
+        Port::udp(SocketAddr::new([0u16; 8].into(), PORT), &config)?
+    };
+    let bound = port.udp_addr().context("an address")?;
+    let reports = switch.change(|planes| planes.attach_udp(port.data(), bound, None))??;
+    ensure!(reports.len() == 2 && reports.iter().all(|report| report.kind == "xdp-native"), "{reports:?}");
+    Ok((port, runtime))
+}
+
+fn set_link(switch: &mut Switch, peer: &Peer) -> Result<()> {
+    let Some([_, address]) = peer.addresses() else { return switch.set_link(&peer.leaf, MTU) };
+    Ok(switch.change(|planes| planes.set_link(peer.entry(), LinkAddr::udp(address)))??)
 }
 
 impl Site {
     /// With links of the writer, on Ethernet, and of these.
     fn build(peers: &[Peer]) -> Result<Self> {
-        let star = Star::build(2, 1500)?;
-        let [router, cloud] = ["router", "cloud"].map(Namespace::create);
-        let (router, cloud) = (router?, cloud?);
-        build_routes(&star.switch, &router, &cloud)?;
-
-        let mut switch = star.start(xdp(Tools::beside_this_test()?.ebpf_object()?), &[WRITER])?;
-        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
-        let port = {
-            let (_inside, _runtime) = (star.switch.enter()?, runtime.enter());
-            let config = PortConfig::switch(Identity::generate("switch")?, LinkIds::new());
-            Port::udp(SocketAddr::new([0u16; 8].into(), PORT), &config)?
+        let outside = Outside::build()?;
+        let mut switch = outside.star.start(xdp(Tools::beside_this_test()?.ebpf_object()?), &[WRITER])?;
+        let _udp = {
+            let _inside = outside.star.switch.enter()?;
+            attach_udp(&mut switch)?
         };
-        let bound = port.udp_addr().context("an address")?;
-        let reports = switch.change(|planes| planes.attach_udp(port.data(), bound, None))??;
-        ensure!(reports.len() == 2 && reports.iter().all(|report| report.kind == "xdp-native"), "{reports:?}");
-        let far = Far::start(&star)?;
-        let routed = Routed::start(&router, &cloud)?;
-        let uplink = PacketSocket::open(&router, "s0")?;
+        let far = Far::start(&outside.star)?;
+        let routed = Routed::start(&outside.router, &outside.cloud)?;
+        let uplink = PacketSocket::open(&outside.router, "s0")?;
         let writer = Peer { leaf: WRITER, ..peer(1, Over::Ethernet(0), 0) };
-        let (_router, _cloud, _port, _runtime) = (router, cloud, port, runtime);
-        let ways = [0, 0];
-        let mut site = Self { switch, far, routed, uplink, writer, ways, _port, _runtime, _router, _cloud, star };
+        let mut site = Self { switch, far, routed, uplink, writer, ways: [0, 0], _udp, outside };
         peers.iter().try_for_each(|peer| site.set_link(peer))?;
         Ok(site)
     }
 
     fn set_link(&mut self, peer: &Peer) -> Result<()> {
-        let Some([_, address]) = peer.addresses() else { return self.switch.set_link(&peer.leaf, MTU) };
-        Ok(self.switch.change(|planes| planes.set_link(peer.entry(), LinkAddr::udp(address)))??)
+        set_link(&mut self.switch, peer)
     }
 
     fn refresh(&mut self) -> Result<()> {

@@ -85,22 +85,34 @@ fn what_the_kernel_leaves_to_the_daemon_arrives_there() -> Result<()> {
 }
 
 #[test]
-fn a_message_reaches_two_readers_beside_the_switch() -> Result<()> {
+fn copies_for_readers_beside_the_switch_and_elsewhere_are_made_in_the_kernel() -> Result<()> {
     let site = Site::build("xdp")?;
     let writer = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let readers = [
         Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?,
         Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?,
+        Party::connect(&site.remote, ROOT, "eth://e0")?,
     ];
     let topic = Topic::new()?;
-    let mut subscriptions = [topic.read(&readers[0])?, topic.read(&readers[1])?];
+    let mut subscriptions = [topic.read(&readers[0])?, topic.read(&readers[1])?, topic.read(&readers[2])?];
     let mut publisher = topic.write(&writer)?;
-    wait_for("both readers to hear", SOON, || {
-        writer.inside.runtime.block_on(publisher.send(Encoding::Bytes, b"to both"))?;
-        let mut heard = readers.iter().zip(&mut subscriptions).map(|(reader, subscription)| reader.hear(subscription));
-        Ok(heard.all(|body| body.is_some_and(|body| body == b"to both")).then_some(()))
-    })
-    .with_context(|| site.report())
+    let mut all_hear = |message: &[u8]| -> Result<bool> {
+        writer.inside.runtime.block_on(publisher.send(Encoding::Bytes, message))?;
+        let heard = readers.iter().zip(&mut subscriptions).map(|(reader, subscription)| reader.hear(subscription));
+        // Each is to be asked, so that none keeps a message for the next time.
+        Ok(heard.filter(|body| body.as_deref() == Some(message)).count() == readers.len())
+    };
+    wait_for("all readers to hear", SOON, || Ok(all_hear(b"first")?.then_some(()))).with_context(|| site.report())?;
+    let replicated = |plane: &str| -> Result<u64> {
+        Ok(site.status()?["counters_by_plane"]["replicated"][plane].as_u64().unwrap_or(0))
+    };
+    let before = (replicated("kernel")?, replicated("userspace")?);
+    for i in 0..100u32 {
+        ensure!(all_hear(&i.to_be_bytes())?, "message {i} was lost; {}", site.report());
+    }
+    let after = (replicated("kernel")?, replicated("userspace")?);
+    ensure!(after.0 >= before.0 + 100 && after.1 == before.1, "{before:?}, then {after:?}: {}", site.report());
+    Ok(())
 }
 
 #[test]

@@ -30,6 +30,8 @@ pub const FLOOR: KernelVersion = KernelVersion(5, 15);
 /// The first kernel whose XDP takes packets in several buffers.
 const FRAGS: KernelVersion = KernelVersion(5, 18);
 
+/// The first kernel in which a program where copies leave can look up a route.
+const ROUTES_AT_EGRESS: KernelVersion = KernelVersion(6, 12);
 /// The program that says where a link over UDP leads.
 const ROUTE: &str = "gdp_route";
 
@@ -179,6 +181,8 @@ impl KernelPlane {
         let object = |source| LoadError::Object { path: path.into(), source: Box::new(source) };
         let mut loader = EbpfLoader::new();
         loader.map_max_entries("PERMITS", capacity);
+        let asks_at_egress = u32::from(version >= ROUTES_AT_EGRESS);
+        loader.override_global("ASKS_AT_EGRESS", &asks_at_egress, true);
         let net_devices = losses::net_devices();
         if let Ok(net_devices) = &net_devices {
             loader.override_global(losses::WHERE, net_devices, true);
@@ -415,7 +419,7 @@ impl KernelPlane {
     }
 
     /// The interface by which frames for a link over UDP leave now, if the kernel can send frames of all lengths that the link
-    /// takes: a port, behind which the next station is resolved. Asked by the program's own lookup, for the calling thread's
+    /// takes: a port, behind which the next station is resolved. `None` as well where copies could not find it. Asked by the program's own lookup, for the calling thread's
     /// network namespace.
     pub fn route_of(&self, link: u32) -> Result<Option<u32>, ProgramError> {
         /// The shortest packet there is.
