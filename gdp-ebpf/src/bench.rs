@@ -25,10 +25,6 @@ const TEMPLATE_WORDS: usize = 13;
 /// Above any offset of a GDP header that a template may have.
 const MAX_HEADER_AT: usize = 127;
 
-/// Frames under way at most. Less than a veth's ring of 256 would hold back the planes that work in batches; more than the
-/// receive buffer of a packet socket takes would lose frames.
-const WINDOW: u64 = 1024;
-
 /// Unknown names that [`flood`] sends to in turn.
 const UNKNOWN_NAMES: u64 = 1 << 20;
 
@@ -45,6 +41,12 @@ struct Pattern {
     unknown_interval: u64,
     /// Offset of the GDP header in the frame.
     header_at: u64,
+    /// Frames that arrive for each that [`generate`] sends.
+    copies: u64,
+    /// Frames of [`generate`] that are under way at most, by what is to arrive.
+    window: u64,
+    /// Not 0: frames go nowhere, and count as arrived.
+    kept: u64,
 }
 
 #[map]
@@ -58,7 +60,7 @@ static LINK: Array<LinkEntry> = Array::with_max_entries(1, 0);
 #[map]
 static OUT: DevMap = DevMap::with_max_entries(1, 0);
 
-/// Entry 0: frames sent to the known name. Written by the generator, which runs on one CPU; by user space while it does not run.
+/// Entry 0: frames sent to the known name, as many times as they are to arrive. Written by the generator, which runs on one CPU; by user space while it does not run.
 #[map]
 static SENT: Array<u64> = Array::with_max_entries(1, 0);
 
@@ -70,21 +72,24 @@ static LINK_COUNT: Array<u64> = Array::with_max_entries(1, 0);
 #[map]
 static DUE: Array<[u64; 2]> = Array::with_max_entries(1, 0);
 
-/// Entry 0: frames that arrived. Written by the sink: its interface has one queue, so it runs on one CPU at a time.
+/// Entry 0: frames that arrived. Written by the sink, and by a generator that keeps its frames, on the CPU of the generator: user space keeps that on one, and veths stay
+/// there.
 #[map]
 static ARRIVED: Array<u64> = Array::with_max_entries(1, 0);
 
 /// Sends frames to the known name as fast as they arrive.
 #[xdp]
 pub fn generate(context: XdpContext) -> u32 {
-    let (Some(sent), Some(arrived)) = (SENT.get_ptr_mut(0), ARRIVED.get_ptr(0)) else { return XDP_ABORTED };
+    let (Some(pattern), Some(sent), Some(arrived)) = (PATTERN.get(0), SENT.get_ptr_mut(0), ARRIVED.get_ptr(0)) else {
+        return XDP_ABORTED;
+    };
     // SAFETY: elements of the maps; what another CPU writes meanwhile is read once.
     let (count, done) = unsafe { (*sent, arrived.read_volatile()) };
-    if count.wrapping_sub(done) >= WINDOW {
+    if count.wrapping_sub(done) + pattern.copies > pattern.window {
         return XDP_DROP;
     }
     // SAFETY: an element of the map that only this program writes.
-    unsafe { *sent = count + 1 };
+    unsafe { *sent = count + pattern.copies };
     send(&context, None)
 }
 
@@ -120,8 +125,14 @@ pub fn sink(context: XdpContext) -> u32 {
     if context.data_end() - context.data() < SMALLEST {
         return XDP_PASS;
     }
+    arrive()
+}
+
+/// Counts a frame and drops it.
+#[inline(always)]
+fn arrive() -> u32 {
     if let Some(arrived) = ARRIVED.get_ptr_mut(0) {
-        // SAFETY: an element of the map that only this program writes.
+        // SAFETY: an element of the map that only the programs on this CPU write.
         unsafe { *arrived += 1 };
     }
     XDP_DROP
@@ -157,6 +168,9 @@ fn send(context: &XdpContext, destination: Option<Name>) -> u32 {
     *count += 1;
     forward::stamp(header, link, *count);
     header.set_tag(header.tag() & pattern.tag_mask);
+    if pattern.kept != 0 {
+        return arrive();
+    }
     OUT.redirect(0, XDP_DROP.into()).unwrap_or(XDP_ABORTED)
 }
 

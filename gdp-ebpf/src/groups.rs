@@ -1,7 +1,12 @@
 //! Groups of links that frames are copied to. A group is a device map with one key for each copy that the kernel is to make,
-//! and the places that say which link gets which. Written by user space only.
+//! and the places that say which link gets which. Written by user space only, but for [`suspend`].
 //!
-//! `SERVED` says which egress bits the kernel can copy frames for: its links that those lead to are all in the group. A group that is in use changes only so that nobody else in it misses a frame or
+//! `SERVED` says which egress bits the kernel can copy frames for: its links that those lead to are all in the group. Of a link over UDP
+//! user space has asked by which interface it leaves. When a copy finds that this is not so any more (the route changed, or the
+//! neighbour is to be resolved anew) it is lost, and the group is suspended: until user space has asked again the frames are left to
+//! the userspace plane.
+//!
+//! A group that is in use changes only so that nobody else in it misses a frame or
 //! gets it twice: a link that goes leaves its place empty, one that comes takes an empty place or a new one behind the others;
 //! a key comes after its place is taken, and goes after that is empty. Keys of one interface are all the same to the kernel. A
 //! group that takes the number of another is written anew only when no frame is under way to that: after it served nobody
@@ -28,6 +33,15 @@ static PLACES: HashMap<GroupPlace, u32> = HashMap::with_max_entries(MAX_GROUPS *
 #[inline(always)]
 pub fn served(group: u32) -> u64 {
     SERVED.get(group).copied().unwrap_or(0)
+}
+
+/// Leaves the frames for a group to the userspace plane, until user space says which it is to copy.
+#[inline(always)]
+pub fn suspend(group: u32) {
+    if let Some(served) = SERVED.get_ptr_mut(group) {
+        // SAFETY: a live, aligned element of the map, that is written only whole, as the kernel's JIT makes it.
+        unsafe { served.write_volatile(0) };
+    }
 }
 
 /// Makes the copies when the program returns, of which each runs through the program at its interface; `false` if there is no such

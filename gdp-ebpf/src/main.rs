@@ -36,7 +36,7 @@ use aya_ebpf::bindings::xdp_action::{XDP_DROP, XDP_PASS, XDP_REDIRECT};
 use aya_ebpf::macros::xdp;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
-use gdp_wire::table::Tables;
+use gdp_wire::table::{MAX_COPIED_FRAME, PORT_ROUTED, Tables};
 use gdp_wire::{Counter, GroupPlace, Header, LinkEntry};
 
 use crate::carrier::Carried;
@@ -70,6 +70,13 @@ pub fn gdp_egress(context: XdpContext) -> u32 {
 #[xdp(map = "devmap")]
 pub fn gdp_egress_linear(context: XdpContext) -> u32 {
     act_at_egress(leave(&context))
+}
+
+/// Never attached: user space runs it to ask where frames for a link over UDP leave. The packet begins with the id of the link; the answer
+/// is the interface, as [`gdp_egress`] would find it for the largest frame that it is given for the link, or 0.
+#[xdp]
+pub fn gdp_route(context: XdpContext) -> u32 {
+    route(&context).unwrap_or(0)
 }
 
 /// For the interface of an endpoint on a veth: a veth takes redirected frames only if its other end runs a program
@@ -246,8 +253,21 @@ fn copy(context: &XdpContext, header: &mut Header, place: GroupPlace) -> Option<
     if leaves_here && carrier::exchange(context, ethernet::LEN, frame, 0, class, link, &tables.next_hop) {
         return Some(counter);
     }
+    if link.port == PORT_ROUTED {
+        groups::suspend(place.group);
+    }
     counters::count(Counter::RedirectFailed);
     None
+}
+
+#[inline(always)]
+fn route(context: &XdpContext) -> Option<u32> {
+    let id = Packet::of(context).get::<u32>(0)?;
+    // SAFETY: `get` checked the bounds.
+    let link = links::get(unsafe { *id })?;
+    let length = (link.mtu as usize).min(MAX_COPIED_FRAME);
+    let next_hop = NextHop::new();
+    (link.port == PORT_ROUTED && next_hop.ask(context, link, length)).then(|| next_hop.port())
 }
 
 #[inline(always)]

@@ -67,7 +67,23 @@ fn frames_of_nodes_beside_their_switch_do_not_meet_its_daemon() -> Result<()> {
     Ok(())
 }
 
-/// What the kernel leaves to the daemon arrives there, too: here copies for two readers, if they are made there.
+/// Here what is for an interface that takes no redirected frames.
+#[test]
+fn what_the_kernel_leaves_to_the_daemon_arrives_there() -> Result<()> {
+    let site = Site::build("xdp")?;
+    execute(site.remote.command("ethtool")?.args(["-K", "e0", "gro", "off"]))?;
+    let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
+    let remote = Party::connect(&site.remote, ROOT, "eth://e0")?;
+    let mut way = Way::open(&near, &remote)?;
+    wait_for("a message by the slow path", SOON, || {
+        let carried = way.carries(b"slowly")?;
+        let counters = site.status()?["counters_by_plane"].take();
+        let count = |counter: &str, plane: &str| counters[counter][plane].as_u64().unwrap_or(0);
+        Ok((carried && count("slow", "kernel") > 0 && count("delivered", "userspace") > 0).then_some(()))
+    })
+    .with_context(|| site.report())
+}
+
 #[test]
 fn a_message_reaches_two_readers_beside_the_switch() -> Result<()> {
     let site = Site::build("xdp")?;

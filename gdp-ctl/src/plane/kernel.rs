@@ -30,6 +30,9 @@ pub const FLOOR: KernelVersion = KernelVersion(5, 15);
 /// The first kernel whose XDP takes packets in several buffers.
 const FRAGS: KernelVersion = KernelVersion(5, 18);
 
+/// The program that says where a link over UDP leads.
+const ROUTE: &str = "gdp_route";
+
 /// Why the XDP programs cannot be used at all.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
@@ -241,7 +244,7 @@ impl KernelPlane {
     ) -> Result<Self, LoadError> {
         let switches = Buffers::known_to(version);
         let egress = if version >= FRAGS { "gdp_egress" } else { "gdp_egress_linear" };
-        for name in switches.iter().map(|buffers| buffers.program()).chain([egress]) {
+        for name in switches.iter().map(|buffers| buffers.program()).chain([egress, ROUTE]) {
             xdp(&mut ebpf, name)
                 .ok_or(LoadError::Mismatch { path: path.into(), what: "program", name })?
                 .load()
@@ -445,6 +448,22 @@ impl KernelPlane {
     /// Says that no route leads to the group any more.
     pub fn release_group(&mut self, group: u32) {
         self.groups.release(group);
+    }
+
+    /// The interface by which frames for a link over UDP leave now, if the kernel can send frames of all lengths that the link
+    /// takes: a port, behind which the next station is resolved. Asked by the program's own lookup, for the calling thread's
+    /// network namespace.
+    pub fn route_of(&self, link: u32) -> Result<Option<u32>, ProgramError> {
+        /// The shortest packet there is.
+        const ETHERNET: usize = 14;
+        let Some(program) = self.ebpf.program(ROUTE) else { return Ok(None) };
+        let program: &Xdp = program.try_into()?;
+        let mut packet = [0; ETHERNET];
+        packet[..4].copy_from_slice(&link.to_ne_bytes());
+        let mut options = TestRunOptions::new();
+        options.data_in = Some(&packet);
+        let interface = program.test_run(options)?.return_value;
+        Ok((interface != 0).then_some(interface))
     }
 
     /// Whether frames arrive somewhere by generic XDP. What that copies shares memory, so one copy's header would be that of

@@ -166,6 +166,8 @@ pub struct Planes {
     host_pair: u32,
     /// Once links over UDP are used.
     routing: Option<Routing>,
+    /// By which interface links over UDP leave that the kernel can copy frames to.
+    routes_of_links: HashMap<u32, u32>,
     left: Option<Left>,
 }
 
@@ -242,6 +244,7 @@ impl Planes {
             udp: None,
             host_pair: 0,
             routing: None,
+            routes_of_links: HashMap::new(),
             left: None,
         };
         match adopted {
@@ -408,8 +411,9 @@ impl Planes {
         if let Ok(kernel) = &mut self.kernel {
             kernel.set_link(&entry)?;
         }
+        let is_rerouted = self.follow_route(&entry);
         let place = |link: &LinkEntry| (link.id, link.role, link.port, link.reach);
-        if before.as_ref().map(place) != Some(place(&entry)) {
+        if is_rerouted || before.as_ref().map(place) != Some(place(&entry)) {
             self.set_kernel_groups_of(before.as_slice());
             self.set_kernel_groups_of(&[entry]);
         }
@@ -434,6 +438,7 @@ impl Planes {
     /// An unknown link is no error.
     pub fn remove_link(&mut self, id: u32) -> Result<(), PlaneError> {
         let Some(removed) = self.tables().remove_link(id) else { return Ok(()) };
+        self.routes_of_links.remove(&id);
         self.set_kernel_groups_of(&[removed]);
         if let Ok(kernel) = &mut self.kernel {
             kernel.remove_link(id)?;
@@ -604,8 +609,8 @@ impl Planes {
         }
     }
 
-    /// Looks again at which addresses UDP arrives, and which interfaces take redirected frames (a veth does depending on its peer);
-    /// and moves links to the plane that can send. Cheap; for the daemon to call now and then, and after changes to interfaces, in
+    /// Looks again at which addresses UDP arrives, which interfaces take redirected frames (a veth does depending on its peer), and
+    /// by which interfaces links over UDP leave; and moves links, and groups of them, to the plane that can send. Cheap; for the daemon to call now and then, and after changes to interfaces, in
     /// the network namespace of these.
     pub fn refresh(&mut self) -> Result<(), PlaneError> {
         self.follow_udp()?;
@@ -631,6 +636,7 @@ impl Planes {
                 self.set_link(entry, to)?;
             }
         }
+        self.follow_routes();
         // Last: no link leads there any more.
         if let Ok(kernel) = &mut self.kernel {
             stop.into_iter().try_for_each(|ifindex| kernel.clear_port(ifindex))?;
@@ -873,13 +879,43 @@ impl Planes {
         }
     }
 
-    /// Where the kernel's frames for a link leave, if it can send them.
+    /// Where the kernel's copies for a link leave, if it can send them.
     fn egress_interface(&self, link: &LinkEntry) -> Option<u32> {
-        let known = match self.devices.get(&link.port) {
-            Some(device) => device.sends,
-            None => self.left.as_ref().is_some_and(|left| left.ports.contains(&link.port)),
+        let interface = match link.port {
+            PORT_ROUTED => *self.routes_of_links.get(&link.id)?,
+            port => port,
         };
-        known.then_some(link.port)
+        self.sends_to(interface).then_some(interface)
+    }
+
+    /// Asks again by which interfaces links over UDP leave; and has the kernel copy again what it left to the userspace plane since a
+    /// copy found that this was not so any more.
+    fn follow_routes(&mut self) {
+        let links = |tables: &UserTables| -> Vec<LinkEntry> {
+            tables.links().map(|(entry, _)| *entry).filter(|entry| entry.port == PORT_ROUTED).collect()
+        };
+        let routed = links(&self.read_tables());
+        for link in &routed {
+            self.follow_route(link);
+        }
+        self.set_kernel_groups_of(&routed);
+    }
+
+    /// Asks by which interface a link leaves, if it is one over UDP; whether that has changed.
+    fn follow_route(&mut self, link: &LinkEntry) -> bool {
+        let found = match &self.kernel {
+            Ok(kernel) if link.port == PORT_ROUTED => kernel.route_of(link.id),
+            _ => Ok(None),
+        };
+        let found = found.unwrap_or_else(|error| {
+            tracing::warn!(%error, "the userspace plane copies the frames for links over UDP");
+            None
+        });
+        let before = match found {
+            Some(interface) => self.routes_of_links.insert(link.id, interface),
+            None => self.routes_of_links.remove(&link.id),
+        };
+        before != found
     }
 
     fn kernel_can_send_to(&self, ifindex: u32) -> bool {
@@ -905,6 +941,7 @@ impl Planes {
                     self.routing.get_or_insert_with(Routing::enable);
                 }
                 self.tables().set_link(entry, to);
+                self.follow_route(&entry);
                 left.links.push((entry, to));
             } else if let Ok(kernel) = &mut self.kernel {
                 // Only the daemon that died knew where it leads.

@@ -112,9 +112,29 @@ impl Figure {
     }
 
     /// Adds the ratio of two series in each case that both have. `aim`: of a case, if it has one.
-    pub fn compare(mut self, series: &'static str, over: &'static str, aim: impl Fn(&str) -> Option<Aim>) -> Self {
+    pub fn compare(self, series: &'static str, over: &'static str, aim: impl Fn(&str) -> Option<Aim>) -> Self {
+        self.compare_cases(series, |case| (over, case.to_owned()), aim)
+    }
+
+    /// Adds the ratio of each case of a series to one case of another.
+    pub fn compare_with(
+        self,
+        series: &'static str,
+        (over, case): (&'static str, &str),
+        aim: impl Fn(&str) -> Option<Aim>,
+    ) -> Self {
+        self.compare_cases(series, |_| (over, case.to_owned()), aim)
+    }
+
+    fn compare_cases(
+        mut self,
+        series: &'static str,
+        other: impl Fn(&str) -> (&'static str, String),
+        aim: impl Fn(&str) -> Option<Aim>,
+    ) -> Self {
         for ours in self.measures.iter().filter(|measure| measure.series == series) {
-            let Some(theirs) = self.measure(over, &ours.case) else { continue };
+            let (over, case) = other(&ours.case);
+            let Some(theirs) = self.measure(over, &case) else { continue };
             let spread = Spread::of(ours.rounds.iter().zip(&theirs.rounds).map(|(ours, theirs)| ours / theirs));
             let verdict = aim(&ours.case).map(|aim| aim.verdict(spread.median));
             self.ratios.push(Ratio { series, over, case: ours.case.clone(), spread, verdict });

@@ -23,7 +23,7 @@ const CALM: &str = "no flood";
 
 pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     let path = Path::build(Kind::Xdp, 1, bench)?;
-    let traffic = RefCell::new(Traffic::new(path.chain(), path.frames(64), bench)?);
+    let traffic = RefCell::new(Traffic::new(path.chain(), path.frames(174), bench)?);
     let unknown = FLOODS.map(|_| RefCell::new(Vec::new()));
     let contenders = FLOODS.iter().zip(&unknown).map(|((series, flood), unknown)| {
         let (traffic, offered) = (&traffic, Offered { known: KNOWN, unknown: *flood });

@@ -29,7 +29,7 @@ const KINDS: [(&str, Kind); 5] = [
 
 /// With 64 bytes of payload.
 pub fn small_frames(bench: &Bench) -> Result<Vec<Figure>> {
-    let measures = measure(bench, &[1, 3, 5], 64)?;
+    let measures = measure(bench, &[1, 3, 5], 174)?;
     let hops =
         compare(Figure::new("hops", "Frames of 174 B through switches in a row", Unit::FramesPerSecond, measures));
     let costs = KINDS.iter().filter_map(|(series, _)| {
@@ -46,7 +46,7 @@ pub fn small_frames(bench: &Bench) -> Result<Vec<Figure>> {
 
 /// With 1400 bytes of payload.
 pub fn large_frames(bench: &Bench) -> Result<Vec<Figure>> {
-    let measures = measure(bench, &[1, 3], 1400)?;
+    let measures = measure(bench, &[1, 3], 1510)?;
     let title = "Frames of 1510 B through switches in a row";
     Ok(vec![compare(Figure::new("large", title, Unit::FramesPerSecond, measures))])
 }
@@ -65,7 +65,7 @@ fn compare(figure: Figure) -> Figure {
         .compare(SWITCH, USERSPACE, at_least([8.0; 3]))
 }
 
-fn measure(bench: &Bench, hops: &[usize], payload: usize) -> Result<Vec<Measure>> {
+fn measure(bench: &Bench, hops: &[usize], length: usize) -> Result<Vec<Measure>> {
     let mut paths = vec![(ALONE, Path::build(Kind::Cable, 0, bench)?)];
     for hops in hops {
         for (series, kind) in KINDS {
@@ -74,7 +74,7 @@ fn measure(bench: &Bench, hops: &[usize], payload: usize) -> Result<Vec<Measure>
     }
     let mut contenders = Vec::new();
     for (series, path) in &paths {
-        let mut traffic = Traffic::new(path.chain(), path.frames(payload), bench)?;
+        let mut traffic = Traffic::new(path.chain(), path.frames(length), bench)?;
         let case = hops_text(path.chain().switches().len());
         contenders.push(Contender::new(series, case, move || traffic.rate(bench.duration())));
     }

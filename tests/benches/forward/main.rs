@@ -5,15 +5,21 @@
 //! - [`cost`]: nanoseconds of one frame in the switch, by test runs
 //! - [`fib`]: lookups in a FIB of a million names (programs and tables: [`lookups`]), and changes of it
 //! - [`hops`]: frames per second through chains of switches
+//! - [`crossings`]: frames per second between links of several kinds
+//! - [`replication`]: what a copy costs
+//! - [`updates`]: frames per second while routes change
 //! - [`flood`]: frames to known names while others ask for unknown ones
 //! - [`senders`]: what the first switch costs a program that sends by a socket
 //!
-//! They are made from [`path`] (what forwards), [`traffic`] (generators and sink), [`rounds`] (in turn), [`figure`] (results);
+//! They are made from [`path`] and [`star`] (what forwards; on [`switch`]), [`traffic`] (generators and sink), [`cpu`] (where),
+//! [`rounds`] (in turn), [`figure`] (results);
 //! [`table`] and [`plot`] (on [`svg`]) show these.
 //!
 //! No daemons: the tables are what a RIB would have installed, put there through the same `Planes`.
 
 mod cost;
+mod cpu;
+mod crossings;
 mod fib;
 mod figure;
 mod flood;
@@ -21,11 +27,16 @@ mod hops;
 mod lookups;
 mod path;
 mod plot;
+mod replication;
 mod rounds;
 mod senders;
+#[path = "../../tests/star/mod.rs"]
+mod star;
 mod svg;
+mod switch;
 mod table;
 mod traffic;
+mod updates;
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -80,11 +91,14 @@ impl Bench {
 
 type Row = fn(&Bench) -> Result<Vec<Figure>>;
 
-const ROWS: [(&str, Row); 6] = [
+const ROWS: [(&str, Row); 9] = [
     ("cost", cost::run),
     ("fib", fib::run),
     ("hops", hops::small_frames),
     ("large", hops::large_frames),
+    ("crossings", crossings::run),
+    ("replication", replication::run),
+    ("live-updates", updates::run),
     ("flood", flood::run),
     ("senders", senders::run),
 ];

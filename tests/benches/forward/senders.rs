@@ -9,7 +9,6 @@
 
 use std::fs::File;
 use std::io::{IoSlice, Write};
-use std::net::SocketAddr;
 use std::os::fd::AsRawFd;
 use std::time::{Duration, Instant};
 
@@ -25,6 +24,7 @@ use crate::Bench;
 use crate::figure::{Figure, Unit};
 use crate::path::{Kind, Path};
 use crate::rounds::{Contender, Sample, alternate};
+use crate::switch::{self, know_neighbour};
 use crate::traffic::Sink;
 
 const PAYLOAD: usize = 64;
@@ -42,8 +42,11 @@ const SWITCH: &str = "through an XDP switch";
 pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     let (packet, udp, tap) = ("AF_PACKET", "UDP", "TAP");
     let open = |series, case, medium| -> Result<_> {
-        let mut path =
-            if case == SWITCH { Path::build(Kind::Xdp, 1, bench)? } else { Path::build(Kind::Cable, 0, bench)? };
+        let mut path = match (case, medium) {
+            (SWITCH, Medium::Udp) => Path::crossing([switch::Medium::Udp4, switch::Medium::Ethernet], bench)?,
+            (SWITCH, _) => Path::build(Kind::Xdp, 1, bench)?,
+            _ => Path::build(Kind::Cable, 0, bench)?,
+        };
         let sender = Sender::open(&path, medium)?;
         // Where the stack is to drop, there must be no program.
         let sink = match (case, medium) {
@@ -62,6 +65,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
         open(packet, SWITCH, Medium::Ethernet)?,
         open(udp, STACK, Medium::Udp)?,
         open(udp, SINK, Medium::Udp)?,
+        open(udp, SWITCH, Medium::Udp)?,
         open(tap, SINK, Medium::Tap)?,
         open(tap, SWITCH, Medium::Tap)?,
     ];
@@ -102,23 +106,13 @@ struct Sender {
 impl Sender {
     fn open(path: &Path, medium: Medium) -> Result<Self> {
         let robot = path.chain().robot();
-        let frames = path.frames(PAYLOAD);
+        let frames = path.frames(path.around() + Header::LEN + PAYLOAD);
         let header = Header::read_from_prefix(&frames.frame[frames.header_at..]);
         let (header, _) = header.ok().context("a frame has a header")?;
         if medium == Medium::Udp {
             robot.ip(&["addr", "add", "10.9.0.1/24", "dev", "r0"])?;
-            // Nobody's address: a stack drops what is sent there at its first look.
-            robot.ip(&[
-                "neigh",
-                "replace",
-                "10.9.0.2",
-                "lladdr",
-                "02:00:00:00:ff:ff",
-                "dev",
-                "r0",
-                "nud",
-                "permanent",
-            ])?;
+            // No interface has this address: a stack drops what is sent there at its first look. The switch does not look.
+            know_neighbour(robot, "r0", switch::link_ip(switch::Medium::Udp4, 0, 2), [2, 0, 0, 0, 0xff, 0xff])?;
         }
         let _inside = if medium == Medium::Tap { path.first_hop().enter()? } else { robot.enter()? };
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -131,8 +125,8 @@ impl Sender {
                 Exit::Socket(Box::new(Port::ethernet("r0", &config)?), to)
             }
             Medium::Udp => {
-                let udp = |address: [u8; 4]| SocketAddr::from((address, gdp_wire::UDP_PORT));
-                Exit::Socket(Box::new(Port::udp(udp([10, 9, 0, 1]), &config)?), LinkAddr::Udp(udp([10, 9, 0, 2])))
+                let [from, to] = [1, 2].map(|end| switch::link_socket(switch::Medium::Udp4, 0, end));
+                Exit::Socket(Box::new(Port::udp(from, &config)?), LinkAddr::Udp(to))
             }
             Medium::Tap => {
                 let device = tap(TAP)?;

@@ -1,7 +1,7 @@
 //! Generators and sink: the programs of `gdp-ebpf/src/bench.rs` at the two ends of a chain.
 //!
-//! XDP programs and the kernel's routers run on the generator's core, which is how veths work; the threads of the userspace plane
-//! take whatever is left.
+//! XDP programs and the kernel's routers run on the generator's core, which is how veths work, and there it stays; the threads of
+//! the userspace plane take whatever is left.
 
 use std::path::Path;
 use std::sync::mpsc;
@@ -19,11 +19,15 @@ use gdp_tests::netns::Namespace;
 use gdp_tests::wait::wait_for;
 use gdp_wire::LinkEntry;
 
-use crate::Bench;
 use crate::rounds::Sample;
+use crate::{Bench, cpu};
 
 /// Frames the kernel sends at a time: a quarter of a veth's ring.
-const BATCH: u32 = 64;
+const BATCH: u64 = 64;
+
+/// Frames under way at most. Less than a veth's ring of 256 would hold back the planes that work in batches; more than the
+/// receive buffer of a packet socket takes would lose frames.
+const WINDOW: u64 = 1024;
 
 /// How long the kernel may take to begin with a test run.
 const START: Duration = Duration::from_secs(5);
@@ -76,6 +80,22 @@ pub struct Frames {
     pub link: LinkEntry,
     /// False for a switch to which every tag is 0. The tag is computed all the same.
     pub tagged: bool,
+    pub spread: Spread,
+}
+
+/// What becomes of a frame on its way.
+#[derive(Clone, Copy, Debug)]
+pub struct Spread {
+    /// Frames that arrive for each that is sent.
+    pub copies: u64,
+    /// Frames that may be under way, by what is to arrive.
+    pub window: u64,
+    /// It goes nowhere, and counts as arrived.
+    pub kept: bool,
+}
+
+impl Spread {
+    pub const SINGLE: Self = Self { copies: 1, window: WINDOW, kept: false };
 }
 
 const TEMPLATE_WORDS: usize = 13;
@@ -89,6 +109,9 @@ struct Pattern {
     known_interval: u64,
     unknown_interval: u64,
     header_at: u64,
+    copies: u64,
+    window: u64,
+    kept: u64,
 }
 
 // SAFETY: an array of integers, and integers of the same size.
@@ -115,13 +138,19 @@ impl Sink {
         Ok(Self { arrived: programs.map("ARRIVED")?, programs })
     }
 
+    /// At another interface as well.
+    pub fn attach_to(&mut self, at: &Namespace, interface: &str) -> Result<()> {
+        let _inside = at.enter()?;
+        self.programs.attach("sink", interface)
+    }
+
     /// Frames until now.
     pub fn arrived(&self) -> Result<u64> {
         Ok(self.arrived.get(&0, 0)?)
     }
 }
 
-/// The generators on the robot's interface of a chain, and the sink on the cloud's.
+/// The generators on one interface, and sinks on others.
 pub struct Traffic {
     /// The generators are in the sink's object: they look at what has arrived.
     sink: Sink,
@@ -133,16 +162,21 @@ pub struct Traffic {
 }
 
 impl Traffic {
+    /// From the robot's interface of a chain to the cloud's.
     pub fn new(chain: &Chain, frames: Frames, bench: &Bench) -> Result<Self> {
-        let mut sink = Sink::attach(chain.cloud(), "l0", bench)?;
+        let sink = Sink::attach(chain.cloud(), "l0", bench)?;
+        Self::from(chain.robot(), "r0", sink, frames)
+    }
+
+    pub fn from(at: &Namespace, interface: &str, mut sink: Sink, frames: Frames) -> Result<Self> {
         let programs = &mut sink.programs;
         for generator in ["generate", "flood"] {
             programs.load_program(generator)?;
         }
         let mut out: DevMap<MapData> = programs.map("OUT")?;
         {
-            let _inside = chain.robot().enter()?;
-            out.set(0, Interface::find("r0")?.index, None, 0)?;
+            let _inside = at.enter()?;
+            out.set(0, Interface::find(interface)?.index, None, 0)?;
         }
         let mut link: Array<MapData, LinkEntry> = programs.map("LINK")?;
         link.set(0, frames.link, 0)?;
@@ -154,6 +188,11 @@ impl Traffic {
             frames,
             sink,
         })
+    }
+
+    /// From now on sends other frames, on the same link.
+    pub fn change(&mut self, frame: Vec<u8>, spread: Spread) {
+        self.frames = Frames { frame, spread, ..self.frames.clone() };
     }
 
     /// Frames per second that arrive, sent as fast as they do: a number of frames is kept under way, so that a rate is one without
@@ -172,7 +211,7 @@ impl Traffic {
         let before = self.sink.arrived()?;
         self.sent.set(0, before, 0)?;
 
-        let (generator, frame) = (self.sink.programs.program(program)?, &self.frames.frame);
+        let (generator, frames) = (self.sink.programs.program(program)?, &self.frames);
         let (arrived, link_count, sent) = (&self.sink.arrived, &self.link_count, &self.sent);
         let now = || -> Result<Moment> {
             let unknown = link_count.get(&0, 0)?.wrapping_sub(sent.get(&0, 0)?);
@@ -183,7 +222,7 @@ impl Traffic {
             let running = scope.spawn(move || {
                 // SAFETY: no preconditions.
                 itself.send(unsafe { libc::pthread_self() })?;
-                send_until_signalled(generator, frame)
+                send_until_signalled(generator, frames)
             });
             let thread = thread.recv()?;
             let measured = (|| -> Result<(Moment, Moment)> {
@@ -245,16 +284,25 @@ impl Frames {
             known_interval: interval(offered.known),
             unknown_interval: interval(offered.unknown),
             header_at: self.header_at as u64,
+            copies: self.spread.copies,
+            window: self.spread.window,
+            kept: self.spread.kept.into(),
         }
+    }
+
+    /// Frames the kernel sends at a time: no more than may be under way, because it asks for the others in vain.
+    fn batch(&self) -> u32 {
+        (self.spread.window / self.spread.copies).clamp(1, BATCH) as u32
     }
 }
 
 /// The kernel ends a test run early only for a signal.
-fn send_until_signalled(generator: &mut Xdp, frame: &[u8]) -> Result<()> {
+fn send_until_signalled(generator: &mut Xdp, frames: &Frames) -> Result<()> {
+    cpu::pin(cpu::GENERATOR)?;
     let mut options = TestRunOptions::new();
-    options.data_in = Some(frame);
+    options.data_in = Some(&frames.frame);
     options.repeat = u32::MAX;
-    options.attrs = TestRunAttrs::new().xdp_live_frames(BATCH);
+    options.attrs = TestRunAttrs::new().xdp_live_frames(frames.batch());
     match generator.test_run(options) {
         Err(ProgramError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::EINTR) => Ok(()),
         Err(error) => Err(error).context("cannot generate frames"),

@@ -46,7 +46,7 @@ struct Row {
     /// One way, of single frames at 2 kHz, in microseconds: medians of the rounds' median and 99th percentile.
     p50_us: f64,
     p99_us: f64,
-    /// Frames of 1400 B of payload per second, so many under way that none is lost.
+    /// Frames of 1300 B of payload per second, so many under way that none is lost.
     pps: f64,
     #[serde(skip)]
     rounds: Vec<[f64; 3]>,

@@ -352,7 +352,7 @@ fn port(i: usize) -> String {
     format!("p{i}")
 }
 
-fn far_port(i: usize) -> String {
+pub fn far_port(i: usize) -> String {
     format!("w{i}")
 }
 

@@ -1,0 +1,22 @@
+//! Which CPUs work. A generator, and with it the XDP programs and the kernel's routers behind it, has one of its own; what is to
+//! disturb it gets another.
+
+use anyhow::{Result, ensure};
+
+/// Of the generators.
+pub const GENERATOR: usize = 0;
+
+/// Of what is beside them.
+pub const OTHER: usize = 1;
+
+/// Keeps the calling thread on a CPU.
+pub fn pin(cpu: usize) -> Result<()> {
+    // SAFETY: all zeros are an empty set.
+    let mut set: libc::cpu_set_t = unsafe { std::mem::zeroed() };
+    // SAFETY: the set is live, and the number less than the bits it has.
+    unsafe { libc::CPU_SET(cpu, &mut set) };
+    // SAFETY: pointer and size are of the set.
+    let result = unsafe { libc::sched_setaffinity(0, size_of_val(&set), &set) };
+    ensure!(result == 0, "cannot stay on CPU {cpu}: {}", std::io::Error::last_os_error());
+    Ok(())
+}

@@ -1,0 +1,188 @@
+//! A switch of a chain, without a daemon: its planes, on both of its interfaces.
+
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::path::Path;
+
+use anyhow::{Context, Result, ensure};
+use gdp::identity::Identity;
+use gdp::link::LinkIds;
+use gdp::port::{LinkAddr, Port, PortConfig};
+use gdp_ctl::plane::{PlaneConfig, PlaneRoute, Planes, Wanted};
+use gdp_tests::netns::{Entered, Namespace};
+use gdp_wire::table::ip_words;
+use gdp_wire::{Carrier, Counter, LinkEntry, LinkRole, Name, UDP_PORT};
+
+/// What all frames are for.
+pub const TOPIC: Name = Name::from_bytes([0xd0; 32]);
+
+/// The index, and so the id, of each switch's link to the left and to the right.
+pub const LEFT: u32 = 1;
+pub const RIGHT: u32 = 2;
+
+/// What carries frames on a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Medium {
+    Ethernet,
+    Udp4,
+    Udp6,
+}
+
+pub struct Switch {
+    planes: Planes,
+    ports: Vec<Port>,
+    runtime: tokio::runtime::Runtime,
+}
+
+/// Which switch of a chain, and between which links.
+#[derive(Clone, Copy, Debug)]
+pub struct Position {
+    /// From the left, from 0.
+    pub index: usize,
+    pub hops: usize,
+    /// To the left and to the right.
+    pub media: [Medium; 2],
+}
+
+impl Switch {
+    /// Forwards frames for [`TOPIC`] from the left to the right.
+    pub fn start(at: &Namespace, wanted: Wanted, ebpf_object: &Path, position: Position) -> Result<Self> {
+        let Position { index: i, hops, media } = position;
+        let inside = at.enter()?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let within = runtime.enter();
+        let config = PlaneConfig { wanted, ebpf_object: Some(ebpf_object.into()), ..Default::default() };
+        let planes = Planes::open(config)?;
+        drop(within);
+        let mut switch = Self { planes, ports: Vec::new(), runtime };
+        let (first, last) = (i == 0, i + 1 == hops);
+        let own_bit = 1 << i;
+        let beyond = ((1 << hops) - 1) & !(own_bit | (own_bit - 1));
+        let left = LinkEntry { id: LEFT, reach: own_bit - 1, ..link(first, i, (1, 2), media[0]) };
+        let right = LinkEntry { id: RIGHT, reach: beyond, ..link(last, i + 1, (2, 1), media[1]) };
+        switch.planes.set_own_bit(own_bit)?;
+        let mut addresses = Vec::new();
+        for ((interface, medium), (link, peer, own)) in ["l0", "r0"].iter().zip(media).zip([(i, 1, 2), (i + 1, 2, 1)]) {
+            addresses.push(match medium {
+                Medium::Ethernet => {
+                    LinkAddr::Ethernet { ifindex: switch.attach(&inside, interface)?, mac: mac(link, peer) }
+                }
+                Medium::Udp4 | Medium::Udp6 => {
+                    give_address(at, interface, link_ip(medium, link, own))?;
+                    know_neighbour(at, interface, link_ip(medium, link, peer), mac(link, peer))?;
+                    LinkAddr::Udp(link_socket(medium, link, peer))
+                }
+            });
+        }
+        if media.iter().any(|medium| *medium != Medium::Ethernet) {
+            switch.attach_udp(&inside)?;
+        }
+        let planes = &mut switch.planes;
+        planes.set_link(left, addresses[0])?;
+        planes.set_link(right, addresses[1])?;
+        if first || last {
+            let readers = if last { vec![RIGHT] } else { vec![] };
+            planes.set_route(TOPIC, &PlaneRoute { egress_bits: 1 << (hops - 1), readers, writers: vec![LEFT] })?;
+        }
+        let mut next_hops = [0; 64];
+        (i + 1..hops).for_each(|bit| next_hops[bit] = RIGHT);
+        planes.set_next_hops(&next_hops)?;
+        Ok(switch)
+    }
+
+    /// Takes over what arrives on an interface of the network namespace that the calling thread is in; its index.
+    pub fn attach(&mut self, _inside: &Entered, interface: &str) -> Result<u32> {
+        let _within = self.runtime.enter();
+        let port = Port::ethernet(interface, &PortConfig::switch(Identity::generate("switch")?, LinkIds::new()))?;
+        let found = port.interface().context("an Ethernet port has an interface")?.clone();
+        self.planes.attach(&found, port.data())?;
+        self.ports.push(port);
+        Ok(found.index)
+    }
+
+    /// Takes over what arrives over UDP, at any address.
+    fn attach_udp(&mut self, _inside: &Entered) -> Result<()> {
+        let _within = self.runtime.enter();
+        let any = SocketAddr::new(Ipv6Addr::UNSPECIFIED.into(), UDP_PORT);
+        let port = Port::udp(any, &PortConfig::switch(Identity::generate("switch")?, LinkIds::new()))?;
+        self.planes.attach_udp(port.data(), port.udp_addr().context("a UDP port has an address")?, None)?;
+        self.ports.push(port);
+        Ok(())
+    }
+
+    /// Frames were counted under `expected`, by one plane alone, and dropped for no reason but what `may` be.
+    pub fn check(&self, expected: Counter, in_kernel: bool, may: Option<Counter>) -> Result<()> {
+        for (counter, kernel, userspace) in self.planes.counters()? {
+            let (ours, other) = if in_kernel { (kernel, userspace) } else { (userspace, kernel) };
+            let fine = if counter == expected {
+                ours > 0 && other == 0
+            } else {
+                !counter.is_drop() || ours == 0 || may == Some(counter)
+            };
+            ensure!(fine, "{} is {kernel} in the kernel, {userspace} in userspace", counter.as_str());
+        }
+        Ok(())
+    }
+}
+
+/// A link with one key for both directions; the neighbour calls it LEFT, because frames go to the right. `link`: its place in the
+/// chain. `ends`: the neighbour's and ours, 1 or 2.
+pub fn link(endpoint: bool, link: usize, (peer, own): (u8, u8), medium: Medium) -> LinkEntry {
+    let (kind, peer_ip) = ip_words(link_ip(medium, link, peer));
+    let carrier = match medium {
+        Medium::Ethernet => Carrier::ethernet(mac(link, peer), mac(link, own)),
+        Medium::Udp4 | Medium::Udp6 => Carrier {
+            kind,
+            flags: Carrier::ZERO_CHECKSUM,
+            peer_port: UDP_PORT.to_be(),
+            local_port: UDP_PORT.to_be(),
+            peer_ip,
+            local_ip: ip_words(link_ip(medium, link, own)).1,
+            ..Carrier::default()
+        },
+    };
+    LinkEntry {
+        peer_id: LEFT,
+        role: if endpoint { LinkRole::Endpoint } else { LinkRole::Switch } as u32,
+        rx_keys: [key(link); 2],
+        tx_keys: [key(link); 2],
+        mtu: if medium == Medium::Ethernet { 1500 } else { 1400 },
+        carrier,
+        ..LinkEntry::default()
+    }
+}
+
+pub fn key(link: usize) -> [u64; 2] {
+    [link as u64, 0x6764_7062_656e_6368]
+}
+
+/// As a chain gives them: link 0 is robot – s1, end 1 its left one.
+pub fn mac(link: usize, end: u8) -> [u8; 6] {
+    [2, 0, 0, 0, link as u8, end]
+}
+
+/// Where the end of a link sends datagrams from.
+pub fn link_socket(medium: Medium, link: usize, end: u8) -> SocketAddr {
+    SocketAddr::new(link_ip(medium, link, end), UDP_PORT)
+}
+
+/// IPv4 as a chain of routers gives them, also where none is needed.
+pub fn link_ip(medium: Medium, link: usize, end: u8) -> IpAddr {
+    match medium {
+        Medium::Udp6 => Ipv6Addr::new(0xfd09, 0, 0, link as u16, 0, 0, 0, end.into()).into(),
+        Medium::Ethernet | Medium::Udp4 => Ipv4Addr::new(10, 9, link as u8, end).into(),
+    }
+}
+
+fn give_address(at: &Namespace, interface: &str, ip: IpAddr) -> Result<()> {
+    if ip.is_ipv4() {
+        return at.ip(&["addr", "add", &format!("{ip}/24"), "dev", interface]).map(drop);
+    }
+    at.enable_ipv6()?;
+    at.ip(&["addr", "add", &format!("{ip}/64"), "dev", interface, "nodad"]).map(drop)
+}
+
+/// The neighbour need not answer.
+pub fn know_neighbour(at: &Namespace, interface: &str, ip: IpAddr, mac: [u8; 6]) -> Result<()> {
+    let mac = mac.map(|byte| format!("{byte:02x}")).join(":");
+    at.ip(&["neigh", "replace", &ip.to_string(), "lladdr", &mac, "dev", interface, "nud", "permanent"]).map(drop)
+}
