@@ -200,6 +200,9 @@ async fn writers_of_a_name_may_send_to_it_and_nobody_else() {
     }
 
     let (port, link) = stranger.bare_link(&switch).await;
+    // This side has the link before the switch does.
+    let linked = async || switch.status().await["links"].as_array().is_some_and(|links| links.len() == 4);
+    wait("the stranger's link", linked).await;
     let (topic, own) = (first.card.name(), stranger.robot.name());
     for (count, (reason, source)) in (1..).zip([("drop_not_permitted", own), ("drop_source", first.robot.name())]) {
         let mut header = Header::data(topic, source, 0);
