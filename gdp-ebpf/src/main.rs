@@ -8,8 +8,9 @@
 //! copies of a frame; but the kernel runs one program over all frames that leave by an interface together, so every frame
 //! comes by it.
 //!
-//! Of both there are two that do the same: those above take packets that span several buffers (MTU above about 3500), which
-//! kernels before 5.18 cannot; for those there are [`gdp_switch_linear`] and [`gdp_egress_linear`].
+//! Of both there are two that do the same. Those above take packets that span several buffers (MTU above about 3500), which
+//! kernels before 5.18 cannot; for those there are [`gdp_switch_linear`] and [`gdp_egress_linear`]. The first of these is also the
+//! better one where packets are smaller, because it need not ask the kernel how long they are.
 #![cfg_attr(target_arch = "bpf", no_std, no_main, feature(asm_experimental_arch))]
 
 mod carrier;
@@ -45,14 +46,14 @@ use crate::next_hop::NextHop;
 use crate::packet::Packet;
 use crate::tables::Maps;
 
-/// The switch, on kernels from 5.18 on.
+/// The switch where packets may span several buffers.
 #[xdp(frags)]
 pub fn gdp_switch(context: XdpContext) -> u32 {
     let length = packet::length(&context);
     act(&context, handle(&context, length))
 }
 
-/// The switch, on older kernels.
+/// The switch where each packet is in one buffer, and on kernels before 5.18.
 #[xdp]
 pub fn gdp_switch_linear(context: XdpContext) -> u32 {
     let length = context.data_end().saturating_sub(context.data());

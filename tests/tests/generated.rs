@@ -8,7 +8,7 @@ mod planes;
 mod tables;
 
 use anyhow::{Context, Result, ensure};
-use gdp_ctl::plane::kernel::KernelPlane;
+use gdp_ctl::plane::kernel::{Buffers, KernelPlane};
 use gdp_ctl::plane::link_memory::LinkMemory;
 use gdp_ctl::plane::userspace::UserTables;
 use gdp_tests::frames;
@@ -74,6 +74,8 @@ struct Kernel {
     tables: PlainTables<true>,
     memory: LinkMemory,
     links: Vec<u32>,
+    /// For the next frame: in turn.
+    buffers: Buffers,
 }
 
 impl Kernel {
@@ -81,13 +83,18 @@ impl Kernel {
         let site = Site::build()?;
         let plane = site.kernel_plane(switch)?;
         let (tables, memory) = (PlainTables::new(switch).without_copies(), plane.link_memory().clone());
-        Ok(Self { plane, _site: site, tables, memory: begin(memory, switch), links: ids(switch) })
+        let memory = begin(memory, switch);
+        Ok(Self { plane, _site: site, tables, memory, links: ids(switch), buffers: Buffers::One })
     }
 
     /// What decide says, if the kernel does the same; but for how it counts that.
     fn compare(&mut self, frame: &[u8]) -> Result<Fate> {
         forgive(&self.memory, &self.links);
-        let (expected, mut got) = (self.tables.run(frame), run_uncounted(&mut self.plane, frame)?);
+        let (expected, mut got) = (self.tables.run(frame), run_uncounted(&mut self.plane, self.buffers, frame)?);
+        self.buffers = match self.buffers {
+            Buffers::One => Buffers::Several,
+            Buffers::Several => Buffers::One,
+        };
         if (expected.verdict, got.verdict) == (Verdict::Copy, Verdict::Send) {
             // What the kernel would copy is not yet a frame.
             got = Fate::copied(vec![]);

@@ -114,6 +114,30 @@ impl Mode {
     }
 }
 
+/// How the packets of an interface may lie in memory. There is a switch for each, and they do the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Buffers {
+    /// In one buffer, as a driver promises that takes this switch: it refuses an MTU for which that does not hold. How long a
+    /// packet is, is then known without a call into the kernel.
+    One,
+    /// Perhaps in several.
+    Several,
+}
+
+impl Buffers {
+    /// What is better comes first.
+    fn known_to(version: KernelVersion) -> &'static [Self] {
+        if version >= FRAGS { &[Self::One, Self::Several] } else { &[Self::One] }
+    }
+
+    fn program(self) -> &'static str {
+        match self {
+            Self::One => "gdp_switch_linear",
+            Self::Several => "gdp_switch",
+        }
+    }
+}
+
 /// What a daemon found in the kernel that an earlier one left there.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Adopted {
@@ -136,14 +160,22 @@ pub enum Action {
     Other(u32),
 }
 
+/// The switch on an interface.
+struct Attached {
+    link: XdpLinkId,
+    mode: Mode,
+    buffers: Buffers,
+}
+
 /// The loaded programs and their maps. Dropping it detaches them, unless they are pinned: then the kernel forwards on until
 /// [`Self::unpin`], or a successor.
 pub struct KernelPlane {
     ebpf: Ebpf,
     pins: Option<Pins>,
     /// By interface.
-    attached: Table<u32, (XdpLinkId, Mode)>,
-    program: &'static str,
+    attached: Table<u32, Attached>,
+    /// The switches that are loaded.
+    switches: &'static [Buffers],
     capacity: u32,
     links: Array<MapData, LinkEntry>,
     fib: Fib,
@@ -214,11 +246,9 @@ impl KernelPlane {
         pins: &Option<Pins>,
         mut ebpf: Ebpf,
     ) -> Result<Self, LoadError> {
-        let (program, egress) = match version >= FRAGS {
-            true => ("gdp_switch", "gdp_egress"),
-            false => ("gdp_switch_linear", "gdp_egress_linear"),
-        };
-        for name in [program, egress, ROUTE] {
+        let switches = Buffers::known_to(version);
+        let egress = if version >= FRAGS { "gdp_egress" } else { "gdp_egress_linear" };
+        for name in switches.iter().map(|buffers| buffers.program()).chain([egress, ROUTE]) {
             xdp(&mut ebpf, name)
                 .ok_or(LoadError::Mismatch { path: path.into(), what: "program", name })?
                 .load()
@@ -245,7 +275,7 @@ impl KernelPlane {
         let groups = GroupMaps { groups, served: maps.take("SERVED")?, places: maps.take("PLACES")? };
         let shared = LinkMaps { counts: &tx_counters, windows: &windows, complaints: &complaints };
         Ok(Self {
-            program,
+            switches,
             capacity,
             links: maps.take("LINKS")?,
             fib: Fib::open(maps.take("FIB")?, capacity, pins.as_ref())?,
@@ -302,13 +332,14 @@ impl KernelPlane {
             Mode::Native => XdpMode::Driver,
             Mode::Generic => XdpMode::Skb,
         };
-        let mut link = self.switch().attach_to_if_index(ifindex, xdp_mode)?;
+        let (buffers, mut link) =
+            first_that(self.switches_for(mode), |buffers| self.switch(buffers).attach_to_if_index(ifindex, xdp_mode))?;
         if let Some(pin) = self.pins.as_ref().map(|pins| pins.link(ifindex, mode)) {
-            let taken = FdLink::try_from(self.switch().take_link(link)?)?;
+            let taken = FdLink::try_from(self.switch(buffers).take_link(link)?)?;
             let pinned = taken.pin(pin)?;
-            link = self.switch().attach_to_link(XdpLink::try_from(FdLink::from(pinned))?)?;
+            link = self.switch(buffers).attach_to_link(XdpLink::try_from(FdLink::from(pinned))?)?;
         }
-        self.attached.insert(ifindex, (link, mode));
+        self.attached.insert(ifindex, Attached { link, mode, buffers });
         Ok(())
     }
 
@@ -320,27 +351,32 @@ impl KernelPlane {
         else {
             return Ok(None);
         };
-        let pinned = FdLink::from(PinnedLink::from_pin(&pin)?);
-        match self.switch().attach_to_link(XdpLink::try_from(pinned)?) {
-            Ok(link) => {
-                self.attached.insert(ifindex, (link, mode));
+        let replaced = first_that(self.switches_for(mode), |buffers| {
+            let pinned = FdLink::from(PinnedLink::from_pin(&pin)?);
+            Ok::<_, AttachError>(self.switch(buffers).attach_to_link(XdpLink::try_from(pinned)?)?)
+        });
+        match replaced {
+            Ok((buffers, link)) => {
+                self.attached.insert(ifindex, Attached { link, mode, buffers });
                 self.watch_losses();
                 Ok(Some(mode))
             }
             // The interface was deleted, and this one has inherited its number.
-            Err(ProgramError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::ENOLINK) => {
+            Err(AttachError::Program(ProgramError::SyscallError(error)))
+                if error.io_error.raw_os_error() == Some(libc::ENOLINK) =>
+            {
                 unpin(&pin)?;
                 Ok(None)
             }
-            Err(error) => Err(error.into()),
+            Err(error) => Err(error),
         }
     }
 
     /// Takes the program off an interface. Nothing happens if there is none.
     pub fn detach(&mut self, ifindex: u32) -> Result<(), AttachError> {
-        let Some((link, mode)) = self.attached.remove(&ifindex) else { return Ok(()) };
+        let Some(Attached { link, mode, buffers }) = self.attached.remove(&ifindex) else { return Ok(()) };
         let pin = self.pins.as_ref().map(|pins| pins.link(ifindex, mode));
-        self.switch().detach(link)?;
+        self.switch(buffers).detach(link)?;
         pin.map_or(Ok(()), |pin| unpin(&pin))
     }
 
@@ -365,7 +401,7 @@ impl KernelPlane {
 
     /// Whether the kernel has compiled the switch; `None` if it does not say.
     pub fn is_jitted(&self) -> Option<bool> {
-        let program: &Xdp = self.ebpf.program(self.program)?.try_into().ok()?;
+        let program: &Xdp = self.ebpf.program(self.switches[0].program())?.try_into().ok()?;
         Some(program.info().ok()?.size_jitted() != 0)
     }
 
@@ -438,7 +474,7 @@ impl KernelPlane {
     /// all.
     pub fn has_generic(&self) -> bool {
         let pinned = self.pins.iter().flat_map(Pins::links).map(|(_, mode)| mode);
-        self.attached.values().map(|(_, mode)| *mode).chain(pinned).any(|mode| mode == Mode::Generic)
+        self.attached.values().map(|attached| attached.mode).chain(pinned).any(|mode| mode == Mode::Generic)
     }
 
     /// From now on takes frames over UDP at these addresses, and no others.
@@ -530,13 +566,13 @@ impl KernelPlane {
     }
 
     /// Runs the switch over one Ethernet frame without an interface; the action, and the frame as it left it.
-    pub fn test_run(&mut self, frame: &[u8]) -> Result<(Action, Vec<u8>), ProgramError> {
+    pub fn test_run(&mut self, buffers: Buffers, frame: &[u8]) -> Result<(Action, Vec<u8>), ProgramError> {
         // What carries it may grow.
         let mut out = vec![0; frame.len() + 64];
         let mut options = TestRunOptions::new();
         options.data_in = Some(frame);
         options.data_out = Some(&mut out);
-        let result = self.switch().test_run(options)?;
+        let result = self.switch(buffers).test_run(options)?;
         out.truncate(result.data_size_out as usize);
         let action = match result.return_value {
             1 => Action::Drop,
@@ -549,11 +585,11 @@ impl KernelPlane {
 
     /// Nanoseconds a packet costs, over `repeat` runs on the same frame. The frame changes as it is forwarded, so only the
     /// first run sees it as given.
-    pub fn time(&mut self, frame: &[u8], repeat: u32) -> Result<u32, ProgramError> {
+    pub fn time(&mut self, buffers: Buffers, frame: &[u8], repeat: u32) -> Result<u32, ProgramError> {
         let mut options = TestRunOptions::new();
         options.data_in = Some(frame);
         options.repeat = repeat;
-        Ok(self.switch().test_run(options)?.duration.subsec_nanos())
+        Ok(self.switch(buffers).test_run(options)?.duration.subsec_nanos())
     }
 
     /// What an earlier daemon has there stays.
@@ -569,8 +605,17 @@ impl KernelPlane {
         }
     }
 
-    fn switch(&mut self) -> &mut Xdp {
-        xdp(&mut self.ebpf, self.program).expect("`load` found the program")
+    /// What to try on an interface, in this order.
+    fn switches_for(&self, mode: Mode) -> &'static [Buffers] {
+        match mode {
+            Mode::Native => self.switches,
+            // Here every driver takes either, but for the first the kernel would copy each large packet into one buffer.
+            Mode::Generic => &self.switches[self.switches.len() - 1..],
+        }
+    }
+
+    fn switch(&mut self, buffers: Buffers) -> &mut Xdp {
+        xdp(&mut self.ebpf, buffers.program()).expect("`load` found the program")
     }
 }
 
@@ -630,6 +675,13 @@ fn maps_to_pin(path: &Path, capacity: u32, pins: &Pins) -> Result<Vec<String>, L
 
 fn unpin(pin: &Path) -> Result<(), AttachError> {
     std::fs::remove_file(pin).map_err(|source| AttachError::Unpin { path: pin.into(), source })
+}
+
+/// The first switch with which something succeeds, and what came of it; or why it did not with the last.
+fn first_that<T, E>(switches: &[Buffers], mut attempt: impl FnMut(Buffers) -> Result<T, E>) -> Result<(Buffers, T), E> {
+    let (last, others) = switches.split_last().expect("one is loaded at least");
+    let early = others.iter().find_map(|buffers| attempt(*buffers).ok().map(|done| (*buffers, done)));
+    early.map_or_else(|| attempt(*last).map(|done| (*last, done)), Ok)
 }
 
 fn xdp<'a>(ebpf: &'a mut Ebpf, program: &str) -> Option<&'a mut Xdp> {

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, ensure};
 use aya::maps::DevMap;
 use aya::programs::{TestRun, TestRunOptions};
-use gdp_ctl::plane::kernel::KernelPlane;
+use gdp_ctl::plane::kernel::{Buffers, KernelPlane};
 use gdp_tests::frames::Frame;
 use gdp_wire::{Counter, FibEntry, LinkEntry, LinkRole, Name, SwitchConfig};
 
@@ -117,7 +117,7 @@ impl Ring {
             payload: vec![0x5a; 64],
             ..Frame::default()
         };
-        let nanoseconds = self.plane.time(&frame.bytes(), RUNS)?;
+        let nanoseconds = self.plane.time(Buffers::One, &frame.bytes(), RUNS)?;
         self.count += u64::from(RUNS);
         self.frames += u64::from(RUNS);
         Ok(nanoseconds.into())

@@ -5,7 +5,7 @@
 use anyhow::{Context, Result, bail, ensure};
 use gdp::port::Interface;
 use gdp_ctl::plane::group_places::Member;
-use gdp_ctl::plane::kernel::{Action, KernelPlane};
+use gdp_ctl::plane::kernel::{Action, Buffers, KernelPlane};
 use gdp_ctl::plane::link_memory::LinkMemory;
 use gdp_ctl::plane::udp::Routing;
 use gdp_ctl::plane::userspace::{Outcome, UserTables, copies, handle};
@@ -113,9 +113,9 @@ pub fn user_tables_with(switch: &Switch, link_memory: LinkMemory) -> UserTables 
 }
 
 /// What the kernel does with a frame: the action, and exactly one counter.
-pub fn run(plane: &mut KernelPlane, frame: &[u8]) -> Result<Fate> {
+pub fn run(plane: &mut KernelPlane, buffers: Buffers, frame: &[u8]) -> Result<Fate> {
     let before = plane.counters()?;
-    let fate = run_uncounted(plane, frame)?;
+    let fate = run_uncounted(plane, buffers, frame)?;
     Ok(match counted(before, plane.counters()?)? {
         // What is to be copied is not yet a frame; the copies would be made where they leave.
         Counter::Replicated => Fate::copied(vec![]),
@@ -125,8 +125,8 @@ pub fn run(plane: &mut KernelPlane, frame: &[u8]) -> Result<Fate> {
 
 /// What the kernel does with a frame, but for how that is counted: `Slow`, `Forwarded` and `RedirectFailed` stand for whatever
 /// passes, is sent and is dropped. Reading the counters takes far longer than the frame.
-pub fn run_uncounted(plane: &mut KernelPlane, frame: &[u8]) -> Result<Fate> {
-    let (action, out) = plane.test_run(frame)?;
+pub fn run_uncounted(plane: &mut KernelPlane, buffers: Buffers, frame: &[u8]) -> Result<Fate> {
+    let (action, out) = plane.test_run(buffers, frame)?;
     Ok(match action {
         Action::Redirect => Fate::sent(out, Counter::Forwarded),
         Action::Pass => {
