@@ -93,7 +93,7 @@ pub fn take_superfluous(interface: u32) -> u64 {
 }
 
 /// Makes a copy a frame that no bridge forwards (IEEE 802.1Q, reserved group address) and no host takes (IEEE 802, local experimental
-/// ethertype 2), the shortest there is, with nothing of the copy but the beginning of its name.
+/// ethertype 2), the shortest there is, with nothing of the copy in it.
 #[inline(always)]
 pub fn become_filler(context: &XdpContext) -> bool {
     const SHORTEST: usize = 60;
@@ -104,6 +104,6 @@ pub fn become_filler(context: &XdpContext) -> bool {
     // SAFETY: `get` checked the bounds.
     unsafe { ethernet::address(ethernet, DESTINATION, SOURCE, 0x88b6) };
     let Some(header) = packet.header(ethernet::LEN) else { return false };
-    *header = Header::data(header.destination, header.source, 0);
+    *header = Header::default();
     packet::cut(context, (context.data_end() - context.data()).saturating_sub(SHORTEST))
 }

@@ -75,6 +75,7 @@ const UNPLUGGED: u32 = 0xa1b2_07ff;
 const OLD: u32 = 0xa1b2_0409;
 const ABROAD: u32 = 0xa1b2_040a;
 const OVERSEAS: u32 = 0xa1b2_040b;
+const BLANK: u32 = 0xa1b2_0421;
 const REKEYED: u32 = 0xa1b2_040c;
 
 const TAGGED: u32 = 0xa1b2_040d;
@@ -88,6 +89,8 @@ const CHECKSUM: u32 = 0xa1b2_0413;
 /// The switch's own.
 const V4: &str = "10.0.0.1:31415";
 const V6: &str = "[2001:db8::1]:31415";
+
+const NO_KEY: &str = "00000000000000000000000000000000";
 
 const OWN_BIT: u32 = 2;
 const OWN: u64 = 1 << OWN_BIT;
@@ -103,7 +106,7 @@ const OWN: u64 = 1 << OWN_BIT;
 /// ```
 ///
 /// `old` is a switch whose link has seen more than 2³² frames; `rekeyed` one to which frames leave under the second key.
-/// `abroad` and `overseas` are switches of other domains. `tagged` is on VLAN 5; `inet` and `inet6` are over UDP, each behind a
+/// `blank` is one that is being written or removed, and has no keys. `abroad` and `overseas` are switches of other domains. `tagged` is on VLAN 5; `inet` and `inet6` are over UDP, each behind a
 /// gateway; so is `behind nat`, an endpoint. Of `unresolved` the kernel does not know the MAC address, to `unrouted` it has no route,
 /// and `with checksum` wants one.
 fn switch() -> Switch {
@@ -122,6 +125,7 @@ fn switch() -> Switch {
             Link { taken: OLD_TAKEN.to_vec(), ..neighbour("old", OLD, 2, &[], 1500) },
             Link { role: Role::Border, ..neighbour("abroad", ABROAD, 4, &[], 1500) },
             Link { role: Role::Border, ..neighbour("overseas", OVERSEAS, 5, &[], 1500) },
+            Link { rx_keys: [NO_KEY, NO_KEY].map(String::from), ..neighbour("blank", BLANK, 2, &[], 1500) },
             Link { tx_phase: 1, ..neighbour("rekeyed", REKEYED, 1, &[12], 1500) },
             Link { vlan: 5, ..neighbour("tagged", TAGGED, 4, &[13], 1500) },
             remote("inet", INET, V4, "192.0.2.9:31415", &[14]),
@@ -416,9 +420,11 @@ fn replays() -> Vec<Case> {
 fn keys_in_turn() -> Vec<Case> {
     let second = from(WEST).bits(1 << 3).with(|f| (f.flags, f.key) = (0x80, fixtures::key(&link(WEST).rx_keys[1])));
     let confused = second.clone().with(|f| f.flags = 0);
+    let blank = from(BLANK).bits(1 << 3);
     let to_second = from(ROBOT).to("under the second key");
     let both = from(WEST).bits(1 << 12).with(|f| (f.flags, f.key) = (0x83, fixtures::key(&link(WEST).rx_keys[1])));
     vec![
+        blank.case("the key that everybody knows is none", drop("drop_bad_tag")),
         second.case("under the second key", sends(&second, EAST, 1 << 3).with(|f| f.flags = 0)),
         confused.case("the second key, but the flag of the first", drop("drop_bad_tag")),
         second

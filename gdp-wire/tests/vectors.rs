@@ -144,7 +144,7 @@ fn data() -> Vec<Data> {
     };
     let ones = Frame { destination: [0xff; 32], source: [0xff; 32], egress_bits: u64::MAX, ..all_fields.clone() };
     let vectors = [
-        ("00000000000000000000000000000000", zero),
+        ("01000000000000000000000000000000", zero),
         ("000102030405060708090a0b0c0d0e0f", plain),
         ("f0e0d0c0b0a090807060504030201000", all_fields),
         ("ffffffffffffffffffffffffffffffff", ones),

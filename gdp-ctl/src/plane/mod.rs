@@ -950,9 +950,6 @@ impl Planes {
         }
         self.tables().set_own_bit(config.own_bit);
         self.tables().set_next_hops(&next_hops);
-        if let Ok(kernel) = &mut self.kernel {
-            kernel.forbid_all()?;
-        }
         let readers = self.adopted_readers(&groups);
         self.left = Some(left);
         let mut adopted = Vec::with_capacity(routes.len());
@@ -965,6 +962,10 @@ impl Planes {
             let number = readers.contains_key(&entry.group).then_some(entry.group);
             self.set_route_by_group(name, &route, number)?;
             adopted.push((name, route));
+        }
+        // Not before the entries that say to look for permits are gone: frames go on meanwhile.
+        if let Ok(kernel) = &mut self.kernel {
+            kernel.forbid_all()?;
         }
         if let (Ok(kernel), used) = (&mut self.kernel, &self.groups) {
             let unused = readers.into_keys().filter(|group| used.readers(*group).is_empty());

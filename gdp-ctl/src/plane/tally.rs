@@ -130,9 +130,9 @@ mod tests {
         let tally = Tally::default();
         let name = |i: u32| Name::from_bytes(std::array::from_fn(|at| i.to_be_bytes()[at % 4]));
         for i in 0..4 * BUSIEST_NAMES {
-            tally.sample(0, &name(i));
-            tally.sample(0, &name(7));
-            tally.sample(1, &name(8));
+            tally.sample(1, &name(i));
+            tally.sample(1, &name(7));
+            tally.sample(2, &name(8));
         }
         let busiest = tally.busiest();
         assert_eq!(busiest.len(), BUSIEST_NAMES as usize);

@@ -24,6 +24,9 @@ use crate::rib::{Effect, Limits, Now, Rib, Run};
 /// Switches that reach the RIB through this one; a RIB takes fewer.
 const MAX_DOWNSTREAM: usize = 256;
 
+/// Routes that are tried in vain whenever there may be room: one may need what another does not.
+const MAX_REFUSALS: usize = 16;
+
 /// Links of endpoints. Anybody can make one, so some are left for switches.
 const MAX_ENDPOINTS: usize = (MAX_LINKS - EGRESS_SET_SIZE) as usize;
 
@@ -167,6 +170,8 @@ impl Core {
         let lost = self.held.over(now).into_iter().filter_map(|id| self.release(id)).collect();
         if self.adopted_until.take_if(|until| *until <= now).is_some() {
             tracing::info!("nothing is held any longer from the daemon before this one");
+            let changes = self.routes.end_any_writer();
+            self.carry_out(changes);
             if let Err(error) = self.planes.end_adoption() {
                 tracing::error!(%error, "the data plane keeps something of the daemon before this one");
             }
@@ -567,7 +572,14 @@ impl Core {
                 }
                 Change::NextHops(next_hops) => self.planes.set_next_hops(&next_hops),
                 Change::Set(name, route) => {
-                    self.unplaced.0.insert(name, route);
+                    // At once, so that a name that finds no room holds up no other.
+                    match self.planes.set_route(name, &route) {
+                        Ok(()) => _ = self.unplaced.0.remove(&name),
+                        Err(error) => {
+                            self.unplaced.0.insert(name, route);
+                            self.unplaced.1 = error.to_string();
+                        }
+                    }
                     Ok(())
                 }
                 Change::Remove(name) => {
@@ -584,13 +596,20 @@ impl Core {
 
     /// Gives the data planes the routes they do not hold yet, as far as they take them.
     fn place(&mut self) {
-        while let Some(route) = self.unplaced.0.first_entry() {
-            if let Err(error) = self.planes.set_route(*route.key(), route.get()) {
-                self.unplaced.1 = error.to_string();
-                break;
+        let mut refusals = 0;
+        let (planes, (routes, reason)) = (&mut self.planes, &mut self.unplaced);
+        routes.retain(|name, route| {
+            if refusals == MAX_REFUSALS {
+                return true;
             }
-            route.remove();
-        }
+            match planes.set_route(*name, route) {
+                Ok(()) => false,
+                Err(error) => {
+                    (refusals, *reason) = (refusals + 1, error.to_string());
+                    true
+                }
+            }
+        });
         if let Some(reason) = self.unplaced() {
             tracing::error!("{reason}");
         }

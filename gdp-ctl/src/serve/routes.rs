@@ -352,6 +352,19 @@ impl Routes {
     }
 }
 
+impl Routes {
+    /// From now on only those may send to a name who are known to write it, also where it was held without knowing them.
+    pub fn end_any_writer(&mut self) -> Vec<Change> {
+        let open = self.held.routes.iter().filter(|(_, way)| way.anyone).map(|(name, _)| *name);
+        let close = |routes: &mut Self, name: &Name| {
+            if let Some(way) = routes.held.routes.get_mut(name) {
+                way.anyone = false;
+            }
+        };
+        open.collect::<Vec<_>>().iter().filter_map(|name| self.update(name, |routes| close(routes, name))).collect()
+    }
+}
+
 /// What two layers say of a name, taken together.
 fn join(known: Option<&Way>, held: Option<&Way>) -> Option<Way> {
     let (Some(known), Some(held)) = (known, held) else { return known.or(held).cloned() };

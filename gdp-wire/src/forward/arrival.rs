@@ -59,6 +59,10 @@ fn well_formed(header: &Header, available: usize) -> Result<FrameType, Counter> 
 fn authentic(header: &Header, link: &LinkEntry, window: &impl Words) -> Result<u64, Counter> {
     let count = replay::whole(window, header.link_counter());
     let key = if header.flags & Header::KEY_PHASE != 0 { link.rx_keys[1] } else { link.rx_keys[0] };
+    // An entry that is being written or removed may have no key yet, or no longer; everybody knows that one.
+    if key == [0; 2] {
+        return Err(Counter::BadTag);
+    }
     let tag = siphash24(key, &header.tagged_words(count));
     if tag == header.tag() { Ok(count) } else { Err(Counter::BadTag) }
 }

@@ -338,7 +338,7 @@ mod tests {
     #[test]
     fn a_frame_that_comes_again_on_its_link_is_refused() {
         let mut intakes = subscribed();
-        let (shared, counters) = (SharedEntry::new(LinkEntry::default()), Counters::default());
+        let (shared, counters) = (SharedEntry::new(keyed(0)), Counters::default());
         let entry = shared.get();
         let (events, _asked) = async_mpsc::unbounded_channel();
         let mut take = |link: &Links, counts: &[u64]| {
@@ -388,7 +388,12 @@ mod tests {
     }
 
     fn links() -> Links {
-        Links::new(Ingress::new(SharedEntry::new(LinkEntry::default()), Weak::new()))
+        Links::new(Ingress::new(SharedEntry::new(keyed(0)), Weak::new()))
+    }
+
+    /// A link whose two ends have the same keys.
+    fn keyed(id: u32) -> LinkEntry {
+        LinkEntry { id, peer_id: id, rx_keys: [[1, 2]; 2], tx_keys: [[1, 2]; 2], ..LinkEntry::default() }
     }
 
     fn feedback() -> Feedbacks {
@@ -397,7 +402,7 @@ mod tests {
 
     #[test]
     fn a_link_that_fell_silent_keeps_its_window_through_attempts_to_replace_it() {
-        let entry = |id| SharedEntry::new(LinkEntry { id, ..LinkEntry::default() });
+        let entry = |id| SharedEntry::new(keyed(id));
         let link = |id| Ingress::new(entry(id), Weak::new());
         let until = Instant::now() + Duration::from_secs(60);
         let first = Links::new(link(1));

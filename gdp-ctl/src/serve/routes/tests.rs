@@ -119,6 +119,24 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
 }
 
 #[test]
+fn in_the_end_nobody_writes_who_is_not_known_to() {
+    let mut r = Routes::default();
+    let open = PlaneRoute { egress_bits: 6, readers: vec![], writers: vec![ANY_WRITER] };
+    let routes = vec![(name(1), open.clone()), (name(2), open)];
+    let left = Left { own_bit: 2, links: vec![], routes, next_hops: [0; 64], ports: HashSet::new() };
+    r.adopt(&left, &[]);
+    r.link_up(Role::Endpoint, name(8), 80);
+    let known = Route { writers: vec![name(8)], ..route(1, 6, &[]) };
+    let mut first = push(1, Extent::Full { part: 0, last: true }, vec![known]);
+    first.settling = true;
+    r.push(&first).unwrap();
+    let mut changes = r.end_any_writer();
+    changes.sort_by_key(|change| format!("{change:?}"));
+    assert_eq!(changes, [set(1, 6, &[], &[80]), set(2, 6, &[], &[])]);
+    assert_eq!(r.end_any_writer(), []);
+}
+
+#[test]
 fn another_rib_sweeps_nothing_before_it_has_settled() {
     let mut r = Routes::default();
     r.push(&push(7, Extent::Full { part: 0, last: true }, vec![route(1, 1, &[]), route(2, 1, &[])])).unwrap();
