@@ -84,4 +84,9 @@ impl Tables for Maps<'_> {
     fn may_complain(&self, link: &LinkEntry) -> bool {
         links::may_complain(link)
     }
+
+    #[inline(always)]
+    fn complain(&self, link: &LinkEntry) {
+        links::complain(link);
+    }
 }

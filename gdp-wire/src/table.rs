@@ -312,8 +312,11 @@ pub trait Tables {
     /// that is not the last.
     fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool;
 
-    /// Whether an error may go to the neighbour on this link now. Each that may counts against a rate.
+    /// Whether an error may go to the neighbour on this link now: [`COMPLAINT_INTERVAL_NS`] after the last.
     fn may_complain(&self, link: &LinkEntry) -> bool;
+
+    /// Says that an error goes to the neighbour on this link now.
+    fn complain(&self, link: &LinkEntry);
 }
 
 /// Index of the entry of link `id`.

@@ -543,6 +543,10 @@ fn echoes_and_errors() -> Vec<Case> {
         asked.clone().with(|f| f.tag = Some(1)).case("an echo that the neighbour did not send", drop("drop_bad_tag")),
         notice(echo(from(WEST)).with(|f| f.egress_set = 1), "the answer to an echo is for the daemon"),
         notice(error.clone(), "and so is an error"),
+        from(ROBOT)
+            .bits(9)
+            .with(|f| (f.version_type, f.hop_limit, f.egress_set, f.payload) = (0x12, 1, 1, vec![]))
+            .case("an endpoint has nothing to refuse", drop("drop_unknown")),
         error.with(|f| f.tag = Some(1)).case("but not one that the neighbour did not send", drop("drop_bad_tag")),
     ]
 }

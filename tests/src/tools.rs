@@ -2,19 +2,20 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 
 /// The executables of this project, and the foreign DDS programs.
 #[derive(Clone, Debug)]
 pub struct Tools {
     executables: PathBuf,
     target: PathBuf,
+    ebpf_object: &'static str,
 }
 
 impl Tools {
     /// `executables`: the folder of `gdp-ctl`, `gdp-proxy` and the eBPF object; `target`: Cargo's target folder.
     pub fn new(executables: PathBuf, target: PathBuf) -> Self {
-        Self { executables, target }
+        Self { executables, target, ebpf_object: "gdp-ebpf" }
     }
 
     /// For a test: the executables of the profile it was itself built with (`target/PROFILE/deps/TEST`).
@@ -35,12 +36,20 @@ impl Tools {
     }
 
     pub fn ebpf_object(&self) -> Result<PathBuf> {
-        existing(self.executables.join("gdp-ebpf"), "cargo xtask build")
+        existing(self.executables.join(self.ebpf_object), "cargo xtask test")
     }
 
     /// The programs that benchmarks and tests put around the switch.
     pub fn ebpf_bench_object(&self) -> Result<PathBuf> {
         existing(self.target.join("bpf/bpfel-unknown-none/release/gdp-ebpf-bench"), "cargo xtask build")
+    }
+
+    /// From now on the XDP programs are those of another build, of the same source.
+    pub fn rebuild(&mut self) -> Result<()> {
+        let before = std::fs::read(self.ebpf_object()?)?;
+        self.ebpf_object = "gdp-ebpf-rebuilt";
+        ensure!(std::fs::read(self.ebpf_object()?)? != before, "the other build made the same");
+        Ok(())
     }
 
     /// The compiled Fast DDS peer.

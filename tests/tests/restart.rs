@@ -66,7 +66,8 @@ fn no_message_is_lost_when_a_daemon_is_killed_and_another_takes_over() -> Result
     ensure!(fabric.switches[0].process.stderr().contains("took over"), "{}", fabric.report());
     traffic.nothing_is_missing()?;
 
-    // Once more while the first is still held, and before anybody notices.
+    // Once more while the first is still held, and before anybody notices; the next one is of another build.
+    fabric.tools.rebuild()?;
     fabric.switches[0].process.kill()?;
     fabric.start_again(0)?;
     wait_for("both nodes to have made their links anew", RECOVERY, || {

@@ -42,18 +42,27 @@ pub fn executables(profile: Profile) -> Result<()> {
 
 /// Compiles `gdp-ebpf` with the compiler that [`EbpfCompiler`] finds, to [`workspace::ebpf_object`].
 pub fn ebpf() -> Result<()> {
-    shell::run(&mut ebpf_cargo("build")?)?;
+    shell::run(&mut ebpf_cargo("build", "bpf")?)?;
     let built = workspace::target().join("bpf/bpfel-unknown-none/release/gdp-ebpf");
     copy_if_changed(&built, &workspace::ebpf_object())
 }
 
-/// The shipped programs with a hop tag that costs nothing, for `bench forward`, to [`workspace::ebpf_untagged_object`].
-pub fn ebpf_untagged() -> Result<()> {
-    shell::run(ebpf_cargo("build")?.args(["--package", "gdp-ebpf-untagged"]))
+/// The same programs in other instructions, as a later build has them: what a daemon that takes over may come with. Beside the
+/// executables, as `gdp-ebpf-rebuilt`.
+pub fn ebpf_rebuilt(profile: Profile) -> Result<()> {
+    let mut command = ebpf_cargo("build", "bpf-rebuilt")?;
+    shell::run(command.args(["--bin", "gdp-ebpf", "--config", "profile.release.opt-level=2"]))?;
+    let built = workspace::target().join("bpf-rebuilt/bpfel-unknown-none/release/gdp-ebpf");
+    copy_if_changed(&built, &profile.executables().join("gdp-ebpf-rebuilt"))
 }
 
-/// `cargo VERB --release` for the eBPF target, in the eBPF workspace.
-fn ebpf_cargo(verb: &str) -> Result<Command> {
+/// The shipped programs with a hop tag that costs nothing, for `bench forward`, to [`workspace::ebpf_untagged_object`].
+pub fn ebpf_untagged() -> Result<()> {
+    shell::run(ebpf_cargo("build", "bpf")?.args(["--package", "gdp-ebpf-untagged"]))
+}
+
+/// `cargo VERB --release` for the eBPF target, in the eBPF workspace, into a folder of Cargo's target folder.
+fn ebpf_cargo(verb: &str, into: &str) -> Result<Command> {
     let Some(compiler) = EbpfCompiler::find() else { bail!("no compiler for eBPF: run `cargo xtask setup`") };
     let Some(linker) = setup::bpf_linker() else { bail!("no bpf-linker: run `cargo xtask setup`") };
     let mut command = Command::new("cargo");
@@ -62,7 +71,7 @@ fn ebpf_cargo(verb: &str) -> Result<Command> {
     }
     command
         .args([verb, "--release", "--target", "bpfel-unknown-none", "--target-dir"])
-        .arg(workspace::target().join("bpf"))
+        .arg(workspace::target().join(into))
         .current_dir(workspace::root().join("gdp-ebpf"))
         .env("RUSTFLAGS", format!("-C target-cpu=v3 -C debuginfo=2 -C link-arg=--btf -C linker={}", linker.display()))
         .env_remove("RUSTUP_TOOLCHAIN")

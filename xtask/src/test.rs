@@ -32,6 +32,7 @@ pub fn run(options: Options) -> Result<()> {
     }
     setup::ensure(&[Part::Ebpf, Part::Namespaces, Part::Dds])?;
     build::all(Profile::Checked)?;
+    build::ebpf_rebuilt(Profile::Checked)?;
     peers::build()?;
     let mut command = tests(&options);
     // Named one by one over the whole workspace, and not with `-p gdp-tests`: Cargo would choose other features for the

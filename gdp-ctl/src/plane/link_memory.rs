@@ -80,14 +80,14 @@ impl LinkMemory {
         &windows[link_index(id) as usize]
     }
 
-    /// Whether an error may leave by the link now; it then counts as sent.
+    /// Whether an error may leave by the link now.
     pub fn may_complain(&self, id: u32) -> bool {
-        let (last, now) = (self.complaint(id), coarse_monotonic_ns());
-        let may = now.wrapping_sub(last.load(Ordering::Relaxed)) >= COMPLAINT_INTERVAL_NS;
-        if may {
-            last.store(now, Ordering::Relaxed);
-        }
-        may
+        coarse_monotonic_ns().wrapping_sub(self.complaint(id).load(Ordering::Relaxed)) >= COMPLAINT_INTERVAL_NS
+    }
+
+    /// Says that one leaves now.
+    pub fn complain(&self, id: u32) {
+        self.complaint(id).store(coarse_monotonic_ns(), Ordering::Relaxed);
     }
 
     /// Lets the next error leave by the link at once.
@@ -150,7 +150,9 @@ mod tests {
         let successor = a ^ 0x2000_0000;
         memory.begin(successor);
         assert_eq!(memory.next_count(successor), 1);
-        assert!(memory.may_complain(a) && !memory.may_complain(a) && memory.may_complain(b), "each has its rate");
+        assert!(memory.may_complain(a));
+        memory.complain(a);
+        assert!(!memory.may_complain(a) && memory.may_complain(b), "each has its rate");
         assert!(replay::take(memory.window(successor), 5));
         assert!(!replay::take(memory.window(b), 5));
     }

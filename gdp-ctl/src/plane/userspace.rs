@@ -245,4 +245,8 @@ impl Tables for UserTables {
     fn may_complain(&self, link: &LinkEntry) -> bool {
         self.link_memory.may_complain(link.id)
     }
+
+    fn complain(&self, link: &LinkEntry) {
+        self.link_memory.complain(link.id);
+    }
 }

@@ -26,6 +26,7 @@ pub fn complain<'t, T: Tables>(
     let is_multicast = ingress.role == crate::LinkRole::Switch as u32 && bits & bits.wrapping_sub(1) != 0;
     match refusal.code {
         Some(code) if !is_multicast && tables.may_complain(ingress) && (T::LAST || tables.can_send(ingress)) => {
+            tables.complain(ingress);
             header.become_error(code, refusal.mtu);
             stamp(header, ingress, tables.next_count(ingress));
             Verdict::Answer(ingress, refusal.counter)

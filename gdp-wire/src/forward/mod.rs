@@ -17,7 +17,7 @@ use crate::header::FrameType;
 use crate::replay;
 use crate::siphash::siphash24;
 use crate::table::Tables;
-use crate::{Counter, Header, LinkEntry};
+use crate::{Counter, Header, LinkEntry, LinkRole};
 
 use arrival::{Arrival, arrival};
 use route::{Egress, Refusal, is_foreign, route};
@@ -128,6 +128,9 @@ fn fate<'t, T: Tables>(header: &Header, ingress: &'t LinkEntry, tables: &'t T) -
         }
     } else if header.version_type == FrameType::Echo.first_byte() && header.egress_set == Header::ASKS {
         Fate { what: What::Echo, ..none }
+    } else if header.version_type == FrameType::Error.first_byte() && ingress.role == LinkRole::Endpoint as u32 {
+        // Nothing is sent to an endpoint that it could refuse.
+        Fate { what: What::Refuse, ..none }
     } else {
         none
     }
@@ -138,7 +141,7 @@ fn is_for_this_plane<T: Tables>(fate: &Fate<'_>, length: usize, tables: &T) -> b
     match fate.what {
         What::Send | What::Echo => tables.can_send(fate.link),
         What::Copy => tables.can_copy(fate.group, fate.bits, length),
-        What::Refuse => true,
+        What::Refuse => fate.refusal.code.is_none() || !tables.may_complain(fate.link) || tables.can_send(fate.link),
         What::Notice => false,
     }
 }

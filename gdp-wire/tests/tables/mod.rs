@@ -168,6 +168,8 @@ impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
     fn may_complain(&self, _: &LinkEntry) -> bool {
         true
     }
+
+    fn complain(&self, _: &LinkEntry) {}
 }
 
 fn window(taken: &[u64]) -> Window {
