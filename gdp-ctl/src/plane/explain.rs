@@ -21,7 +21,7 @@ pub fn program(error: &ProgramError) -> String {
         ProgramError::LoadError { io_error, verifier_log } => match io_error.raw_os_error() {
             Some(libc::EPERM) => privileges(),
             // The verifier allows arithmetic on packet pointers only to who has CAP_PERFMON.
-            Some(libc::EACCES) if verifier_log.to_string().contains("prohibited for !root") => privileges(),
+            Some(libc::EACCES) if verifier_log.to_string().contains("prohibited") => privileges(),
             _ => format!(
                 "the kernel's verifier refused the program ({io_error}): {}",
                 last_lines(&verifier_log.to_string(), 5)
