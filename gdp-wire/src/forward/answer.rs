@@ -3,7 +3,7 @@
 use super::route::Refusal;
 use super::{Verdict, stamp};
 use crate::table::Tables;
-use crate::{Counter, Header, LinkEntry};
+use crate::{Counter, Header, LinkEntry, LinkRole};
 
 /// Answers an echo.
 #[inline(always)]
@@ -13,8 +13,17 @@ pub fn echo<'t, T: Tables>(header: &mut Header, ingress: &'t LinkEntry, tables: 
     Verdict::Answer(ingress, Counter::Echoed)
 }
 
-/// Drops a data frame, and tells the neighbour why if it should know: not about frames for several egress switches, and
-/// not faster than the link's rate.
+/// A refusal, with a code only if the neighbour is to be told of it: not about frames for several egress switches, and not
+/// faster than the link's rate.
+#[inline(always)]
+pub fn as_told<T: Tables>(refusal: Refusal, header: &Header, ingress: &LinkEntry, tables: &T) -> Refusal {
+    let bits = header.egress_bits();
+    let is_multicast = ingress.role == LinkRole::Switch as u32 && bits & bits.wrapping_sub(1) != 0;
+    let told = refusal.code.is_some() && !is_multicast && tables.may_complain(ingress);
+    Refusal { code: if told { refusal.code } else { None }, ..refusal }
+}
+
+/// Drops a data frame, and tells the neighbour why if the refusal has a code.
 #[inline(always)]
 pub fn complain<'t, T: Tables>(
     header: &mut Header,
@@ -22,15 +31,9 @@ pub fn complain<'t, T: Tables>(
     ingress: &'t LinkEntry,
     tables: &T,
 ) -> Verdict<'t> {
-    let bits = header.egress_bits();
-    let is_multicast = ingress.role == crate::LinkRole::Switch as u32 && bits & bits.wrapping_sub(1) != 0;
-    match refusal.code {
-        Some(code) if !is_multicast && tables.may_complain(ingress) && (T::LAST || tables.can_send(ingress)) => {
-            tables.complain(ingress);
-            header.become_error(code, refusal.mtu);
-            stamp(header, ingress, tables.next_count(ingress));
-            Verdict::Answer(ingress, refusal.counter)
-        }
-        _ => Verdict::Drop(refusal.counter),
-    }
+    let Some(code) = refusal.code else { return Verdict::Drop(refusal.counter) };
+    tables.complain(ingress);
+    header.become_error(code, refusal.mtu);
+    stamp(header, ingress, tables.next_count(ingress));
+    Verdict::Answer(ingress, refusal.counter)
 }

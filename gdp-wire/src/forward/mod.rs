@@ -124,7 +124,10 @@ fn fate<'t, T: Tables>(header: &Header, ingress: &'t LinkEntry, tables: &'t T) -
         match route(header, header.frame_len(), ingress, tables) {
             Ok(Egress::One { link, bits, set, counter }) => Fate { what: What::Send, link, bits, set, counter, ..none },
             Ok(Egress::Many { group, bits, set }) => Fate { what: What::Copy, group, bits, set, ..none },
-            Err(refusal) => Fate { what: What::Refuse, refusal, ..none },
+            Err(refusal) => {
+                let refusal = answer::as_told(refusal, header, ingress, tables);
+                Fate { what: What::Refuse, refusal, ..none }
+            }
         }
     } else if header.version_type == FrameType::Echo.first_byte() && header.egress_set == Header::ASKS {
         Fate { what: What::Echo, ..none }
@@ -141,7 +144,7 @@ fn is_for_this_plane<T: Tables>(fate: &Fate<'_>, length: usize, tables: &T) -> b
     match fate.what {
         What::Send | What::Echo => tables.can_send(fate.link),
         What::Copy => tables.can_copy(fate.group, fate.bits, length),
-        What::Refuse => fate.refusal.code.is_none() || !tables.may_complain(fate.link) || tables.can_send(fate.link),
+        What::Refuse => fate.refusal.code.is_none() || tables.can_send(fate.link),
         What::Notice => false,
     }
 }
