@@ -72,17 +72,18 @@ pub fn find(packet: &Packet, length: usize) -> Option<Carried> {
     })
 }
 
+/// What is in front of a frame, if there is room for it.
+#[inline(always)]
+fn headers(packet: &Packet) -> Option<(*mut Ethernet, *mut Ipv4, *mut Udp)> {
+    let behind = ethernet::LEN + size_of::<Ipv4>();
+    Some((packet.get(0)?, packet.get(ethernet::LEN)?, packet.get(behind)?))
+}
+
 /// Sends a datagram back to where it came from: only that its sender's address is on this host makes sense of it there. `false` if
 /// it is none.
 #[inline(always)]
 pub fn turn_back(packet: &Packet) -> bool {
-    let (Some(ethernet), Some(ip), Some(udp)) = (
-        packet.get::<Ethernet>(0),
-        packet.get::<Ipv4>(ethernet::LEN),
-        packet.get::<Udp>(ethernet::LEN + size_of::<Ipv4>()),
-    ) else {
-        return false;
-    };
+    let Some((ethernet, ip, udp)) = headers(packet) else { return false };
     // SAFETY: `get` checked the bounds.
     unsafe {
         if (*ethernet).ethertype != ethernet::IPV4.to_be() {
@@ -104,13 +105,7 @@ pub fn turn_back(packet: &Packet) -> bool {
 #[inline(always)]
 pub fn dress(context: &XdpContext, carrier: &Carrier, routed: bool, hop: &NextHop, class: u8, length: u16) -> bool {
     let packet = Packet::of(context);
-    let (Some(ethernet), Some(ip), Some(udp)) = (
-        packet.get::<Ethernet>(0),
-        packet.get::<Ipv4>(ethernet::LEN),
-        packet.get::<Udp>(ethernet::LEN + size_of::<Ipv4>()),
-    ) else {
-        return false;
-    };
+    let Some((ethernet, ip, udp)) = headers(&packet) else { return false };
     let class = class << 5;
     let (ip_length, fragment) = ((length + HEADERS as u16).to_be(), DO_NOT_FRAGMENT.to_be());
     let (source, destination) = (carrier.local_ip[0], carrier.peer_ip[0]);
