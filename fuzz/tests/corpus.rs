@@ -5,6 +5,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use gdp_fuzz::{TARGETS, seeds};
+use gdp_tests::frames::generate::Random;
 
 /// Of all cases of a target.
 const MUTANTS: usize = 5000;
@@ -41,26 +42,12 @@ fn mutated(bytes: &[u8], other: &[u8], random: &mut Random) -> Vec<u8> {
         let at = random.below(bytes.len().max(1));
         match random.below(5) {
             0 => bytes.truncate(at),
-            1 => bytes.insert(at.min(bytes.len()), random.next() as u8),
+            1 => bytes.insert(at.min(bytes.len()), random.word() as u8),
             2 => bytes.splice(at.min(bytes.len()).., other.iter().skip(at).copied()).for_each(drop),
             _ if bytes.is_empty() => {}
             3 => bytes[at] ^= 1 << random.below(8),
-            _ => bytes[at] = random.next() as u8,
+            _ => bytes[at] = random.word() as u8,
         }
     }
     bytes
-}
-
-/// The same in every run.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        self.0 ^ self.0 >> 29
-    }
-
-    fn below(&mut self, limit: usize) -> usize {
-        (self.next() >> 8) as usize % limit
-    }
 }

@@ -5,8 +5,6 @@
 //!  other:e0 ──── m0:switch
 //! ```
 
-use std::path::PathBuf;
-use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -14,6 +12,7 @@ use anyhow::{Context, Result, ensure};
 use gdp_ctl::plane::kernel::{KernelPlane, Mode, pinned_stats};
 use gdp_ctl::plane::pins::{self, Pins};
 use gdp_tests::Tools;
+use gdp_tests::fabric::Mounted;
 use gdp_tests::frames::Frame;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
@@ -275,15 +274,6 @@ fn start(mode: Mode, pins: Option<Pins>) -> Result<KernelPlane> {
     let (local_link, writer_link) = (LINKS[RIGHT].0, ANY_WRITER);
     plane.set_route(&TOPIC, FibEntry { egress_bits: OWN_BIT, local_link, writer_link, ..FibEntry::default() })?;
     Ok(plane)
-}
-
-struct Mounted(PathBuf);
-
-impl Drop for Mounted {
-    fn drop(&mut self) {
-        // With all that is pinned there.
-        let _ = execute(Command::new("umount").arg("--lazy").arg(&self.0));
-    }
 }
 
 /// Keeps the calling thread on one processor.

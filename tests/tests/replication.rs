@@ -4,7 +4,6 @@ mod star;
 
 use std::collections::HashSet;
 use std::path::PathBuf;
-use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
 use gdp::port::Interface;
@@ -12,8 +11,9 @@ use gdp_ctl::plane::group_places::Member;
 use gdp_ctl::plane::kernel::{KernelPlane, Mode, pinned_stats};
 use gdp_ctl::plane::{PinPlace, PlaneConfig, pins};
 use gdp_tests::Tools;
+use gdp_tests::fabric::Mounted;
 use gdp_tests::frames::fixtures::{self, Bytes, Fixtures, Verdict};
-use gdp_tests::netns::{Door, execute};
+use gdp_tests::netns::Door;
 use gdp_tests::process::Process;
 use gdp_tests::wait::wait_for;
 use gdp_wire::table::{MAX_COPIED_FRAME, MAX_COPIES};
@@ -408,16 +408,6 @@ fn every_fixture_with_copies() -> Result<()> {
     }
     ensure!(copied.count() > 10);
     Ok(())
-}
-
-/// A file system that is unmounted, and with it all that is pinned there.
-struct Mounted(PathBuf);
-
-impl Drop for Mounted {
-    fn drop(&mut self) {
-        // Not mounted, if no process came so far.
-        let _ = execute(Command::new("umount").arg("--lazy").arg(&self.0));
-    }
 }
 
 fn copies_to(group: Vec<Leaf>, interfaces: usize) -> Result<()> {

@@ -26,6 +26,7 @@ use gdp::port::{LinkAddr, Port, PortConfig};
 use gdp_ctl::plane::kernel::pinned_stats;
 use gdp_ctl::plane::{PinPlace, PlaneConfig, pins};
 use gdp_tests::Tools;
+use gdp_tests::fabric::Mounted;
 use gdp_tests::frames::{Frame, carrier};
 use gdp_tests::netns::{Door, End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
@@ -222,16 +223,6 @@ fn switch_process() -> Result<()> {
     println!("\n{{\"first\": {is_first}}}");
     loop {
         std::thread::park();
-    }
-}
-
-/// A file system that is unmounted, and with it all that is pinned there.
-struct Mounted(PathBuf);
-
-impl Drop for Mounted {
-    fn drop(&mut self) {
-        // Not mounted, if no process came so far.
-        let _ = execute(std::process::Command::new("umount").arg("--lazy").arg(&self.0));
     }
 }
 

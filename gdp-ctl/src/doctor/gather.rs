@@ -6,7 +6,6 @@ use std::io;
 use std::net::{SocketAddr, UdpSocket};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::os::unix::ffi::OsStrExt;
-use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -111,13 +110,12 @@ fn load(config: &Config) -> Result<Loaded, String> {
 }
 
 fn left_over(bpffs: &Path) -> Vec<LeftOver> {
-    let here = std::fs::metadata("/proc/thread-self/ns/net").map_or(0, |namespace| namespace.ino());
     let found = pins::find(bpffs).unwrap_or_default();
     let found = found.iter().map(|found| LeftOver {
         folder: found.folder.display().to_string(),
         abi: found.abi,
         daemon: matches!(Pins::of(found), Err(PinsError::InUse(_))),
-        here: found.namespace == here,
+        here: found.is_of_this_namespace(),
     });
     found.collect()
 }

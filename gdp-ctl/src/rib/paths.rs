@@ -71,11 +71,6 @@ impl Topology {
         self.switches.get(switch).map(|s| s.bit)
     }
 
-    /// All switches that have reported.
-    pub fn switches(&self) -> impl Iterator<Item = &Name> {
-        self.switches.keys()
-    }
-
     /// What a switch last reported.
     pub fn neighbours(&self, switch: &Name) -> impl Iterator<Item = (&Name, u32)> {
         self.switches.get(switch).into_iter().flat_map(|s| s.neighbours.iter().map(|(name, cost)| (name, *cost)))

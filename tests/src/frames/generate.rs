@@ -100,7 +100,7 @@ impl Generator {
         };
         if self.random.one_in(64) {
             frame.carrier = match frame.carrier {
-                Carrier::Ethernet => Carrier::Vlan(self.random.next() as u16),
+                Carrier::Ethernet => Carrier::Vlan(self.random.word() as u16),
                 Carrier::Vlan(control) => Carrier::Vlan(control ^ 1 << self.random.below(16)),
                 Carrier::Udp { from, mut to, class } => {
                     to.set_port(to.port() ^ 1 << self.random.below(16));
@@ -132,7 +132,7 @@ impl Generator {
             egress_set: random.one_of(&[0, 0, 0, 3, 255]),
             egress_bits: match (sender.link.role, random.below(8)) {
                 (Role::Endpoint, 1..) => 0,
-                (_, 0) => random.next(),
+                (_, 0) => random.word(),
                 (_, 1) => 0,
                 (_, 2 | 3) => 1 << self.switch.own_bit,
                 (_, 4) => 1 << self.switch.own_bit | 1 << random.below(14),
@@ -140,16 +140,16 @@ impl Generator {
                 _ => 1 << random.below(64),
             },
             destination: match random.below(32) {
-                0 => std::array::from_fn(|_| random.next() as u8),
+                0 => std::array::from_fn(|_| random.word() as u8),
                 1..=15 if !sender.destinations.is_empty() => random.one_of(&sender.destinations),
                 _ => random.one_of(&self.names),
             },
             source: match random.below(24) {
-                0 => std::array::from_fn(|_| random.next() as u8),
+                0 => std::array::from_fn(|_| random.word() as u8),
                 1 => random.one_of(&self.names),
                 _ => random.one_of(&sender.sources),
             },
-            payload: vec![random.next() as u8; random.one_of(&self.sizes)],
+            payload: vec![random.word() as u8; random.one_of(&self.sizes)],
             padding: random.one_of(&[0, 0, 0, 0, 1, 30]),
             ..Frame::default()
         };
@@ -158,14 +158,14 @@ impl Generator {
         }
         if random.one_in(5) {
             match random.below(10) {
-                0 => frame.version_type = random.next() as u8,
+                0 => frame.version_type = random.word() as u8,
                 1..=3 => frame.version_type = random.one_of(&[0x11, 0x12, 0x13, 0x14, 0x14]),
-                4 => frame.flags = random.next() as u8,
+                4 => frame.flags = random.word() as u8,
                 5 => frame.flags = 0x80,
                 6 => frame.header_words = random.one_of(&[0, 1, 11, 13, 255]),
                 7 => frame.payload_len = Some(random.one_of(&[0, 1, 5, 7, 1404, 1405, 65535])),
-                8 => frame.reserved = random.next() as u8,
-                _ => frame.egress_set = random.next() as u8,
+                8 => frame.reserved = random.word() as u8,
+                _ => frame.egress_set = random.word() as u8,
             }
         }
         // Under the key that the flags say, or now and then the other one, or another link's.
@@ -176,7 +176,7 @@ impl Generator {
             _ => sender.keys[phase],
         };
         if random.one_in(40) {
-            frame.tag = Some(random.next());
+            frame.tag = Some(random.word());
         }
         frame
     }
@@ -189,7 +189,7 @@ impl Generator {
             1 => frame.resize(frame.len() + random.below(200), 0),
             2 => (0..=random.below(4)).for_each(|_| {
                 let at = random.below(frame.len());
-                frame[at] = random.next() as u8;
+                frame[at] = random.word() as u8;
             }),
             // In the headers, where it matters.
             3 => {
@@ -223,17 +223,17 @@ impl Generator {
     }
 }
 
-/// A linear congruential generator.
-struct Random(u64);
+/// A linear congruential generator: the same numbers in every run.
+pub struct Random(pub u64);
 
 impl Random {
-    fn next(&mut self) -> u64 {
+    pub fn word(&mut self) -> u64 {
         self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         self.0 ^ self.0 >> 29
     }
 
-    fn below(&mut self, limit: usize) -> usize {
-        (self.next() >> 8) as usize % limit
+    pub fn below(&mut self, limit: usize) -> usize {
+        (self.word() >> 8) as usize % limit
     }
 
     fn one_in(&mut self, times: usize) -> bool {
