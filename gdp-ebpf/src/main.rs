@@ -5,8 +5,8 @@
 //! [`carrier`], what is around a frame; and [`next_hop`]. Only this file turns outcomes into XDP actions and counters.
 //!
 //! [`gdp_switch`] runs where a frame arrives, [`gdp_egress`] where the kernel has been told to send it. The second is there for the
-//! copies of a frame; but the kernel runs one program over all frames that leave by an interface together, so every frame
-//! comes by it.
+//! copies of a frame; but the kernel runs one program over all frames that leave by an interface together, so where copies
+//! leave every frame comes by it.
 //!
 //! Of both there are two that do the same. Those above take packets that span several buffers (MTU above about 3500), which
 //! kernels before 5.18 cannot; for those there are [`gdp_switch_linear`] and [`gdp_egress_linear`]. The first of these is also the

@@ -10,6 +10,8 @@ use gdp_wire::table::NEIGHBOURS;
 pub struct Groups {
     by_readers: HashMap<Box<[u32]>, u32>,
     used: HashMap<u32, Group>,
+    /// Whether a name without local readers leads to several neighbours.
+    neighbours_fork: bool,
     /// Below the highest number that was used.
     free: BTreeSet<u32>,
     highest: u32,
@@ -18,6 +20,8 @@ pub struct Groups {
 struct Group {
     readers: Box<[u32]>,
     names: usize,
+    /// Whether one of its names, by its egress bits, leads to several links from here.
+    forks: bool,
 }
 
 impl Groups {
@@ -44,7 +48,7 @@ impl Groups {
         self.free.remove(&number);
         self.highest = self.highest.max(number);
         self.by_readers.insert(readers.into(), number);
-        self.used.insert(number, Group { readers: readers.into(), names: 1 });
+        self.used.insert(number, Group { readers: readers.into(), names: 1, forks: false });
         (number, true)
     }
 
@@ -60,6 +64,26 @@ impl Groups {
         }
         self.free.insert(number);
         true
+    }
+
+    /// From now on, until its last name goes, the group has a name that leads to several links from here; `true` if it had none.
+    pub fn fork(&mut self, number: u32) -> bool {
+        let forks = match self.used.get_mut(&number) {
+            Some(group) => &mut group.forks,
+            None if number == NEIGHBOURS => &mut self.neighbours_fork,
+            None => return false,
+        };
+        !std::mem::replace(forks, true)
+    }
+
+    /// Whether frames for the group can need copies, where so many links lead to switches. A frame from a neighbour can be for all the
+    /// other links, whatever the routes here say; one from an endpoint is for those that its name's route says.
+    pub fn makes_copies(&self, number: u32, neighbours: usize) -> bool {
+        let (readers, forks) = match self.used.get(&number) {
+            Some(group) => (group.readers.len(), group.forks),
+            None => (0, number == NEIGHBOURS && self.neighbours_fork),
+        };
+        forks || neighbours + readers > 2 && neighbours > 0
     }
 
     /// The local readers of a group.
@@ -91,6 +115,21 @@ mod tests {
         assert_eq!(groups.take(&[9]), (3, true));
         assert!(!groups.release(NEIGHBOURS) && !groups.release(99), "not ours to free");
         assert_eq!(groups.iter().count(), 3);
+    }
+
+    #[test]
+    fn only_where_a_frame_has_two_ways_to_go_are_copies_made() {
+        let mut groups = Groups::default();
+        let (one, two) = (groups.take(&[7]).0, groups.take(&[7, 9]).0);
+        assert!(
+            [(NEIGHBOURS, 2), (one, 1), (one, 0), (two, 0)].iter().all(|(group, n)| !groups.makes_copies(*group, *n))
+        );
+        assert!([(NEIGHBOURS, 3), (one, 2), (two, 1)].iter().all(|(group, n)| groups.makes_copies(*group, *n)));
+        assert!(groups.fork(two) && !groups.fork(two) && groups.fork(NEIGHBOURS) && !groups.fork(99));
+        assert!(groups.makes_copies(two, 0) && groups.makes_copies(NEIGHBOURS, 2) && !groups.makes_copies(one, 1));
+        groups.release(two);
+        let another = groups.take(&[3, 4]).0;
+        assert!(!groups.makes_copies(another, 0));
     }
 
     #[test]

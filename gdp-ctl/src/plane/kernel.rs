@@ -183,8 +183,10 @@ pub struct KernelPlane {
     next_hop: Array<MapData, u32>,
     config: Array<MapData, SwitchConfig>,
     ports: DevMapHash<MapData>,
-    /// The program of what leaves by a port.
+    /// The program of what leaves by a port that copies leave by.
     egress: ProgramFd,
+    /// The interfaces of such ports; see [`Self::set_group`].
+    copied_to: HashSet<u32>,
     copy_counts: PerCpuHashMap<MapData, u32, CopyCount>,
     groups: KernelGroups,
     addresses: HashMap<MapData, LocalAddress, u32>,
@@ -273,6 +275,7 @@ impl KernelPlane {
         let windows: Array<MapData, [u64; WORDS]> = maps.take("WINDOWS")?;
         let complaints: Array<MapData, u64> = maps.take("COMPLAINTS")?;
         let groups = GroupMaps { groups, served: maps.take("SERVED")?, places: maps.take("PLACES")? };
+        let groups = KernelGroups::open(groups, of_groups, pins.as_ref().map(|pins| pins.folder().to_owned()))?;
         let shared = LinkMaps { counts: &tx_counters, windows: &windows, complaints: &complaints };
         Ok(Self {
             switches,
@@ -285,7 +288,8 @@ impl KernelPlane {
             ports: maps.take("PORTS")?,
             egress,
             copy_counts: maps.take("COUNTED")?,
-            groups: KernelGroups::open(groups, of_groups, pins.as_ref().map(|pins| pins.folder().to_owned()))?,
+            copied_to: groups.interfaces(),
+            groups,
             addresses: maps.take("ADDRESSES")?,
             vlans: maps.take("VLANS")?,
             counters: maps.take("COUNTERS")?,
@@ -311,19 +315,21 @@ impl KernelPlane {
             *link = self.next_hop.get(&bit, 0).map_err(update("NEXT_HOP"))?;
         }
         let links: Vec<LinkEntry> = self.links.iter().collect::<Result<_, _>>().map_err(update("LINKS"))?;
-        let mut ports = Vec::new();
-        for port in self.ports.keys() {
-            let port = port.map_err(update("PORTS"))?;
-            ports.extend(self.ports.get(port, 0).ok().map(|value| (port, value.if_index)));
-        }
         Ok(Some(Adopted {
             config,
             links: links.into_iter().filter(|link| link.id != 0).collect(),
             routes: self.routes().collect(),
             next_hops,
-            ports,
+            ports: self.ports_there().collect(),
             groups: self.groups.found(),
         }))
+    }
+
+    /// The ports whose interfaces are there, with those.
+    fn ports_there(&self) -> impl Iterator<Item = (u32, u32)> {
+        self.ports
+            .keys()
+            .filter_map(|port| port.ok().and_then(|port| Some((port, self.ports.get(port, 0).ok()?.if_index))))
     }
 
     /// Attaches the switch to an interface of this network namespace.
@@ -408,12 +414,22 @@ impl KernelPlane {
     /// Makes `port` lead to an interface of this network namespace.
     pub fn set_port(&mut self, port: u32, ifindex: u32) -> Result<(), UpdateError> {
         self.count_copies_at(ifindex)?;
-        self.ports.insert(port, ifindex, Some(&self.egress), 0).map_err(|source| match &source {
-            aya::maps::xdp::XdpMapError::MapError(error) if is_full(error) => UpdateError::PortsFull,
-            _ => UpdateError::Port { port, ifindex, source },
-        })?;
+        self.write_port(port, ifindex)?;
         self.watch_losses();
         Ok(())
+    }
+
+    fn write_port(&mut self, port: u32, ifindex: u32) -> Result<(), UpdateError> {
+        let egress = self.copied_to.contains(&ifindex).then_some(&self.egress);
+        self.ports.insert(port, ifindex, egress, 0).map_err(|source| match &source {
+            aya::maps::xdp::XdpMapError::MapError(error) if is_full(error) => UpdateError::PortsFull,
+            _ => UpdateError::Port { port, ifindex, source },
+        })
+    }
+
+    /// Does not count what is lost after redirects.
+    pub fn forgo_losses(&mut self) {
+        self.uncounted = Some(LossesError::Unwanted);
     }
 
     /// Counts what is lost between the interfaces that ports lead to. Forwarding does not depend on it.
@@ -421,8 +437,7 @@ impl KernelPlane {
         if self.uncounted.is_some() {
             return;
         }
-        let ports = self.ports.keys().filter_map(|port| Some(self.ports.get(port.ok()?, 0).ok()?.if_index));
-        let interfaces: Vec<u32> = ports.collect();
+        let interfaces: Vec<u32> = self.ports_there().map(|(_, ifindex)| ifindex).collect();
         let started = self.losses.start(&mut self.ebpf, self.pins.as_ref());
         self.uncounted = started.and_then(|()| self.losses.watch(&interfaces)).err();
     }
@@ -445,8 +460,22 @@ impl KernelPlane {
 
     /// Makes `members` the links of a group; the kernel copies frames to them that have no other egress bits than those `served`,
     /// unless the links are too many. After an error it does not.
+    ///
+    /// Copies become what they are by the program where they leave, and the kernel runs the program that came with the first frame of
+    /// a batch over all of it. So every port to an interface that copies leave by has the program as well, before there is a copy,
+    /// and from then on. Others do without, since it costs every frame a part of what
+    /// the switch does (`bench forward --only hops`).
     pub fn set_group(&mut self, group: u32, members: &[Member], served: u64) -> Result<(), UpdateError> {
-        self.groups.set(group, members, served)
+        let interfaces = members.iter().map(|member| member.interface);
+        let new: HashSet<u32> = interfaces.filter(|interface| !self.copied_to.contains(interface)).collect();
+        self.copied_to.extend(&new);
+        let ports: Vec<_> = self.ports_there().filter(|(_, ifindex)| new.contains(ifindex)).collect();
+        let written = ports.iter().try_for_each(|(port, ifindex)| self.write_port(*port, *ifindex));
+        if written.is_err() {
+            self.copied_to.retain(|interface| !new.contains(interface));
+            return written;
+        }
+        self.groups.set(group, members, served, !ports.is_empty())
     }
 
     /// Says that no route leads to the group any more.

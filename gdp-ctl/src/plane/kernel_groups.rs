@@ -5,7 +5,7 @@
 //! grace period (8 ms); several are made at a time, for the price of one. Where maps are pinned, each of them is, too: to open it
 //! from the outer map would take CAP_SYS_ADMIN.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::io;
 use std::os::fd::{AsFd, AsRawFd};
 use std::path::{Path, PathBuf};
@@ -76,16 +76,23 @@ impl KernelGroups {
         known.map(|(number, places)| (number, places.members().map(|member| member.link).collect())).collect()
     }
 
+    /// The interfaces that frames for groups leave by.
+    pub fn interfaces(&self) -> HashSet<u32> {
+        let keys = self.groups.values().filter_map(|group| keys_of(&group.keys).ok());
+        keys.flatten().map(|(_, interface)| interface).collect()
+    }
+
     /// Makes `members` the links of a group, which are all that the egress bits `served` lead to: for others the kernel does not
-    /// copy, nor if the numbers are beyond what it holds, nor after an error.
-    pub fn set(&mut self, number: u32, members: &[Member], served: u64) -> Result<(), UpdateError> {
+    /// copy, nor if the numbers are beyond what it holds, nor after an error. `wait`: until every frame is gone that is under way.
+    pub fn set(&mut self, number: u32, members: &[Member], served: u64, wait: bool) -> Result<(), UpdateError> {
         let fits = members.len() <= MAX_COPIES as usize;
         let (members, served) = if fits { (members, served) } else { (&[][..], 0) };
         let is_needed = served != 0 || self.groups.contains_key(&number) || !members.is_empty();
         if number >= MAX_GROUPS || !is_needed {
             return Ok(());
         }
-        let written = self.make(number).and_then(|()| self.write(number, members, served));
+        let made = self.make(number).and_then(|()| if wait { self.put(&[number]) } else { Ok(()) });
+        let written = made.and_then(|()| self.write(number, members, served));
         if written.is_err() {
             self.release(number);
             self.serve(number, 0)?;

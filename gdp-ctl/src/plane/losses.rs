@@ -32,6 +32,8 @@ const PROGRAMS: [(&str, &str); 2] = [("gdp_devmap_xmit", "xdp_devmap_xmit"), ("g
 /// Why losses are not counted, or not all.
 #[derive(Debug, thiserror::Error)]
 pub enum LossesError {
+    #[error("frames lost after a redirect are not counted, as was asked for")]
+    Unwanted,
     #[error(transparent)]
     Types(#[from] TypesError),
     #[error("cannot tell the network namespace: {0}")]

@@ -94,6 +94,9 @@ pub struct PlaneConfig {
     pub ethertype: u16,
     /// Where the kernel keeps what is to outlive the daemon, if anything is.
     pub pins: Option<PinPlace>,
+    /// Whether to count the frames that are lost after a redirect. What counts them sees each batch of redirected frames of the whole
+    /// machine, so one switch of a machine should.
+    pub count_losses: bool,
 }
 
 /// A place for the pins of a switch.
@@ -106,7 +109,8 @@ pub struct PinPlace {
 impl Default for PlaneConfig {
     fn default() -> Self {
         let ethertype = gdp_wire::ETHERTYPE;
-        Self { wanted: Wanted::Auto, ebpf_object: None, fib_capacity: FIB_CAPACITY, ethertype, pins: None }
+        let wanted = Wanted::Auto;
+        Self { wanted, ebpf_object: None, fib_capacity: FIB_CAPACITY, ethertype, pins: None, count_losses: true }
     }
 }
 
@@ -216,7 +220,7 @@ struct Served {
 impl Planes {
     /// Loads what can be loaded. Fails only if XDP was explicitly wanted.
     pub fn open(config: PlaneConfig) -> Result<Self, PlaneError> {
-        let kernel = match config.wanted {
+        let mut kernel = match config.wanted {
             Wanted::Userspace => Err("`data_plane: userspace` was asked for".to_owned()),
             Wanted::Xdp => Ok(load(&config)?),
             Wanted::Auto => match load(&config) {
@@ -225,8 +229,10 @@ impl Planes {
                 loaded => loaded.map_err(|error| error.to_string()),
             },
         };
-        if kernel.is_err() {
-            clear_left_over(&config)?;
+        match &mut kernel {
+            Ok(kernel) if !config.count_losses => kernel.forgo_losses(),
+            Ok(_) => {}
+            Err(_) => clear_left_over(&config)?,
         }
         let adopted = kernel.as_ref().map_or(Ok(None), KernelPlane::adopted)?;
         let link_memory = kernel.as_ref().map_or_else(|_| LinkMemory::new(), |kernel| kernel.link_memory().clone());
@@ -465,6 +471,10 @@ impl Planes {
         let (group, is_new) = self.groups.take_as(&route.readers, number);
         if is_new {
             self.tables().set_group(group, &route.readers);
+        }
+        let beyond = (route.egress_bits & !self.own_bit).count_ones() as usize;
+        let forks = beyond + route.readers.len() > 1 && self.groups.fork(group);
+        if is_new || forks {
             self.set_kernel_group(group);
         }
         let (entry, permits) = entry_of(&name, route, group);
@@ -858,13 +868,18 @@ impl Planes {
         groups.collect::<Vec<_>>().into_iter().for_each(|group| self.set_kernel_group(group));
     }
 
-    /// Tells the kernel which links are in a group. What it cannot copy to is left to the userspace plane.
+    /// Tells the kernel which links are in a group, if it has copies to make for it. What it cannot copy to is left to the userspace
+    /// plane.
     fn set_kernel_group(&mut self, group: u32) {
         let Ok(kernel) = &self.kernel else { return };
-        let mut served = if kernel.has_generic() { 0 } else { u64::MAX };
         let mut members = Vec::new();
         let tables = self.read_tables();
-        for link in tables.members(group).filter_map(|id| tables.link(id)) {
+        let mut links: Vec<&LinkEntry> = tables.members(group).filter_map(|id| tables.link(id)).collect();
+        let neighbours = links.iter().filter(|link| link.role == LinkRole::Switch as u32).count();
+        let makes_copies = self.groups.makes_copies(group, neighbours);
+        links.retain(|_| makes_copies);
+        let mut served = if kernel.has_generic() || !makes_copies { 0 } else { u64::MAX };
+        for link in links {
             match self.egress_interface(link) {
                 Some(interface) => members.push(Member { link: link.id, interface }),
                 None if link.role == LinkRole::Switch as u32 => served &= !link.reach,

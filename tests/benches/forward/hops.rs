@@ -12,17 +12,18 @@
 use anyhow::Result;
 
 use crate::Bench;
-use crate::figure::{Aim, BARE, Figure, IPV4, Measure, SWITCH, UNTAGGED, USERSPACE, Unit};
+use crate::figure::{Aim, BARE, FORKING, Figure, IPV4, Measure, SWITCH, UNTAGGED, USERSPACE, Unit};
 use crate::path::{Kind, Path};
 use crate::rounds::{Contender, alternate};
 use crate::traffic::Traffic;
 
 const ALONE: &str = "generator and sink alone";
 
-const KINDS: [(&str, Kind); 5] = [
+const KINDS: [(&str, Kind); 6] = [
     (BARE, Kind::Bare),
     (UNTAGGED, Kind::Untagged),
     (SWITCH, Kind::Xdp),
+    (FORKING, Kind::Forking),
     (IPV4, Kind::Ip),
     (USERSPACE, Kind::Userspace),
 ];
@@ -61,6 +62,7 @@ fn compare(figure: Figure) -> Figure {
     figure
         .compare(UNTAGGED, BARE, at_least([0.9; 3]))
         .compare(SWITCH, BARE, |_| None)
+        .compare(FORKING, SWITCH, |_| None)
         .compare(SWITCH, IPV4, at_least([1.8, 2.2, 2.6]))
         .compare(SWITCH, USERSPACE, at_least([8.0; 3]))
 }

@@ -44,6 +44,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use clap::Parser;
 use figure::{Figure, Report};
+use gdp_ctl::plane::kernel::KernelPlane;
 
 #[derive(Parser)]
 struct Options {
@@ -103,6 +104,18 @@ const ROWS: [(&str, Row); 9] = [
     ("senders", senders::run),
 ];
 
+/// A host has one switch, which looks at every batch of redirected frames for losses. Here hosts are namespaces of one machine; so
+/// one plane does it for all, and also beside what is compared with the switch.
+fn count_losses(bench: &Bench) -> Result<KernelPlane> {
+    const LOOPBACK: u32 = 1;
+    let mut plane = KernelPlane::load(&bench.ebpf_object, 1)?;
+    plane.set_port(LOOPBACK, LOOPBACK)?;
+    match plane.uncounted() {
+        None => Ok(plane),
+        Some(error) => bail!("losses are not counted: {error}"),
+    }
+}
+
 fn main() -> Result<()> {
     let options = Options::parse();
     if let Some(unknown) = options.only.iter().find(|only| ROWS.iter().all(|(name, _)| name != only)) {
@@ -110,6 +123,7 @@ fn main() -> Result<()> {
     }
     gdp_tests::wait::catch_interrupts();
     gdp_tests::netns::sweep()?;
+    let _host = count_losses(&options.bench)?;
     let mut figures = Vec::new();
     for (name, row) in ROWS {
         if options.only.is_empty() || options.only.iter().any(|only| only == name) {

@@ -24,6 +24,8 @@ pub enum Kind {
     /// The XDP switch with a hop tag that costs nothing.
     Untagged,
     Xdp,
+    /// The same where another name's copies leave by the same interfaces.
+    Forking,
     /// The kernel's IPv4 routers.
     Ip,
     /// The userspace plane, on packet sockets.
@@ -69,10 +71,14 @@ impl Path {
                     continue;
                 }
                 Kind::Untagged => (Wanted::Xdp, &bench.untagged_object),
-                Kind::Xdp => (Wanted::Xdp, &bench.ebpf_object),
+                Kind::Xdp | Kind::Forking => (Wanted::Xdp, &bench.ebpf_object),
                 Kind::Userspace => (Wanted::Userspace, &bench.ebpf_object),
             };
-            switches.push(Switch::start(namespace, wanted, object, Position { index, hops, media })?);
+            let mut switch = Switch::start(namespace, wanted, object, Position { index, hops, media })?;
+            if kind == Kind::Forking {
+                switch.copy_another_name(&namespace.enter()?)?;
+            }
+            switches.push(switch);
         }
         if kind == Kind::Ip {
             chain.become_ip_routers()?;

@@ -9,6 +9,7 @@
 use std::cell::RefCell;
 
 use anyhow::{Result, ensure};
+use gdp_ctl::plane::PlaneConfig;
 use gdp_tests::frames::Frame;
 use gdp_wire::{Counter, LinkEntry, Name};
 
@@ -43,7 +44,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     let star = Star::build(1 + MOST, 1500)?;
     let topics = topics();
     let links: Vec<Leaf> = [WRITER].into_iter().chain(apart(MOST)).chain(together(MOST)).collect();
-    let mut switch = star.start(xdp(bench.ebpf_object.clone()), &links)?;
+    let mut switch = star.start(PlaneConfig { count_losses: false, ..xdp(bench.ebpf_object.clone()) }, &links)?;
     for (i, topic) in topics.iter().enumerate() {
         switch.set_route(name(i), OWN_BIT, &topic.readers)?;
     }

@@ -50,7 +50,8 @@ impl Switch {
         let inside = at.enter()?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let within = runtime.enter();
-        let config = PlaneConfig { wanted, ebpf_object: Some(ebpf_object.into()), ..Default::default() };
+        let ebpf_object = Some(ebpf_object.into());
+        let config = PlaneConfig { wanted, ebpf_object, count_losses: false, ..Default::default() };
         let planes = Planes::open(config)?;
         drop(within);
         let mut switch = Self { planes, ports: Vec::new(), runtime };
@@ -87,6 +88,12 @@ impl Switch {
         (i + 1..hops).for_each(|bit| next_hops[bit] = RIGHT);
         planes.set_next_hops(&next_hops)?;
         Ok(switch)
+    }
+
+    /// Has another name lead to the left and to the right.
+    pub fn copy_another_name(&mut self, _inside: &Entered) -> Result<()> {
+        let route = PlaneRoute { egress_bits: u64::MAX, readers: vec![LEFT, RIGHT], writers: vec![] };
+        Ok(self.planes.set_route(Name::from_bytes([0xd1; 32]), &route)?)
     }
 
     /// Takes over what arrives on an interface of the network namespace that the calling thread is in; its index.

@@ -80,6 +80,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
 fn start(path: &Path, bench: &Bench) -> Result<KernelPlane> {
     let _inside = path.first_hop().enter()?;
     let mut plane = KernelPlane::load(&bench.ebpf_object, CAPACITY)?;
+    plane.forgo_losses();
     plane.set_config(SwitchConfig { own_bit: 1, ethertype: gdp_wire::ETHERTYPE.into(), host_pair: 0 })?;
     for (id, interface, neighbour, ends) in [(LEFT, "l0", 0, (1, 2)), (RIGHT, "r0", 1, (2, 1))] {
         let port = Interface::find(interface)?.index;
