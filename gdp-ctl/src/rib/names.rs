@@ -38,14 +38,7 @@ impl Registration {
     }
 
     fn size(&self) -> usize {
-        RECORD_OVERHEAD + self.certificate().len() + self.advert.as_bytes().len()
-    }
-
-    fn certificate(&self) -> &[u8] {
-        match &self.credential {
-            Credential::Writer(cert) => cert.as_bytes(),
-            Credential::Reader(grant) => grant.as_bytes(),
-        }
+        RECORD_OVERHEAD + self.credential.size() + self.advert.as_bytes().len()
     }
 
     fn record(&self, now: Duration, name: Name, proof: NameProof) -> Record {
@@ -125,9 +118,9 @@ impl Names {
             readers: Registrations::default(),
             egress_bits: 0,
         });
-        let (ends, reads, certificate) = (new.ends, new.reads(), new.certificate().to_vec());
+        let (ends, reads, credential) = (new.ends, new.reads(), new.credential.clone());
         let replaced = topic.part(reads).insert(entity, new);
-        let same = replaced.as_ref().is_some_and(|old| old.certificate() == certificate);
+        let same = replaced.as_ref().is_some_and(|old| old.credential == credential);
         Change { ends, replaced, writers_changed: !reads && !same }
     }
 
