@@ -86,6 +86,26 @@ impl Backend {
             Self::RustCrypto => SignerImpl::RustCrypto(rust_crypto::Signer::new(pkcs8_der)?),
         }))
     }
+
+    /// The public key, SEC1 compressed, of a private P-256 key: 32 bytes, big endian.
+    pub fn agreement_public(self, secret: &[u8; 32]) -> Result<[u8; PUBLIC_KEY_LEN], CryptoError> {
+        match self {
+            Self::AwsLc => aws_lc::agreement_public(secret),
+            Self::RustCrypto => rust_crypto::agreement_public(secret),
+        }
+    }
+
+    /// ECDH on P-256: the x coordinate that both sides get. To be put through [`Self::hkdf_sha256`].
+    pub fn agree(
+        self,
+        secret: &[u8; 32],
+        public: &[u8; PUBLIC_KEY_LEN],
+    ) -> Result<zeroize::Zeroizing<[u8; 32]>, CryptoError> {
+        match self {
+            Self::AwsLc => aws_lc::agree(secret, public),
+            Self::RustCrypto => rust_crypto::agree(secret, public),
+        }
+    }
 }
 
 /// AES-256-GCM with detached 16-byte tags. A nonce must never seal twice under one key: that is the caller's duty.
