@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use zeroize::Zeroizing;
 
-use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN};
+use crate::crypto::{self, Backend, CryptoError, PUBLIC_KEY_LEN};
 
 const CONTEXT: &[u8] = b"gdp/box-key/1";
 
@@ -36,6 +36,11 @@ impl BoxKey {
     /// The public key, SEC1 compressed.
     pub fn public(&self) -> [u8; PUBLIC_KEY_LEN] {
         self.0.public
+    }
+
+    /// What was sealed for this key with [`crypto::hpke_seal`].
+    pub(crate) fn open(&self, info: &[u8], sealed: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+        crypto::hpke_open(&self.0.secret, info, sealed)
     }
 
     /// The secret that this key and the private key of `peer` (SEC1 compressed) have in common.

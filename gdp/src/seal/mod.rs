@@ -25,6 +25,6 @@ pub use writer::{SealError, Writer};
 #[cfg(test)]
 mod hostile_tests;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 #[cfg(test)]
 mod vectors;
