@@ -4,8 +4,8 @@
 
 use gdp_wire::Name;
 
-/// Ranges that one [`Feedback::Nack`] may ask for.
-pub const MAX_MISSING: usize = 64;
+/// Ranges that one [`Feedback::Nack`] may ask for: as many as fit, sealed, a frame of 1200 bytes, which every link takes.
+pub const MAX_MISSING: usize = 63;
 
 /// The largest encoding, in bytes: a Nack with all its ranges.
 pub const MAX_FEEDBACK: usize = NACK_LEN + MAX_MISSING * MISSING_LEN;
@@ -271,7 +271,7 @@ mod tests {
             assert_eq!(Feedback::decode(&bytes), Ok(feedback.clone()));
             assert_eq!(feedback.name(), NAME);
         }
-        assert_eq!(encoded(&nack((1..=64).map(Missing::whole).collect())).len(), MAX_FEEDBACK);
+        assert_eq!(encoded(&nack((1..=MAX_MISSING as u64).map(Missing::whole).collect())).len(), MAX_FEEDBACK);
     }
 
     #[test]
@@ -320,7 +320,7 @@ mod tests {
             assert_eq!(refused(missing.clone()), FeedbackError::Order, "{missing:?}");
         }
         assert_eq!(refused(vec![]), FeedbackError::Ranges(0));
-        assert_eq!(refused((1..=65).map(Missing::whole).collect()), FeedbackError::Ranges(65));
+        assert_eq!(refused((1..=64).map(Missing::whole).collect()), FeedbackError::Ranges(64));
         assert_eq!(refused(vec![Missing::whole(1 << 48)]), FeedbackError::Sequence(1 << 48));
         encoded(&nack(vec![range(1, 0, 3), range(1, 3, 1), range(2, 0, 1), range(3, u32::MAX, 1)]));
     }
@@ -331,7 +331,7 @@ mod tests {
         let two = encoded(&nack(vec![Missing::whole(1), Missing::whole(2)]));
         let twice = [&two[..NACK_LEN + MISSING_LEN], &two[NACK_LEN..NACK_LEN + MISSING_LEN]].concat();
         assert_eq!(Feedback::decode(&twice), Err(FeedbackError::Order));
-        for count in [0, 65, 255] {
+        for count in [0, 64, 255] {
             let mut bytes = two.clone();
             bytes[NACK_LEN - 1] = count;
             assert_eq!(Feedback::decode(&bytes), Err(FeedbackError::Ranges(count.into())));

@@ -39,12 +39,12 @@ impl BoxKey {
     }
 
     /// What was sealed for this key with [`crypto::hpke_seal`].
-    pub(crate) fn open(&self, info: &[u8], sealed: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+    pub(super) fn open(&self, info: &[u8], sealed: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
         crypto::hpke_open(&self.0.secret, info, sealed)
     }
 
     /// The secret that this key and the private key of `peer` (SEC1 compressed) have in common.
-    pub fn agree(&self, peer: &[u8; PUBLIC_KEY_LEN]) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
+    pub(super) fn agree(&self, peer: &[u8; PUBLIC_KEY_LEN]) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
         Backend::default().agree(&self.0.secret, peer)
     }
 }
