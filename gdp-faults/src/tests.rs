@@ -1,6 +1,6 @@
 //! Each fault by itself and all together: seeds are fixed, so what the bounds allow for is the seed's luck alone.
 
-use crate::{Burst, Counts, Delivery, Faults, Link, MILLISECOND, Reorder, SECOND};
+use crate::{Burst, Counts, Delivery, Faults, Link, MILLISECOND, Network, Reorder, SECOND};
 
 const FRAMES: u64 = 100_000;
 const BYTES: usize = 1_000;
@@ -135,6 +135,51 @@ fn one_fault_does_not_change_another() {
     let reorder = Some(Reorder { probability: 0.5, by: SECOND });
     let more = Faults { duplicate: 0.3, corrupt: 0.3, jitter: MILLISECOND, reorder, ..loss.clone() };
     assert_eq!(lost(loss), lost(more));
+}
+
+#[test]
+fn answers_come_back_after_a_round_trip() {
+    let mut network = Network::new(1);
+    let cable = network.join([0, 1], Faults::delay(20 * MILLISECOND), Faults::delay(30 * MILLISECOND));
+    network.send(0, cable, "question", BYTES);
+    let arrival = network.arrival(SECOND).unwrap();
+    assert_eq!((arrival.from, arrival.to, arrival.delivery.frame, network.now()), (0, 1, "question", 20 * MILLISECOND));
+    network.send(1, arrival.cable, "answer", BYTES);
+    assert_eq!(network.arrival(40 * MILLISECOND), None);
+    assert_eq!(network.now(), 40 * MILLISECOND);
+    let arrival = network.arrival(SECOND).unwrap();
+    assert_eq!((arrival.to, arrival.delivery.frame, network.now()), (0, "answer", 50 * MILLISECOND));
+    assert_eq!(network.arrival(SECOND), None);
+    assert_eq!((network.counts(0, cable).delivered, network.counts(1, cable).delivered), (1, 1));
+}
+
+#[test]
+fn two_flows_share_a_bottleneck_and_two_cables_do_not() {
+    const LEFT: usize = 0;
+    const RIGHT: usize = 1;
+    const ROUTER: usize = 2;
+    const SINK: usize = 3;
+    // A thousand frames a second through the bottleneck, and each flow offers as many.
+    let bottleneck = Faults { rate: Some(8_000_000), queue: Some(10 * BYTES as u64), ..Faults::default() };
+    let mut network = Network::new(2);
+    let flows = [LEFT, RIGHT].map(|flow| (flow, network.join([flow, ROUTER], Faults::default(), Faults::default())));
+    let shared = network.join([ROUTER, SINK], bottleneck.clone(), Faults::default());
+    let own = network.join([LEFT, SINK], bottleneck, Faults::default());
+    let mut arrived = [0; 2];
+    for i in 0..1_000 {
+        for (flow, cable) in flows {
+            network.send(flow, cable, flow, BYTES);
+        }
+        network.send(LEFT, own, LEFT, BYTES);
+        while let Some(arrival) = network.arrival((i + 1) * MILLISECOND) {
+            match arrival.to {
+                ROUTER => network.send(ROUTER, shared, arrival.delivery.frame, BYTES),
+                _ => arrived[usize::from(arrival.cable == own)] += 1,
+            }
+        }
+    }
+    assert!((990..=1_000).contains(&arrived[0]) && arrived[1] == 1_000, "{arrived:?}");
+    assert!(network.counts(ROUTER, shared).overflowed > 950);
 }
 
 fn everything() -> Faults {
