@@ -112,6 +112,16 @@ impl<T: Clone> Link<T> {
         }
     }
 
+    /// From the next frame on other faults. What is under way arrives as it would have.
+    ///
+    /// # Panics
+    ///
+    /// As [`Link::new`].
+    pub fn change(&mut self, faults: Faults) {
+        faults.check();
+        self.faults = faults;
+    }
+
     /// What has arrived by `now`, one at a time and in the order of arrival.
     pub fn pop(&mut self, now: u64) -> Option<Delivery<T>> {
         self.next().filter(|at| *at <= now)?;
