@@ -5,6 +5,7 @@
 //!   [`wire`]: a cable that is bad
 //! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its ends
 //! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
+//! - [`measure`]: benchmarks: in turn, figures, tables, plots
 //! - [`process`]: programs that end when their guard is dropped, with their output kept
 //! - [`wait`]: waiting for a condition with a deadline, never for a time
 //! - [`tools`]: where the programs under test are
@@ -14,6 +15,7 @@
 pub mod chain;
 pub mod fabric;
 pub mod frames;
+pub mod measure;
 pub mod netns;
 pub mod packet;
 pub mod peers;
