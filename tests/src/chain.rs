@@ -9,9 +9,11 @@
 //! Only cables: no addresses, no programs. Every node's left interface is `l0`, the right one `r0`.
 
 use anyhow::{Context, Result};
+use gdp_faults::Faults;
 
 use crate::netns::{End, Namespace, veth};
 use crate::packet::PacketSocket;
+use crate::wire::Wire;
 
 /// How long the chain is, and what its cables are like.
 #[derive(Clone, Copy, Debug)]
@@ -91,6 +93,15 @@ impl Chain {
         [WIRE_LEFT, WIRE_RIGHT].into_iter().try_for_each(|port| {
             self.wire()?.ip(&["link", "set", port, "type", "bridge_slave", "isolated", isolated]).map(drop)
         })
+    }
+
+    /// Makes the wire a bad cable, as long as what is returned lives; then it is cut. `faults`: toward the cloud, toward the robot.
+    pub fn disturb_wire(&self, faults: [Faults; 2], seed: u64) -> Result<Wire> {
+        let at = self.wire()?;
+        for port in [WIRE_LEFT, WIRE_RIGHT] {
+            at.ip(&["link", "set", port, "nomaster"])?;
+        }
+        Wire::start(at, [WIRE_LEFT, WIRE_RIGHT], faults, seed)
     }
 
     /// The namespace that the wire is in, and an interface in it that reaches both ends of the wire.

@@ -1,9 +1,11 @@
 //! What the tests that need root are built from, and what `xtask demo` and `xtask bench` build from as well.
 //!
 //! - [`netns`]: network namespaces, veth pairs, entering one and leaving it again
-//! - [`chain`]: robot – switches – cloud; [`packet`]: what an eavesdropper or attacker does on its cables
+//! - [`chain`]: robot – switches – cloud; [`packet`]: what an eavesdropper or attacker does on its cables;
+//!   [`wire`]: a cable that is bad
 //! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its ends
 //! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
+//! - [`measure`]: benchmarks: in turn, figures, tables, plots
 //! - [`process`]: programs that end when their guard is dropped, with their output kept
 //! - [`wait`]: waiting for a condition with a deadline, never for a time
 //! - [`tools`]: where the programs under test are
@@ -13,11 +15,13 @@
 pub mod chain;
 pub mod fabric;
 pub mod frames;
+pub mod measure;
 pub mod netns;
 pub mod packet;
 pub mod peers;
 pub mod process;
 pub mod tools;
 pub mod wait;
+pub mod wire;
 
 pub use tools::Tools;

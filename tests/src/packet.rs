@@ -1,7 +1,7 @@
 //! Raw Ethernet frames on an interface: to look at what passes, and to send what no honest node would.
 
 use std::io::{Error, ErrorKind};
-use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
+use std::os::fd::{AsRawFd, FromRawFd, OwnedFd, RawFd};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
@@ -81,6 +81,30 @@ impl PacketSocket {
         }
     }
 
+    /// The length of a frame that has come, or nothing if none has.
+    pub fn try_receive(&self, buffer: &mut [u8]) -> Result<Option<usize>> {
+        let (fd, flags) = (self.socket.as_raw_fd(), libc::MSG_DONTWAIT);
+        // SAFETY: the buffer is as long as said.
+        let n = unsafe { libc::recv(fd, buffer.as_mut_ptr().cast(), buffer.len(), flags) };
+        match usize::try_from(n).map_err(|_| Error::last_os_error()) {
+            Ok(length) => Ok(Some(length)),
+            Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(None),
+            Err(error) => Err(error).context("packet socket"),
+        }
+    }
+
+    /// Frames that found no room to wait, since the last call.
+    pub fn dropped(&self) -> Result<u32> {
+        let mut statistics = libc::tpacket_stats { tp_packets: 0, tp_drops: 0 };
+        let mut length = size_of_val(&statistics) as u32;
+        let (fd, pointer) = (self.socket.as_raw_fd(), (&raw mut statistics).cast());
+        // SAFETY: pointer and length are of one live tpacket_stats.
+        let result =
+            unsafe { libc::getsockopt(fd, libc::SOL_PACKET, libc::PACKET_STATISTICS, pointer, &raw mut length) };
+        check(result).context("cannot read the statistics of a packet socket")?;
+        Ok(statistics.tp_drops)
+    }
+
     /// How many bytes of frames may wait to be received, however little the system allows others.
     pub fn set_receive_buffer(&self, bytes: i32) -> Result<()> {
         let (pointer, length) = ((&raw const bytes).cast(), size_of::<i32>() as u32);
@@ -97,6 +121,12 @@ impl PacketSocket {
         // SAFETY: the buffer is as long as said.
         let n = unsafe { libc::send(self.socket.as_raw_fd(), frame.as_ptr().cast(), frame.len(), 0) };
         if n < 0 { Err(Error::last_os_error()).context("cannot send a frame") } else { Ok(()) }
+    }
+}
+
+impl AsRawFd for PacketSocket {
+    fn as_raw_fd(&self) -> RawFd {
+        self.socket.as_raw_fd()
     }
 }
 

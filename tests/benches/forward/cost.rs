@@ -14,11 +14,12 @@ use aya::maps::DevMap;
 use aya::programs::{TestRun, TestRunOptions};
 use gdp_ctl::plane::kernel::{Buffers, KernelPlane};
 use gdp_tests::frames::Frame;
+use gdp_tests::measure::figure::{Aim, Figure, Unit};
+use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 use gdp_wire::{Counter, FibEntry, LinkEntry, LinkRole, Name, SwitchConfig};
 
 use crate::Bench;
-use crate::figure::{Aim, BARE, Figure, SWITCH, UNTAGGED, Unit};
-use crate::rounds::{Contender, Sample, alternate};
+use crate::series::{BARE, SWITCH, UNTAGGED};
 use crate::traffic::Programs;
 
 /// Runs of the program on one packet: no more than its hop limit allows.

@@ -7,11 +7,12 @@
 //! ```
 
 use anyhow::{Context, Result};
+use gdp_tests::measure::figure::{Aim, Figure, Unit};
+use gdp_tests::measure::rounds::{Contender, alternate};
 
 use crate::Bench;
-use crate::figure::{Aim, Figure, IPV4, Unit};
 use crate::path::{Kind, Path};
-use crate::rounds::{Contender, alternate};
+use crate::series::IPV4;
 use crate::switch::Medium::{self, Ethernet, Udp4, Udp6};
 use crate::traffic::Traffic;
 

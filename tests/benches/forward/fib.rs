@@ -7,12 +7,12 @@ use std::time::Instant;
 
 use anyhow::{Result, ensure};
 use gdp_ctl::plane::fib::Fib;
+use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
+use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 use gdp_wire::{FibEntry, Name};
 
 use crate::Bench;
-use crate::figure::{Aim, Figure, Measure, Unit};
 use crate::lookups::{self, Lookups};
-use crate::rounds::{Contender, Sample, alternate};
 
 /// Names in both tables.
 const NAMES: u32 = 1 << 20;

@@ -6,12 +6,12 @@
 use std::cell::RefCell;
 
 use anyhow::Result;
+use gdp_tests::measure::figure::{Figure, Measure, Unit};
+use gdp_tests::measure::rounds::{Contender, alternate};
 use gdp_wire::Counter;
 
 use crate::Bench;
-use crate::figure::{Figure, Measure, Unit};
 use crate::path::{Kind, Path};
-use crate::rounds::{Contender, alternate};
 use crate::traffic::{Offered, Traffic};
 
 /// Frames per second to the known name.

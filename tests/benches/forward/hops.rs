@@ -10,11 +10,12 @@
 //! and one.
 
 use anyhow::Result;
+use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
+use gdp_tests::measure::rounds::{Contender, alternate};
 
 use crate::Bench;
-use crate::figure::{Aim, BARE, FORKING, Figure, IPV4, Measure, SWITCH, UNTAGGED, USERSPACE, Unit};
 use crate::path::{Kind, Path};
-use crate::rounds::{Contender, alternate};
+use crate::series::{BARE, FORKING, IPV4, SWITCH, UNTAGGED, USERSPACE};
 use crate::traffic::Traffic;
 
 const ALONE: &str = "generator and sink alone";

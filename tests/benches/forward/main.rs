@@ -11,40 +11,34 @@
 //! - [`flood`]: frames to known names while others ask for unknown ones
 //! - [`senders`]: what the first switch costs a program that sends by a socket
 //!
-//! They are made from [`path`] and [`star`] (what forwards; on [`switch`]), [`traffic`] (generators and sink), [`cpu`] (where),
-//! [`rounds`] (in turn), [`figure`] (results);
-//! [`table`] and [`plot`] (on [`svg`]) show these.
+//! They are made from [`path`] and [`star`] (what forwards; on [`switch`]), [`traffic`] (generators and sink), and
+//! [`gdp_tests::measure`] (in turn, where, results). [`series`] names who is compared.
 //!
 //! No daemons: the tables are what a RIB would have installed, put there through the same `Planes`.
 
 mod cost;
-mod cpu;
 mod crossings;
 mod fib;
-mod figure;
 mod flood;
 mod hops;
 mod lookups;
 mod path;
-mod plot;
 mod replication;
-mod rounds;
 mod senders;
+mod series;
 #[path = "../../tests/star/mod.rs"]
 mod star;
-mod svg;
 mod switch;
-mod table;
 mod traffic;
 mod updates;
 
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use clap::Parser;
-use figure::{Figure, Report};
 use gdp_ctl::plane::kernel::KernelPlane;
+use gdp_tests::measure::{self, Row, Wanted};
 
 #[derive(Parser)]
 struct Options {
@@ -90,9 +84,7 @@ impl Bench {
     }
 }
 
-type Row = fn(&Bench) -> Result<Vec<Figure>>;
-
-const ROWS: [(&str, Row); 9] = [
+const ROWS: [(&str, Row<Bench>); 9] = [
     ("cost", cost::run),
     ("fib", fib::run),
     ("hops", hops::small_frames),
@@ -117,28 +109,9 @@ fn count_losses(bench: &Bench) -> Result<KernelPlane> {
 }
 
 fn main() -> Result<()> {
-    let options = Options::parse();
-    if let Some(unknown) = options.only.iter().find(|only| ROWS.iter().all(|(name, _)| name != only)) {
-        bail!("no row `{unknown}`; there are {}", ROWS.map(|(name, _)| name).join(", "));
-    }
+    let Options { bench, only, json, plots, .. } = Options::parse();
     gdp_tests::wait::catch_interrupts();
     gdp_tests::netns::sweep()?;
-    let _host = count_losses(&options.bench)?;
-    let mut figures = Vec::new();
-    for (name, row) in ROWS {
-        if options.only.is_empty() || options.only.iter().any(|only| only == name) {
-            let row = row(&options.bench).with_context(|| format!("row {name}"))?;
-            if !options.json {
-                row.iter().for_each(|figure| print!("{figure}"));
-            }
-            figures.extend(row);
-        }
-    }
-    if let Some(folder) = &options.plots {
-        plot::draw(&figures, folder)?;
-    }
-    if options.json {
-        println!("{}", serde_json::to_string_pretty(&Report::new(figures)?)?);
-    }
-    Ok(())
+    let _host = count_losses(&bench)?;
+    measure::run(&bench, &ROWS, &Wanted { only: &only, json, plots: plots.as_deref() })
 }

@@ -11,11 +11,11 @@ use std::cell::RefCell;
 use anyhow::{Result, ensure};
 use gdp_ctl::plane::PlaneConfig;
 use gdp_tests::frames::Frame;
+use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
+use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 use gdp_wire::{Counter, LinkEntry, Name};
 
 use crate::Bench;
-use crate::figure::{Aim, Figure, Measure, Unit};
-use crate::rounds::{Contender, Sample, alternate};
 use crate::star::{Leaf, OWN_BIT, Star, Switch, WRITER, far_port, xdp};
 use crate::traffic::{Frames, Sink, Spread, Traffic};
 

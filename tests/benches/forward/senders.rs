@@ -15,15 +15,15 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
 use gdp::port::{BATCH, Interface, LinkAddr, OutFrame, Port, PortConfig};
+use gdp_tests::measure::figure::{Figure, Unit};
+use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 use gdp_tests::packet::ETHERNET;
 use gdp_tests::wait::wait_for;
 use gdp_wire::{Header, LinkEntry, forward};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::Bench;
-use crate::figure::{Figure, Unit};
 use crate::path::{Kind, Path};
-use crate::rounds::{Contender, Sample, alternate};
 use crate::switch::{self, know_neighbour};
 use crate::traffic::Sink;
 

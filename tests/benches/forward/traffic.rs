@@ -15,12 +15,13 @@ use aya::programs::{ProgramError, TestRun, TestRunAttrs, TestRunOptions, Xdp};
 use aya::{Ebpf, Pod};
 use gdp::port::Interface;
 use gdp_tests::chain::Chain;
+use gdp_tests::measure::cpu;
+use gdp_tests::measure::rounds::Sample;
 use gdp_tests::netns::Namespace;
 use gdp_tests::wait::wait_for;
 use gdp_wire::LinkEntry;
 
-use crate::rounds::Sample;
-use crate::{Bench, cpu};
+use crate::Bench;
 
 /// Frames the kernel sends at a time: a quarter of a veth's ring.
 const BATCH: u64 = 64;
@@ -298,7 +299,7 @@ impl Frames {
 
 /// The kernel ends a test run early only for a signal.
 fn send_until_signalled(generator: &mut Xdp, frames: &Frames) -> Result<()> {
-    cpu::pin(cpu::GENERATOR)?;
+    cpu::pin(cpu::SENDER)?;
     let mut options = TestRunOptions::new();
     options.data_in = Some(&frames.frame);
     options.repeat = u32::MAX;

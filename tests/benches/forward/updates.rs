@@ -11,14 +11,14 @@ use std::time::Instant;
 use anyhow::{Context, Result, ensure};
 use gdp::port::Interface;
 use gdp_ctl::plane::kernel::{KernelPlane, Mode};
+use gdp_tests::measure::cpu;
+use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
+use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 use gdp_wire::{Counter, FibEntry, LinkEntry, Name, SwitchConfig};
 
 use crate::Bench;
-use crate::cpu;
-use crate::figure::{Aim, Figure, Measure, Unit};
 use crate::lookups;
 use crate::path::{Kind, Path};
-use crate::rounds::{Contender, Sample, alternate};
 use crate::switch::{LEFT, Medium, RIGHT, TOPIC, link};
 use crate::traffic::Traffic;
 

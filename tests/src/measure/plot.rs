@@ -4,8 +4,8 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 
-use crate::figure::{Figure, Measure, Ratio, Verdict};
-use crate::svg::{Chart, Group, Row};
+use super::figure::{Figure, Measure, Ratio, Verdict};
+use super::svg::{Chart, Group, Row};
 
 const BLUE: &str = "#4878a8";
 const ORANGE: &str = "#d9822b";

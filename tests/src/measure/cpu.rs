@@ -1,12 +1,11 @@
-//! Which CPUs work. A generator, and with it the XDP programs and the kernel's routers behind it, has one of its own; what is to
-//! disturb it gets another.
+//! Which CPUs work. What is measured has one of its own; what is to disturb it, or its other end, gets another.
 
 use anyhow::{Result, ensure};
 
-/// Of the generators.
-pub const GENERATOR: usize = 0;
+/// Of what sends, and with it of the XDP programs and the kernel's routers behind it.
+pub const SENDER: usize = 0;
 
-/// Of what is beside them.
+/// Of what is beside it.
 pub const OTHER: usize = 1;
 
 /// Keeps the calling thread on a CPU.

@@ -3,7 +3,7 @@
 
 use anyhow::{Context, Result};
 
-use crate::figure::Measure;
+use super::figure::Measure;
 
 /// One measurement.
 #[derive(Clone, Copy, Debug, Default)]
@@ -38,7 +38,7 @@ pub fn alternate(rounds: usize, mut contenders: Vec<Contender<'_>>) -> Result<Ve
             order.reverse();
         }
         for i in order {
-            gdp_tests::wait::check_interrupt()?;
+            crate::wait::check_interrupt()?;
             let Contender { series, case, measure } = &mut contenders[i];
             let sample = measure().with_context(|| format!("{series}, {case}"))?;
             if round > 0 {

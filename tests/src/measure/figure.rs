@@ -1,18 +1,10 @@
-//! Results: what was measured, and how it compares. The JSON of `bench forward --json` is these types; a change of their meaning
+//! Results: what was measured, and how it compares. The JSON of `bench … --json` is these types; a change of their meaning
 //! raises [`VERSION`]. How they look to people is in `table` and `plot`.
 
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use serde::Serialize;
-
-/// Who is compared in more than one figure.
-pub const BARE: &str = "bare redirect";
-pub const SWITCH: &str = "switch";
-pub const FORKING: &str = "switch, copies leave there too";
-pub const UNTAGGED: &str = "switch, tag off";
-pub const IPV4: &str = "kernel IPv4";
-pub const USERSPACE: &str = "AF_PACKET userspace";
 
 /// Of the JSON.
 const VERSION: u32 = 2;

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::figure::{Figure, Measure, Ratio, Verdict};
+use super::figure::{Figure, Measure, Ratio, Verdict};
 
 impl fmt::Display for Figure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -1,0 +1,54 @@
+//! What benchmarks are made of: contenders measured in turn, figures, and how they are shown.
+//!
+//! - [`rounds`]: in turn; [`cpu`]: on which processor; [`figure`]: results
+//! - [`table`] and [`plot`] (on [`svg`]) show them; [`run`] runs rows and does so
+
+pub mod cpu;
+pub mod figure;
+pub mod plot;
+pub mod rounds;
+mod svg;
+mod table;
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+
+use figure::{Figure, Report};
+
+/// The figures of one row, from what every row is given.
+pub type Row<B> = fn(&B) -> Result<Vec<Figure>>;
+
+/// What to measure and how to show it.
+pub struct Wanted<'a> {
+    /// Names of rows; none: all.
+    pub only: &'a [String],
+    /// One JSON object on stdout instead of tables.
+    pub json: bool,
+    /// A folder to draw plots into.
+    pub plots: Option<&'a Path>,
+}
+
+/// Measures the rows wanted, one after the other.
+pub fn run<B>(bench: &B, rows: &[(&str, Row<B>)], wanted: &Wanted) -> Result<()> {
+    if let Some(unknown) = wanted.only.iter().find(|only| rows.iter().all(|(name, _)| name != only)) {
+        bail!("no row `{unknown}`; there are {}", rows.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", "));
+    }
+    let mut figures = Vec::new();
+    for (name, row) in rows {
+        if wanted.only.is_empty() || wanted.only.iter().any(|only| only == name) {
+            let row = row(bench).with_context(|| format!("row {name}"))?;
+            if !wanted.json {
+                row.iter().for_each(|figure| print!("{figure}"));
+            }
+            figures.extend(row);
+        }
+    }
+    if let Some(folder) = wanted.plots {
+        plot::draw(&figures, folder)?;
+    }
+    if wanted.json {
+        println!("{}", serde_json::to_string_pretty(&Report::new(figures)?)?);
+    }
+    Ok(())
+}
