@@ -12,8 +12,8 @@ use std::time::{Duration, SystemTime};
 use anyhow::{Context, Result, bail};
 use clap::Parser;
 use gdp::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Reading, issue};
-use gdp::node::SubscribeOptions;
-use gdp::seal::{Encoding, EpochKey};
+use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp::seal::Encoding;
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
 
 #[derive(Parser)]
@@ -57,7 +57,7 @@ async fn main() -> Result<()> {
 
 async fn publish(options: &Options, papers: &Papers) -> Result<()> {
     let node = Node::connect(NodeConfig::new(papers.robot.clone(), options.link.clone())).await?;
-    let mut publisher = node.publish(papers.card.proof(), papers.ad_cert()?, &papers.epoch_key).await?;
+    let mut publisher = node.publish(papers.card.proof(), papers.ad_cert()?, PublishOptions::reliable()).await?;
     for i in 1..=options.count {
         let text = format!("message {i} of {}", options.count);
         publisher.send(Encoding::Bytes, text.as_bytes()).await?;
@@ -70,9 +70,7 @@ async fn publish(options: &Options, papers: &Papers) -> Result<()> {
 
 async fn subscribe(options: &Options, papers: &Papers, ready: Option<tokio::sync::oneshot::Sender<()>>) -> Result<()> {
     let node = Node::connect(NodeConfig::new(papers.cloud.clone(), options.link.clone())).await?;
-    let options_of_reading = SubscribeOptions::default();
-    let mut subscription =
-        node.subscribe(papers.card.proof(), papers.grant()?, &papers.epoch_key, options_of_reading).await?;
+    let mut subscription = node.subscribe(papers.card.proof(), papers.grant()?, SubscribeOptions::reliable()).await?;
     ready.map(|ready| ready.send(()));
     // An endpoint that publishes a moment later is known by its certificate; nothing has to be set up for it here.
     for received in 0..options.count {
@@ -94,23 +92,20 @@ struct Papers {
     card: NameCard,
     robot: Identity,
     cloud: Identity,
-    epoch_key: EpochKey,
 }
 
 impl Papers {
     fn in_folder(dir: &Path) -> Result<Self> {
         std::fs::create_dir_all(dir).with_context(|| format!("cannot make {}", dir.display()))?;
         let owner = SigningKey::load_or_generate(&dir.join("owner.pem"))?;
-        let (card, epoch_key) = (dir.join("greeting.card"), dir.join("greeting.key"));
+        let card = dir.join("greeting.card");
         if !card.exists() {
             NameCard::create(owner.verify_key(), "topic", "/greeting", "bytes", None)?.save_new(&card)?;
-            EpochKey::generate()?.save_new(&epoch_key)?;
         }
         Ok(Self {
             card: NameCard::load(&card)?,
             robot: Identity::load_or_generate(&dir.join("robot.pem"), "proxy")?,
             cloud: Identity::load_or_generate(&dir.join("cloud.pem"), "proxy")?,
-            epoch_key: EpochKey::load(&epoch_key)?,
             owner,
         })
     }

@@ -2,9 +2,9 @@
 //!
 //! ```no_run
 //! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
-//! # let (identity, card, cert, key): (gdp::Identity, gdp::NameCard, _, gdp::seal::EpochKey) = todo!();
+//! # let (identity, card, cert): (gdp::Identity, gdp::NameCard, _) = todo!();
 //! let node = gdp::Node::connect(gdp::NodeConfig::new(identity, "eth://r0".parse()?)).await?;
-//! let mut publisher = node.publish(card.proof(), cert, &key).await?;
+//! let mut publisher = node.publish(card.proof(), cert, gdp::node::PublishOptions::best_effort()).await?;
 //! publisher.send(gdp::seal::Encoding::Bytes, b"hello").await?;
 //! # Ok(()) }
 //! ```
@@ -17,6 +17,7 @@ mod feedback;
 mod frame_size;
 mod held;
 mod intake;
+mod options;
 mod publisher;
 mod receiver;
 mod shared_entry;
@@ -48,12 +49,18 @@ use crate::seal::{EpochKey, Reader, SealError, Writer};
 pub use counters::NodeCounters;
 pub use feedback::{Feedback, FrameError};
 pub use gdp_wire::ErrorCode;
+pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOptions};
 pub use publisher::Publisher;
-pub use subscription::{SubscribeOptions, Subscription};
+pub use subscription::Subscription;
 pub use target::{LinkTarget, LinkTargetError};
 
 /// All writers of a name seal with the one key that they were given, for good.
 const EPOCH: u32 = 0;
+
+/// Until writers wrap keys to their readers.
+pub(crate) fn name_key(name: &Name) -> EpochKey {
+    EpochKey::from_bytes(name.to_bytes())
+}
 
 /// How a node finds its switch.
 #[derive(Clone, Debug)]
@@ -158,12 +165,12 @@ impl Node {
         Ok(Self(Arc::new(Handle { state, stop, supervisor: Mutex::new(Some(task)) })))
     }
 
-    /// Publishes a name: `proof` shows how it is derived, `ad_cert` that its owner allows it, `key` seals the messages.
+    /// Publishes a name: `proof` shows how it is derived, `ad_cert` that its owner allows it.
     pub async fn publish(
         &self,
         proof: NameProof,
         ad_cert: Issued<AdCert>,
-        key: &EpochKey,
+        _options: PublishOptions,
     ) -> Result<Publisher, NodeError> {
         let state = &self.0.state;
         let (claims, entity) = (ad_cert.verify(&proof, None, unix_now())?, state.identity.name());
@@ -172,7 +179,7 @@ impl Node {
         }
         let name = claims.name;
         let mut writer = Writer::new(name, entity, state.identity.key().clone(), Backend::default())?;
-        writer.set_epoch(EPOCH, key)?;
+        writer.set_epoch(EPOCH, &name_key(&name))?;
         state.begin(name, Stated::Published, Statement::Publish { proof, ad_cert })?;
         let publisher = Publisher::new(self.0.clone(), name, writer, state.feedback.of(name));
         // From here on, dropping the publisher ends the statement.
@@ -181,12 +188,11 @@ impl Node {
         Ok(publisher)
     }
 
-    /// Subscribes to a name: `grant` shows that its owner allows it, `key` opens the messages.
+    /// Subscribes to a name: `grant` shows that its owner allows it.
     pub async fn subscribe(
         &self,
         proof: NameProof,
         grant: Reading,
-        key: &EpochKey,
         options: SubscribeOptions,
     ) -> Result<Subscription, NodeError> {
         let state = &self.0.state;
@@ -196,7 +202,7 @@ impl Node {
         let mut reader = Reader::new(name, Backend::default(), options.limits);
         reader.vouch_on_sight();
         let queued_bytes = Arc::default();
-        let intake = Intake::new(reader, key, sender, Arc::clone(&queued_bytes), options.queue_bytes);
+        let intake = Intake::new(reader, &name_key(&name), sender, Arc::clone(&queued_bytes), options.queue_bytes);
         state.command(Command::Subscribe { name, intake: Box::new(intake) });
         let subscription = Subscription::new(self.0.clone(), name, queue, queued_bytes);
         let attachment = state.attached().await?;

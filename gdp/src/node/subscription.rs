@@ -7,24 +7,7 @@ use gdp_wire::Name;
 use tokio::sync::mpsc;
 
 use super::{Handle, Stated};
-use crate::seal::{Limits, Message};
-
-/// How much a subscription may hold, and what it refuses.
-#[derive(Clone, Copy, Debug)]
-pub struct SubscribeOptions {
-    /// For messages that are not complete yet, and for how old they may be.
-    pub limits: Limits,
-    /// Complete messages that wait for [`Subscription::recv`]; more are dropped and counted.
-    pub queue: usize,
-    /// Bytes of their bodies.
-    pub queue_bytes: usize,
-}
-
-impl Default for SubscribeOptions {
-    fn default() -> Self {
-        Self { limits: Limits::default(), queue: 256, queue_bytes: 64 << 20 }
-    }
-}
+use crate::seal::Message;
 
 /// Receives the verified messages of a name. Dropping it ends the subscription.
 pub struct Subscription {

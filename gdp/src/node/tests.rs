@@ -41,13 +41,13 @@ async fn only_writers_with_the_owners_certificate_are_believed() {
     let card = owner.card();
     let forged = Owner::of_card(card.clone()).ad_cert(rogue.name());
     assert!(matches!(
-        rogue.publish(card.proof(), forged.clone(), owner.key()).await,
+        rogue.publish(card.proof(), forged.clone(), PublishOptions::best_effort()).await,
         Err(NodeError::Cert(CertError::WrongKey { .. }))
     ));
     fabric.lie(card.name(), &rogue, card.proof(), forged);
     let key = rogue.0.state.identity.key().clone();
     let mut writer = Writer::new(card.name(), rogue.name(), key, Backend::default()).unwrap();
-    writer.set_epoch(EPOCH, owner.key()).unwrap();
+    writer.set_epoch(EPOCH, &name_key(&card.name())).unwrap();
     let mut forger = Publisher::new(rogue.0.clone(), card.name(), writer, Arc::default());
     forger.send(Encoding::Bytes, b"forged").await.unwrap();
     eventually("the forger's frame is dropped", || cloud.counters().drops.contains_key("seal_unknown_writer")).await;
@@ -166,7 +166,7 @@ async fn refusals_and_wrong_papers_are_told() {
     let owner = Owner::new("/chatter");
     let (node, other) = (fabric.node("proxy").await, fabric.node("proxy").await);
     let of_other = owner.ad_cert(other.name());
-    let error = node.publish(owner.card().proof(), of_other, owner.key()).await.err().unwrap();
+    let error = node.publish(owner.card().proof(), of_other, PublishOptions::best_effort()).await.err().unwrap();
     assert!(matches!(error, NodeError::Cert(CertError::WrongEntity { .. })), "{error}");
 
     fabric.refuse(Some(RefusalCode::Limit));

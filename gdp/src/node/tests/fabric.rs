@@ -17,9 +17,10 @@ use crate::control::{Credential, EntityRequest, Record, Refusal, RefusalCode, Re
 use crate::identity::{Identity, SigningKey};
 use crate::link::{Link, LinkIds};
 use crate::name::NameProof;
-use crate::node::{Node, NodeConfig, NodeError, Publisher, SubscribeOptions, Subscription, lock, unix_now};
+use crate::node::{
+    Node, NodeConfig, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription, lock, unix_now,
+};
 use crate::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
-use crate::seal::EpochKey;
 
 pub struct Fabric {
     identity: Identity,
@@ -149,7 +150,6 @@ impl Fabric {
 pub struct Owner {
     key: SigningKey,
     card: NameCard,
-    epoch: EpochKey,
 }
 
 impl Owner {
@@ -158,12 +158,12 @@ impl Owner {
         let metadata = [("kind", "topic"), ("topic", topic), ("nonce", "1")];
         let metadata = metadata.into_iter().map(|(key, value)| (key.to_owned(), value.to_owned())).collect();
         let card = NameCard::new(key.verify_key(), metadata).unwrap();
-        Self { key, card, epoch: EpochKey::generate().unwrap() }
+        Self { key, card }
     }
 
     /// Somebody who knows the card, but whose key is another.
     pub fn of_card(card: NameCard) -> Self {
-        Self { key: SigningKey::generate().unwrap(), card, epoch: EpochKey::generate().unwrap() }
+        Self { key: SigningKey::generate().unwrap(), card }
     }
 
     pub fn name(&self) -> Name {
@@ -174,10 +174,6 @@ impl Owner {
         &self.card
     }
 
-    pub fn key(&self) -> &EpochKey {
-        &self.epoch
-    }
-
     pub fn ad_cert(&self, entity: Name) -> Issued<AdCert> {
         let name = self.name();
         let not_after = unix_now() + 60;
@@ -186,13 +182,13 @@ impl Owner {
     }
 
     pub async fn publish(&self, node: &Node) -> Result<Publisher, NodeError> {
-        node.publish(self.card.proof(), self.ad_cert(node.name()), &self.epoch).await
+        node.publish(self.card.proof(), self.ad_cert(node.name()), PublishOptions::best_effort()).await
     }
 
     pub async fn subscribe(&self, node: &Node) -> Result<Subscription, NodeError> {
         let (name, to, not_after) = (self.name(), Grantee::Entity(node.name()), unix_now() + 60);
         let grant = issue(&self.key, &ReadGrant { name, to, serial: 1, not_before: 0, not_after }).unwrap().into();
-        node.subscribe(self.card.proof(), grant, &self.epoch, SubscribeOptions::default()).await
+        node.subscribe(self.card.proof(), grant, SubscribeOptions::best_effort()).await
     }
 }
 

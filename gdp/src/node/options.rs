@@ -1,0 +1,93 @@
+//! What an application asks of a name that it publishes or reads.
+
+use std::time::Duration;
+
+pub use crate::keys::Rotation;
+use crate::seal::Limits;
+
+/// What a publisher promises its readers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reliability {
+    /// The newest message: of those that wait for their turn older ones give way, and of one that is older than `lifetime`
+    /// nothing more is sent.
+    BestEffort { lifetime: Duration },
+    /// Every message, in order, as long as the history has it.
+    Reliable { overflow: Overflow },
+}
+
+/// What happens when the history is full of messages that a reader still lacks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Overflow {
+    /// [`Publisher::send`](super::Publisher::send) waits; for a reader that falls behind a while at most.
+    Block,
+    /// The oldest message goes, and is counted.
+    DropOldest,
+}
+
+/// How a name is published.
+#[derive(Clone, Copy, Debug)]
+pub struct PublishOptions {
+    pub reliability: Reliability,
+    /// Messages kept. Best effort: those that have not begun to go. Reliable: all that may be asked for again.
+    pub history: usize,
+    /// Bytes of them, sealed.
+    pub history_bytes: usize,
+    /// Traffic class, 0 to 7: higher ones go first.
+    pub class: u8,
+    /// How many of the last messages each reader that comes later is sent, sealed for it anew.
+    pub latched: usize,
+    /// When the content key is replaced though nobody was revoked.
+    pub rotation: Rotation,
+}
+
+impl PublishOptions {
+    /// The newest message, for 200 ms.
+    pub fn best_effort() -> Self {
+        Self {
+            reliability: Reliability::BestEffort { lifetime: Duration::from_millis(200) },
+            history: 8,
+            history_bytes: 64 << 20,
+            class: 3,
+            latched: 0,
+            rotation: Rotation::default(),
+        }
+    }
+
+    /// Every message; the last 1024 may be asked for again, and the publisher waits when they are not enough.
+    pub fn reliable() -> Self {
+        let reliability = Reliability::Reliable { overflow: Overflow::Block };
+        Self { reliability, history: 1024, ..Self::best_effort() }
+    }
+}
+
+/// How a name is read.
+#[derive(Clone, Copy, Debug)]
+pub struct SubscribeOptions {
+    /// Every message in its order, asked for again if it does not come: for names whose publishers are reliable. Otherwise each
+    /// as soon as it is complete, if it is newer than those before.
+    pub reliable: bool,
+    /// For messages that are not complete yet, and for how old they may be.
+    pub limits: Limits,
+    /// Complete messages that wait for [`Subscription::recv`](super::Subscription::recv). More are dropped and counted; those of
+    /// reliable names wait at their publisher.
+    pub queue: usize,
+    /// Bytes of their bodies.
+    pub queue_bytes: usize,
+}
+
+impl SubscribeOptions {
+    pub fn best_effort() -> Self {
+        let limits = Limits { max_age: MAX_AGE, ..Limits::default() };
+        Self { reliable: false, limits, queue: 256, queue_bytes: 64 << 20 }
+    }
+
+    pub fn reliable() -> Self {
+        let limits = Limits { max_age: MAX_RELIABLE_AGE, deadline: MAX_RELIABLE_AGE, ..Limits::default() };
+        Self { reliable: true, limits, ..Self::best_effort() }
+    }
+}
+
+/// Of topics, by default. The clocks of writers and readers must not differ by more.
+const MAX_AGE: Duration = Duration::from_secs(10);
+/// Of those that are reliable: a message may wait for a link to come back.
+const MAX_RELIABLE_AGE: Duration = Duration::from_secs(60);
