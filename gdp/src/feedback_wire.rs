@@ -15,9 +15,10 @@ pub const MAX_SEQUENCE: u64 = (1 << 48) - 1;
 
 const HELLO_LEN: usize = 1 + 32 + 16;
 const WELCOME_LEN: usize = 1 + 32 + 16 + 16 + 8;
-const REPORT_LEN: usize = 1 + 32 + 16 + 3 * 8 + 4 + 8 + 4 + 4;
+const REPORT_LEN: usize = 1 + 32 + 16 + 4 * 8 + 4 + 8 + 4 + 4;
 const NACK_LEN: usize = 1 + 32 + 16 + 1;
 const MISSING_LEN: usize = 6 + 2 + 4 + 4;
+const GONE_LEN: usize = 1 + 32 + 16 + 8;
 
 /// One message between a reader and a writer of `name`. Sequences are at most [`MAX_SEQUENCE`].
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,6 +33,8 @@ pub enum Feedback {
         session: [u8; 16],
         /// The highest sequence of which any segment has come; 0 before there is one.
         highest: u64,
+        /// This sequence and all before it are done with: delivered, or given up.
+        acknowledged: u64,
         /// Segments that have come, each counted once.
         received_segments: u64,
         /// Their bytes, as in frames.
@@ -52,6 +55,8 @@ pub enum Feedback {
         /// 1 to [`MAX_MISSING`], in ascending order of sequence and first index, none of a message overlapping another.
         missing: Vec<Missing>,
     },
+    /// Writer → reader, in answer to a Nack: what came before this sequence cannot be repaired any more.
+    Gone { name: Name, session: [u8; 16], oldest: u64 },
 }
 
 /// A range of segments of one message.
@@ -73,7 +78,7 @@ impl Missing {
     }
 
     /// Index of the last segment.
-    fn last(&self) -> Option<u32> {
+    pub fn last(&self) -> Option<u32> {
         self.first.checked_add(self.count.checked_sub(1)?)
     }
 }
@@ -100,7 +105,8 @@ impl Feedback {
             Self::Hello { name, .. }
             | Self::Welcome { name, .. }
             | Self::Report { name, .. }
-            | Self::Nack { name, .. } => *name,
+            | Self::Nack { name, .. }
+            | Self::Gone { name, .. } => *name,
         }
     }
 
@@ -116,6 +122,7 @@ impl Feedback {
                 name,
                 session,
                 highest,
+                acknowledged,
                 received_segments,
                 received_bytes,
                 ce,
@@ -124,7 +131,7 @@ impl Feedback {
                 delay_us,
             } => {
                 put(out, &[&[kind::REPORT][..], name.as_bytes(), session]);
-                put(out, &[highest, received_segments, received_bytes].map(|field| field.to_be_bytes()));
+                put(out, &[highest, acknowledged, received_segments, received_bytes].map(|field| field.to_be_bytes()));
                 put(out, &[ce.to_be_bytes().as_slice(), &echo.to_be_bytes()]);
                 put(out, &[echo_index, delay_us].map(|field| field.to_be_bytes()));
             }
@@ -134,6 +141,9 @@ impl Feedback {
                     put(out, &[&sequence.to_be_bytes()[2..], &cut.to_be_bytes()]);
                     put(out, &[first, count].map(|field| field.to_be_bytes()));
                 }
+            }
+            Self::Gone { name, session, oldest } => {
+                put(out, &[&[kind::GONE][..], name.as_bytes(), session, &oldest.to_be_bytes()]);
             }
         }
         Ok(())
@@ -152,6 +162,7 @@ impl Feedback {
                 Some(count) => return Err(FeedbackError::Ranges(count)),
                 None => NACK_LEN,
             },
+            kind::GONE => GONE_LEN,
             kind => return Err(FeedbackError::Kind(kind)),
         };
         let wrong_length = FeedbackError::Length { got: bytes.len(), expected };
@@ -176,6 +187,7 @@ impl Feedback {
                 name,
                 session: fields.take()?,
                 highest: fields.u64()?,
+                acknowledged: fields.u64()?,
                 received_segments: fields.u64()?,
                 received_bytes: fields.u64()?,
                 ce: fields.u32()?,
@@ -183,6 +195,7 @@ impl Feedback {
                 echo_index: fields.u32()?,
                 delay_us: fields.u32()?,
             },
+            kind::GONE => Self::Gone { name, session: fields.take()?, oldest: fields.u64()? },
             _ => {
                 let session = fields.take()?;
                 let [count] = fields.take()?;
@@ -199,8 +212,10 @@ impl Feedback {
         };
         match self {
             Self::Hello { .. } => Ok(()),
-            Self::Welcome { sequence: from, .. } => sequence(*from),
-            Self::Report { highest, echo, .. } => sequence(*highest).and_then(|()| sequence(*echo)),
+            Self::Welcome { sequence: from, .. } | Self::Gone { oldest: from, .. } => sequence(*from),
+            Self::Report { highest, acknowledged, echo, .. } => {
+                [highest, acknowledged, echo].into_iter().try_for_each(|number| sequence(*number))
+            }
             Self::Nack { missing, .. } => {
                 if !(1..=MAX_MISSING).contains(&missing.len()) {
                     return Err(FeedbackError::Ranges(missing.len()));
@@ -222,6 +237,7 @@ mod kind {
     pub const WELCOME: u8 = 2;
     pub const REPORT: u8 = 3;
     pub const NACK: u8 = 4;
+    pub const GONE: u8 = 5;
 }
 
 fn put<T: AsRef<[u8]>>(out: &mut Vec<u8>, parts: &[T]) {
@@ -280,7 +296,7 @@ mod tests {
         assert_eq!(hex::encode(&bytes[..2]), "0407");
         assert_eq!(hex::encode(&bytes[48..]), "0901010203040506000700000008 00000009".replace(' ', ""));
         let (report, _) = &all()[2];
-        let expected = "0000000000000005 0000000000000006 0000000000000007 00000008 0000000000000009 0000000a 0000000b";
+        let expected = "0000000000000005 0000000000000004 0000000000000006 0000000000000007 00000008 0000000000000009 0000000a 0000000b";
         assert_eq!(hex::encode(&encoded(report)[49..]), expected.replace(' ', ""));
     }
 
@@ -293,7 +309,7 @@ mod tests {
             }
             bytes.push(0);
             assert!(matches!(Feedback::decode(&bytes), Err(FeedbackError::Length { .. })));
-            for kind in [0, 5, 0xff] {
+            for kind in [0, 6, 0xff] {
                 bytes[0] = kind;
                 assert_eq!(Feedback::decode(&bytes), Err(FeedbackError::Kind(kind)));
             }
@@ -342,12 +358,13 @@ mod tests {
         assert!(matches!(Feedback::decode(&bytes), Err(FeedbackError::Sequence(_))));
     }
 
-    fn all() -> [(Feedback, usize); 4] {
+    fn all() -> [(Feedback, usize); 5] {
         let (name, session, challenge) = (NAME, SESSION, [3; 16]);
         let report = Feedback::Report {
             name,
             session,
             highest: 5,
+            acknowledged: 4,
             received_segments: 6,
             received_bytes: 7,
             ce: 8,
@@ -358,7 +375,8 @@ mod tests {
         [
             (Feedback::Hello { name, challenge }, 49),
             (Feedback::Welcome { name, challenge, session, sequence: MAX_SEQUENCE }, 73),
-            (report, 93),
+            (report, 101),
+            (Feedback::Gone { name, session, oldest: 12 }, 57),
             (nack(vec![Missing::whole(4), Missing { sequence: 5, cut: 1, first: 2, count: 3 }]), 50 + 2 * 16),
         ]
     }

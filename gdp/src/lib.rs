@@ -16,6 +16,7 @@ pub mod node;
 pub mod port;
 pub mod seal;
 pub mod secret_file;
+pub mod transport;
 #[cfg(test)]
 mod vectors;
 

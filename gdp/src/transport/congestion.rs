@@ -1,0 +1,293 @@
+//! How fast a path to one reader may be used: a model of it after BBR (Cardwell et al., "BBR: Congestion-Based Congestion Control",
+//! 2016; draft-ietf-ccwg-bbr), fed by reports. Delivery rate and round-trip time make the model, so that single losses, which radio
+//! links have at all times, do not slow it down; many losses, or marks, in a round do. Why no existing controller: `docs/decisions.md`.
+
+use super::{FRAME_HEADER, MS};
+
+/// A full frame, for what is counted in frames.
+const FRAME: u64 = 1400 + FRAME_HEADER;
+
+/// Bytes that may go before anything is known, as in RFC 6928.
+pub const INITIAL_WINDOW: u64 = 10 * FRAME;
+/// A path is never held below this.
+pub const MIN_WINDOW: u64 = 4 * FRAME;
+
+/// Taken for the round trip until one is measured.
+const INITIAL_RTT: u64 = 20 * MS;
+/// The shortest round trip counts for this long; then the queue is let run dry, to see it again.
+const RTT_WINDOW: u64 = 10_000 * MS;
+const DRY_TIME: u64 = 200 * MS;
+
+/// Doubles the rate each round (2/ln 2).
+const STARTUP_GAIN: u64 = 289;
+/// What the rate is multiplied with in the phases of steady state, in percent.
+const CYCLE: [u64; 8] = [125, 75, 100, 100, 100, 100, 100, 100];
+/// Rounds that a measured rate counts for.
+const RATE_ROUNDS: u64 = 10;
+/// Startup ends when as many rounds brought less than a quarter more.
+const FULL_ROUNDS: u32 = 3;
+
+/// No path is faster, in bytes per second: products with it fit 64 bits.
+const MAX_RATE: u128 = 1 << 40;
+
+/// Losses of a round beyond this share are congestion, in percent. Radio links lose up to a tenth without any.
+const LOSS_LIMIT: u64 = 15;
+/// Of the rate, in percent, after a round with congestion.
+const BACK_OFF: u64 = 80;
+
+/// What a report tells of a path.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Sample {
+    /// Of the frame that the report echoes; `None` if it went more than once.
+    pub rtt: Option<u64>,
+    /// Bytes that came since the report before.
+    pub delivered: u64,
+    /// Nanoseconds in which they went, or in which they came if that is longer.
+    pub interval: u64,
+    /// The topic had nothing to send in between, so this says little about the path.
+    pub paused: bool,
+    /// Bytes that were asked for again.
+    pub lost: u64,
+    /// Frames that came with a mark.
+    pub marks: u64,
+    /// Of the topic's bytes sent: which the report is about, and all.
+    pub acknowledged: u64,
+    pub sent: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    Startup,
+    /// What startup has queued goes.
+    Drain,
+    /// By [`CYCLE`], and since when.
+    Steady {
+        step: usize,
+        since: u64,
+    },
+    /// Half the window, to see the shortest round trip, until then.
+    Dry {
+        until: u64,
+    },
+}
+
+#[derive(Clone, Debug)]
+pub struct Path {
+    phase: Phase,
+    smoothed_rtt: Option<u64>,
+    min_rtt: Option<u64>,
+    min_rtt_at: u64,
+    /// Between reports, smoothed.
+    report_interval: u64,
+    last_report: Option<u64>,
+    rates: MaxRate,
+    /// Rounds are as long as what was under way at their beginning takes to be reported.
+    round: u64,
+    round_ends: u64,
+    round_delivered: u64,
+    round_lost: u64,
+    round_marks: u64,
+    full_rate: u64,
+    full_rounds: u32,
+    /// The rate is held below this after congestion, until the next attempt at more.
+    ceiling: Option<u64>,
+    /// Nothing was heard of what went last.
+    silent: bool,
+}
+
+impl Path {
+    pub fn new() -> Self {
+        Self {
+            phase: Phase::Startup,
+            smoothed_rtt: None,
+            min_rtt: None,
+            min_rtt_at: 0,
+            report_interval: 10 * MS,
+            last_report: None,
+            rates: MaxRate::default(),
+            round: 0,
+            round_ends: 0,
+            round_delivered: 0,
+            round_lost: 0,
+            round_marks: 0,
+            full_rate: 0,
+            full_rounds: 0,
+            ceiling: None,
+            silent: false,
+        }
+    }
+
+    /// Until the next report only a little goes, to see whether the path is there.
+    pub fn on_silence(&mut self) {
+        self.silent = true;
+    }
+
+    pub fn on_report(&mut self, now: u64, sample: &Sample) {
+        if let Some(last) = self.last_report {
+            let interval = (now - last).min(100 * MS);
+            self.report_interval = (7 * self.report_interval + interval) / 8;
+        }
+        self.last_report = Some(now);
+        self.silent = false;
+        if let Some(rtt) = sample.rtt {
+            self.measure_rtt(now, rtt.max(1));
+        }
+        self.round_delivered += sample.delivered;
+        self.round_lost += sample.lost;
+        self.round_marks += sample.marks;
+        if sample.delivered > 0 && sample.interval > 0 {
+            let rate = bytes_per_second(sample.delivered, sample.interval);
+            if !sample.paused || rate > self.rates.get() {
+                self.rates.add(self.round, rate);
+            }
+        }
+        if sample.acknowledged >= self.round_ends {
+            self.end_round(sample.paused);
+            self.round += 1;
+            self.round_ends = sample.sent;
+        }
+        self.advance(now, sample.sent.saturating_sub(sample.acknowledged));
+    }
+
+    /// Bytes per second at which frames may go.
+    pub fn rate(&self) -> u64 {
+        let gain = match self.phase {
+            Phase::Startup => STARTUP_GAIN,
+            Phase::Drain => 50,
+            Phase::Steady { step, .. } => CYCLE[step],
+            Phase::Dry { .. } => 100,
+        };
+        let least = bytes_per_second(MIN_WINDOW, self.rtt() + self.report_interval);
+        (self.bandwidth() * gain / 100).max(least)
+    }
+
+    /// Bytes that may be under way.
+    pub fn window(&self) -> u64 {
+        if self.rates.get() == 0 || self.silent {
+            return INITIAL_WINDOW;
+        }
+        let rtt = self.min_rtt.unwrap_or(INITIAL_RTT);
+        match self.phase {
+            Phase::Startup => (self.in_flight(rtt) * STARTUP_GAIN / 100).max(INITIAL_WINDOW),
+            Phase::Drain | Phase::Steady { .. } => (2 * self.in_flight(rtt)).max(MIN_WINDOW),
+            Phase::Dry { .. } => (self.in_flight(rtt) / 2).max(MIN_WINDOW),
+        }
+    }
+
+    /// The round trip, smoothed.
+    pub fn rtt(&self) -> u64 {
+        self.smoothed_rtt.unwrap_or(INITIAL_RTT)
+    }
+
+    /// By when a report about what went now is overdue.
+    pub fn patience(&self) -> u64 {
+        (2 * self.rtt() + 3 * self.report_interval).max(100 * MS)
+    }
+
+    fn bandwidth(&self) -> u64 {
+        match self.rates.get() {
+            0 => bytes_per_second(INITIAL_WINDOW, self.rtt()),
+            rate => rate.min(self.ceiling.unwrap_or(u64::MAX)),
+        }
+    }
+
+    /// Bytes under way when the path is full and has no queue. What a reader has not reported yet is among them.
+    fn in_flight(&self, rtt: u64) -> u64 {
+        (u128::from(self.bandwidth()) * u128::from(rtt + self.report_interval) / 1_000_000_000) as u64 + 2 * FRAME
+    }
+
+    fn measure_rtt(&mut self, now: u64, rtt: u64) {
+        self.smoothed_rtt = Some(self.smoothed_rtt.map_or(rtt, |smoothed| (7 * smoothed + rtt) / 8));
+        let dry = matches!(self.phase, Phase::Dry { .. });
+        let expired = dry && now.saturating_sub(self.min_rtt_at) > RTT_WINDOW;
+        if expired || self.min_rtt.is_none_or(|min| rtt <= min) {
+            self.min_rtt = Some(rtt);
+            self.min_rtt_at = now;
+        }
+    }
+
+    fn end_round(&mut self, paused: bool) {
+        let seen = self.round_delivered + self.round_lost;
+        let lossy = self.round_lost > 4 * FRAME && self.round_lost * 100 > seen * LOSS_LIMIT;
+        if self.round_marks > 0 || lossy {
+            self.ceiling = Some(self.bandwidth() * BACK_OFF / 100);
+            if self.phase == Phase::Startup {
+                self.phase = Phase::Drain;
+            }
+        }
+        (self.round_delivered, self.round_lost, self.round_marks) = (0, 0, 0);
+        if self.phase == Phase::Startup && !paused {
+            if self.rates.get() >= self.full_rate + self.full_rate / 4 {
+                (self.full_rate, self.full_rounds) = (self.rates.get(), 0);
+            } else {
+                self.full_rounds += 1;
+            }
+            if self.full_rounds >= FULL_ROUNDS {
+                self.phase = Phase::Drain;
+            }
+        }
+    }
+
+    fn advance(&mut self, now: u64, under_way: u64) {
+        let rtt = self.min_rtt.unwrap_or(INITIAL_RTT);
+        match self.phase {
+            Phase::Drain if under_way <= self.in_flight(rtt) => self.begin_steady(now),
+            Phase::Steady { step, since } if now - since >= rtt.max(self.report_interval) => {
+                // The queue that an attempt at more has made goes first.
+                if CYCLE[step] >= 100 || under_way <= self.in_flight(rtt) {
+                    let step = (step + 1) % CYCLE.len();
+                    if CYCLE[step] > 100 {
+                        self.ceiling = None;
+                    }
+                    self.phase = Phase::Steady { step, since: now };
+                }
+            }
+            Phase::Dry { until } if now >= until => {
+                self.min_rtt_at = now;
+                self.begin_steady(now);
+            }
+            _ => {}
+        }
+        let stale = now.saturating_sub(self.min_rtt_at) > RTT_WINDOW;
+        if stale && matches!(self.phase, Phase::Steady { .. }) && self.min_rtt.is_some() {
+            self.phase = Phase::Dry { until: now + DRY_TIME.max(rtt + self.report_interval) };
+        }
+    }
+
+    /// At a step that differs from flow to flow, so that they do not all try for more at once.
+    fn begin_steady(&mut self, now: u64) {
+        let step = 2 + (now / 1000 % 6) as usize;
+        self.phase = Phase::Steady { step, since: now };
+    }
+}
+
+/// The highest rate of the last rounds.
+#[derive(Clone, Copy, Debug, Default)]
+struct MaxRate {
+    /// Of the rounds `RATE_ROUNDS / 2 * n` on, newest first.
+    buckets: [(u64, u64); 3],
+}
+
+impl MaxRate {
+    fn add(&mut self, round: u64, rate: u64) {
+        let bucket = round / (RATE_ROUNDS / 2);
+        if self.buckets[0].0 != bucket {
+            self.buckets.rotate_right(1);
+            self.buckets[0] = (bucket, 0);
+        }
+        self.buckets[0].1 = self.buckets[0].1.max(rate);
+        for (of, rate) in &mut self.buckets[1..] {
+            if bucket - *of > 2 {
+                *rate = 0;
+            }
+        }
+    }
+
+    fn get(&self) -> u64 {
+        self.buckets.iter().map(|(_, rate)| *rate).max().unwrap_or(0)
+    }
+}
+
+fn bytes_per_second(bytes: u64, nanoseconds: u64) -> u64 {
+    (u128::from(bytes) * 1_000_000_000 / u128::from(nanoseconds.max(1))).min(MAX_RATE) as u64
+}

@@ -1,0 +1,498 @@
+//! What one session of a writer sends, at a reader: which segments are missing, what is asked for again, what is delivered in which
+//! order, what is given up, and what the writer is told of it.
+
+use std::collections::VecDeque;
+
+use gdp_wire::Name;
+
+use super::slot::{Body, Slot};
+use super::{MS, Position};
+use crate::feedback_wire::{Feedback, MAX_MISSING, MAX_SEQUENCE};
+
+/// Segments that overtake others by less than this are waited for, at least. With more than a few milliseconds to the writer and
+/// back, an eighth of that; so gaps are asked for when they are between one and two of these times old.
+const LEAST_PATIENCE: u64 = 2 * MS;
+
+/// Between reports while something comes: half a round trip, within these.
+const FASTEST_REPORT: u64 = 10 * MS;
+const SLOWEST_REPORT: u64 = 100 * MS;
+
+/// What was asked for in vain is asked for again, in the end so seldom.
+const SLOWEST_ASKING: u64 = 1_000 * MS;
+
+const LONGEST_RTT: u64 = 1_000 * MS;
+
+/// In which order a reader wants messages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Each as soon as it is complete, if it is newer than those before: for topics that are best effort.
+    Newest,
+    /// All, one after another: for topics that are reliable.
+    Every,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub struct InboundOptions {
+    pub order: Order,
+    /// A message that is not complete so many nanoseconds after it became known is given up.
+    pub deadline: u64,
+    /// Messages that may be incomplete, or wait for one before them.
+    pub messages: usize,
+    /// Bytes of messages that wait for one before them, and of what is known of incomplete ones.
+    pub bytes: usize,
+}
+
+impl InboundOptions {
+    pub fn newest() -> Self {
+        Self { order: Order::Newest, deadline: 200 * MS, messages: 64, bytes: 16 << 20 }
+    }
+
+    pub fn every() -> Self {
+        Self { order: Order::Every, deadline: 30_000 * MS, messages: 1024, bytes: 64 << 20 }
+    }
+}
+
+/// A segment that opened under the session's key.
+#[derive(Clone, Copy, Debug)]
+pub struct Segment {
+    pub position: Position,
+    pub cut: u16,
+    /// Segments of the message, its proof included.
+    pub total: u32,
+    /// In the frame, its header included.
+    pub bytes: usize,
+}
+
+/// What comes of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Arrival<M> {
+    Message(M),
+    /// For the writer.
+    Feedback(Feedback),
+}
+
+/// What became of a session's messages here. `delivered` and the three after it are all that there are up to the last one dealt with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct InboundCounters {
+    pub delivered: u64,
+    /// Best effort: incomplete when a newer one was complete.
+    pub overtaken: u64,
+    /// Not complete at the deadline.
+    pub expired: u64,
+    /// Reliable: the writer has it no more, or there was no room to wait for it.
+    pub given_up: u64,
+    /// Segments that were there, or belong to a message that is dealt with.
+    pub duplicates: u64,
+    /// Segments beyond what may be outstanding. They come again.
+    pub beyond: u64,
+}
+
+/// `M`: a message as it is delivered.
+#[derive(Debug)]
+pub struct Inbound<M> {
+    name: Name,
+    session: [u8; 16],
+    options: InboundOptions,
+    /// The first message that is not dealt with.
+    next: u64,
+    /// From `next` on, as far as messages are known.
+    slots: VecDeque<Slot<M>>,
+    /// The writer said that all before this exist.
+    exists: u64,
+    /// The last segment that came, in the order of sending.
+    highest: Position,
+    /// Bytes charged to the slots.
+    bytes: usize,
+    rtt: u64,
+    /// What is missing up to here when this time has come is asked for.
+    mark: Option<(u64, Position)>,
+    /// What is missing up to here is asked for.
+    due: Position,
+    came_at: u64,
+    ask_at: u64,
+    report_at: u64,
+    reported_at: Option<u64>,
+    segments: u64,
+    segment_bytes: u64,
+    ce: u32,
+    /// The last new segment since the last report, and when it came.
+    echo: Option<(Position, u64)>,
+    ready: VecDeque<M>,
+    counters: InboundCounters,
+}
+
+impl<M> Inbound<M> {
+    /// `from`: the sequence that the writer said to begin with. `rtt`: how long it took to answer.
+    pub fn new(name: Name, session: [u8; 16], from: u64, rtt: u64, options: InboundOptions) -> Self {
+        let from = from.clamp(1, MAX_SEQUENCE);
+        Self {
+            name,
+            session,
+            options,
+            next: from,
+            slots: VecDeque::new(),
+            exists: from,
+            highest: Position { sequence: 0, index: 0 },
+            bytes: 0,
+            rtt: rtt.clamp(MS, LONGEST_RTT),
+            mark: None,
+            due: Position { sequence: 0, index: 0 },
+            came_at: 0,
+            ask_at: u64::MAX,
+            report_at: u64::MAX,
+            reported_at: None,
+            segments: 0,
+            segment_bytes: 0,
+            ce: 0,
+            echo: None,
+            ready: VecDeque::new(),
+            counters: InboundCounters::default(),
+        }
+    }
+
+    /// A frame of this session came with a congestion mark.
+    pub fn congested(&mut self) {
+        self.ce = self.ce.wrapping_add(1);
+    }
+
+    /// A segment came. False if it is of no use: its message is dealt with, it is there already, or there is no room for it now. Then
+    /// no memory is to be spent on it.
+    pub fn segment(&mut self, now: u64, segment: &Segment) -> bool {
+        let Segment { position, cut, total, bytes } = *segment;
+        if position.sequence > MAX_SEQUENCE || total < 2 || position.index >= total {
+            return false;
+        }
+        if position.sequence < self.next {
+            self.counters.duplicates += 1;
+            // If a report was lost, the writer has to hear that this is here.
+            self.plan_report(now);
+            return false;
+        }
+        self.exists = self.exists.max(position.sequence + 1);
+        self.overtake(position.sequence);
+        if self.slot_for(now, position.sequence).is_none() || !self.make_room(position.sequence, total) {
+            self.counters.beyond += 1;
+            self.plan_report(now);
+            return false;
+        }
+        let index = (position.sequence - self.next) as usize;
+        let slot = &mut self.slots[index];
+        let answered = slot.answered_in(now, position.index);
+        let before = slot.total();
+        if !slot.add(cut, position.index, total) {
+            self.counters.duplicates += 1;
+            self.plan_report(now);
+            return false;
+        }
+        self.bytes = self.bytes + Slot::<M>::cost(slot.total()) - Slot::<M>::cost(before);
+        if let Some(took) = answered.filter(|took| *took > self.rtt) {
+            self.rtt = (self.rtt + (took - self.rtt) / 8).min(LONGEST_RTT);
+        }
+        self.segments += 1;
+        self.segment_bytes += bytes as u64;
+        self.echo = Some((position, now));
+        self.came_at = now;
+        if position > self.highest {
+            self.highest = position;
+        }
+        if self.mark.is_none() {
+            self.mark = Some((now + self.patience(), self.highest));
+        }
+        self.plan_report(now);
+        true
+    }
+
+    /// A message is complete and verified. `bytes`: of its body.
+    pub fn complete(&mut self, now: u64, sequence: u64, bytes: usize, message: M) {
+        let index = sequence.wrapping_sub(self.next);
+        let Some(slot) = usize::try_from(index).ok().and_then(|index| self.slots.get_mut(index)) else { return };
+        if !slot.is_open() {
+            return;
+        }
+        slot.body = Body::Held(message, bytes);
+        self.bytes += bytes;
+        match self.options.order {
+            Order::Newest => self.deal_with(sequence, Given::Overtaken),
+            Order::Every => {
+                self.deliver();
+                while self.bytes > self.options.bytes && !self.slots.is_empty() {
+                    self.give_up_first_gap();
+                }
+            }
+        }
+        self.plan_report(now);
+    }
+
+    /// What came of this message is lost here, without its being dealt with: all of it is needed again.
+    pub fn forget(&mut self, now: u64, sequence: u64) {
+        let index = sequence.wrapping_sub(self.next);
+        let Some(slot) = usize::try_from(index).ok().and_then(|index| self.slots.get_mut(index)) else { return };
+        if slot.is_open() {
+            self.bytes -= Slot::<M>::cost(slot.total()) - Slot::<M>::cost(0);
+            slot.clear();
+            self.plan_ask(now);
+        }
+    }
+
+    /// The writer says, signed, that the next message will be this one.
+    pub fn heartbeat(&mut self, now: u64, next: u64) {
+        let next = next.min(MAX_SEQUENCE);
+        self.exists = self.exists.max(next);
+        if self.options.order == Order::Every && next > self.next {
+            self.slot_for(now, next - 1);
+            // All of it has gone, so nothing is on its way any more.
+            self.due = self.due.max(Position { sequence: next - 1, index: u32::MAX });
+            self.plan_ask(now);
+        }
+        self.plan_report(now);
+    }
+
+    /// What the writer says to this reader alone.
+    pub fn feedback(&mut self, now: u64, feedback: &Feedback) {
+        if let Feedback::Gone { session, oldest, .. } = feedback
+            && *session == self.session
+            && *oldest > self.next
+        {
+            self.deal_with(oldest - 1, Given::Up);
+            self.deliver();
+            self.plan_report(now);
+        }
+    }
+
+    /// The next thing that comes of it. To be called until there is none, after anything else was called and at
+    /// [`Self::next_wake`].
+    pub fn poll(&mut self, now: u64) -> Option<Arrival<M>> {
+        self.expire(now);
+        if let Some(message) = self.ready.pop_front() {
+            return Some(Arrival::Message(message));
+        }
+        if let Some((at, position)) = self.mark
+            && at <= now
+        {
+            self.due = self.due.max(position);
+            self.mark = (self.highest > position).then(|| (now + self.patience(), self.highest));
+            self.plan_ask(now);
+        }
+        // A writer that stopped in the middle of a message, or whose last segments were lost.
+        if !self.slots.is_empty() && now >= self.idle_at() && self.due < self.highest_known() {
+            self.due = self.highest_known();
+            self.plan_ask(now);
+        }
+        if self.ask_at <= now {
+            let nack = self.ask(now);
+            if nack.is_some() {
+                return nack.map(Arrival::Feedback);
+            }
+        }
+        if self.report_at <= now {
+            return Some(Arrival::Feedback(self.report(now)));
+        }
+        None
+    }
+
+    /// When [`Self::poll`] will have something, if nothing else is called before.
+    pub fn next_wake(&self) -> Option<u64> {
+        let ready = (!self.ready.is_empty()).then_some(0);
+        let mark = self.mark.map(|(at, _)| at);
+        let idle = (!self.slots.is_empty() && self.due < self.highest_known()).then(|| self.idle_at());
+        let timers = [self.ask_at, self.report_at].into_iter().filter(|at| *at < u64::MAX);
+        [ready, mark, idle, self.deadline()].into_iter().flatten().chain(timers).min()
+    }
+
+    /// For a round trip that was measured in another way.
+    pub fn set_rtt(&mut self, rtt: u64) {
+        self.rtt = rtt.clamp(MS, LONGEST_RTT);
+    }
+
+    pub fn counters(&self) -> &InboundCounters {
+        &self.counters
+    }
+
+    /// The first sequence that is not dealt with.
+    pub fn next_sequence(&self) -> u64 {
+        self.next
+    }
+
+    /// Bytes of what waits, and of what is known of incomplete messages.
+    pub fn memory(&self) -> usize {
+        self.bytes
+    }
+
+    fn patience(&self) -> u64 {
+        (self.rtt / 8).max(LEAST_PATIENCE)
+    }
+
+    fn idle_at(&self) -> u64 {
+        self.came_at + 2 * self.patience()
+    }
+
+    /// The end of the newest message of which anything came.
+    fn highest_known(&self) -> Position {
+        Position { sequence: self.highest.sequence, index: u32::MAX }
+    }
+
+    /// When the first message that is not dealt with is given up.
+    fn deadline(&self) -> Option<u64> {
+        let slot = self.slots.front().filter(|slot| slot.is_open())?;
+        Some(slot.known_at.saturating_add(self.options.deadline))
+    }
+
+    fn expire(&mut self, now: u64) {
+        while self.deadline().is_some_and(|deadline| deadline < now) {
+            self.deal_with(self.next, Given::Late);
+            self.deliver();
+            self.plan_report(now);
+        }
+    }
+
+    /// The slot of a message from `next` on, if it is not beyond what may be outstanding.
+    fn slot_for(&mut self, now: u64, sequence: u64) -> Option<()> {
+        let index = sequence - self.next;
+        let most = self.options.messages.max(1) as u64;
+        let wanted = index.min(most - 1) as usize + 1;
+        while self.slots.len() < wanted {
+            self.slots.push_back(Slot::new(now));
+            self.bytes += Slot::<M>::cost(0);
+        }
+        (index < most).then_some(())
+    }
+
+    /// Best effort: so that the newest has a place, the oldest go.
+    fn overtake(&mut self, sequence: u64) {
+        let most = self.options.messages.max(1) as u64;
+        if self.options.order == Order::Newest && sequence - self.next >= most {
+            self.deal_with(sequence - most, Given::Overtaken);
+        }
+    }
+
+    /// Whether what has to be known of a message of so many segments finds room.
+    fn make_room(&mut self, sequence: u64, total: u32) -> bool {
+        let index = (sequence - self.next) as usize;
+        let slot = &self.slots[index];
+        slot.total() == total || self.bytes + Slot::<M>::cost(total) <= self.options.bytes
+    }
+
+    /// All up to this sequence are dealt with; those that are not here are counted as `given`.
+    fn deal_with(&mut self, sequence: u64, given: Given) {
+        while self.next <= sequence {
+            let Some(slot) = self.slots.pop_front() else {
+                *self.given(given) += sequence + 1 - self.next;
+                self.next = sequence + 1;
+                break;
+            };
+            self.next += 1;
+            self.bytes -= Slot::<M>::cost(slot.total());
+            match slot.body {
+                Body::Held(message, bytes) => {
+                    self.bytes -= bytes;
+                    self.counters.delivered += 1;
+                    self.ready.push_back(message);
+                }
+                Body::Open => *self.given(given) += 1,
+            }
+        }
+    }
+
+    fn given(&mut self, given: Given) -> &mut u64 {
+        match given {
+            Given::Overtaken => &mut self.counters.overtaken,
+            Given::Late => &mut self.counters.expired,
+            Given::Up => &mut self.counters.given_up,
+        }
+    }
+
+    /// Those that are complete and have none missing before them.
+    fn deliver(&mut self) {
+        let complete = self.slots.iter().take_while(|slot| !slot.is_open()).count() as u64;
+        if complete > 0 {
+            self.deal_with(self.next + complete - 1, Given::Up);
+        }
+    }
+
+    fn give_up_first_gap(&mut self) {
+        let gap = self.slots.iter().take_while(|slot| slot.is_open()).count() as u64;
+        if gap > 0 {
+            self.deal_with(self.next + gap - 1, Given::Up);
+        }
+        self.deliver();
+    }
+
+    /// What is asked for now, in one message of bounded size.
+    fn ask(&mut self, now: u64) -> Option<Feedback> {
+        self.slot_up_to_existing(now);
+        let mut missing = Vec::new();
+        let (rtt, due) = (self.rtt + self.rtt / 4, self.due);
+        for (sequence, slot) in (self.next..=due.sequence).zip(&mut self.slots) {
+            if missing.len() == MAX_MISSING {
+                break;
+            }
+            if slot.is_open() {
+                if slot.ask_again_at(rtt, SLOWEST_ASKING).is_some_and(|at| at <= now) {
+                    slot.forget_asked();
+                }
+                let end = if sequence == due.sequence { due.index } else { u32::MAX };
+                slot.ask(now, sequence, end, MAX_MISSING, &mut missing);
+            }
+        }
+        self.ask_at = u64::MAX;
+        self.plan_ask(now + LEAST_PATIENCE);
+        let (name, session) = (self.name, self.session);
+        (!missing.is_empty()).then_some(Feedback::Nack { name, session, missing })
+    }
+
+    /// Messages of which nothing has come exist too.
+    fn slot_up_to_existing(&mut self, now: u64) {
+        if self.options.order == Order::Every && self.exists > self.next {
+            self.slot_for(now, self.exists - 1);
+        }
+    }
+
+    /// When something is to be asked for, not before `from`.
+    fn plan_ask(&mut self, from: u64) {
+        let (rtt, due) = (self.rtt + self.rtt / 4, self.due);
+        let open = (self.next..=due.sequence).zip(&self.slots).filter(|(_, slot)| slot.is_open());
+        let times = open.filter_map(|(sequence, slot)| {
+            let end = if sequence == due.sequence { due.index } else { u32::MAX };
+            if slot.has_wanted(end) {
+                Some(from)
+            } else {
+                slot.ask_again_at(rtt, SLOWEST_ASKING).map(|at| at.max(from))
+            }
+        });
+        if let Some(at) = times.min() {
+            self.ask_at = self.ask_at.min(at);
+        }
+    }
+
+    fn plan_report(&mut self, now: u64) {
+        let interval = (self.rtt / 2).clamp(FASTEST_REPORT, SLOWEST_REPORT);
+        let at = self.reported_at.map_or(now, |last| (last + interval).max(now));
+        self.report_at = self.report_at.min(at);
+    }
+
+    fn report(&mut self, now: u64) -> Feedback {
+        self.report_at = u64::MAX;
+        self.reported_at = Some(now);
+        let (echo, came_at) = self.echo.take().unwrap_or((Position { sequence: 0, index: 0 }, now));
+        Feedback::Report {
+            name: self.name,
+            session: self.session,
+            highest: self.highest.sequence,
+            acknowledged: self.next - 1,
+            received_segments: self.segments,
+            received_bytes: self.segment_bytes,
+            ce: self.ce,
+            echo: echo.sequence,
+            echo_index: echo.index,
+            delay_us: u32::try_from((now - came_at) / 1000).unwrap_or(u32::MAX),
+        }
+    }
+}
+
+/// Why a message is dealt with that is not here.
+#[derive(Clone, Copy)]
+enum Given {
+    Overtaken,
+    Late,
+    Up,
+}

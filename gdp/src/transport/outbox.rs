@@ -1,0 +1,386 @@
+//! The messages of one topic at the writer: those that wait, the one that goes, and those that went and may be asked for again.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use super::{Position, Sealed};
+use crate::feedback_wire::Missing;
+
+/// What a topic promises.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reliability {
+    /// Of messages that wait, the newest; and of a message, nothing more once it is `lifetime` nanoseconds old.
+    BestEffort { lifetime: u64 },
+    /// Every message, as long as the history has it.
+    Reliable { overflow: Overflow },
+}
+
+/// What a reliable topic does when its history is full of messages that a reader still lacks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Overflow {
+    /// The publisher waits. A reader that falls behind is waited for once, for a while, and no longer.
+    Block,
+    /// The oldest message goes, and is counted.
+    DropOldest,
+}
+
+/// How much a topic keeps. A message that is larger than all of it is taken if nothing else is there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct History {
+    /// Best effort: of messages that have not begun to go. Reliable: of all.
+    pub messages: usize,
+    pub bytes: usize,
+}
+
+/// What became of a topic's messages and frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TopicCounters {
+    pub messages: u64,
+    /// Messages that newer ones replaced before all their frames had gone.
+    pub replaced: u64,
+    /// Messages whose lifetime ended before all their frames had gone.
+    pub expired: u64,
+    /// Messages of a reliable topic that went from the history before every reader that is waited for had them.
+    pub evicted: u64,
+    /// Frame payloads sent, those sent again included; several that share a frame count one each.
+    pub frames: u64,
+    pub repeated: u64,
+    /// Asked for by a reader beyond its budget.
+    pub over_budget: u64,
+}
+
+/// A frame payload that goes.
+#[derive(Clone, Debug)]
+pub struct Chosen {
+    pub message: Arc<Sealed>,
+    pub frame: usize,
+    pub repair: bool,
+}
+
+/// Frames that wait to go again, of all readers together.
+const MOST_REPAIRS: usize = 1 << 14;
+
+/// When a frame went again.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Repeated {
+    /// 0: never.
+    pub at: u64,
+    /// Bytes of the topic that had gone by then.
+    pub total: u64,
+    queued: bool,
+}
+
+#[derive(Debug)]
+struct Entry {
+    message: Arc<Sealed>,
+    pushed: u64,
+    /// Frames that went, or will not any more.
+    sent: usize,
+    /// By frame, once one is asked for again.
+    repeated: Vec<Repeated>,
+    /// Its frames are too large; smaller ones are being made.
+    resealing: bool,
+}
+
+impl Entry {
+    fn is_sent(&self) -> bool {
+        self.sent == self.message.frames()
+    }
+
+    fn messages(&self) -> u64 {
+        self.message.last() - self.message.first() + 1
+    }
+}
+
+#[derive(Debug)]
+pub struct Outbox {
+    reliability: Reliability,
+    history: History,
+    /// In the order of sequences.
+    entries: VecDeque<Entry>,
+    bytes: usize,
+    last: u64,
+    /// Entries before this one have all been sent.
+    cursor: usize,
+    /// First sequence of the entry, and frame.
+    repairs: VecDeque<(u64, u32)>,
+    /// Whose turn it is if both have something.
+    repair_next: bool,
+    to_reseal: VecDeque<Arc<Sealed>>,
+    counters: TopicCounters,
+}
+
+impl Outbox {
+    pub fn new(reliability: Reliability, history: History) -> Self {
+        Self {
+            reliability,
+            history,
+            entries: VecDeque::new(),
+            bytes: 0,
+            last: 0,
+            cursor: 0,
+            repairs: VecDeque::new(),
+            repair_next: true,
+            to_reseal: VecDeque::new(),
+            counters: TopicCounters::default(),
+        }
+    }
+
+    pub fn counters(&self) -> &TopicCounters {
+        &self.counters
+    }
+
+    pub fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    pub fn is_reliable(&self) -> bool {
+        matches!(self.reliability, Reliability::Reliable { .. })
+    }
+
+    /// The last sequence ever pushed; 0 before there is one.
+    pub fn last(&self) -> u64 {
+        self.last
+    }
+
+    /// All messages up to this sequence have gone, as far as they will.
+    pub fn sent_through(&self) -> u64 {
+        self.entries
+            .iter()
+            .skip(self.cursor)
+            .find(|entry| !entry.is_sent())
+            .map_or(self.last, |entry| entry.message.first() - 1)
+    }
+
+    /// The first sequence that can still be repaired.
+    pub fn oldest(&self) -> u64 {
+        self.entries.front().map_or(self.last + 1, |entry| entry.message.first())
+    }
+
+    /// Whether a message of so many bytes finds room, or the oldest may go for it.
+    pub fn has_room(&self, bytes: usize, acknowledged: u64) -> bool {
+        let oldest_may_go = |entry: &Entry| entry.is_sent() && entry.message.last() <= acknowledged;
+        let full = self.entries.len() >= self.history.messages.max(1) || self.bytes + bytes > self.history.bytes;
+        !full || self.entries.is_empty() || self.entries.front().is_some_and(oldest_may_go)
+    }
+
+    pub fn oldest_is_sent(&self) -> bool {
+        self.entries.front().is_some_and(Entry::is_sent)
+    }
+
+    /// `acknowledged`: what every reader that is waited for has. Gives the message back if the caller has to wait.
+    pub fn push(&mut self, now: u64, message: Sealed, acknowledged: u64) -> Result<(), Sealed> {
+        debug_assert!(message.first() > self.last);
+        let fits =
+            |outbox: &Self| outbox.bytes + message.total_bytes() <= outbox.history.bytes || outbox.entries.is_empty();
+        match self.reliability {
+            Reliability::BestEffort { lifetime } => {
+                self.expire(now, lifetime);
+                while self.entries.len() - self.begun() >= self.history.messages.max(1) {
+                    self.drop_entry(self.begun());
+                }
+                while !fits(self) {
+                    self.drop_entry(0);
+                }
+            }
+            Reliability::Reliable { overflow } => {
+                while self.entries.len() >= self.history.messages.max(1) || !fits(self) {
+                    let Some(oldest) = self.entries.front() else { break };
+                    if !oldest.is_sent() || oldest.message.last() > acknowledged {
+                        match overflow {
+                            Overflow::Block => return Err(message),
+                            Overflow::DropOldest => self.counters.evicted += oldest.messages(),
+                        }
+                    }
+                    self.remove(0);
+                }
+            }
+        }
+        self.counters.messages += message.last() - message.first() + 1;
+        self.last = message.last();
+        self.bytes += message.total_bytes();
+        let message = Arc::new(message);
+        self.entries.push_back(Entry { message, pushed: now, sent: 0, repeated: Vec::new(), resealing: false });
+        Ok(())
+    }
+
+    /// The oldest message of a full history goes, whoever lacks it. Returns its last sequence.
+    pub fn evict(&mut self) -> Option<u64> {
+        let oldest = self.entries.front().filter(|entry| entry.is_sent())?;
+        let last = oldest.message.last();
+        self.counters.evicted += oldest.messages();
+        self.remove(0);
+        Some(last)
+    }
+
+    /// Nobody is there to send to: what waits counts as sent.
+    pub fn skip_all(&mut self) {
+        self.entries.iter_mut().for_each(|entry| entry.sent = entry.message.frames());
+        self.repairs.clear();
+        self.cursor = self.entries.len();
+    }
+
+    /// What goes next, in frames of at most `max_payload` bytes.
+    pub fn choose(&mut self, now: u64, max_payload: usize) -> Option<Chosen> {
+        if let Reliability::BestEffort { lifetime } = self.reliability {
+            self.expire(now, lifetime);
+        }
+        let fresh = self.fresh(max_payload);
+        if self.repair_next || fresh.is_none() {
+            if let Some(repair) = self.repair(max_payload) {
+                return Some(repair);
+            }
+        }
+        fresh
+    }
+
+    /// What was chosen goes. `total`: bytes of the topic that have gone, these included.
+    pub fn take(&mut self, now: u64, chosen: &Chosen, total: u64) {
+        self.counters.frames += 1;
+        let Some(index) = self.find(chosen.message.first()) else { return };
+        let entry = &mut self.entries[index];
+        if chosen.repair {
+            self.repairs.pop_front();
+            self.counters.repeated += 1;
+            entry.repeated[chosen.frame] = Repeated { at: now, total, queued: false };
+        } else {
+            entry.sent = chosen.frame + 1;
+            while self.entries.get(self.cursor).is_some_and(Entry::is_sent) {
+                self.cursor += 1;
+            }
+        }
+        self.repair_next = !chosen.repair;
+    }
+
+    /// A message that must be sealed for smaller frames, once.
+    pub fn next_to_reseal(&mut self) -> Option<Arc<Sealed>> {
+        self.to_reseal.pop_front()
+    }
+
+    /// The same messages in smaller frames; they are sent from their beginning. Nothing happens if they are gone by now.
+    pub fn resealed(&mut self, message: Sealed) {
+        let Some(index) = self.find(message.first()) else { return };
+        let entry = &mut self.entries[index];
+        if entry.message.last() != message.last() || entry.message.cut() >= message.cut() {
+            return;
+        }
+        self.bytes = self.bytes - entry.message.total_bytes() + message.total_bytes();
+        let first = message.first();
+        *entry =
+            Entry { message: Arc::new(message), pushed: entry.pushed, sent: 0, repeated: Vec::new(), resealing: false };
+        self.repairs.retain(|(of, _)| *of != first);
+        self.cursor = self.cursor.min(index);
+    }
+
+    /// Queues what a reader lacks. `too_early`: what went again later than this is on its way to the reader already. `pay` is
+    /// asked with the bytes of each frame whether the reader may have it. Returns the bytes queued for this reader.
+    pub fn ask(&mut self, range: &Missing, too_early: u64, mut pay: impl FnMut(u64) -> bool) -> u64 {
+        let Some(index) = self.find(range.sequence) else { return 0 };
+        let entry = &mut self.entries[index];
+        let message = &entry.message;
+        let other_cut = range.cut != message.cut() && *range != Missing::whole(range.sequence);
+        let (from, to) = if other_cut { (0, u32::MAX) } else { (range.first, range.last().unwrap_or(u32::MAX)) };
+        let frame_of = |index| message.frame_of(Position { sequence: range.sequence, index });
+        let frames = frame_of(from)..frame_of(to) + 1;
+        if entry.repeated.is_empty() {
+            entry.repeated.resize(message.frames(), Repeated::default());
+        }
+        let mut queued = 0;
+        // What has not gone yet is on its way anyway.
+        for frame in frames.start..frames.end.min(entry.sent) {
+            let repeated = &mut entry.repeated[frame];
+            if repeated.queued || (repeated.at > 0 && repeated.at > too_early) {
+                continue;
+            }
+            let bytes = message.len(frame) as u64;
+            if self.repairs.len() >= MOST_REPAIRS || !pay(bytes) {
+                self.counters.over_budget += 1;
+                break;
+            }
+            repeated.queued = true;
+            queued += bytes;
+            self.repairs.push_back((message.first(), frame as u32));
+        }
+        queued
+    }
+
+    /// When the frame with this segment went again, if ever.
+    pub fn repeated(&self, position: Position) -> Option<Repeated> {
+        let entry = &self.entries[self.find(position.sequence)?];
+        entry.repeated.get(entry.message.frame_of(position)).copied().filter(|repeated| repeated.at > 0)
+    }
+
+    /// The first entry that has not begun to go.
+    fn begun(&self) -> usize {
+        let going = self.entries.get(self.cursor).is_some_and(|entry| entry.sent > 0);
+        self.cursor + usize::from(going)
+    }
+
+    fn fresh(&mut self, max_payload: usize) -> Option<Chosen> {
+        for entry in self.entries.iter_mut().skip(self.cursor) {
+            if entry.is_sent() || entry.resealing {
+                continue;
+            }
+            if entry.message.largest() > max_payload {
+                entry.resealing = true;
+                self.to_reseal.push_back(entry.message.clone());
+                continue;
+            }
+            return Some(Chosen { message: entry.message.clone(), frame: entry.sent, repair: false });
+        }
+        None
+    }
+
+    fn repair(&mut self, max_payload: usize) -> Option<Chosen> {
+        while let Some(&(sequence, frame)) = self.repairs.front() {
+            if let Some(index) = self.find(sequence) {
+                let entry = &mut self.entries[index];
+                if entry.message.largest() <= max_payload && !entry.resealing {
+                    return Some(Chosen { message: entry.message.clone(), frame: frame as usize, repair: true });
+                }
+                if !entry.resealing {
+                    entry.resealing = true;
+                    self.to_reseal.push_back(entry.message.clone());
+                }
+            }
+            self.repairs.pop_front();
+        }
+        None
+    }
+
+    /// The entry with this sequence.
+    fn find(&self, sequence: u64) -> Option<usize> {
+        let index = self.entries.partition_point(|entry| entry.message.last() < sequence);
+        self.entries.get(index).filter(|entry| entry.message.first() <= sequence).map(|_| index)
+    }
+
+    fn expire(&mut self, now: u64, lifetime: u64) {
+        while self.entries.front().is_some_and(|entry| now.saturating_sub(entry.pushed) > lifetime) {
+            let entry = &self.entries[0];
+            if !entry.is_sent() {
+                self.counters.expired += entry.messages();
+            }
+            self.remove(0);
+        }
+    }
+
+    fn drop_entry(&mut self, index: usize) {
+        let entry = &self.entries[index];
+        if !entry.is_sent() {
+            self.counters.replaced += entry.messages();
+        }
+        self.remove(index);
+    }
+
+    fn remove(&mut self, index: usize) {
+        if let Some(entry) = self.entries.remove(index) {
+            self.bytes -= entry.message.total_bytes();
+            if index < self.cursor {
+                self.cursor -= 1;
+            }
+            if self.entries.is_empty() {
+                self.repairs.clear();
+            }
+        }
+    }
+}

@@ -1,0 +1,245 @@
+//! The readers of a topic as its writer knows them: what each has, and how fast the path to it may be used.
+
+use std::collections::BTreeMap;
+
+use gdp_wire::Name;
+
+use super::congestion::{Path, Sample};
+use super::meter::Meter;
+use super::outbox::Outbox;
+use super::sent_log::{Sent, SentLog};
+use super::{MS, Position};
+
+/// Readers of one topic that are kept account of; the others get what the rest gets, without repair.
+pub const MOST_PEERS: usize = 1024;
+
+/// How often it is looked for readers that fell silent, and after how many such looks one is left out.
+pub const SILENCE_STEP: u64 = 500 * MS;
+const SILENT: u32 = 6;
+
+/// A reader that fell behind a full history is not waited for this long; twice as long the next time.
+const LAG: u64 = 4_000 * MS;
+
+/// A reader may have its repairs at half the topic's speed, but at this many bytes a second at least, and so many nanoseconds' worth
+/// of them at once.
+const LEAST_REPAIR_RATE: u64 = 128 << 10;
+const REPAIR_BURST: u64 = 500 * MS;
+
+/// What is looked at for a range of a Nack costs, too.
+const LOOK: u64 = 16;
+
+/// A report, as far as it concerns the sender.
+#[derive(Clone, Copy, Debug)]
+pub struct Report {
+    pub acknowledged: u64,
+    pub received_bytes: u64,
+    pub ce: u32,
+    pub echo: Option<Position>,
+    pub delay: u64,
+}
+
+#[derive(Debug)]
+pub struct Peer {
+    path: Path,
+    /// Every message up to this sequence.
+    acknowledged: u64,
+    /// It fell behind the history, so nobody waits for it until it has caught up.
+    lagging: bool,
+    lagging_until: u64,
+    lags: u32,
+    /// Looks since it last reported.
+    silent: u32,
+    /// The latest that it told of what had gone.
+    echo: Option<Sent>,
+    reported_at: u64,
+    received_bytes: u64,
+    ce: u32,
+    /// Bytes of the topic that are not under way to it any more.
+    arrived: u64,
+    /// When `arrived` last moved.
+    progress_at: u64,
+    repairs: Meter,
+    lost: u64,
+}
+
+impl Peer {
+    /// From a time on, when so many bytes had gone.
+    pub fn new(now: u64, acknowledged: u64, sent: u64) -> Self {
+        Self {
+            path: Path::new(),
+            acknowledged,
+            lagging: false,
+            lagging_until: 0,
+            lags: 0,
+            silent: 0,
+            echo: None,
+            reported_at: now,
+            received_bytes: 0,
+            ce: 0,
+            arrived: sent,
+            progress_at: now,
+            repairs: Meter::new(now),
+            lost: 0,
+        }
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub fn has_room(&self, sent: u64) -> bool {
+        self.under_way(sent) < self.path.window()
+    }
+
+    pub fn is_live(&self) -> bool {
+        self.silent < SILENT
+    }
+
+    pub fn acknowledged(&self) -> u64 {
+        self.acknowledged
+    }
+
+    /// Whether room in the history is made only when it has what goes.
+    pub fn is_waited_for(&self) -> bool {
+        self.is_live() && !self.lagging
+    }
+
+    /// Bytes under way to it, of so many that have gone.
+    pub fn under_way(&self, sent: u64) -> u64 {
+        sent - self.arrived
+    }
+
+    /// When what is under way counts as lost, the last of which went at `last`.
+    pub fn overdue_at(&self, last: u64) -> u64 {
+        self.progress_at.max(last).saturating_add(self.path.patience())
+    }
+
+    /// Nothing was heard of what is under way: it is lost, and the path may be gone.
+    pub fn forget_under_way(&mut self, now: u64, sent: u64) {
+        self.arrived = sent;
+        self.progress_at = now;
+        self.path.on_silence();
+    }
+
+    pub fn on_report(&mut self, now: u64, report: &Report, log: &SentLog, outbox: &Outbox, sent: u64) {
+        self.silent = 0;
+        self.acknowledged = self.acknowledged.max(report.acknowledged.min(outbox.last()));
+        if self.lagging && now >= self.lagging_until && self.acknowledged + 1 >= outbox.oldest() {
+            self.lagging = outbox.last().saturating_sub(self.acknowledged) > (outbox.last() + 1 - outbox.oldest()) / 2;
+        }
+        let Some(echo) = report.echo.and_then(|position| log.find(position)) else { return };
+        let repeated = report.echo.and_then(|position| outbox.repeated(position));
+        let arrived = repeated.map_or(echo.total, |repeated| repeated.total);
+        let before = self.arrived;
+        if arrived > self.arrived {
+            (self.arrived, self.progress_at) = (arrived.min(sent), now);
+        }
+        // What the reader says it got beyond what went is not believed.
+        let most = sent.saturating_sub(self.echo.map_or(0, |echo| echo.total).min(before));
+        let delivered = report.received_bytes.saturating_sub(self.received_bytes).min(most);
+        let sent_in = self.echo.map_or(0, |before| echo.at.saturating_sub(before.at));
+        let sample = Sample {
+            rtt: (repeated.is_none() && arrived > before)
+                .then(|| now.saturating_sub(echo.at).saturating_sub(report.delay)),
+            delivered,
+            interval: now.saturating_sub(self.reported_at).max(sent_in),
+            paused: self.echo.is_some_and(|before| before.pauses != echo.pauses),
+            lost: std::mem::take(&mut self.lost),
+            marks: u64::from(report.ce.wrapping_sub(self.ce)).min(1 << 16),
+            acknowledged: self.arrived,
+            sent,
+        };
+        self.path.on_report(now, &sample);
+        self.reported_at = now;
+        (self.received_bytes, self.ce) = (report.received_bytes, report.ce);
+        if self.echo.is_none_or(|before| echo.total > before.total) {
+            self.echo = Some(echo);
+        }
+    }
+
+    /// Whether so many bytes of repairs are within its budget; the topic sends at `rate`.
+    pub fn pay(&mut self, now: u64, bytes: u64, rate: u64) -> bool {
+        let allowed = self.repairs.ready_at(REPAIR_BURST) <= now;
+        let cost = if allowed { bytes + LOOK } else { LOOK };
+        self.repairs.take(now, cost, (rate / 2).max(LEAST_REPAIR_RATE));
+        allowed
+    }
+
+    pub fn on_lost(&mut self, bytes: u64) {
+        self.lost += bytes;
+    }
+}
+
+/// All readers of a topic.
+#[derive(Debug, Default)]
+pub struct Peers(BTreeMap<Name, Peer>);
+
+impl Peers {
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    pub fn get(&self, reader: &Name) -> Option<&Peer> {
+        self.0.get(reader)
+    }
+
+    pub fn get_mut(&mut self, reader: &Name) -> Option<&mut Peer> {
+        self.0.get_mut(reader)
+    }
+
+    /// False if there are too many.
+    pub fn join(&mut self, reader: Name, peer: Peer) -> bool {
+        if self.0.len() >= MOST_PEERS && !self.0.contains_key(&reader) {
+            return false;
+        }
+        self.0.entry(reader).or_insert(peer);
+        true
+    }
+
+    pub fn leave(&mut self, reader: &Name) {
+        self.0.remove(reader);
+    }
+
+    /// Of the live ones with room under way, the one with the fastest path.
+    pub fn leader(&self, sent: u64) -> Option<(Name, u64)> {
+        let open = self.0.iter().filter(|(_, peer)| peer.is_live() && peer.has_room(sent));
+        open.map(|(name, peer)| (*name, peer.path.rate())).max_by_key(|(_, rate)| *rate)
+    }
+
+    pub fn any_live(&self) -> bool {
+        self.0.values().any(Peer::is_live)
+    }
+
+    pub fn live(&mut self) -> impl Iterator<Item = &mut Peer> {
+        self.0.values_mut().filter(|peer| peer.is_live())
+    }
+
+    /// The last sequence that all who are waited for have.
+    pub fn acknowledged(&self) -> u64 {
+        self.0.values().filter(|peer| peer.is_waited_for()).map(Peer::acknowledged).min().unwrap_or(u64::MAX)
+    }
+
+    /// Whether any reader, live or not, lacks a message up to this sequence.
+    pub fn lacks(&self, sequence: u64) -> bool {
+        self.0.values().any(|peer| peer.acknowledged < sequence)
+    }
+
+    /// Who lacks this sequence is not waited for any more, for longer each time.
+    pub fn lag(&mut self, now: u64, sequence: u64) {
+        for peer in self.0.values_mut().filter(|peer| peer.is_waited_for() && peer.acknowledged < sequence) {
+            peer.lagging = true;
+            peer.lagging_until = now + (LAG << peer.lags.min(6));
+            peer.lags += 1;
+        }
+    }
+
+    /// How long those that are waited for may take at most.
+    pub fn patience(&self) -> u64 {
+        self.0.values().filter(|peer| peer.is_waited_for()).map(|peer| 2 * peer.path.patience()).max().unwrap_or(0)
+    }
+
+    /// One look for those that fell silent, while something went.
+    pub fn look(&mut self) {
+        self.0.values_mut().for_each(|peer| peer.silent = peer.silent.saturating_add(1));
+    }
+}

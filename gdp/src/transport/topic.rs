@@ -1,0 +1,308 @@
+//! A topic at its writer: what goes next and when, and what its readers say of it.
+
+use gdp_wire::Name;
+
+use super::meter::{Meter, nanoseconds};
+use super::outbox::{Chosen, History, Outbox, Overflow, Reliability};
+use super::peers::{Peer, Peers, Report, SILENCE_STEP};
+use super::sent_log::{Sent, SentLog};
+use super::{MS, Position, Sealed};
+use crate::feedback_wire::{Feedback, MAX_MISSING, Missing};
+
+/// Heartbeats begin so long after the last frame, and come less often up to the second.
+const FIRST_HEARTBEAT: u64 = 100 * MS;
+const SLOWEST_HEARTBEAT: u64 = 1_000 * MS;
+
+/// So much may go at once: what timers and threads are late by.
+const BURST: u64 = MS / 4;
+const BURST_BYTES: u64 = 2 * 1500;
+
+/// A topic that was held up longer by others of the uplink learns nothing of the path from it.
+const HELD_UP: u64 = 20 * MS;
+
+/// What a publisher asks of its topic.
+#[derive(Clone, Copy, Debug)]
+pub struct TopicOptions {
+    pub reliability: Reliability,
+    pub history: History,
+    /// 0 to 7; higher ones go first.
+    pub class: u8,
+    /// Its frames go by a second uplink as well.
+    pub doubled: bool,
+}
+
+impl TopicOptions {
+    /// The newest message, for 200 ms.
+    pub fn best_effort() -> Self {
+        let history = History { messages: 8, bytes: 64 << 20 };
+        Self { reliability: Reliability::BestEffort { lifetime: 200 * MS }, history, class: 3, doubled: false }
+    }
+
+    /// The last 1024 messages; the publisher waits when they are not enough.
+    pub fn reliable() -> Self {
+        let history = History { messages: 1024, bytes: 64 << 20 };
+        Self { reliability: Reliability::Reliable { overflow: Overflow::Block }, history, class: 3, doubled: false }
+    }
+}
+
+/// When a topic wants its turn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Turn {
+    pub may_send: bool,
+    /// When it is to be asked again, or its timers are due; `u64::MAX`: only when it is told something.
+    pub at: u64,
+}
+
+#[derive(Debug)]
+pub struct TopicState {
+    pub name: Name,
+    pub session: [u8; 16],
+    pub options: TopicOptions,
+    pub outbox: Outbox,
+    peers: Peers,
+    /// Stands for the readers while none of them is live.
+    nobody: Peer,
+    log: SentLog,
+    /// Bytes of payload that have gone.
+    sent: u64,
+    sent_at: u64,
+    pauses: u64,
+    paused: bool,
+    pace: Meter,
+    /// Whose path sets the pace, and its rate.
+    leader: Option<(Name, u64)>,
+    heartbeat_at: u64,
+    heartbeat_interval: u64,
+    look_at: u64,
+    waiting: Option<Waiting>,
+}
+
+/// A publisher waits for room.
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    since: u64,
+    /// For a message of so many bytes.
+    bytes: usize,
+}
+
+/// What a topic's timers bring.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Due {
+    /// The sequence that the next message will have.
+    pub heartbeat: Option<u64>,
+    pub room: bool,
+}
+
+impl TopicState {
+    pub fn new(now: u64, name: Name, session: [u8; 16], options: TopicOptions) -> Self {
+        Self {
+            name,
+            session,
+            options: TopicOptions { class: options.class.min(7), ..options },
+            outbox: Outbox::new(options.reliability, options.history),
+            peers: Peers::default(),
+            nobody: Peer::new(now, 0, 0),
+            log: SentLog::default(),
+            sent: 0,
+            sent_at: now,
+            pauses: 0,
+            paused: true,
+            pace: Meter::new(now),
+            leader: None,
+            heartbeat_at: u64::MAX,
+            heartbeat_interval: FIRST_HEARTBEAT,
+            look_at: u64::MAX,
+            waiting: None,
+        }
+    }
+
+    pub fn push(&mut self, now: u64, message: Sealed) -> Result<(), Sealed> {
+        let result = self.outbox.push(now, message, self.peers.acknowledged());
+        self.waiting = match &result {
+            Ok(()) => None,
+            Err(message) => Some(Waiting { since: now, bytes: message.total_bytes() }),
+        };
+        if self.peers.is_empty() {
+            self.outbox.skip_all();
+        }
+        result
+    }
+
+    pub fn join(&mut self, now: u64, reader: Name) -> bool {
+        let known = self.outbox.last();
+        self.peers.join(reader, Peer::new(now, known, self.sent))
+    }
+
+    /// True if this makes room for a publisher that waits.
+    pub fn leave(&mut self, reader: &Name) -> bool {
+        self.peers.leave(reader);
+        self.leader = None;
+        if self.peers.is_empty() {
+            self.outbox.skip_all();
+        }
+        self.take_room()
+    }
+
+    /// When it may send, or has to do something else.
+    pub fn turn(&mut self, now: u64, max_payload: usize) -> Turn {
+        let timers = self.heartbeat_at.min(self.look_at).min(self.room_at());
+        if self.outbox.choose(now, max_payload).is_none() {
+            if !self.paused {
+                (self.paused, self.pauses) = (true, self.pauses + 1);
+            }
+            return Turn { may_send: false, at: timers };
+        }
+        let Some((_, rate)) = self.find_leader() else {
+            return Turn { may_send: false, at: timers.min(self.overdue_at()) };
+        };
+        let paced = self.pace.ready_at(BURST.max(nanoseconds(BURST_BYTES, rate)));
+        let may_send = paced <= now;
+        Turn { may_send, at: if may_send { timers } else { timers.min(paced) } }
+    }
+
+    /// The frame payload that goes next, if it has at most `room` bytes. `waited`: since it could go.
+    pub fn take(&mut self, now: u64, max_payload: usize, room: usize, waited: u64) -> Option<Chosen> {
+        let (_, rate) = self.find_leader()?;
+        let chosen = self.outbox.choose(now, max_payload)?;
+        let bytes = chosen.message.len(chosen.frame);
+        if bytes > room {
+            return None;
+        }
+        if waited > HELD_UP {
+            self.pauses += 1;
+        }
+        self.sent_at = now;
+        self.sent += bytes as u64;
+        self.paused = false;
+        self.pace.take(now, bytes as u64, rate);
+        if !chosen.repair {
+            let position = chosen.message.position(chosen.frame);
+            let under_way = self
+                .leader
+                .and_then(|(leader, _)| self.peers.get(&leader))
+                .unwrap_or(&self.nobody)
+                .under_way(self.sent);
+            self.log.add(Sent { position, at: now, total: self.sent, pauses: self.pauses }, under_way);
+        }
+        self.outbox.take(now, &chosen, self.sent);
+        if self.outbox.is_reliable() {
+            self.heartbeat_interval = FIRST_HEARTBEAT;
+            self.heartbeat_at = now + FIRST_HEARTBEAT;
+        }
+        if self.look_at == u64::MAX {
+            self.look_at = now + SILENCE_STEP;
+        }
+        Some(chosen)
+    }
+
+    /// What is due. To be called when the turn's time has come.
+    pub fn on_timer(&mut self, now: u64) -> Due {
+        let mut due = Due::default();
+        if self.look_at <= now {
+            self.look_at = u64::MAX;
+            self.peers.look();
+            self.leader = None;
+        }
+        if self.heartbeat_at <= now {
+            let through = self.outbox.sent_through();
+            if self.peers.lacks(through) {
+                due.heartbeat = Some(through + 1);
+                self.heartbeat_interval = (2 * self.heartbeat_interval).min(SLOWEST_HEARTBEAT);
+                self.heartbeat_at = now + self.heartbeat_interval;
+                if self.look_at == u64::MAX {
+                    self.look_at = now + SILENCE_STEP;
+                }
+            } else {
+                self.heartbeat_at = u64::MAX;
+            }
+        }
+        if self.room_at() <= now {
+            if let Some(last) = self.outbox.evict() {
+                self.peers.lag(now, last);
+                due.room = self.waiting.take().is_some();
+            }
+        }
+        due.room |= self.take_room();
+        if self.find_leader().is_none() {
+            let (sent, last) = (self.sent, self.sent_at);
+            let blocked = self.peers.live().chain([&mut self.nobody]);
+            blocked.filter(|peer| peer.overdue_at(last) <= now).for_each(|peer| peer.forget_under_way(now, sent));
+        }
+        due
+    }
+
+    /// What a reader says. Returns the oldest sequence that can be repaired, if the reader asked for what is gone; and whether
+    /// there is room now for a publisher that waits.
+    pub fn on_feedback(&mut self, now: u64, reader: &Name, feedback: &Feedback) -> (Option<u64>, bool) {
+        match feedback {
+            Feedback::Report { session, acknowledged, received_bytes, ce, echo, echo_index, delay_us, .. }
+                if *session == self.session =>
+            {
+                let Some(peer) = self.peers.get_mut(reader) else { return (None, false) };
+                let echo = (*echo > 0).then_some(Position { sequence: *echo, index: *echo_index });
+                let delay = u64::from(*delay_us) * 1000;
+                let report =
+                    Report { acknowledged: *acknowledged, received_bytes: *received_bytes, ce: *ce, echo, delay };
+                peer.on_report(now, &report, &self.log, &self.outbox, self.sent);
+                self.leader = None;
+                (None, self.take_room())
+            }
+            Feedback::Nack { session, missing, .. } if *session == self.session => {
+                (self.on_nack(now, reader, missing), false)
+            }
+            _ => (None, false),
+        }
+    }
+
+    fn on_nack(&mut self, now: u64, reader: &Name, missing: &[Missing]) -> Option<u64> {
+        let rate = self.find_leader().map_or(0, |(_, rate)| rate);
+        let peer = self.peers.get_mut(reader)?;
+        let too_early = now.saturating_sub(peer.path().rtt() * 3 / 4);
+        for range in missing.iter().take(MAX_MISSING) {
+            let queued = self.outbox.ask(range, too_early, |bytes| peer.pay(now, bytes, rate));
+            peer.on_lost(queued);
+        }
+        let oldest = self.outbox.oldest();
+        let gone = missing.first().is_some_and(|range| range.sequence < oldest);
+        (gone && self.outbox.is_reliable()).then_some(oldest)
+    }
+
+    /// Whether a publisher that waits for room now finds some.
+    fn take_room(&mut self) -> bool {
+        let Some(Waiting { bytes, .. }) = self.waiting else { return false };
+        let room = self.outbox.has_room(bytes, self.peers.acknowledged());
+        if room {
+            self.waiting = None;
+        }
+        room
+    }
+
+    /// When a publisher has waited long enough for readers that lack the oldest message.
+    fn room_at(&self) -> u64 {
+        match self.waiting {
+            Some(Waiting { since, .. }) if self.outbox.oldest_is_sent() => since.saturating_add(self.peers.patience()),
+            _ => u64::MAX,
+        }
+    }
+
+    fn overdue_at(&mut self) -> u64 {
+        let last = self.sent_at;
+        self.peers.live().map(|peer| peer.overdue_at(last)).min().unwrap_or_else(|| self.nobody.overdue_at(last))
+    }
+
+    /// The fastest reader with room; when none is live, a little goes all the same.
+    fn find_leader(&mut self) -> Option<(Name, u64)> {
+        let sent = self.sent;
+        if let Some((leader, rate)) = self.leader
+            && self.peers.get(&leader).is_some_and(|peer| peer.has_room(sent))
+        {
+            return Some((leader, rate));
+        }
+        self.leader = self.peers.leader(sent);
+        if self.leader.is_some() {
+            return self.leader;
+        }
+        let alone = !self.peers.any_live() && self.nobody.has_room(sent);
+        alone.then(|| (self.name, self.nobody.path().rate()))
+    }
+}

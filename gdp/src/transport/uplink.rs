@@ -1,0 +1,398 @@
+//! The turn of all topics on one link: by class, evenly within a class, within the link's budget.
+
+use std::collections::{BTreeSet, VecDeque};
+use std::sync::Arc;
+
+use gdp_wire::Name;
+
+use super::meter::{Meter, nanoseconds};
+use super::outbox::{Chosen, TopicCounters};
+use super::topic::{TopicOptions, TopicState, Turn};
+use super::{FRAME_HEADER, Sealed};
+use crate::feedback_wire::Feedback;
+
+const CLASSES: usize = 8;
+
+/// Each class that waits gets at least so much of what the others send: one part in 32.
+const FLOOR_SHARE: u64 = 32;
+/// What a class may save up of it, in bytes.
+const MOST_OWED: u64 = 64 << 10;
+
+/// Bytes of copies for this link that may wait, by class.
+const MOST_COPIES: u64 = 256 << 10;
+
+/// What the budget lets go at once: two large frames.
+const BURST_BYTES: u64 = 3000;
+
+#[derive(Clone, Copy, Debug)]
+pub struct UplinkOptions {
+    /// Bytes of a frame's payload that the way takes at the moment.
+    pub max_payload: usize,
+    /// Bytes a second, of frames with their header; `None`: as much as the readers' paths take.
+    pub budget: Option<u64>,
+}
+
+/// A topic of an uplink. One that is closed is none, also when its place is used again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Topic {
+    index: u32,
+    generation: u32,
+}
+
+/// Why a message was not taken; it is handed back.
+#[derive(Debug)]
+pub enum Full {
+    /// Until [`Output::Room`] comes for the topic.
+    Wait(Sealed),
+    /// The topic is closed, or the message's sequence is not behind those before.
+    Refused(Sealed),
+}
+
+/// What the caller has to do.
+#[derive(Clone, Debug)]
+pub enum Output {
+    Send(Transmit),
+    /// Seal these messages again, for the frame size that was set last, and bring them by [`Uplink::resealed`].
+    Reseal {
+        topic: Topic,
+        message: Arc<Sealed>,
+    },
+    /// Tell all readers, signed, that `next` is the sequence of the next message.
+    Heartbeat {
+        topic: Topic,
+        next: u64,
+    },
+    /// Tell this reader that what comes before `oldest` cannot be repaired.
+    Gone {
+        topic: Topic,
+        reader: Name,
+        oldest: u64,
+    },
+    /// A publisher that waits may try again.
+    Room {
+        topic: Topic,
+    },
+}
+
+/// A frame: one payload, or small ones of several messages.
+#[derive(Clone, Debug)]
+pub struct Transmit {
+    pub name: Name,
+    pub class: u8,
+    /// Give it to [`Uplink::copy`] of the second uplink as well.
+    pub doubled: bool,
+    first: Chosen,
+    more: Vec<Chosen>,
+    bytes: usize,
+}
+
+impl Transmit {
+    /// What the frame's payload is put together from, in this order.
+    pub fn payloads(&self) -> impl Iterator<Item = &[u8]> {
+        self.parts().map(|part| part.message.payload(part.frame))
+    }
+
+    /// Bytes of the frame's payload.
+    pub fn payload_len(&self) -> usize {
+        self.bytes
+    }
+
+    pub(super) fn parts(&self) -> impl Iterator<Item = &Chosen> {
+        std::iter::once(&self.first).chain(&self.more)
+    }
+
+    fn wire_bytes(&self) -> u64 {
+        self.bytes as u64 + FRAME_HEADER
+    }
+}
+
+/// All that leaves by one link.
+#[derive(Debug)]
+pub struct Uplink {
+    options: UplinkOptions,
+    budget: Meter,
+    slots: Vec<Slot>,
+    free: Vec<u32>,
+    /// Topics that may send, by class, and since when.
+    ready: [VecDeque<(Topic, u64)>; CLASSES],
+    /// Copies of another uplink's frames, by class, and their bytes.
+    copies: [(VecDeque<Transmit>, u64); CLASSES],
+    copies_dropped: u64,
+    /// Bytes that a class may send before its turn.
+    owed: [u64; CLASSES],
+    timers: BTreeSet<(u64, Topic)>,
+    outputs: VecDeque<Output>,
+}
+
+#[derive(Debug, Default)]
+struct Slot {
+    generation: u32,
+    topic: Option<Box<TopicState>>,
+    /// Its entry in the timers.
+    timer: Option<u64>,
+    is_ready: bool,
+}
+
+impl Uplink {
+    pub fn new(now: u64, options: UplinkOptions) -> Self {
+        Self {
+            options,
+            budget: Meter::new(now),
+            slots: Vec::new(),
+            free: Vec::new(),
+            ready: Default::default(),
+            copies: Default::default(),
+            copies_dropped: 0,
+            owed: [0; CLASSES],
+            timers: BTreeSet::new(),
+            outputs: VecDeque::new(),
+        }
+    }
+
+    /// A topic for what one writer's session sends to `name`. It has no readers yet: nothing goes until one joins.
+    pub fn open(&mut self, now: u64, name: Name, session: [u8; 16], options: TopicOptions) -> Topic {
+        let index = self.free.pop().unwrap_or_else(|| {
+            self.slots.push(Slot::default());
+            self.slots.len() as u32 - 1
+        });
+        let slot = &mut self.slots[index as usize];
+        slot.topic = Some(Box::new(TopicState::new(now, name, session, options)));
+        Topic { index, generation: slot.generation }
+    }
+
+    /// What waits is dropped.
+    pub fn close(&mut self, topic: Topic) {
+        let Some(slot) = self.slot(topic) else { return };
+        let timer = slot.timer.take();
+        (slot.topic, slot.is_ready) = (None, false);
+        slot.generation = slot.generation.wrapping_add(1);
+        if let Some(at) = timer {
+            self.timers.remove(&(at, topic));
+        }
+        self.ready.iter_mut().for_each(|ready| ready.retain(|(of, _)| *of != topic));
+        self.outputs.retain(|output| match output {
+            Output::Reseal { topic: of, .. }
+            | Output::Heartbeat { topic: of, .. }
+            | Output::Gone { topic: of, .. }
+            | Output::Room { topic: of } => *of != topic,
+            Output::Send(_) => true,
+        });
+        self.free.push(topic.index);
+    }
+
+    /// Takes a message. Sequences ascend, over all messages of a topic.
+    pub fn push(&mut self, now: u64, topic: Topic, message: Sealed) -> Result<(), Full> {
+        let Some(state) = self.topic(topic) else { return Err(Full::Refused(message)) };
+        if message.first() <= state.outbox.last() {
+            return Err(Full::Refused(message));
+        }
+        let result = state.push(now, message).map_err(Full::Wait);
+        self.settle(now, topic);
+        result
+    }
+
+    /// A reader that the certificates allow is there: what is pushed from now on is for it, too. Returns the sequence it is to be
+    /// told to begin with; `None` if the topic has too many readers to keep account of this one, or is closed.
+    pub fn join(&mut self, now: u64, topic: Topic, reader: Name) -> Option<u64> {
+        let state = self.topic(topic)?;
+        let next = state.outbox.last() + 1;
+        let joined = state.join(now, reader);
+        self.settle(now, topic);
+        joined.then_some(next)
+    }
+
+    /// A reader is gone, or may not read any more.
+    pub fn leave(&mut self, now: u64, topic: Topic, reader: &Name) {
+        let Some(state) = self.topic(topic) else { return };
+        if state.leave(reader) {
+            self.outputs.push_back(Output::Room { topic });
+        }
+        self.settle(now, topic);
+    }
+
+    /// What a reader of the topic says, opened with the key that it and this writer share. Kinds and sessions that do not concern
+    /// the topic are ignored, and so are readers that did not join.
+    pub fn feedback(&mut self, now: u64, topic: Topic, reader: Name, feedback: &Feedback) {
+        let Some(state) = self.topic(topic) else { return };
+        let (gone, room) = state.on_feedback(now, &reader, feedback);
+        if let Some(oldest) = gone {
+            let of_reader = |output: &Output| matches!(output, Output::Gone { topic: of, reader: to, .. } if (*of, *to) == (topic, reader));
+            self.outputs.retain(|output| !of_reader(output));
+            self.outputs.push_back(Output::Gone { topic, reader, oldest });
+        }
+        if room {
+            self.outputs.push_back(Output::Room { topic });
+        }
+        self.settle(now, topic);
+    }
+
+    /// From now on frames carry at most so many bytes. Messages that were cut for more are asked for again in their turn.
+    pub fn set_max_payload(&mut self, now: u64, max_payload: usize) {
+        self.options.max_payload = max_payload;
+        for index in 0..self.slots.len() {
+            let topic = Topic { index: index as u32, generation: self.slots[index].generation };
+            self.settle(now, topic);
+        }
+    }
+
+    /// The answer to [`Output::Reseal`].
+    pub fn resealed(&mut self, now: u64, topic: Topic, message: Sealed) {
+        if let Some(state) = self.topic(topic) {
+            state.outbox.resealed(message);
+            self.settle(now, topic);
+        }
+    }
+
+    /// A frame that another uplink sends goes by this one as well, if its budget lets it: copies wait a little at most.
+    pub fn copy(&mut self, transmit: Transmit) {
+        let (queue, bytes) = &mut self.copies[usize::from(transmit.class)];
+        if *bytes + transmit.wire_bytes() > MOST_COPIES || transmit.bytes > self.options.max_payload {
+            self.copies_dropped += 1;
+            return;
+        }
+        *bytes += transmit.wire_bytes();
+        queue.push_back(transmit);
+    }
+
+    /// Copies that found no room.
+    pub fn copies_dropped(&self) -> u64 {
+        self.copies_dropped
+    }
+
+    pub fn counters(&self, topic: Topic) -> Option<TopicCounters> {
+        let slot = self.slots.get(topic.index as usize).filter(|slot| slot.generation == topic.generation)?;
+        slot.topic.as_ref().map(|state| *state.outbox.counters())
+    }
+
+    /// The next thing to do now. To be called until there is none, after anything else was called and at [`Self::next_wake`].
+    pub fn poll(&mut self, now: u64) -> Option<Output> {
+        loop {
+            if let Some(output) = self.outputs.pop_front() {
+                return Some(output);
+            }
+            match self.timers.first() {
+                Some(&(at, topic)) if at <= now => self.on_timer(now, topic),
+                _ => return self.transmit(now).map(Output::Send),
+            }
+        }
+    }
+
+    /// When [`Self::poll`] will have something, if nothing else is called before.
+    pub fn next_wake(&self) -> Option<u64> {
+        let waiting =
+            self.ready.iter().any(|ready| !ready.is_empty()) || self.copies.iter().any(|(queue, _)| !queue.is_empty());
+        let frame = waiting.then(|| self.budget_at());
+        let output = (!self.outputs.is_empty()).then_some(0);
+        let timer = self.timers.first().map(|(at, _)| *at);
+        [frame, output, timer].into_iter().flatten().min()
+    }
+
+    fn transmit(&mut self, now: u64) -> Option<Transmit> {
+        while self.budget_at() <= now {
+            let class = self.next_class()?;
+            let transmit = match self.copies[class].0.pop_front() {
+                Some(copy) => {
+                    self.copies[class].1 -= copy.wire_bytes();
+                    Some(copy)
+                }
+                None => self.next_of(now, class),
+            };
+            if let Some(transmit) = transmit {
+                self.charge(now, class, transmit.wire_bytes());
+                return Some(transmit);
+            }
+        }
+        None
+    }
+
+    /// One that is owed, or the highest of those that wait.
+    fn next_class(&self) -> Option<usize> {
+        let waits = |class: &usize| !self.ready[*class].is_empty() || !self.copies[*class].0.is_empty();
+        let owed = (0..CLASSES).rev().filter(waits).find(|class| self.owed[*class] >= BURST_BYTES / 2);
+        owed.or_else(|| (0..CLASSES).rev().find(waits))
+    }
+
+    /// A frame of the topic whose turn it is, filled with what else the topic has.
+    fn next_of(&mut self, now: u64, class: usize) -> Option<Transmit> {
+        let (topic, since) = self.ready[class].pop_front()?;
+        let max_payload = self.options.max_payload;
+        let slot = self.slot(topic)?;
+        slot.is_ready = false;
+        let state = slot.topic.as_mut()?;
+        let (name, doubled) = (state.name, state.options.doubled);
+        let transmit = state.take(now, max_payload, max_payload, now - since).map(|first| {
+            let mut bytes = first.message.len(first.frame);
+            let mut more = Vec::new();
+            while let Some(next) = state.take(now, max_payload, max_payload - bytes, 0) {
+                bytes += next.message.len(next.frame);
+                more.push(next);
+            }
+            Transmit { name, class: class as u8, doubled, first, more, bytes }
+        });
+        self.settle(now, topic);
+        transmit
+    }
+
+    fn charge(&mut self, now: u64, class: usize, bytes: u64) {
+        if let Some(budget) = self.options.budget {
+            self.budget.take(now, bytes, budget);
+        }
+        self.owed[class] = self.owed[class].saturating_sub(bytes);
+        for other in 0..CLASSES {
+            let waits = !self.ready[other].is_empty() || !self.copies[other].0.is_empty();
+            if other != class {
+                let more = if waits { self.owed[other] + bytes / FLOOR_SHARE } else { 0 };
+                self.owed[other] = more.min(MOST_OWED);
+            }
+        }
+    }
+
+    fn budget_at(&self) -> u64 {
+        self.options.budget.map_or(0, |budget| self.budget.ready_at(nanoseconds(BURST_BYTES, budget)))
+    }
+
+    fn on_timer(&mut self, now: u64, topic: Topic) {
+        let Some(state) = self.topic(topic) else { return };
+        let due = state.on_timer(now);
+        if let Some(next) = due.heartbeat {
+            self.outputs.push_back(Output::Heartbeat { topic, next });
+        }
+        if due.room {
+            self.outputs.push_back(Output::Room { topic });
+        }
+        self.settle(now, topic);
+    }
+
+    /// Puts a topic where it belongs after anything happened to it.
+    fn settle(&mut self, now: u64, topic: Topic) {
+        let max_payload = self.options.max_payload;
+        let Some(slot) = self.slot(topic) else { return };
+        let Some(state) = &mut slot.topic else { return };
+        let class = usize::from(state.options.class);
+        let Turn { may_send, at } = state.turn(now, max_payload);
+        let mut resealing = Vec::new();
+        while let Some(message) = state.outbox.next_to_reseal() {
+            resealing.push(message);
+        }
+        let timer = (at < u64::MAX).then_some(at);
+        let begins = may_send && !slot.is_ready;
+        slot.is_ready |= begins;
+        let old = std::mem::replace(&mut slot.timer, timer);
+        if old != timer {
+            old.map(|at| self.timers.remove(&(at, topic)));
+            timer.map(|at| self.timers.insert((at, topic)));
+        }
+        if begins {
+            self.ready[class].push_back((topic, now));
+        }
+        self.outputs.extend(resealing.into_iter().map(|message| Output::Reseal { topic, message }));
+    }
+
+    fn slot(&mut self, topic: Topic) -> Option<&mut Slot> {
+        self.slots.get_mut(topic.index as usize).filter(|slot| slot.generation == topic.generation)
+    }
+
+    fn topic(&mut self, topic: Topic) -> Option<&mut TopicState> {
+        self.slot(topic)?.topic.as_deref_mut()
+    }
+}
