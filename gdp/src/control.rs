@@ -7,6 +7,10 @@
 //! Nothing here is trusted because of who sent it: certificates and statements are verified by the RIB before it stores
 //! them and again, with [`Record::verify`], by whoever receives an answer.
 
+mod peers;
+
+pub use peers::{NameRole, Peers, PeersExtent, PeersPush};
+
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -41,8 +45,8 @@ pub enum Request {
     Ready,
     /// RIB → switch, relayed down: what the switch's FIB holds.
     Fib(FibPush),
-    /// RIB → each subscriber, relayed down: the writers of a name it subscribed to are now these.
-    Writers(WritersPush),
+    /// RIB → entity, relayed down: its counterparts in a name are now these.
+    Peers(PeersPush),
     /// Either end of a link → the other: my data frames are now under the link key of this generation. Answered once the
     /// one after it is held; until then there is no further change.
     Ratcheted { generation: u64 },
@@ -55,11 +59,12 @@ pub enum EntityRequest {
     /// on. Answered by [`Response::Attached`]. `resumes`: what this entity advertised before stands; otherwise it has
     /// started anew, and what the RIB holds of its last attachment ends.
     Attach { rt_cert: Signed<RtCert>, resumes: bool },
-    /// I publish (or serve) a name. Lives as long as the attachment, or the statement's lifetime if that ends first.
+    /// I publish or serve a name. Lives as long as the attachment, or the statement's lifetime if that ends first. Answered,
+    /// as a subscription is, by [`Response::Peers`] with its readers or callers; changes come as [`PeersPush`].
     Advertise { proof: NameProof, ad_cert: Signed<AdCert>, advert: Signed<Advert> },
-    /// I read (or call) a name. Answered by [`Response::Records`] with its writers; changes come as [`WritersPush`].
+    /// I read or call a name. Answered with its publishers or servers.
     Subscribe { proof: NameProof, grant: Signed<ReadGrant>, advert: Signed<Advert> },
-    /// I no longer publish and no longer subscribe to the name in the statement.
+    /// I have no part any more in the name in the statement.
     Withdraw { advert: Signed<Advert> },
     /// Who publishes and reads the names that begin so? Answered by [`Response::Records`], from the one behind `after` on.
     Query { prefix: NamePrefix, after: Option<RecordPlace> },
@@ -79,6 +84,8 @@ pub enum Response {
         records: Vec<Record>,
         truncated: bool,
     },
+    /// Accepted; these are the counterparts, or the first of them: then pushes bring the others.
+    Peers(Peers),
     Refused(Refusal),
 }
 
@@ -165,14 +172,20 @@ pub enum Credential {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct RecordPlace {
     pub name: Name,
-    pub reads: bool,
+    pub role: NameRole,
     pub entity: Name,
 }
 
 impl Record {
-    /// Where the record is listed; an error if the entity's key is not one.
+    /// Where the record is listed; an error if the entity's key is not one, or the statement none that is listed.
     pub fn place(&self) -> Result<RecordPlace, CertError> {
-        Ok(RecordPlace { name: self.name, reads: !self.is_writer(), entity: self.entity.name()? })
+        Ok(RecordPlace { name: self.name, role: self.role()?, entity: self.entity.name()? })
+    }
+
+    /// What the entity says it is to the name. Believe it once the record is [verified](Self::verify).
+    pub fn role(&self) -> Result<NameRole, CertError> {
+        let op = self.advert.claims_unverified()?.op;
+        NameRole::of(op).ok_or_else(|| CertError::Malformed("a record of a withdrawal".into()))
     }
 
     /// Verifies the record as if nobody had before: derivation of both names, the owner's certificate at `now` (Unix
@@ -260,16 +273,6 @@ pub struct Route {
     pub locals: Vec<Name>,
     /// The local endpoints that may send to the name: those that publish it through this switch.
     pub writers: Vec<Name>,
-}
-
-/// The writers of a name, all of them, to be verified by the subscriber that is told.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct WritersPush {
-    /// Switches on the way pass the push on to this one, and this one to `entity`.
-    pub switch: Name,
-    pub entity: Name,
-    pub name: Name,
-    pub records: Vec<Record>,
 }
 
 /// Why a message could not be encoded or decoded.
