@@ -1,17 +1,28 @@
 //! Certificates, statements and name cards, as they come from a file or a peer.
 
 use gdp::NameCard;
-use gdp::cert::{AdCert, Advert, Claims, ReadGrant, RtCert, Signed};
+use gdp::cert::{
+    AdCert, Advert, Claims, Delegation, Issued, MemberCert, Membership, ReadGrant, Reading, Revocation, RtCert, Signed,
+};
 
 /// Bytes that are taken for a certificate are its only encoding, and survive their text form.
 pub fn cert(data: &[u8]) {
     decode::<AdCert>(data);
     decode::<ReadGrant>(data);
+    decode::<Delegation>(data);
+    decode::<Revocation>(data);
+    decode::<MemberCert>(data);
     decode::<RtCert>(data);
     decode::<Advert>(data);
     let Ok(text) = str::from_utf8(data) else { return };
-    if let Ok(signed) = Signed::<AdCert>::from_pem(text) {
-        assert_eq!(Signed::<AdCert>::from_pem(&signed.to_pem()).expect("its own text").as_bytes(), signed.as_bytes());
+    if let Ok(issued) = Issued::<AdCert>::from_pem(text) {
+        assert_eq!(Issued::from_pem(&issued.to_pem()).expect("its own text"), issued);
+    }
+    if let Ok(reading) = Reading::from_pem(text) {
+        assert_eq!(Reading::from_pem(&reading.to_pem()).expect("its own text"), reading);
+    }
+    if let Ok(member) = Membership::from_pem(text) {
+        assert_eq!(Membership::from_pem(&member.to_pem()).expect("its own text"), member);
     }
     if let Ok(card) = NameCard::from_json(text) {
         assert_eq!(NameCard::from_json(&card.to_json()).expect("its own text").name(), card.name());

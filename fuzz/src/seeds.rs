@@ -1,7 +1,10 @@
 //! What fuzzing begins with, by target and name: a whole and right input of each kind. Made by the code under test, so that they
 //! are messages of this version, and not of the one before.
 
-use gdp::cert::{AdCert, Advert, AdvertOp, Mode, ReadGrant, RtCert, Signed, issue};
+use gdp::cert::{
+    AdCert, Advert, AdvertOp, Delegation, Grantee, Issued, MemberCert, Membership, Mode, ReadGrant, Reading,
+    Revocation, RtCert, Signed, issue,
+};
 use gdp::control::{
     Credential, EntityRequest, Extent, FibPush, Record, Refusal, RefusalCode, Request, Response, Route, WritersPush,
     encode,
@@ -39,8 +42,9 @@ fn frames() -> Seeds {
 struct Papers {
     card: NameCard,
     robot: Identity,
-    ad_cert: Signed<AdCert>,
-    grant: Signed<ReadGrant>,
+    ad_cert: Issued<AdCert>,
+    grant: Reading,
+    revocation: Signed<Revocation>,
     rt_cert: Signed<RtCert>,
     advert: Signed<Advert>,
 }
@@ -51,12 +55,26 @@ impl Papers {
             (SigningKey::generate().expect("a key"), Identity::generate("proxy").expect("an identity"));
         let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None).expect("a card");
         let (name, entity, switch) = (card.name(), robot.name(), card.name());
-        let (not_before, not_after) = (0, 1 << 40);
-        let ad_cert = AdCert { name, entity, mode: Mode::Unicast, scope: vec![name], not_before, not_after };
-        let advert = Advert { op: AdvertOp::Publish, name, entity, switch, serial: 7, lifetime: 60 };
+        let (serial, not_before, not_after) = (7, 0, 1 << 40);
+        let (mode, scope, box_key) = (Mode::Unicast, vec![name], robot.box_public());
+        let ad_cert = AdCert { name, entity, mode, scope, serial, not_before, not_after };
+        let (delegate, publish, read) = (robot.key().verify_key(), true, true);
+        let delegation = Delegation { name, delegate, publish, read, serial, not_before, not_after };
+        let delegation = issue(&owner, &delegation).expect("a delegation");
+        let home = Identity::generate("domain").expect("an identity");
+        let (domain, role) = (home.name(), "operator".to_owned());
+        let member = MemberCert { domain, entity, role: role.clone(), not_before, not_after };
+        let grant = ReadGrant { name, to: Grantee::Role { domain, role }, serial, not_before, not_after };
+        let grant = issue(robot.key(), &grant).expect("a grant");
+        let advert = Advert { op: AdvertOp::Publish, name, entity, switch, serial, lifetime: 60, box_key };
+        let revocation = Revocation { name, number: 3, floor: 2, revoked: vec![4, 1 << 60] };
         Self {
-            ad_cert: issue(&owner, &ad_cert).expect("a certificate"),
-            grant: issue(&owner, &ReadGrant { name, entity, not_before, not_after }).expect("a certificate"),
+            ad_cert: issue(&owner, &ad_cert).expect("a certificate").into(),
+            grant: Reading {
+                grant: Issued { cert: grant, delegation: Some(delegation) },
+                member: Some(Membership::issue(&home, &member).expect("a membership")),
+            },
+            revocation: issue(&owner, &revocation).expect("a revocation"),
             rt_cert: issue(robot.key(), &RtCert { entity, switch, not_after }).expect("a certificate"),
             advert: issue(robot.key(), &advert).expect("a statement"),
             card,
@@ -66,8 +84,10 @@ impl Papers {
 
     fn certificates(&self) -> Seeds {
         [
-            ("an ad cert", self.ad_cert.as_bytes().to_vec()),
-            ("a read grant", self.grant.as_bytes().to_vec()),
+            ("an ad cert", self.ad_cert.cert.as_bytes().to_vec()),
+            ("a read grant", self.grant.grant.cert.as_bytes().to_vec()),
+            ("a revocation", self.revocation.as_bytes().to_vec()),
+            ("a grant to a role as text", self.grant.to_pem().into_bytes()),
             ("an rt cert", self.rt_cert.as_bytes().to_vec()),
             ("an advert", self.advert.as_bytes().to_vec()),
             ("an ad cert as text", self.ad_cert.to_pem().into_bytes()),
@@ -119,6 +139,7 @@ impl Papers {
                 "report",
                 &Request::Report { switch: robot, neighbours, attached: Some(vec![entity]), own_bit: Some(63) },
             ),
+            seed("revoke", &from_entity(EntityRequest::Revoke { proof, revocation: self.revocation.clone() })),
             seed("detach", &Request::Detach { switch, entity }),
             seed("ready", &Request::Ready),
             seed("fib push", &Request::Fib(push)),

@@ -44,7 +44,7 @@ pub enum Request {
     /// Something an entity asks of the RIB, through this daemon's switch.
     Entity {
         entity: Option<NameProof>,
-        request: EntityRequest,
+        request: Box<EntityRequest>,
     },
 }
 

@@ -5,7 +5,7 @@ use std::net::{SocketAddr, UdpSocket};
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime};
 
-use gdp::cert::{AdCert, Advert, AdvertOp, Mode, ReadGrant, RtCert, Signed, issue};
+use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, Mode, ReadGrant, Reading, RtCert, issue};
 use gdp::control::{EntityRequest, Request, Response};
 use gdp::link::{Link, LinkIds, RekeySchedule};
 use gdp::node::{NodeError, Publisher, SubscribeOptions, Subscription};
@@ -153,6 +153,7 @@ async fn a_certificate_until_the_end_of_time_does_not_stop_the_clock() {
         switch: switch.name(),
         serial: 1,
         lifetime: 1,
+        box_key: papers.robot.box_public(),
     };
     let advert = issue(papers.robot.key(), &says).unwrap();
     let request = EntityRequest::Advertise { proof: card.proof(), ad_cert: papers.ad_cert(), advert };
@@ -394,30 +395,32 @@ impl Papers {
         node.publish(self.card.proof(), self.ad_cert(), &self.key).await
     }
 
-    fn ad_cert(&self) -> Signed<AdCert> {
+    fn ad_cert(&self) -> Issued<AdCert> {
         let cert = AdCert {
             name: self.card.name(),
             entity: self.robot.name(),
             mode: Mode::Unicast,
             scope: vec![],
+            serial: 1,
             not_before: 0,
             not_after: unix_now() + 3600,
         };
-        issue(&self.owner, &cert).unwrap()
+        issue(&self.owner, &cert).unwrap().into()
     }
 
     async fn subscribe(&self, node: &Node) -> Subscription {
         node.subscribe(self.card.proof(), self.grant(), &self.key, SubscribeOptions::default()).await.unwrap()
     }
 
-    fn grant(&self) -> Signed<ReadGrant> {
+    fn grant(&self) -> Reading {
         let grant = ReadGrant {
             name: self.card.name(),
-            entity: self.cloud.name(),
+            to: Grantee::Entity(self.cloud.name()),
+            serial: 1,
             not_before: 0,
             not_after: unix_now() + 3600,
         };
-        issue(&self.owner, &grant).unwrap()
+        issue(&self.owner, &grant).unwrap().into()
     }
 }
 

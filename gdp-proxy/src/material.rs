@@ -8,7 +8,7 @@ use std::io::Read;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use gdp::cert::{AdCert, CertError, Claims, MAX_SIGNED, ReadGrant, Signed};
+use gdp::cert::{AdCert, CertError, Issued, MAX_CERT_FILE, Reading};
 use gdp::seal::EpochKey;
 use gdp::{Identity, Name, NameCard, SigningKey};
 
@@ -32,8 +32,8 @@ pub struct TopicMaterial {
 
 /// What the owner of the name allows this proxy.
 pub enum Permission {
-    Publish(Signed<AdCert>),
-    Read(Signed<ReadGrant>),
+    Publish(Issued<AdCert>),
+    Read(Reading),
 }
 
 /// A file does not do for what the configuration wants of it.
@@ -112,34 +112,35 @@ fn agree_on_type(topic: &TopicConfig, card: &NameCard) -> Result<Option<TypeName
 }
 
 fn load_permission(topic: &TopicConfig, card: &NameCard, entity: Name) -> Result<Permission, String> {
-    Ok(match topic.direction {
-        Direction::Out => Permission::Publish(load_cert(&topic.cert, card, entity, |c: &AdCert| (c.name, c.entity))?),
-        Direction::In => Permission::Read(load_cert(&topic.cert, card, entity, |c: &ReadGrant| (c.name, c.entity))?),
-    })
+    let mut text = String::new();
+    let file = File::open(&topic.cert).map_err(|error| error.to_string())?;
+    file.take(MAX_CERT_FILE as u64 + 1).read_to_string(&mut text).map_err(|error| error.to_string())?;
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_secs());
+    check_permission(topic.direction, &text, card, entity, now).map_err(|error| error.to_string())
 }
 
-fn load_cert<T: Claims>(
-    path: &Path,
+fn check_permission(
+    direction: Direction,
+    text: &str,
     card: &NameCard,
     entity: Name,
-    subject: impl Fn(&T) -> (Name, Name),
-) -> Result<Signed<T>, String> {
-    let mut text = String::new();
-    let file = File::open(path).map_err(|error| error.to_string())?;
-    file.take(2 * MAX_SIGNED as u64 + 1).read_to_string(&mut text).map_err(|error| error.to_string())?;
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_secs());
-    let check = || -> Result<Signed<T>, CertError> {
-        let signed = Signed::<T>::from_pem(&text)?;
-        let (certified_name, certified_entity) = subject(&signed.verify(card.owner_key(), now)?);
-        if certified_name != card.name() {
-            return Err(CertError::WrongName { expected: card.name(), got: certified_name });
+    now: u64,
+) -> Result<Permission, CertError> {
+    match direction {
+        Direction::Out => {
+            let cert = Issued::<AdCert>::from_pem(text)?;
+            let certified = cert.verify(&card.proof(), None, now)?.entity;
+            if certified != entity {
+                return Err(CertError::WrongEntity { expected: entity, got: certified });
+            }
+            Ok(Permission::Publish(cert))
         }
-        if certified_entity != entity {
-            return Err(CertError::WrongEntity { expected: entity, got: certified_entity });
+        Direction::In => {
+            let grant = Reading::from_pem(text)?;
+            grant.verify(&card.proof(), entity, None, now)?;
+            Ok(Permission::Read(grant))
         }
-        Ok(signed)
-    };
-    check().map_err(|error| error.to_string())
+    }
 }
 
 /// The reason with the file in front, unless it names the file already.
@@ -151,7 +152,7 @@ fn with_path(reason: impl Display, path: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gdp::cert::{Mode, issue};
+    use gdp::cert::{Grantee, Mode, ReadGrant, issue};
     use std::fs;
     use std::path::PathBuf;
 
@@ -223,7 +224,8 @@ mod tests {
             files.card.save_new(&files.path("t.card")).unwrap();
             EpochKey::generate().unwrap().save_new(&files.path("t.key")).unwrap();
             fs::write(files.path("t.ad"), issue(&files.owner, &files.claims()).unwrap().to_pem()).unwrap();
-            let grant = ReadGrant { name: files.card.name(), entity, not_before: 0, not_after: u64::MAX };
+            let (name, to) = (files.card.name(), Grantee::Entity(entity));
+            let grant = ReadGrant { name, to, serial: 1, not_before: 0, not_after: u64::MAX };
             fs::write(files.path("t.grant"), issue(&files.owner, &grant).unwrap().to_pem()).unwrap();
             files
         }
@@ -234,7 +236,7 @@ mod tests {
 
         fn claims(&self) -> AdCert {
             let (name, entity) = (self.card.name(), self.entity);
-            AdCert { name, entity, mode: Mode::Unicast, scope: vec![], not_before: 0, not_after: u64::MAX }
+            AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial: 1, not_before: 0, not_after: u64::MAX }
         }
 
         /// One topic out and one in; `extra` is said of the one that goes out.

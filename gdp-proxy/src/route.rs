@@ -8,7 +8,7 @@ use std::pin::pin;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use gdp::cert::{AdCert, ReadGrant, Signed};
+use gdp::cert::{AdCert, Issued, Reading};
 use gdp::node::{ErrorCode, Feedback, FrameError, NodeError, Publisher, SubscribeOptions};
 use gdp::seal::{Encoding, EpochKey, Message};
 use gdp::{Name, NameCard, Node};
@@ -85,7 +85,7 @@ impl Route {
         node: &Node,
         kind: &TypeName,
         card: &NameCard,
-        cert: &Signed<AdCert>,
+        cert: &Issued<AdCert>,
         key: &EpochKey,
     ) -> Result<Infallible, RouteError> {
         // First the fabric, then DDS: a latched message that comes at once has somewhere to go.
@@ -108,7 +108,7 @@ impl Route {
         node: &Node,
         kind: &TypeName,
         card: &NameCard,
-        grant: &Signed<ReadGrant>,
+        grant: &Reading,
         key: &EpochKey,
     ) -> Result<Infallible, RouteError> {
         // First DDS, then the fabric, likewise.

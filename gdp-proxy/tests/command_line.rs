@@ -82,8 +82,9 @@ impl Files {
         let (owner, key) = (SigningKey::generate().unwrap(), SigningKey::generate().unwrap());
         let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "std_msgs/msg/String", None).unwrap();
         let entity = Identity::new(key.clone(), "proxy").name();
-        let (name, mode, scope) = (card.name(), Mode::Unicast, vec![]);
-        let ad = issue(&owner, &AdCert { name, entity, mode, scope, not_before: 0, not_after: u64::MAX }).unwrap();
+        let (name, mode, scope, serial) = (card.name(), Mode::Unicast, vec![], 1);
+        let ad = AdCert { name, entity, mode, scope, serial, not_before: 0, not_after: u64::MAX };
+        let ad = issue(&owner, &ad).unwrap();
         key.save_new(&path("robot.pem")).unwrap();
         card.save_new(&path("chatter.card")).unwrap();
         fs::write(path("chatter.ad"), ad.to_pem()).unwrap();

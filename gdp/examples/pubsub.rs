@@ -11,7 +11,7 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use clap::Parser;
-use gdp::cert::{AdCert, Mode, ReadGrant, Signed, issue};
+use gdp::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Reading, issue};
 use gdp::node::SubscribeOptions;
 use gdp::seal::{Encoding, EpochKey};
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
@@ -115,21 +115,21 @@ impl Papers {
         })
     }
 
-    fn ad_cert(&self) -> Result<Signed<AdCert>> {
-        let (not_before, not_after) = today()?;
-        let (name, entity) = (self.card.name(), self.robot.name());
-        Ok(issue(&self.owner, &AdCert { name, entity, mode: Mode::Unicast, scope: vec![], not_before, not_after })?)
+    fn ad_cert(&self) -> Result<Issued<AdCert>> {
+        let (serial, not_before, not_after) = today()?;
+        let (name, entity, mode, scope) = (self.card.name(), self.robot.name(), Mode::Unicast, vec![]);
+        Ok(issue(&self.owner, &AdCert { name, entity, mode, scope, serial, not_before, not_after })?.into())
     }
 
-    fn grant(&self) -> Result<Signed<ReadGrant>> {
-        let (not_before, not_after) = today()?;
-        let (name, entity) = (self.card.name(), self.cloud.name());
-        Ok(issue(&self.owner, &ReadGrant { name, entity, not_before, not_after })?)
+    fn grant(&self) -> Result<Reading> {
+        let (serial, not_before, not_after) = today()?;
+        let (name, to) = (self.card.name(), Grantee::Entity(self.cloud.name()));
+        Ok(issue(&self.owner, &ReadGrant { name, to, serial, not_before, not_after })?.into())
     }
 }
 
-/// From an hour ago to tomorrow, in Unix seconds.
-fn today() -> Result<(u64, u64)> {
-    let now = SystemTime::UNIX_EPOCH.elapsed()?.as_secs();
-    Ok((now - 3600, now + 24 * 3600))
+/// A certificate's serial, Unix nanoseconds; and from an hour ago to tomorrow, in Unix seconds.
+fn today() -> Result<(u64, u64, u64)> {
+    let now = SystemTime::UNIX_EPOCH.elapsed()?;
+    Ok((u64::try_from(now.as_nanos())?, now.as_secs() - 3600, now.as_secs() + 24 * 3600))
 }

@@ -14,7 +14,7 @@ pub use peers::{NameRole, Peers, PeersExtent, PeersPush};
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use crate::cert::{AdCert, Advert, AdvertOp, CertError, ReadGrant, RtCert, Signed};
+use crate::cert::{AdCert, Advert, CertError, Issued, Reading, Revocation, RtCert, Side, Signed, verify_statement};
 use crate::name::{NamePrefix, NameProof};
 
 /// Largest encoded request or response, in bytes, without its length prefix.
@@ -61,11 +61,13 @@ pub enum EntityRequest {
     Attach { rt_cert: Signed<RtCert>, resumes: bool },
     /// I publish or serve a name. Lives as long as the attachment, or the statement's lifetime if that ends first. Answered,
     /// as a subscription is, by [`Response::Peers`] with its readers or callers; changes come as [`PeersPush`].
-    Advertise { proof: NameProof, ad_cert: Signed<AdCert>, advert: Signed<Advert> },
+    Advertise { proof: NameProof, ad_cert: Issued<AdCert>, advert: Signed<Advert> },
     /// I read or call a name. Answered with its publishers or servers.
-    Subscribe { proof: NameProof, grant: Signed<ReadGrant>, advert: Signed<Advert> },
+    Subscribe { proof: NameProof, grant: Reading, advert: Signed<Advert> },
     /// I have no part any more in the name in the statement.
     Withdraw { advert: Signed<Advert> },
+    /// The owner of a name takes certificates back. Anybody may pass this on: the owner's signature is what counts.
+    Revoke { proof: NameProof, revocation: Signed<Revocation> },
     /// Who publishes and reads the names that begin so? Answered by [`Response::Records`], from the one behind `after` on.
     Query { prefix: NamePrefix, after: Option<RecordPlace> },
 }
@@ -132,7 +134,11 @@ pub enum RefusalCode {
     WrongSwitch,
     NotYetValid,
     Expired,
-    /// The serial of the statement is not above the floor of its entity.
+    /// The owner has revoked the certificate.
+    Revoked,
+    /// The delegation, membership or role that the certificate needs is not there.
+    NotEntitled,
+    /// The serial of the statement is not above the floor of its entity, or a revocation older than the one known.
     ReplayedSerial,
     /// Nothing is known of the name.
     NotFound,
@@ -162,10 +168,29 @@ pub struct Record {
 }
 
 /// What the owner of a name gave an entity: it also tells what the entity is to the name.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Credential {
-    Writer(Signed<AdCert>),
-    Reader(Signed<ReadGrant>),
+    Writer(Issued<AdCert>),
+    Reader(Reading),
+}
+
+impl Credential {
+    /// Bytes of what is signed in it.
+    pub fn size(&self) -> usize {
+        match self {
+            Self::Writer(cert) => cert.size(),
+            Self::Reader(grant) => grant.size(),
+        }
+    }
+}
+
+/// What a record is worth once it verified.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Verified {
+    pub entity: Name,
+    pub advert: Advert,
+    /// When the credential's chain ends, in Unix seconds.
+    pub not_after: u64,
 }
 
 /// A record's place in the order in which a RIB lists them: by name, of each its writers before its readers.
@@ -188,42 +213,27 @@ impl Record {
         NameRole::of(op).ok_or_else(|| CertError::Malformed("a record of a withdrawal".into()))
     }
 
-    /// Verifies the record as if nobody had before: derivation of both names, the owner's certificate at `now` (Unix
-    /// seconds), and the entity's own statement. Returns the name of the entity.
-    pub fn verify(&self, now: u64) -> Result<Name, CertError> {
+    /// Verifies the record as if nobody had before: derivation of both names, the credential at `now` (Unix seconds) under
+    /// the newest revocation that is known of the name, and the entity's own statement.
+    pub fn verify(&self, revocation: Option<&Revocation>, now: u64) -> Result<Verified, CertError> {
         let name = self.proof.name()?;
         if name != self.name {
             return Err(CertError::WrongName { expected: self.name, got: name });
         }
         let entity = self.entity.name()?;
-        let (op, certified_name, certified_entity) = match &self.credential {
+        let (side, not_after) = match &self.credential {
             Credential::Writer(cert) => {
-                let cert = cert.verify(&self.proof.verify_key()?, now)?;
-                (AdvertOp::Publish, cert.name, cert.entity)
+                let cert = cert.verify(&self.proof, revocation, now)?;
+                if cert.entity != entity {
+                    return Err(CertError::WrongEntity { expected: entity, got: cert.entity });
+                }
+                (Side::Writer, cert.not_after)
             }
-            Credential::Reader(grant) => {
-                let grant = grant.verify(&self.proof.verify_key()?, now)?;
-                (AdvertOp::Subscribe, grant.name, grant.entity)
-            }
+            Credential::Reader(grant) => (Side::Reader, grant.verify(&self.proof, entity, revocation, now)?.not_after),
         };
-        let advert = self.advert.verify(&self.entity.verify_key()?, now)?;
-        for got in [certified_name, advert.name] {
-            if got != name {
-                return Err(CertError::WrongName { expected: name, got });
-            }
-        }
-        for got in [certified_entity, advert.entity] {
-            if got != entity {
-                return Err(CertError::WrongEntity { expected: entity, got });
-            }
-        }
-        if advert.switch != self.switch {
-            return Err(CertError::WrongSwitch { expected: self.switch, got: advert.switch });
-        }
-        if advert.op != op {
-            return Err(CertError::WrongOperation { expected: op, got: advert.op });
-        }
-        Ok(entity)
+        let key = self.entity.verify_key()?;
+        let advert = verify_statement(&self.advert, side, name, (entity, &key), self.switch)?;
+        Ok(Verified { entity, advert, not_after })
     }
 
     /// Whether this is an advertisement (and not a subscription).
@@ -319,7 +329,7 @@ pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cert::{Mode, issue};
+    use crate::cert::{AdvertOp, Grantee, Mode, ReadGrant, issue};
     use crate::identity::SigningKey;
 
     #[test]
@@ -371,45 +381,50 @@ mod tests {
         let card = |owner: &SigningKey, digest| NameProof { owner_key: owner.public(), digest: [digest; 32] };
         let (topic, robot_proof) = (card(&owner, 7), card(&robot, 8));
         let (name, entity, switch) = (topic.name().unwrap(), robot_proof.name().unwrap(), Name::from_bytes([9; 32]));
-        let ad = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], not_before: 100, not_after: 200 };
-        let grant = ReadGrant { name, entity, not_before: 100, not_after: 200 };
-        let says = Advert { op: AdvertOp::Publish, name, entity, switch, serial: 1, lifetime: 60 };
+        let (not_before, not_after, box_key) = (100, 200, robot.public());
+        let ad = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial: 5, not_before, not_after };
+        let grant = ReadGrant { name, to: Grantee::Entity(entity), serial: 5, not_before, not_after };
+        let says = Advert { op: AdvertOp::Publish, name, entity, switch, serial: 1, lifetime: 60, box_key };
         let writer = Record {
             name,
             proof: topic,
             entity: robot_proof,
             switch,
-            credential: Credential::Writer(issue(&owner, &ad).unwrap()),
+            credential: Credential::Writer(issue(&owner, &ad).unwrap().into()),
             advert: issue(&robot, &says).unwrap(),
             expires_in: 60,
         };
         let reader = Record {
-            credential: Credential::Reader(issue(&owner, &grant).unwrap()),
+            credential: Credential::Reader(issue(&owner, &grant).unwrap().into()),
             advert: issue(&robot, &Advert { op: AdvertOp::Subscribe, ..says.clone() }).unwrap(),
             ..writer.clone()
         };
         for record in [&writer, &reader] {
-            assert_eq!(record.verify(150), Ok(entity));
-            assert!(matches!(record.verify(99), Err(CertError::NotYetValid { .. })));
-            assert!(matches!(record.verify(201), Err(CertError::Expired { .. })));
+            let verified = record.verify(None, 150).unwrap();
+            assert_eq!((verified.entity, verified.not_after), (entity, 200));
+            assert!(matches!(record.verify(None, 99), Err(CertError::NotYetValid { .. })));
+            assert!(matches!(record.verify(None, 201), Err(CertError::Expired { .. })));
+            let revoked = |floor| record.verify(Some(&Revocation { name, number: 1, floor, revoked: vec![] }), 150);
+            assert!(revoked(5).is_ok());
+            assert!(matches!(revoked(6), Err(CertError::Revoked { serial: 5, floor: 6, .. })));
             let bytes = encode(record).unwrap();
-            assert_eq!(decode::<Record>(&bytes[4..]).unwrap().verify(150), Ok(entity));
+            assert_eq!(decode::<Record>(&bytes[4..]).unwrap().verify(None, 150), Ok(verified));
         }
         assert!(writer.is_writer() && !reader.is_writer());
 
         let with = |change: &dyn Fn(&mut Record)| {
             let mut record = writer.clone();
             change(&mut record);
-            record.verify(150).unwrap_err()
+            record.verify(None, 150).unwrap_err()
         };
         let elsewhere = Name::from_bytes([5; 32]);
-        let ad_cert = |signer: &SigningKey, ad: AdCert| Credential::Writer(issue(signer, &ad).unwrap());
+        let ad_cert = |signer: &SigningKey, ad: AdCert| Credential::Writer(issue(signer, &ad).unwrap().into());
         let advert = |signer: &SigningKey, says: Advert| issue(signer, &says).unwrap();
         for (what, error, expected) in [
             ("name", with(&|r| r.name = elsewhere), "wrong name"),
             ("digest", with(&|r| r.proof.digest[0] ^= 1), "wrong name"),
             ("owner", with(&|r| r.proof.owner_key = other.public()), "wrong name"),
-            ("entity", with(&|r| r.entity = card(&other, 8)), "wrong key"),
+            ("entity", with(&|r| r.entity = card(&other, 8)), "wrong entity"),
             ("entity's digest", with(&|r| r.entity.digest[0] ^= 1), "wrong entity"),
             ("switch", with(&|r| r.switch = elsewhere), "wrong switch"),
             ("certificate of another", with(&|r| r.credential = ad_cert(&other, ad.clone())), "wrong key"),

@@ -222,6 +222,11 @@ impl Identity {
     pub fn name(&self) -> Name {
         self.name
     }
+
+    /// The key that content keys for this entity are wrapped to, SEC1 compressed.
+    pub fn box_public(&self) -> [u8; PUBLIC_KEY_LEN] {
+        self.key.public()
+    }
 }
 
 #[cfg(test)]

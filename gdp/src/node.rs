@@ -36,7 +36,7 @@ use self::intake::Intake;
 use self::receiver::{Command, Receiver};
 use self::state::{State, Statement, lock, unix_now};
 use self::supervisor::Supervisor;
-use crate::cert::{AdCert, CertError, ReadGrant, Signed};
+use crate::cert::{AdCert, CertError, Issued, Reading};
 use crate::control::{Record, RecordPlace, Refusal};
 use crate::crypto::Backend;
 use crate::identity::Identity;
@@ -159,14 +159,15 @@ impl Node {
     pub async fn publish(
         &self,
         proof: NameProof,
-        ad_cert: Signed<AdCert>,
+        ad_cert: Issued<AdCert>,
         key: &EpochKey,
     ) -> Result<Publisher, NodeError> {
         let state = &self.0.state;
-        let name = proof.name().map_err(CertError::from)?;
-        let claims = ad_cert.verify(&proof.verify_key().map_err(CertError::from)?, unix_now())?;
-        state.check_own(name, claims.name, claims.entity)?;
-        let entity = state.identity.name();
+        let (claims, entity) = (ad_cert.verify(&proof, None, unix_now())?, state.identity.name());
+        if claims.entity != entity {
+            return Err(CertError::WrongEntity { expected: entity, got: claims.entity }.into());
+        }
+        let name = claims.name;
         let writer = Writer::new(name, entity, key, state.identity.key().clone(), Backend::default())?;
         state.begin(name, Stated::Published, Statement::Publish { proof, ad_cert })?;
         let publisher = Publisher::new(self.0.clone(), name, writer, state.feedback.of(name));
@@ -180,14 +181,12 @@ impl Node {
     pub async fn subscribe(
         &self,
         proof: NameProof,
-        grant: Signed<ReadGrant>,
+        grant: Reading,
         key: &EpochKey,
         options: SubscribeOptions,
     ) -> Result<Subscription, NodeError> {
         let state = &self.0.state;
-        let name = proof.name().map_err(CertError::from)?;
-        let claims = grant.verify(&proof.verify_key().map_err(CertError::from)?, unix_now())?;
-        state.check_own(name, claims.name, claims.entity)?;
+        let name = grant.verify(&proof, state.identity.name(), None, unix_now())?.name;
         state.begin(name, Stated::Subscribed, Statement::Subscribe { proof, grant })?;
         let (sender, queue) = mpsc::channel(options.queue.max(1));
         let reader = Reader::new(name, key, Backend::default(), options.limits);
@@ -211,7 +210,7 @@ impl Node {
         let attachment = state.attached().await?;
         let (mut records, truncated) = state.query(&attachment, prefix.clone(), after).await?;
         records.retain(|record| {
-            let verdict = record.verify(unix_now());
+            let verdict = record.verify(None, unix_now());
             if let Err(error) = &verdict {
                 tracing::warn!(name = %record.name, %error, "the RIB answered with a record that does not verify");
             }

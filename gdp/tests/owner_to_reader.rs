@@ -1,7 +1,7 @@
 //! The public API from end to end, without a network: an owner makes a name and lets a writer and a reader in, a RIB
 //! checks both, and a message crosses.
 
-use gdp::cert::{self, AdCert, Advert, AdvertOp, CertError, Mode, ReadGrant, Signed, Speaker};
+use gdp::cert::{self, AdCert, Advert, AdvertOp, CertError, Grantee, Issued, Mode, ReadGrant, Signed, Speaker};
 use gdp::crypto::Backend;
 use gdp::seal::{Encoding, EpochKey, Limits, Reader, Segments, Writer};
 use gdp::{Identity, Name, NameCard, SigningKey};
@@ -16,18 +16,20 @@ fn a_message_crosses_from_an_authorised_writer_to_a_reader() -> anyhow::Result<(
     let switch = Identity::generate("switch")?.name();
 
     let (name, not_before, not_after) = (card.name(), NOW, NOW + 3600);
-    let ad_cert = AdCert { name, entity: writer.name(), mode: Mode::Unicast, scope: vec![], not_before, not_after };
+    let (mode, scope, serial) = (Mode::Unicast, vec![], NOW * 1_000_000_000);
+    let ad_cert = AdCert { name, entity: writer.name(), mode, scope, serial, not_before, not_after };
     let ad_cert = cert::issue(&owner, &ad_cert)?;
-    let grant = cert::issue(&owner, &ReadGrant { name, entity: reader.name(), not_before, not_after })?;
+    let grant = ReadGrant { name, to: Grantee::Entity(reader.name()), serial, not_before, not_after };
+    let grant = cert::issue(&owner, &grant)?.into();
     // Certificates travel as files.
-    let ad_cert = Signed::<AdCert>::from_pem(&ad_cert.to_pem())?;
+    let ad_cert = Issued::<AdCert>::from_pem(&ad_cert.to_pem())?;
 
     let publish = statement(&writer, AdvertOp::Publish, name, switch)?;
     let subscribe = statement(&reader, AdvertOp::Subscribe, name, switch)?;
-    cert::authorise_publish(&speaker(&writer, switch), &card.proof(), &ad_cert, &publish)?;
-    cert::authorise_subscribe(&speaker(&reader, switch), &card.proof(), &grant, &subscribe)?;
+    cert::authorise_advertise(&speaker(&writer, switch), &card.proof(), &ad_cert, &publish, None)?;
+    cert::authorise_subscribe(&speaker(&reader, switch), &card.proof(), &grant, &subscribe, None)?;
     // The reader's certificate does not make it a writer, nor anybody else.
-    let refused = cert::authorise_publish(&speaker(&reader, switch), &card.proof(), &ad_cert, &subscribe);
+    let refused = cert::authorise_advertise(&speaker(&reader, switch), &card.proof(), &ad_cert, &subscribe, None);
     assert!(matches!(refused, Err(CertError::WrongEntity { .. })), "{refused:?}");
 
     let epoch_key = EpochKey::generate()?;
@@ -58,7 +60,8 @@ fn both_ends_can_live_in_tasks() {
 }
 
 fn statement(entity: &Identity, op: AdvertOp, name: Name, switch: Name) -> Result<Signed<Advert>, CertError> {
-    cert::issue(entity.key(), &Advert { op, name, entity: entity.name(), switch, serial: 1, lifetime: 600 })
+    let (serial, lifetime, box_key) = (1, 600, entity.box_public());
+    cert::issue(entity.key(), &Advert { op, name, entity: entity.name(), switch, serial, lifetime, box_key })
 }
 
 fn speaker(entity: &Identity, switch: Name) -> Speaker {

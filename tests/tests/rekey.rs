@@ -10,7 +10,7 @@
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, Result, ensure};
-use gdp::cert::{AdCert, Mode, ReadGrant, issue};
+use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp::link::RekeySchedule;
 use gdp::node::{Publisher, SubscribeOptions, Subscription};
 use gdp::seal::{Encoding, EpochKey};
@@ -201,10 +201,11 @@ impl Way {
         let key = EpochKey::generate()?;
         let not_after = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH)?.as_secs() + 3600;
         let (name, not_before) = (card.name(), 0);
-        let grant = issue(&owner, &ReadGrant { name, entity: reader.name(), not_before, not_after })?;
+        let (to, serial) = (Grantee::Entity(reader.name()), 1);
+        let grant = issue(&owner, &ReadGrant { name, to, serial, not_before, not_after })?.into();
         let entity: Name = writer.name();
-        let cert = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], not_before, not_after };
-        let cert = issue(&owner, &cert)?;
+        let cert = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial, not_before, not_after };
+        let cert = issue(&owner, &cert)?.into();
         let options = SubscribeOptions::default();
         let subscription = at_reader.run(async { Ok(reader.subscribe(card.proof(), grant, &key, options).await?) })?;
         let publisher = at_writer.run(async { Ok(writer.publish(card.proof(), cert, &key).await?) })?;

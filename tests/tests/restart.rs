@@ -15,7 +15,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::cert::{Claims, Signed};
+use gdp::cert::{Issued, Reading};
 use gdp::link::IDLE_TIMEOUT;
 use gdp::node::SubscribeOptions;
 use gdp::seal::{Encoding, EpochKey};
@@ -250,7 +250,7 @@ impl Traffic {
             let node = connect(&folder.join("cloud.pem"), "l0").await?;
             let (card, key) =
                 (NameCard::load(&folder.join("chatter.card"))?, EpochKey::load(&folder.join("chatter.key"))?);
-            let grant = signed(&folder.join("chatter.grant"))?;
+            let grant = Reading::from_pem(&std::fs::read_to_string(folder.join("chatter.grant"))?)?;
             let options = SubscribeOptions { queue: 1 << 16, ..Default::default() };
             let mut subscription = node.subscribe(card.proof(), grant, &key, options).await?;
             shared.nodes()[1] = Some(node);
@@ -270,7 +270,8 @@ impl Traffic {
             let node = connect(&folder.join("robot.pem"), "r0").await?;
             let (card, key) =
                 (NameCard::load(&folder.join("chatter.card"))?, EpochKey::load(&folder.join("chatter.key"))?);
-            let mut publisher = node.publish(card.proof(), signed(&folder.join("chatter.ad"))?, &key).await?;
+            let cert = Issued::from_pem(&std::fs::read_to_string(folder.join("chatter.ad"))?)?;
+            let mut publisher = node.publish(card.proof(), cert, &key).await?;
             shared.nodes()[0] = Some(node);
             let mut pace = tokio::time::interval(PACE);
             while !shared.stop_sending.load(Ordering::Relaxed) {
@@ -383,8 +384,4 @@ impl Drop for Traffic {
 async fn connect(key: &Path, interface: &str) -> Result<Node> {
     let identity = Identity::new(SigningKey::load(key)?, "proxy");
     Ok(Node::connect(NodeConfig::new(identity, format!("eth://{interface}").parse()?)).await?)
-}
-
-fn signed<T: Claims>(path: &Path) -> Result<Signed<T>> {
-    Ok(Signed::from_pem(&std::fs::read_to_string(path)?)?)
 }

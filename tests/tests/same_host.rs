@@ -12,7 +12,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::cert::{AdCert, Mode, ReadGrant, issue};
+use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp::identity::Identity;
 use gdp::node::{Publisher, SubscribeOptions, Subscription};
 use gdp::seal::{Encoding, EpochKey};
@@ -314,16 +314,17 @@ impl Topic {
     }
 
     fn read(&self, party: &Party) -> Result<Subscription> {
-        let (name, entity) = (self.card.name(), party.identity.name());
-        let grant = issue(&self.owner, &ReadGrant { name, entity, not_before: 0, not_after: 4_000_000_000 })?;
+        let (name, to) = (self.card.name(), Grantee::Entity(party.identity.name()));
+        let grant = ReadGrant { name, to, serial: 1, not_before: 0, not_after: 4_000_000_000 };
+        let grant = issue(&self.owner, &grant)?.into();
         let subscribe = party.node.subscribe(self.card.proof(), grant, &self.key, SubscribeOptions::default());
         Ok(party.inside.runtime.block_on(subscribe)?)
     }
 
     fn write(&self, party: &Party) -> Result<Publisher> {
         let (name, entity) = (self.card.name(), party.identity.name());
-        let (mode, scope, not_before, not_after) = (Mode::Multicast, vec![], 0, 4_000_000_000);
-        let cert = issue(&self.owner, &AdCert { name, entity, mode, scope, not_before, not_after })?;
+        let (mode, scope, serial, not_before, not_after) = (Mode::Multicast, vec![], 1, 0, 4_000_000_000);
+        let cert = issue(&self.owner, &AdCert { name, entity, mode, scope, serial, not_before, not_after })?.into();
         Ok(party.inside.runtime.block_on(party.node.publish(self.card.proof(), cert, &self.key))?)
     }
 }

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::cert::{AdCert, Mode, ReadGrant, issue};
+use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp::identity::Identity;
 use gdp::node::SubscribeOptions;
 use gdp::seal::{Encoding, EpochKey};
@@ -38,9 +38,10 @@ fn messages_cross_three_carriers_without_leaving_the_kernel() -> Result<()> {
     let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None)?;
     let (robot, far) = (Identity::generate("proxy")?, Identity::generate("proxy")?);
     let (name, not_before, not_after) = (card.name(), 0, 4_000_000_000);
-    let grant = issue(&owner, &ReadGrant { name, entity: far.name(), not_before, not_after })?;
-    let cert = AdCert { name, entity: robot.name(), mode: Mode::Unicast, scope: vec![], not_before, not_after };
-    let cert = issue(&owner, &cert)?;
+    let (to, serial) = (Grantee::Entity(far.name()), 1);
+    let grant = issue(&owner, &ReadGrant { name, to, serial, not_before, not_after })?.into();
+    let cert = AdCert { name, entity: robot.name(), mode: Mode::Unicast, scope: vec![], serial, not_before, not_after };
+    let cert = issue(&owner, &cert)?.into();
 
     let reader = Inside::new(&site.far, ROOT)?;
     let reading = reader.run(Node::connect(NodeConfig::new(far, "udp://[2001:db8:3::9]:31415".parse()?)))??;

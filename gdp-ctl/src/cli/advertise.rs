@@ -5,14 +5,14 @@ use std::path::PathBuf;
 use anyhow::{Context as _, anyhow, bail};
 use clap::{Args, ValueEnum};
 use gdp::NameCard;
-use gdp::cert::{AdCert, Advert, AdvertOp, Mode, RtCert, Signed, issue};
+use gdp::cert::{AdCert, Advert, AdvertOp, Issued, Mode, RtCert, Signed, issue};
 use gdp::control::{EntityRequest, Response};
 use gdp::identity::{Identity, SigningKey};
 use gdp::name::Name;
 use serde_json::json;
 
 use super::key::Kind;
-use super::{Context, cert, parse_seconds, unix_now, validity};
+use super::{Context, cert, parse_seconds, serial_now, unix_now, validity};
 use crate::admin::{Client, Request};
 
 /// What the switch is allowed to carry for a statement that a tool makes.
@@ -91,10 +91,10 @@ impl Entity {
 }
 
 /// The certificate of the file; without one, the owner allows itself.
-fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow::Result<Signed<AdCert>> {
+fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow::Result<Issued<AdCert>> {
     if let Some(file) = &options.cert {
-        let cert: Signed<AdCert> = cert::load(file)?;
-        let meant = cert.claims_unverified().map_err(|error| anyhow!("{}: {error}", file.display()))?.entity;
+        let cert = cert::load(file)?;
+        let meant = cert.cert.claims_unverified().map_err(|error| anyhow!("{}: {error}", file.display()))?.entity;
         let other = |kind: &&Kind| Identity::new(entity.key().clone(), kind.as_str()).name() == meant;
         if meant != entity.name()
             && let Some(kind) = Kind::value_variants().iter().find(other)
@@ -126,10 +126,11 @@ fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow:
         entity: entity.name(),
         mode: Mode::Unicast,
         scope: Vec::new(),
+        serial: serial_now(),
         not_before,
         not_after,
     };
-    Ok(issue(key, &claims)?)
+    Ok(issue(key, &claims)?.into())
 }
 
 /// A conversation with the RIB on behalf of an entity, through the daemon's switch.
@@ -146,7 +147,7 @@ impl Session {
         let switch = status["name"].as_str().and_then(|name| name.parse().ok()).context("the daemon tells no name")?;
         let claims = RtCert { entity: entity.name(), switch, not_after: unix_now() + ROUTE_SECONDS };
         let request = EntityRequest::Attach { rt_cert: issue(entity.key(), &claims)?, resumes: true };
-        match client.ask_control(&Request::Entity { entity: Some(entity.proof()), request })? {
+        match client.ask_control(&Request::Entity { entity: Some(entity.proof()), request: request.into() })? {
             Response::Attached { serial } => Ok(Self { client, switch, serial }),
             _ => bail!("the RIB answered another question"),
         }
@@ -160,11 +161,12 @@ impl Session {
         lifetime: u32,
     ) -> anyhow::Result<Signed<Advert>> {
         self.serial = self.serial.checked_add(1).context("the serials of this entity are used up; make a new key")?;
-        let claims = Advert { op, name, entity: entity.name(), switch: self.switch, serial: self.serial, lifetime };
+        let (switch, serial, box_key) = (self.switch, self.serial, entity.box_public());
+        let claims = Advert { op, name, entity: entity.name(), switch, serial, lifetime, box_key };
         Ok(issue(entity.key(), &claims)?)
     }
 
     fn ask(&mut self, entity: &Identity, request: EntityRequest) -> anyhow::Result<Response> {
-        Ok(self.client.ask_control(&Request::Entity { entity: Some(entity.proof()), request })?)
+        Ok(self.client.ask_control(&Request::Entity { entity: Some(entity.proof()), request: request.into() })?)
     }
 }

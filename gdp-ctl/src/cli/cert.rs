@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use clap::{Args, Subcommand, ValueEnum};
-use gdp::cert::{AdCert, CertError, Claims, Mode, ReadGrant, RtCert, Signed, issue};
+use gdp::cert::{AdCert, CertError, Claims, Grantee, Issued, Mode, ReadGrant, RtCert, Signed, issue};
 use gdp::identity::SigningKey;
 use gdp::name::Name;
 use gdp::{NameCard, VerifyKey};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::{Context, output, unix_now, validity};
+use super::{Context, output, serial_now, unix_now, validity};
 
 /// Certificates are text of at most this length; a longer file is something else.
 const MAX_FILE: u64 = 16 * 1024;
@@ -78,12 +78,14 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
         Command::Advertise { grant, mode, scope } => {
             let (owner, name, not_before, not_after) = grant.open()?;
-            let claims = AdCert { name, entity: grant.entity, mode: mode.into(), scope, not_before, not_after };
+            let (entity, mode, serial) = (grant.entity, mode.into(), serial_now());
+            let claims = AdCert { name, entity, mode, scope, serial, not_before, not_after };
             grant.write(&owner, &claims, context)
         }
         Command::Read { grant } => {
             let (owner, name, not_before, not_after) = grant.open()?;
-            let claims = ReadGrant { name, entity: grant.entity, not_before, not_after };
+            let to = Grantee::Entity(grant.entity);
+            let claims = ReadGrant { name, to, serial: serial_now(), not_before, not_after };
             grant.write(&owner, &claims, context)
         }
         Command::Show { file, card } => show(&file, card.as_deref(), context),
@@ -163,8 +165,8 @@ fn describe<T: Claims + Serialize>(text: &str, key: Option<&VerifyKey>) -> Resul
 }
 
 /// Reads a certificate file.
-pub fn load<T: Claims>(file: &Path) -> anyhow::Result<Signed<T>> {
-    Signed::from_pem(&read(file)?).with_context(|| file.display().to_string())
+pub fn load(file: &Path) -> anyhow::Result<Issued<AdCert>> {
+    Issued::from_pem(&read(file)?).with_context(|| file.display().to_string())
 }
 
 fn read(file: &Path) -> anyhow::Result<String> {

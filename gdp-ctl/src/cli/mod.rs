@@ -140,6 +140,12 @@ fn unix_now() -> u64 {
     std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default().as_secs()
 }
 
+/// Nanoseconds since 1970: the serial of what is issued now.
+fn serial_now() -> u64 {
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
+}
+
 /// Beginning and end of what is issued now for so many seconds. A clock that is a little behind must not refuse it.
 fn validity(seconds: u64) -> (u64, u64) {
     const BACKDATED: u64 = 300;

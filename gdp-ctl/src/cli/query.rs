@@ -61,7 +61,7 @@ fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>,
         let after = records.last().map(Record::place).transpose()?;
         let request = EntityRequest::Query { prefix: prefix.clone(), after };
         let Response::Records { records: page, truncated } =
-            client.ask_control(&Request::Entity { entity: None, request })?
+            client.ask_control(&Request::Entity { entity: None, request: request.into() })?
         else {
             bail!("the RIB answered another question");
         };
@@ -78,7 +78,7 @@ fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>,
 }
 
 fn describe(record: &Record, now: u64) -> Result<Value, gdp::cert::CertError> {
-    let entity = record.verify(now)?;
+    let entity = record.verify(None, now)?.entity;
     let role = if record.is_writer() { "writer" } else { "reader" };
     Ok(json!({
         "name": record.name, "role": role, "entity": entity, "switch": record.switch,

@@ -15,7 +15,7 @@ mod tests;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use gdp::cert::{CertError, Speaker, authorise_publish, authorise_subscribe, authorise_withdraw};
+use gdp::cert::{AdvertOp, CertError, Speaker, authorise_advertise, authorise_subscribe, authorise_withdraw};
 use gdp::control::{
     Credential, EntityRequest, FibPush, Record, RecordPlace, Refusal, RefusalCode, Response, WritersPush,
 };
@@ -303,7 +303,8 @@ impl Rib {
                 Ok(Response::Attached { serial: speaker.floor })
             }
             EntityRequest::Advertise { proof: name, ad_cert, advert } => {
-                let (cert, statement) = authorise_publish(&speaker, name, ad_cert, advert).map_err(refusal)?;
+                let (cert, statement) = authorise_advertise(&speaker, name, ad_cert, advert, None).map_err(refusal)?;
+                check_supported(statement.op)?;
                 self.raise_floor(now, &speaker, statement.serial, cert.not_after)?;
                 let ends = lifetime(now, statement.lifetime, cert.not_after)?;
                 let credential = Credential::Writer(ad_cert.clone());
@@ -314,7 +315,8 @@ impl Rib {
                 Ok(Response::Done)
             }
             EntityRequest::Subscribe { proof: name, grant, advert } => {
-                let (cert, statement) = authorise_subscribe(&speaker, name, grant, advert).map_err(refusal)?;
+                let (cert, statement) = authorise_subscribe(&speaker, name, grant, advert, None).map_err(refusal)?;
+                check_supported(statement.op)?;
                 self.raise_floor(now, &speaker, statement.serial, cert.not_after)?;
                 let ends = lifetime(now, statement.lifetime, cert.not_after)?;
                 let credential = Credential::Reader(grant.clone());
@@ -335,6 +337,9 @@ impl Rib {
                 self.unregister(key, speaker.entity, false);
                 self.unregister(key, speaker.entity, true);
                 Ok(Response::Done)
+            }
+            EntityRequest::Revoke { .. } => {
+                Err(Refusal::new(RefusalCode::Unsupported, "this RIB does not know revocations"))
             }
             EntityRequest::Query { prefix, after } => Ok(self.names.query(now.clock, prefix, after.as_ref())),
         }
@@ -573,6 +578,15 @@ fn lifetime(now: Now, stated: u32, not_after: u64) -> Result<Duration, Refusal> 
     Ok(now.clock.saturating_add(Duration::from_secs(seconds)))
 }
 
+fn check_supported(op: AdvertOp) -> Result<(), Refusal> {
+    match op {
+        AdvertOp::Serve | AdvertOp::Call => {
+            Err(Refusal::new(RefusalCode::Unsupported, "this RIB does not know services"))
+        }
+        AdvertOp::Publish | AdvertOp::Subscribe | AdvertOp::Withdraw => Ok(()),
+    }
+}
+
 fn limit_reached(what: String) -> Refusal {
     Refusal::new(RefusalCode::Limit, format!("{what}, and that is the limit of this RIB"))
 }
@@ -586,7 +600,13 @@ fn refusal(error: CertError) -> Refusal {
         CertError::WrongName { .. } => RefusalCode::WrongName,
         CertError::WrongEntity { .. } => RefusalCode::WrongEntity,
         CertError::WrongSwitch { .. } => RefusalCode::WrongSwitch,
-        CertError::ReplayedSerial { .. } => RefusalCode::ReplayedSerial,
+        CertError::ReplayedSerial { .. } | CertError::RolledBack { .. } => RefusalCode::ReplayedSerial,
+        CertError::Revoked { .. } => RefusalCode::Revoked,
+        CertError::NotDelegated { .. }
+        | CertError::BeforeDelegation { .. }
+        | CertError::NotAMember { .. }
+        | CertError::WrongRole { .. }
+        | CertError::WrongDomain { .. } => RefusalCode::NotEntitled,
         CertError::Malformed(_) | CertError::WrongOperation { .. } | CertError::Crypto(_) => RefusalCode::Malformed,
     };
     Refusal::new(code, error.to_string())

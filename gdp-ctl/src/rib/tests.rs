@@ -4,7 +4,7 @@ mod world;
 
 use std::time::Duration;
 
-use gdp::cert::{Advert, AdvertOp, RtCert, issue};
+use gdp::cert::{Advert, AdvertOp, ReadGrant, RtCert, Signed, issue};
 use gdp::control;
 use gdp::control::{EntityRequest, Extent, Record, RefusalCode, Response};
 use gdp::identity::{Identity, SigningKey};
@@ -172,7 +172,7 @@ fn a_name_is_routed_from_its_writers_to_its_reader_and_only_then() {
     w.publish(&robot, 0, 1);
     assert_eq!(w.routes(), [], "nobody reads");
     let Response::Records { records, .. } = w.subscribe(&cloud, 2, 1) else { panic!() };
-    assert_eq!(records.iter().map(|r| r.verify(UNIX).unwrap()).collect::<Vec<_>>(), [robot.name()]);
+    assert_eq!(records.iter().map(|r| r.verify(None, UNIX).unwrap().entity).collect::<Vec<_>>(), [robot.name()]);
     let bit = 1 << w.rib.bit(&w.switch(2)).unwrap();
     assert_eq!(w.routes(), [(0, bit, vec![]), (2, 0, vec![cloud.name()])]);
 
@@ -378,7 +378,8 @@ fn a_grant_does_not_publish_and_a_certificate_does_not_read() {
     let mut w = World::chain(1);
     let robot = w.attached("robot", 0);
     let parts = Parts::publish(&w, &robot, 0);
-    let grant = gdp::cert::Signed::from_bytes(issue(&w.owner, &parts.cert).unwrap().as_bytes().to_vec()).unwrap();
+    let cert = issue(&w.owner, &parts.cert).unwrap();
+    let grant = Signed::<ReadGrant>::from_bytes(cert.as_bytes().to_vec()).unwrap().into();
     let advert = issue(robot.key(), &Advert { op: AdvertOp::Subscribe, ..parts.advert.clone() }).unwrap();
     let response = w.ask(&robot, 0, EntityRequest::Subscribe { proof: parts.proof, grant, advert });
     expect_refused(&response, "AdCert as ReadGrant", RefusalCode::Malformed, "expected ReadGrant");
@@ -539,7 +540,7 @@ fn a_query_finds_by_prefix_and_shows_what_it_takes_to_verify() {
     w.subscribe(&cloud, 0, 1);
     for name in &names {
         let Response::Records { records, truncated: false } = w.query(&name.to_string()[..12]) else { panic!() };
-        assert!(records.iter().all(|r| r.name == *name && r.verify(UNIX).is_ok()), "{records:?}");
+        assert!(records.iter().all(|r| r.name == *name && r.verify(None, UNIX).is_ok()), "{records:?}");
         assert_eq!(records.len(), if *name == w.card.name() { 2 } else { 1 });
     }
     for digit in "0123456789abcdef".chars() {

@@ -121,7 +121,7 @@ async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
         Request::Fib { after } => page(status::fib(daemon, after, PAGE)),
         Request::Rib { after } => page(status::rib(daemon, after, PAGE)),
         Request::Entity { entity, request } => {
-            let next = daemon.core().entity_request(entity.as_ref(), true, request);
+            let next = daemon.core().entity_request(entity.as_ref(), true, *request);
             match daemon.complete(next).await {
                 Response::Refused(refusal) => {
                     let code = serde_json::to_value(refusal.code).ok();

@@ -1,18 +1,29 @@
-//! Certificates and statements: COSE_Sign1 / ES256 over deterministic CBOR (RFC 9052, RFC 8949 §4.2.1). [`claims`] says
-//! what they state, [`Signed`] keeps and checks the exact bytes. Who must have signed what for a request to be
-//! granted is checked in [`request`]. The RIB, and whoever receives its answers, call this.
+//! Certificates and statements: COSE_Sign1 / ES256 over deterministic CBOR (RFC 9052, RFC 8949 §4.2.1). [`owner`] and
+//! [`statements`] say what they state, [`Signed`] keeps and checks the exact bytes, [`issued`] the chain from a certificate
+//! to the owner of its name. Who must have signed what for a request to be granted is checked in [`request`]. The RIB, and
+//! whoever receives its answers, call this.
 //!
 //! Domain separation: the type of a certificate is its external AAD and its protected content type, so one type never
 //! verifies as another; a COSE `Sig_structure` begins with a CBOR array head and "Signature1", which no other input that
 //! this project signs begins with (`gdp::seal` signs "gdp/batch/1…", TLS signs 64 spaces and a context).
 
 mod claims;
+mod issued;
+mod owner;
+mod pem;
 mod request;
 mod signed;
+mod statements;
 
-pub use claims::{AdCert, Advert, AdvertOp, Claims, MAX_SCOPE, Mode, ReadGrant, RtCert, Validity};
-pub use request::{Speaker, authorise_publish, authorise_subscribe, authorise_withdraw};
+pub use claims::{Claims, Validity};
+pub use issued::{Issued, MAX_CERT_FILE, Membership, Reading};
+pub use owner::{
+    AboutName, AdCert, Delegation, Grantee, MAX_REVOKED, MAX_ROLE, MAX_SCOPE, MemberCert, Mode, ReadGrant, Revocation,
+};
+pub(crate) use request::{Side, verify_statement};
+pub use request::{Speaker, authorise_advertise, authorise_subscribe, authorise_withdraw};
 pub use signed::{MAX_SIGNED, Signed, issue};
+pub use statements::{Advert, AdvertOp, RtCert};
 
 use crate::cbor::CborError;
 use crate::crypto::CryptoError;
@@ -42,7 +53,33 @@ pub enum CertError {
     )]
     WrongSwitch { expected: Name, got: Name },
     #[error("wrong operation: the statement says {got}, the request needs {expected}")]
-    WrongOperation { expected: AdvertOp, got: AdvertOp },
+    WrongOperation { expected: &'static str, got: AdvertOp },
+    #[error("wrong domain: {got} where {expected} is expected; the grant is for members of that one")]
+    WrongDomain { expected: Name, got: Name },
+    #[error("wrong role: the member certificate gives role {got}, the grant asks for {expected}")]
+    WrongRole { expected: String, got: String },
+    #[error(
+        "not shown to be a member: the grant is for role {role} of domain {domain}; add that domain's member certificate"
+    )]
+    NotAMember { role: String, domain: Name },
+    #[error(
+        "not delegated: the owner lets {delegate} issue no {what}; have the owner issue it, or widen the delegation"
+    )]
+    NotDelegated { what: &'static str, delegate: String },
+    #[error(
+        "issued before its delegation: the {what} has serial {serial}, the delegation {delegation}; issue it anew, or \
+         check the clock"
+    )]
+    BeforeDelegation { what: &'static str, serial: u64, delegation: u64 },
+    #[error(
+        "revoked: the {what} with serial {serial} no longer holds by revocation {number} of its owner (floor {floor}); \
+         have a new one issued"
+    )]
+    Revoked { what: &'static str, serial: u64, floor: u64, number: u64 },
+    #[error(
+        "rolled back: revocation {got} does not replace {held}, the highest known; publish one with a higher number"
+    )]
+    RolledBack { got: u64, held: u64 },
     #[error(
         "replayed serial: {got} is not above {floor}, the highest seen of this entity; sign anew with a higher serial"
     )]

@@ -9,10 +9,11 @@ const NOW: u64 = 1_800_000_000;
 #[test]
 fn a_rightful_publisher_and_subscriber_pass() {
     let f = Fixture::new();
-    let (cert, advert) = authorise_publish(&f.speaker, &f.proof, &f.ad_cert(|_| ()), &f.advert(|_| ())).unwrap();
+    let (cert, advert) =
+        authorise_advertise(&f.speaker, &f.proof, &f.ad_cert(|_| ()).into(), &f.advert(|_| ()), None).unwrap();
     assert_eq!((cert.name, advert.serial), (f.name, 11));
     let subscribe = f.advert(|a| a.op = AdvertOp::Subscribe);
-    authorise_subscribe(&f.speaker, &f.proof, &f.grant(|_| ()), &subscribe).unwrap();
+    authorise_subscribe(&f.speaker, &f.proof, &f.grant(|_| ()).into(), &subscribe, None).unwrap();
     authorise_withdraw(&f.speaker, &f.advert(|a| a.op = AdvertOp::Withdraw)).unwrap();
 }
 
@@ -21,7 +22,7 @@ fn each_way_to_be_wrong_has_its_error() {
     let f = Fixture::new();
     let stranger = Name::from_bytes([9; 32]);
     let publish = |cert: &Signed<AdCert>, advert: &Signed<Advert>| {
-        authorise_publish(&f.speaker, &f.proof, cert, advert).unwrap_err()
+        authorise_advertise(&f.speaker, &f.proof, &cert.clone().into(), advert, None).unwrap_err()
     };
     let (cert, advert) = (f.ad_cert(|_| ()), f.advert(|_| ()));
 
@@ -31,7 +32,7 @@ fn each_way_to_be_wrong_has_its_error() {
     assert!(matches!(publish(&cert, &by_other), CertError::WrongKey { what: "Advert", .. }));
 
     let wrong_digest = NameProof { digest: [1; 32], ..f.proof };
-    let error = authorise_publish(&f.speaker, &wrong_digest, &cert, &advert).unwrap_err();
+    let error = authorise_advertise(&f.speaker, &wrong_digest, &cert.clone().into(), &advert, None).unwrap_err();
     assert!(matches!(error, CertError::WrongName { .. }), "{error}");
     assert!(error.to_string().contains("digest"), "{error}");
 
@@ -40,7 +41,7 @@ fn each_way_to_be_wrong_has_its_error() {
     let early = f.ad_cert(|c| c.not_before = NOW + 1);
     assert_eq!(publish(&early, &advert), CertError::NotYetValid { from: NOW + 1, now: NOW });
     let edge = f.ad_cert(|c| (c.not_before, c.not_after) = (NOW, NOW));
-    authorise_publish(&f.speaker, &f.proof, &edge, &advert).unwrap();
+    authorise_advertise(&f.speaker, &f.proof, &edge.into(), &advert, None).unwrap();
 
     assert!(matches!(publish(&f.ad_cert(|c| c.entity = stranger), &advert), CertError::WrongEntity { .. }));
     assert!(matches!(publish(&f.ad_cert(|c| c.name = stranger), &advert), CertError::WrongName { .. }));
@@ -181,16 +182,23 @@ impl Fixture {
 
     fn ad_cert_claims(&self) -> AdCert {
         let (name, entity) = (self.name, self.entity.name());
-        AdCert { name, entity, mode: Mode::Unicast, scope: vec![], not_before: NOW - 5, not_after: NOW + 5 }
+        AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial: 7, not_before: NOW - 5, not_after: NOW + 5 }
     }
 
     fn grant_claims(&self) -> ReadGrant {
-        ReadGrant { name: self.name, entity: self.entity.name(), not_before: NOW - 5, not_after: NOW + 5 }
+        ReadGrant {
+            name: self.name,
+            to: Grantee::Entity(self.entity.name()),
+            serial: 7,
+            not_before: NOW - 5,
+            not_after: NOW + 5,
+        }
     }
 
     fn advert_claims(&self) -> Advert {
         let (name, entity, switch) = (self.name, self.entity.name(), self.speaker.switch);
-        Advert { op: AdvertOp::Publish, name, entity, switch, serial: 11, lifetime: 60 }
+        let box_key = self.entity.box_public();
+        Advert { op: AdvertOp::Publish, name, entity, switch, serial: 11, lifetime: 60, box_key }
     }
 
     fn ad_cert(&self, change: impl FnOnce(&mut AdCert)) -> Signed<AdCert> {

@@ -14,8 +14,8 @@ use super::intake::Writer as KnownWriter;
 use super::receiver::Command;
 use super::supervisor::{Attachment, Event};
 use super::{NodeError, Stated};
-use crate::cert::{AdCert, Advert, AdvertOp, CertError, ReadGrant, RtCert, Signed, issue};
-use crate::control::{Credential, EntityRequest, Record, RecordPlace, RefusalCode, Request, Response};
+use crate::cert::{AdCert, Advert, AdvertOp, CertError, Issued, Reading, RtCert, Signed, issue};
+use crate::control::{EntityRequest, Record, RecordPlace, RefusalCode, Request, Response};
 use crate::identity::Identity;
 use crate::name::{NamePrefix, NameProof};
 
@@ -54,8 +54,8 @@ pub enum Status {
 /// The right to a name, as it is shown to the RIB.
 #[derive(Clone)]
 pub enum Statement {
-    Publish { proof: NameProof, ad_cert: Signed<AdCert> },
-    Subscribe { proof: NameProof, grant: Signed<ReadGrant> },
+    Publish { proof: NameProof, ad_cert: Issued<AdCert> },
+    Subscribe { proof: NameProof, grant: Reading },
 }
 
 impl State {
@@ -131,17 +131,6 @@ impl State {
         let settled = status.wait_for(|status| !matches!(status, Status::Down(_) | Status::Held(..)));
         let _ = tokio::time::timeout(LINK_PATIENCE, settled).await;
         self.attached_now()
-    }
-
-    pub fn check_own(&self, name: Name, certified_name: Name, certified_entity: Name) -> Result<(), CertError> {
-        let entity = self.identity.name();
-        if certified_name != name {
-            return Err(CertError::WrongName { expected: name, got: certified_name });
-        }
-        if certified_entity != entity {
-            return Err(CertError::WrongEntity { expected: entity, got: certified_entity });
-        }
-        Ok(())
     }
 
     pub fn begin(&self, name: Name, stated: Stated, statement: Statement) -> Result<(), NodeError> {
@@ -311,7 +300,8 @@ impl State {
     ) -> Result<Signed<Advert>, NodeError> {
         *serial = serial.saturating_add(1);
         let (entity, switch) = (self.identity.name(), attachment.link.peer().name);
-        Ok(issue(self.identity.key(), &Advert { op, name, entity, switch, serial: *serial, lifetime: LIFETIME })?)
+        let (serial, lifetime, box_key) = (*serial, LIFETIME, self.identity.box_public());
+        Ok(issue(self.identity.key(), &Advert { op, name, entity, switch, serial, lifetime, box_key })?)
     }
 }
 
@@ -321,10 +311,12 @@ async fn ask(attachment: &Attachment, request: EntityRequest) -> Result<Response
 
 /// The writer that a record is of, if it is one of a writer.
 fn verified_writer(record: &Record) -> Result<Option<KnownWriter>, CertError> {
-    let Credential::Writer(cert) = &record.credential else { return Ok(None) };
-    let entity = record.verify(unix_now())?;
-    let not_after = cert.claims_unverified()?.not_after;
-    Ok(Some(KnownWriter { entity, key: record.entity.verify_key()?, not_after }))
+    if !record.is_writer() {
+        return Ok(None);
+    }
+    let verified = record.verify(None, unix_now())?;
+    let key = record.entity.verify_key()?;
+    Ok(Some(KnownWriter { entity: verified.entity, key, not_after: verified.not_after }))
 }
 
 /// Unix seconds.

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use gdp::NameCard;
-use gdp::cert::{AdCert, Advert, AdvertOp, Mode, ReadGrant, RtCert, issue};
+use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Mode, ReadGrant, RtCert, issue};
 use gdp::control::{EntityRequest, Extent, FibPush, Record, RefusalCode, Response, Route};
 use gdp::identity::{Identity, SigningKey};
 use gdp::name::{Name, NamePrefix, NameProof};
@@ -107,10 +107,11 @@ impl World {
 
     pub fn subscription(&self, entity: &Identity, at: usize, serial: u64) -> EntityRequest {
         let parts = Parts::publish(self, entity, at);
-        let grant =
-            ReadGrant { name: parts.cert.name, entity: entity.name(), not_before: UNIX, not_after: UNIX + 1_000_000 };
+        let (name, to, serial_of_grant) = (parts.cert.name, Grantee::Entity(entity.name()), parts.cert.serial);
+        let (not_before, not_after) = (UNIX, UNIX + 1_000_000);
+        let grant = ReadGrant { name, to, serial: serial_of_grant, not_before, not_after };
         let advert = Advert { op: AdvertOp::Subscribe, serial, ..parts.advert };
-        let (grant, advert) = (issue(&self.owner, &grant).unwrap(), issue(entity.key(), &advert).unwrap());
+        let (grant, advert) = (issue(&self.owner, &grant).unwrap().into(), issue(entity.key(), &advert).unwrap());
         EntityRequest::Subscribe { proof: parts.proof, grant, advert }
     }
 
@@ -299,6 +300,7 @@ impl Parts {
                 entity: entity.name(),
                 mode: Mode::Unicast,
                 scope: vec![],
+                serial: UNIX * 1_000_000_000,
                 not_before: UNIX - 1,
                 not_after: UNIX + 1_000_000,
             },
@@ -309,6 +311,7 @@ impl Parts {
                 switch: w.switch(at),
                 serial: 1,
                 lifetime: 24 * HOUR,
+                box_key: entity.box_public(),
             },
             flip_cert: false,
             flip_advert: false,
@@ -324,7 +327,7 @@ impl Parts {
         if self.flip_advert {
             advert = flipped(&advert);
         }
-        EntityRequest::Advertise { proof: self.proof, ad_cert, advert }
+        EntityRequest::Advertise { proof: self.proof, ad_cert: ad_cert.into(), advert }
     }
 
     pub fn withdraw(w: &World, entity: &Identity, at: usize, serial: u64) -> EntityRequest {

@@ -12,7 +12,7 @@ use gdp_wire::{Header, LinkEntry, Name, forward};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::card::NameCard;
-use crate::cert::{AdCert, Mode, ReadGrant, Signed, issue};
+use crate::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, issue};
 use crate::control::{Credential, EntityRequest, Record, Refusal, RefusalCode, Request, Response, WritersPush};
 use crate::identity::{Identity, SigningKey};
 use crate::link::{Link, LinkIds};
@@ -136,7 +136,7 @@ impl Fabric {
     }
 
     /// Claims that `node` may write `name`.
-    pub fn lie(&self, name: Name, node: &Node, proof: NameProof, cert: Signed<AdCert>) {
+    pub fn lie(&self, name: Name, node: &Node, proof: NameProof, cert: Issued<AdCert>) {
         let mut rib = lock(&self.rib);
         let records = rib.writers.get_mut(&name).unwrap();
         let entity = node.0.state.identity.proof();
@@ -178,11 +178,11 @@ impl Owner {
         &self.epoch
     }
 
-    pub fn ad_cert(&self, entity: Name) -> Signed<AdCert> {
+    pub fn ad_cert(&self, entity: Name) -> Issued<AdCert> {
         let name = self.name();
         let not_after = unix_now() + 60;
-        let claims = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], not_before: 0, not_after };
-        issue(&self.key, &claims).unwrap()
+        let claims = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial: 1, not_before: 0, not_after };
+        issue(&self.key, &claims).unwrap().into()
     }
 
     pub async fn publish(&self, node: &Node) -> Result<Publisher, NodeError> {
@@ -190,9 +190,8 @@ impl Owner {
     }
 
     pub async fn subscribe(&self, node: &Node) -> Result<Subscription, NodeError> {
-        let (name, entity) = (self.name(), node.name());
-        let claims = ReadGrant { name, entity, not_before: 0, not_after: unix_now() + 60 };
-        let grant = issue(&self.key, &claims).unwrap();
+        let (name, to, not_after) = (self.name(), Grantee::Entity(node.name()), unix_now() + 60);
+        let grant = issue(&self.key, &ReadGrant { name, to, serial: 1, not_before: 0, not_after }).unwrap().into();
         node.subscribe(self.card.proof(), grant, &self.epoch, SubscribeOptions::default()).await
     }
 }
@@ -242,6 +241,9 @@ impl Rib {
                 let records = found.flat_map(|(_, records)| records.clone()).collect();
                 return (Response::Records { records, truncated: false }, None);
             }
+            EntityRequest::Revoke { .. } => {
+                return (Refusal::new(RefusalCode::Unsupported, "no test revokes here").into(), None);
+            }
             EntityRequest::Advertise { advert, .. }
             | EntityRequest::Subscribe { advert, .. }
             | EntityRequest::Withdraw { advert } => advert.verify(&link.peer().key, unix_now()).unwrap().serial,
@@ -280,7 +282,9 @@ impl Rib {
                 self.subscribers.retain(|other, subscriber| *other != name || *subscriber != entity);
                 (Response::Done, None)
             }
-            EntityRequest::Attach { .. } | EntityRequest::Query { .. } => unreachable!("answered above"),
+            EntityRequest::Attach { .. } | EntityRequest::Query { .. } | EntityRequest::Revoke { .. } => {
+                unreachable!("answered above")
+            }
         }
     }
 

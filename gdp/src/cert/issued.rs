@@ -1,0 +1,217 @@
+//! A certificate with all that shows that it holds, as it travels and as it lies in a file: who issued it for the owner, and
+//! for a grant to a role, that the reader has that role.
+
+use super::pem::{Blocks, MAX_TEXT};
+use super::{AboutName, CertError, Claims, Delegation, Grantee, MemberCert, ReadGrant, Revocation, Signed, issue};
+use crate::cbor;
+use crate::identity::Identity;
+use crate::name::{Name, NameProof};
+use p256::pkcs8::{LineEnding, der::pem};
+use serde::{Deserialize, Serialize};
+
+/// Between `-----BEGIN ` and `-----` in a name proof's text form.
+const PROOF_LABEL: &str = "GDP NAME PROOF";
+
+/// A name proof in CBOR has 89 bytes.
+const MAX_PROOF: usize = 128;
+
+/// A certificate of a name's owner, or of a delegate with the delegation that allows it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(bound = "", deny_unknown_fields)]
+pub struct Issued<T: Claims> {
+    pub cert: Signed<T>,
+    /// None if the owner signed the certificate itself.
+    pub delegation: Option<Signed<Delegation>>,
+}
+
+impl<T: Claims> From<Signed<T>> for Issued<T> {
+    fn from(cert: Signed<T>) -> Self {
+        Self { cert, delegation: None }
+    }
+}
+
+impl<T: AboutName> Issued<T> {
+    /// What the certificate states, if the owner that `proof` shows stands behind it at `now` (Unix seconds). `revocation`
+    /// is the newest that is known of the name. The validity of what is returned is that of the whole chain.
+    pub fn verify(&self, proof: &NameProof, revocation: Option<&Revocation>, now: u64) -> Result<T, CertError> {
+        let name = proof.name()?;
+        if let Some(revocation) = revocation {
+            expect_name(name, revocation.name)?;
+        }
+        let holds = |what, serial| revocation.map_or(Ok(()), |revocation| revocation.check(what, serial));
+        let Some(delegation) = &self.delegation else {
+            let claims = self.cert.verify(&proof.verify_key()?, now)?;
+            expect_name(name, claims.name())?;
+            holds(T::KIND, claims.serial())?;
+            return Ok(claims);
+        };
+        let delegation = delegation.verify(&proof.verify_key()?, now)?;
+        expect_name(name, delegation.name)?;
+        holds(Delegation::KIND, delegation.serial)?;
+        if !T::is_delegated(&delegation) {
+            return Err(CertError::NotDelegated { what: T::KIND, delegate: delegation.delegate.to_string() });
+        }
+        let mut claims = self.cert.verify(&delegation.delegate, now)?;
+        expect_name(name, claims.name())?;
+        holds(T::KIND, claims.serial())?;
+        // Otherwise a new delegation of the same key would bring back what fell with an earlier one.
+        if claims.serial() < delegation.serial {
+            return Err(CertError::BeforeDelegation {
+                what: T::KIND,
+                serial: claims.serial(),
+                delegation: delegation.serial,
+            });
+        }
+        claims.set_validity(claims.validity().and(delegation.validity()));
+        Ok(claims)
+    }
+}
+
+impl<T: Claims> Issued<T> {
+    /// Bytes of what is signed in it.
+    pub fn size(&self) -> usize {
+        self.cert.as_bytes().len() + self.delegation.as_ref().map_or(0, |delegation| delegation.as_bytes().len())
+    }
+
+    /// The text form for files: one block after another.
+    pub fn to_pem(&self) -> String {
+        self.cert.to_pem() + &self.delegation.as_ref().map(Signed::to_pem).unwrap_or_default()
+    }
+
+    pub fn from_pem(text: &str) -> Result<Self, CertError> {
+        let mut blocks = Blocks::of(text)?;
+        let issued = Self::from_blocks(&mut blocks)?;
+        blocks.end()?;
+        Ok(issued)
+    }
+
+    fn from_blocks(blocks: &mut Blocks) -> Result<Self, CertError> {
+        let cert = Signed::from_pem(blocks.take(T::LABEL)?)?;
+        let delegation = blocks.take_if(Delegation::LABEL).map(Signed::from_pem).transpose()?;
+        Ok(Self { cert, delegation })
+    }
+}
+
+/// All that a reader shows: the grant, and its membership if the grant is for a role.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reading {
+    pub grant: Issued<ReadGrant>,
+    pub member: Option<Membership>,
+}
+
+impl<T: Into<Issued<ReadGrant>>> From<T> for Reading {
+    fn from(grant: T) -> Self {
+        Self { grant: grant.into(), member: None }
+    }
+}
+
+impl Reading {
+    /// As [`Issued::verify`], and that the grant reaches `entity`. The validity of what is returned is that of all that was
+    /// shown.
+    pub fn verify(
+        &self,
+        proof: &NameProof,
+        entity: Name,
+        revocation: Option<&Revocation>,
+        now: u64,
+    ) -> Result<ReadGrant, CertError> {
+        let mut grant = self.grant.verify(proof, revocation, now)?;
+        match (&grant.to, &self.member) {
+            (Grantee::Entity(granted), None) => expect_entity(entity, *granted)?,
+            (Grantee::Entity(_), Some(_)) => {
+                return Err(CertError::Malformed("a membership is shown with a grant that asks for none".into()));
+            }
+            (Grantee::Role { domain, role }, None) => {
+                return Err(CertError::NotAMember { role: role.clone(), domain: *domain });
+            }
+            (Grantee::Role { domain, role }, Some(member)) => {
+                let member = member.verify(*domain, now)?;
+                expect_entity(entity, member.entity)?;
+                if member.role != *role {
+                    return Err(CertError::WrongRole { expected: role.clone(), got: member.role });
+                }
+                grant.set_validity(grant.validity().and(member.validity()));
+            }
+        }
+        Ok(grant)
+    }
+
+    /// Bytes of what is signed in it.
+    pub fn size(&self) -> usize {
+        self.grant.size() + self.member.as_ref().map_or(0, |member| member.cert.as_bytes().len() + MAX_PROOF)
+    }
+
+    /// The text form for files: one block after another.
+    pub fn to_pem(&self) -> String {
+        self.grant.to_pem() + &self.member.as_ref().map(Membership::to_pem).unwrap_or_default()
+    }
+
+    /// The blocks of the grant, then those of the membership, if there are any.
+    pub fn from_pem(text: &str) -> Result<Self, CertError> {
+        let mut blocks = Blocks::of(text)?;
+        let grant = Issued::from_blocks(&mut blocks)?;
+        let member = if blocks.is_empty() { None } else { Some(Membership::from_blocks(&mut blocks)?) };
+        blocks.end()?;
+        Ok(Self { grant, member })
+    }
+}
+
+/// An entity's role in a domain, and how the domain's name shows the key that says so.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Membership {
+    pub domain: NameProof,
+    pub cert: Signed<MemberCert>,
+}
+
+impl Membership {
+    /// Signed by `domain`, an identity of kind "domain", about one of its members.
+    pub fn issue(domain: &Identity, claims: &MemberCert) -> Result<Self, CertError> {
+        expect_domain(domain.name(), claims.domain)?;
+        Ok(Self { domain: domain.proof(), cert: issue(domain.key(), claims)? })
+    }
+
+    /// What it states, if it is the certificate of this domain.
+    pub fn verify(&self, domain: Name, now: u64) -> Result<MemberCert, CertError> {
+        expect_domain(domain, self.domain.name()?)?;
+        let claims = self.cert.verify(&self.domain.verify_key()?, now)?;
+        expect_domain(domain, claims.domain)?;
+        Ok(claims)
+    }
+
+    pub fn to_pem(&self) -> String {
+        let proof = cbor::encode(&self.domain).expect("a map of two byte strings has an encoding");
+        let proof = pem::encode_string(PROOF_LABEL, LineEnding::LF, &proof);
+        self.cert.to_pem() + &proof.expect("the label and the size are fixed, so there is a text form")
+    }
+
+    pub fn from_pem(text: &str) -> Result<Self, CertError> {
+        let mut blocks = Blocks::of(text)?;
+        let member = Self::from_blocks(&mut blocks)?;
+        blocks.end()?;
+        Ok(member)
+    }
+
+    fn from_blocks(blocks: &mut Blocks) -> Result<Self, CertError> {
+        let cert = Signed::from_pem(blocks.take(MemberCert::LABEL)?)?;
+        let (_, proof) = pem::decode_vec(blocks.take(PROOF_LABEL)?.as_bytes())
+            .map_err(|error| CertError::Malformed(format!("{PROOF_LABEL}: {error}")))?;
+        Ok(Self { cert, domain: cbor::decode(&proof, MAX_PROOF)? })
+    }
+}
+
+/// A longer file is not a certificate.
+pub const MAX_CERT_FILE: usize = MAX_TEXT;
+
+pub(super) fn expect_name(expected: Name, got: Name) -> Result<(), CertError> {
+    if expected == got { Ok(()) } else { Err(CertError::WrongName { expected, got }) }
+}
+
+pub(super) fn expect_entity(expected: Name, got: Name) -> Result<(), CertError> {
+    if expected == got { Ok(()) } else { Err(CertError::WrongEntity { expected, got }) }
+}
+
+fn expect_domain(expected: Name, got: Name) -> Result<(), CertError> {
+    if expected == got { Ok(()) } else { Err(CertError::WrongDomain { expected, got }) }
+}

@@ -1,0 +1,269 @@
+//! What the owner of a name issues about it: who may write it, who may read it, who else may issue that, and what of it
+//! no longer holds. A domain's certificate for its members is here too, because a [`ReadGrant`] may ask for it.
+//!
+//! Every certificate has a serial: the Unix time in nanoseconds at which it was issued, so that an owner and its delegates
+//! need not agree on one, and so that a revocation's floor means "nothing issued before then".
+
+use super::{CertError, Claims, Validity};
+use crate::identity::VerifyKey;
+use crate::name::Name;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// More domains than one name is ever meant for.
+pub const MAX_SCOPE: usize = 64;
+
+/// Serials that a revocation lists besides its floor.
+pub const MAX_REVOKED: usize = 128;
+
+/// Longest name of a role, in bytes.
+pub const MAX_ROLE: usize = 32;
+
+/// A certificate about a name that its owner issues, or a delegate for it.
+pub trait AboutName: Claims {
+    fn name(&self) -> Name;
+    fn serial(&self) -> u64;
+    /// Whether this delegation lets its delegate issue such a certificate.
+    fn is_delegated(delegation: &Delegation) -> bool;
+    fn set_validity(&mut self, validity: Validity);
+}
+
+/// How a name's messages are delivered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    Multicast,
+    Anycast,
+    Unicast,
+}
+
+/// Owner → entity: may publish or serve the name.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AdCert {
+    pub name: Name,
+    pub entity: Name,
+    pub mode: Mode,
+    /// Domains the name may be known in; none named means only the domain it is advertised in.
+    pub scope: Vec<Name>,
+    pub serial: u64,
+    pub not_before: u64,
+    pub not_after: u64,
+}
+
+impl Claims for AdCert {
+    const KIND: &'static str = "AdCert";
+    const LABEL: &'static str = "GDP AD CERT";
+    const CONTEXT: &'static str = "application/vnd.gdp.ad-cert.v1+cbor";
+
+    fn validity(&self) -> Validity {
+        Validity { not_before: self.not_before, not_after: self.not_after }
+    }
+
+    fn check_bounds(&self) -> Result<(), CertError> {
+        if self.scope.len() > MAX_SCOPE {
+            return Err(CertError::Malformed(format!(
+                "scope of {} domains where at most {MAX_SCOPE} are allowed",
+                self.scope.len()
+            )));
+        }
+        self.validity().check_order()
+    }
+}
+
+impl AboutName for AdCert {
+    fn name(&self) -> Name {
+        self.name
+    }
+
+    fn serial(&self) -> u64 {
+        self.serial
+    }
+
+    fn is_delegated(delegation: &Delegation) -> bool {
+        delegation.publish
+    }
+
+    fn set_validity(&mut self, Validity { not_before, not_after }: Validity) {
+        (self.not_before, self.not_after) = (not_before, not_after);
+    }
+}
+
+/// Owner → entity, or → domain and role: may subscribe to or call the name.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReadGrant {
+    pub name: Name,
+    pub to: Grantee,
+    pub serial: u64,
+    pub not_before: u64,
+    pub not_after: u64,
+}
+
+/// Whom a grant is for.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
+pub enum Grantee {
+    Entity(Name),
+    /// Every entity that the domain says has this role: 1 to 32 bytes of `a-z`, `0-9`, `_` and `-`.
+    Role {
+        domain: Name,
+        role: String,
+    },
+}
+
+impl fmt::Display for Grantee {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Entity(entity) => write!(f, "{entity}"),
+            Self::Role { domain, role } => write!(f, "role {role} of domain {domain}"),
+        }
+    }
+}
+
+impl Claims for ReadGrant {
+    const KIND: &'static str = "ReadGrant";
+    const LABEL: &'static str = "GDP READ GRANT";
+    const CONTEXT: &'static str = "application/vnd.gdp.read-grant.v1+cbor";
+
+    fn validity(&self) -> Validity {
+        Validity { not_before: self.not_before, not_after: self.not_after }
+    }
+
+    fn check_bounds(&self) -> Result<(), CertError> {
+        if let Grantee::Role { role, .. } = &self.to {
+            check_role(role)?;
+        }
+        self.validity().check_order()
+    }
+}
+
+impl AboutName for ReadGrant {
+    fn name(&self) -> Name {
+        self.name
+    }
+
+    fn serial(&self) -> u64 {
+        self.serial
+    }
+
+    fn is_delegated(delegation: &Delegation) -> bool {
+        delegation.read
+    }
+
+    fn set_validity(&mut self, Validity { not_before, not_after }: Validity) {
+        (self.not_before, self.not_after) = (not_before, not_after);
+    }
+}
+
+/// Owner → another key: may issue AdCerts (`publish`) or ReadGrants (`read`) for the name. It cannot be passed on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Delegation {
+    pub name: Name,
+    pub delegate: VerifyKey,
+    pub publish: bool,
+    pub read: bool,
+    pub serial: u64,
+    pub not_before: u64,
+    pub not_after: u64,
+}
+
+impl Claims for Delegation {
+    const KIND: &'static str = "Delegation";
+    const LABEL: &'static str = "GDP DELEGATION";
+    const CONTEXT: &'static str = "application/vnd.gdp.delegation.v1+cbor";
+
+    fn validity(&self) -> Validity {
+        Validity { not_before: self.not_before, not_after: self.not_after }
+    }
+}
+
+/// Owner → everybody: certificates of the name with a serial below `floor`, or in `revoked`, do not hold. Of two
+/// revocations the one with the higher number counts. No delegate can issue one.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Revocation {
+    pub name: Name,
+    pub number: u64,
+    pub floor: u64,
+    /// In rising order, at most [`MAX_REVOKED`].
+    pub revoked: Vec<u64>,
+}
+
+impl Revocation {
+    /// Whether a certificate of this kind and serial still holds.
+    pub fn check(&self, what: &'static str, serial: u64) -> Result<(), CertError> {
+        if serial < self.floor || self.revoked.binary_search(&serial).is_ok() {
+            return Err(CertError::Revoked { what, serial, floor: self.floor, number: self.number });
+        }
+        Ok(())
+    }
+
+    /// Whether this one may take the place of `held`: the same again is no harm, an older or another one of its number is.
+    pub fn check_replaces(&self, held: Option<&Self>) -> Result<(), CertError> {
+        match held {
+            Some(held) if self.number < held.number || self.number == held.number && self != held => {
+                Err(CertError::RolledBack { got: self.number, held: held.number })
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+impl Claims for Revocation {
+    const KIND: &'static str = "Revocation";
+    const LABEL: &'static str = "GDP REVOCATION";
+    const CONTEXT: &'static str = "application/vnd.gdp.revocation.v1+cbor";
+
+    fn validity(&self) -> Validity {
+        Validity::ALWAYS
+    }
+
+    fn check_bounds(&self) -> Result<(), CertError> {
+        let count = self.revoked.len();
+        if count > MAX_REVOKED {
+            return Err(CertError::Malformed(format!(
+                "{count} revoked serials where at most {MAX_REVOKED} are allowed; raise the floor"
+            )));
+        }
+        if !self.revoked.is_sorted_by(|a, b| a < b) {
+            return Err(CertError::Malformed("the revoked serials are not in rising order".into()));
+        }
+        Ok(())
+    }
+}
+
+/// Domain → entity: has this role among my members.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MemberCert {
+    pub domain: Name,
+    pub entity: Name,
+    pub role: String,
+    pub not_before: u64,
+    pub not_after: u64,
+}
+
+impl Claims for MemberCert {
+    const KIND: &'static str = "MemberCert";
+    const LABEL: &'static str = "GDP MEMBER CERT";
+    const CONTEXT: &'static str = "application/vnd.gdp.member-cert.v1+cbor";
+
+    fn validity(&self) -> Validity {
+        Validity { not_before: self.not_before, not_after: self.not_after }
+    }
+
+    fn check_bounds(&self) -> Result<(), CertError> {
+        check_role(&self.role)?;
+        self.validity().check_order()
+    }
+}
+
+fn check_role(role: &str) -> Result<(), CertError> {
+    let good = |c: u8| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'_' || c == b'-';
+    if (1..=MAX_ROLE).contains(&role.len()) && role.bytes().all(good) {
+        return Ok(());
+    }
+    Err(CertError::Malformed(format!("a role has 1 to {MAX_ROLE} characters of a-z, 0-9, _ and -")))
+}

@@ -1,0 +1,62 @@
+//! Text with several blocks of RFC 7468 in it, taken apart. What the blocks hold is for who asks for them.
+
+use super::{CertError, MAX_SIGNED};
+use std::collections::VecDeque;
+
+/// Blocks that one file may have: a grant, a delegation, a member's certificate, a domain's proof.
+const MAX_BLOCKS: usize = 4;
+
+/// Base64 and its lines need less than twice the bytes.
+pub(super) const MAX_TEXT: usize = MAX_BLOCKS * 2 * MAX_SIGNED;
+
+/// The blocks of a text, each with its label, in their order.
+pub(super) struct Blocks<'t>(VecDeque<(&'t str, &'t str)>);
+
+impl<'t> Blocks<'t> {
+    /// Nothing but blank lines may be around the blocks.
+    pub fn of(text: &'t str) -> Result<Self, CertError> {
+        if text.len() > MAX_TEXT {
+            return Err(CertError::Malformed(format!("{} characters of text are too many", text.len())));
+        }
+        let mut blocks = VecDeque::new();
+        let mut rest = text.trim_ascii();
+        while !rest.is_empty() {
+            let none =
+                || CertError::Malformed("not a certificate file: no line \"-----BEGIN …-----\" at its start".into());
+            let (label, _) = rest.strip_prefix("-----BEGIN ").and_then(|l| l.split_once("-----")).ok_or_else(none)?;
+            let end = format!("-----END {label}-----");
+            let at = rest.find(&end).ok_or_else(|| CertError::Malformed(format!("no line \"{end}\"")))? + end.len();
+            if blocks.len() == MAX_BLOCKS {
+                return Err(CertError::Malformed(format!("more than {MAX_BLOCKS} blocks")));
+            }
+            blocks.push_back((label, &rest[..at]));
+            rest = rest[at..].trim_ascii_start();
+        }
+        Ok(Self(blocks))
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The next block, which must have this label.
+    pub fn take(&mut self, label: &str) -> Result<&'t str, CertError> {
+        let found = self.0.front().map_or_else(|| "nothing".into(), |(found, _)| format!("\"BEGIN {found}\""));
+        let wrong = || CertError::Malformed(format!("expected \"BEGIN {label}\", found {found}"));
+        self.take_if(label).ok_or_else(wrong)
+    }
+
+    /// The next block, if it has this label.
+    pub fn take_if(&mut self, label: &str) -> Option<&'t str> {
+        self.0.front().filter(|(found, _)| *found == label)?;
+        self.0.pop_front().map(|(_, block)| block)
+    }
+
+    /// That nothing is left.
+    pub fn end(&self) -> Result<(), CertError> {
+        match self.0.front() {
+            Some((label, _)) => Err(CertError::Malformed(format!("\"BEGIN {label}\" does not belong in this file"))),
+            None => Ok(()),
+        }
+    }
+}

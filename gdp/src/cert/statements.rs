@@ -1,0 +1,88 @@
+//! What entities state themselves: which switch may carry their traffic, and what they do with a name.
+
+use super::{CertError, Claims, Validity};
+use crate::crypto::PUBLIC_KEY_LEN;
+use crate::identity::VerifyKey;
+use crate::name::Name;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// Entity → switch: may carry my traffic.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RtCert {
+    pub entity: Name,
+    pub switch: Name,
+    pub not_after: u64,
+}
+
+impl Claims for RtCert {
+    const KIND: &'static str = "RtCert";
+    const LABEL: &'static str = "GDP RT CERT";
+    const CONTEXT: &'static str = "application/vnd.gdp.rt-cert.v1+cbor";
+
+    fn validity(&self) -> Validity {
+        Validity { not_before: 0, not_after: self.not_after }
+    }
+}
+
+/// What an entity states about a name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AdvertOp {
+    /// I send messages to the name.
+    Publish,
+    /// I read the name's messages.
+    Subscribe,
+    /// I answer requests to the name.
+    Serve,
+    /// I send requests to the name.
+    Call,
+    /// Whatever I stated about the name ends.
+    Withdraw,
+}
+
+impl fmt::Display for AdvertOp {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Publish => "publish",
+            Self::Subscribe => "subscribe",
+            Self::Serve => "serve",
+            Self::Call => "call",
+            Self::Withdraw => "withdraw",
+        })
+    }
+}
+
+/// An entity's own statement: what it does with the name, at which switch. No switch can make it up.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Advert {
+    pub op: AdvertOp,
+    pub name: Name,
+    pub entity: Name,
+    pub switch: Name,
+    /// Rises with every statement of the entity; the RIB refuses one that is not above the highest it saw.
+    pub serial: u64,
+    /// Seconds from when the RIB accepts it, on the RIB's clock.
+    pub lifetime: u32,
+    /// Content keys for the entity are wrapped to this key: P-256, SEC1 compressed.
+    #[serde(with = "crate::cbor::array")]
+    pub box_key: [u8; PUBLIC_KEY_LEN],
+}
+
+impl Claims for Advert {
+    const KIND: &'static str = "Advert";
+    const LABEL: &'static str = "GDP ADVERT";
+    const CONTEXT: &'static str = "application/vnd.gdp.advert.v1+cbor";
+
+    fn validity(&self) -> Validity {
+        Validity::ALWAYS
+    }
+
+    fn check_bounds(&self) -> Result<(), CertError> {
+        VerifyKey::from_bytes(&self.box_key)
+            .map(drop)
+            .map_err(|_| CertError::Malformed("the box key is not a P-256 public key".into()))
+    }
+}
