@@ -15,6 +15,7 @@ use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::cert::{AdCert, Advert, CertError, Issued, Reading, Revocation, RtCert, Side, Signed, verify_statement};
+use crate::keys::KeyBox;
 use crate::name::{NamePrefix, NameProof};
 
 /// Largest encoded request or response, in bytes, without its length prefix.
@@ -66,7 +67,11 @@ pub enum EntityRequest {
     Subscribe { proof: NameProof, grant: Reading, advert: Signed<Advert> },
     /// I have no part any more in the name in the statement.
     Withdraw { advert: Signed<Advert> },
-    /// The owner of a name takes certificates back. Anybody may pass this on: the owner's signature is what counts.
+    /// The keys of what I send, each wrapped for one reader. Kept beside what I stated, for as long as that; given to each
+    /// reader when it states that it takes the name, and when they come.
+    KeyBoxes { boxes: Vec<Signed<KeyBox>> },
+    /// The owner of a name takes certificates back. Anybody may pass this on, also without showing who it is: the owner's
+    /// signature is what counts.
     Revoke { proof: NameProof, revocation: Signed<Revocation> },
     /// Who publishes and reads the names that begin so? Answered by [`Response::Records`], from the one behind `after` on.
     Query { prefix: NamePrefix, after: Option<RecordPlace> },
@@ -180,6 +185,14 @@ impl Credential {
         match self {
             Self::Writer(cert) => cert.size(),
             Self::Reader(grant) => grant.size(),
+        }
+    }
+
+    /// Of what a revocation can take back: what it is, and its serial. Believe it once the credential is verified.
+    pub fn serials(&self) -> Result<Vec<(&'static str, u64)>, CertError> {
+        match self {
+            Self::Writer(cert) => cert.serials(),
+            Self::Reader(reading) => reading.grant.serials(),
         }
     }
 }

@@ -2,6 +2,7 @@
 //! not be asked when a reader comes; only the reader can open them, and it verifies again who wrapped them.
 
 use std::collections::{BTreeMap, HashMap};
+use std::ops::Bound;
 
 use gdp::cert::Signed;
 use gdp::control::{Refusal, RefusalCode};
@@ -43,20 +44,28 @@ impl Boxes {
     }
 
     /// Keeps a verified box of the writer at `place`, and lets go of epochs that are too old.
-    pub fn put(&mut self, place: Place, claims: &KeyBox, signed: Signed<KeyBox>, limits: &Limits) -> Result<(), Refusal> {
+    pub fn put(
+        &mut self,
+        place: Place,
+        claims: &KeyBox,
+        signed: Signed<KeyBox>,
+        limits: &Limits,
+    ) -> Result<(), Refusal> {
         let KeyBox { name, writer, reader, epoch, .. } = claims;
         let key = (name.to_bytes(), *writer);
         let epochs = self.kept.get(&key).map(|kept| &kept.epochs);
         let oldest = epochs.filter(|epochs| epochs.len() == EPOCHS && !epochs.contains_key(epoch));
         let oldest = oldest.and_then(|epochs| epochs.keys().next().copied());
         if let Some(oldest) = oldest.filter(|oldest| epoch < oldest) {
-            let reason = format!("a key box of epoch {epoch} of {writer} for {name} is too old: {oldest} is the oldest kept");
+            let reason =
+                format!("a key box of epoch {epoch} of {writer} for {name} is too old: {oldest} is the oldest kept");
             return Err(Refusal::new(RefusalCode::ReplayedSerial, reason));
         }
         let readers = epochs.and_then(|epochs| epochs.get(epoch));
         if !readers.is_some_and(|readers| readers.contains_key(reader)) {
             let going = oldest.and_then(|oldest| epochs?.get(&oldest)).map_or(0, BTreeMap::len);
-            let held = |counts: &HashMap<Name, usize>, name| counts.get(name).map_or(0, |count| count.saturating_sub(going));
+            let held =
+                |counts: &HashMap<Name, usize>, name| counts.get(name).map_or(0, |count| count.saturating_sub(going));
             for (what, held, limit) in [
                 ("readers of an epoch", readers.map_or(0, BTreeMap::len), limits.box_readers),
                 ("key boxes", held(&self.by_writer, writer), limits.boxes_per_entity),
@@ -88,13 +97,20 @@ impl Boxes {
         }
     }
 
-    /// What a counterpart has for the entity: of the keys of what it sends to the name, and to the entity itself.
+    /// What a counterpart has for the entity: the keys of what it sends to the name, if the entity is to take that.
     pub fn between(&self, stake: &Stake, counterpart: &Name) -> impl Iterator<Item = &Signed<KeyBox>> {
-        let names = [stake.name, stake.entity.to_bytes()];
-        let kept = names.map(|name| self.kept.get(&(name, *counterpart)));
-        let epochs = kept.into_iter().flatten().flat_map(|kept| kept.epochs.values());
+        let kept = self.kept.get(&(stake.name, *counterpart)).filter(|_| !stake.role.sends());
         let reader = stake.entity;
-        epochs.filter_map(move |readers| readers.get(&reader))
+        kept.into_iter().flat_map(|kept| kept.epochs.values()).filter_map(move |readers| readers.get(&reader))
+    }
+
+    /// Those behind `after` that have boxes for what they send to a name.
+    pub fn writers(&self, name: &Key, after: Option<Name>) -> impl Iterator<Item = Name> {
+        let first = after.map_or(Bound::Included((*name, Name::default())), |after| Bound::Excluded((*name, after)));
+        self.kept
+            .range((first, Bound::Unbounded))
+            .take_while(move |((of, _), _)| of == name)
+            .map(|((_, writer), _)| *writer)
     }
 
     /// Bytes that [`Self::between`] takes in a message.

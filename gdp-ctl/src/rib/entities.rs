@@ -8,7 +8,7 @@ use gdp::control::{Refusal, RefusalCode};
 use gdp_wire::Name;
 
 use super::names::Key;
-use super::{Now, limit_reached};
+use super::{Now, count_out, limit_reached};
 
 /// How far ahead of the RIB's clock a serial may be, read as Unix time in nanoseconds, if it does not just count up: 2 days.
 const SERIAL_AHEAD: u64 = 2 * 24 * 3600;
@@ -52,9 +52,11 @@ impl Entities {
     /// One stranger could otherwise end the serials of all by stating the highest there is, and being forgotten; so they may
     /// jump no further than the clock does, which leaves some to everybody.
     pub fn spend(&mut self, now: Now, name: Name, through: Name, serial: u64, limit: usize) -> Result<(), Refusal> {
-        let (floor, furthest) = (self.floor(&name), now.unix.saturating_add(SERIAL_AHEAD).saturating_mul(1_000_000_000));
+        let (floor, furthest) =
+            (self.floor(&name), now.unix.saturating_add(SERIAL_AHEAD).saturating_mul(1_000_000_000));
         if serial > floor.saturating_add(1) && serial > furthest {
-            let reason = format!("serial {serial} is too far above {floor}: count up from what the attachment answered");
+            let reason =
+                format!("serial {serial} is too far above {floor}: count up from what the attachment answered");
             return Err(Refusal::new(RefusalCode::Malformed, reason));
         }
         if let Some(entity) = self.known.get_mut(&name) {
@@ -63,7 +65,9 @@ impl Entities {
         }
         let unattached = self.unattached.entry(through).or_default();
         if *unattached >= limit {
-            return Err(limit_reached(format!("{limit} entities are known through switch {through} without being attached")));
+            return Err(limit_reached(format!(
+                "{limit} entities are known through switch {through} without being attached"
+            )));
         }
         *unattached += 1;
         self.known.insert(name, Entity { floor: serial, attachment: None, names: BTreeSet::new(), through });
@@ -77,7 +81,7 @@ impl Entities {
     pub fn attach(&mut self, name: Name, attachment: Attachment) {
         let (floor, through) = (self.forgotten, attachment.switch);
         if let Some(entity) = self.known.get(&name).filter(|entity| entity.attachment.is_none()) {
-            count_out(&mut self.unattached, entity.through);
+            count_out(&mut self.unattached, &entity.through, 1);
         }
         let unknown = || Entity { floor, attachment: None, names: BTreeSet::new(), through };
         let entity = self.known.entry(name).or_insert_with(unknown);
@@ -113,16 +117,7 @@ impl Entities {
             && let Some(entity) = self.known.remove(name)
         {
             self.forgotten = self.forgotten.max(entity.floor);
-            count_out(&mut self.unattached, entity.through);
-        }
-    }
-}
-
-fn count_out(unattached: &mut HashMap<Name, usize>, through: Name) {
-    if let Some(count) = unattached.get_mut(&through) {
-        *count -= 1;
-        if *count == 0 {
-            unattached.remove(&through);
+            count_out(&mut self.unattached, &entity.through, 1);
         }
     }
 }

@@ -7,7 +7,7 @@ use gdp::control::{Refusal, Route};
 use gdp_wire::Name;
 
 use super::names::Key;
-use super::{Limits, limit_reached};
+use super::{Limits, count_out, limit_reached};
 
 /// An attached entity, and the switch it is attached to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,8 +50,13 @@ impl Inboxes {
         }
         *more.entry(new.switch).or_default() += count;
         let limit = limits.counterparts_per_switch;
-        match more.iter().find(|(switch, more)| self.reached_from.get(*switch).copied().unwrap_or_default() + **more > limit) {
-            Some((switch, _)) => Err(limit_reached(format!("the entities at switch {switch} have {limit} counterparts"))),
+        match more
+            .iter()
+            .find(|(switch, more)| self.reached_from.get(*switch).copied().unwrap_or_default() + **more > limit)
+        {
+            Some((switch, _)) => {
+                Err(limit_reached(format!("the entities at switch {switch} have {limit} counterparts")))
+            }
             None => Ok(()),
         }
     }
@@ -73,8 +78,8 @@ impl Inboxes {
     pub fn deny(&mut self, inbox: Place, sender: Place) -> ([Name; 2], bool) {
         let ended = self.remove(inbox, sender);
         if ended {
-            count_out(&mut self.reaches, sender.entity);
-            count_out(&mut self.reached_from, sender.switch);
+            count_out(&mut self.reaches, &sender.entity, 1);
+            count_out(&mut self.reached_from, &sender.switch, 1);
         }
         ([inbox.switch, sender.switch], ended)
     }
@@ -121,14 +126,5 @@ impl Inboxes {
         }
         let egress_bits = if writers.is_empty() { 0 } else { bit(&held.home).map_or(0, |bit| 1 << bit) };
         Some(Route { name, egress_bits, locals, writers })
-    }
-}
-
-fn count_out(counts: &mut HashMap<Name, usize>, name: Name) {
-    if let Some(count) = counts.get_mut(&name) {
-        *count -= 1;
-        if *count == 0 {
-            counts.remove(&name);
-        }
     }
 }

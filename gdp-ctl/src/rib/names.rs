@@ -104,7 +104,8 @@ impl Names {
                 _ => Ok(()),
             };
         }
-        let (limit, other) = (limits.writers_per_name, if new.role.sends() { NameRole::Server } else { NameRole::Publisher });
+        let (limit, other) =
+            (limits.writers_per_name, if new.role.sends() { NameRole::Server } else { NameRole::Publisher });
         if !topic.part(other).is_empty() {
             let reason = format!("{name} has a {other} already, and cannot have a {} too: use another name", new.role);
             return Err(Refusal::new(RefusalCode::Unsupported, reason));
@@ -117,11 +118,8 @@ impl Names {
 
     /// Stores what [`Self::check_room`] allowed. Returns what it replaces.
     pub fn insert(&mut self, name: Name, proof: NameProof, entity: Name, new: Registration) -> Option<Registration> {
-        let topic = self.0.entry(name.to_bytes()).or_insert_with(|| Topic {
-            proof,
-            parts: Default::default(),
-            egress_bits: 0,
-        });
+        let topic =
+            self.0.entry(name.to_bytes()).or_insert_with(|| Topic { proof, parts: Default::default(), egress_bits: 0 });
         topic.part_mut(new.role).insert(entity, new)
     }
 
@@ -169,18 +167,11 @@ impl Names {
         all.filter(|(_, registration)| registration.bound).map(|(entity, registration)| (*entity, registration.switch))
     }
 
-    /// Those with this role behind `after`, with their records once they are asked for.
-    pub fn behind_entity(
-        &self,
-        name: &Key,
-        role: NameRole,
-        after: Option<Name>,
-    ) -> impl Iterator<Item = (Name, &NameProof, &Registration)> {
+    /// Those with this role behind `after`.
+    pub fn behind_entity(&self, name: &Key, role: NameRole, after: Option<Name>) -> impl Iterator<Item = Name> {
         let range = (after.map_or(Bound::Unbounded, Bound::Excluded), Bound::Unbounded);
-        let topic = self.0.get(name).map(|topic| (topic, topic.part(role)));
-        topic.into_iter().flat_map(move |(topic, part)| {
-            part.by_entity.range(range).map(move |(entity, registration)| (*entity, &topic.proof, registration))
-        })
+        let part = self.0.get(name).map(|topic| topic.part(role));
+        part.into_iter().flat_map(move |part| part.by_entity.range(range).map(|(entity, _)| *entity))
     }
 
     /// Those of an entity's registrations that end with its attachment.

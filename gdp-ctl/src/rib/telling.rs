@@ -6,11 +6,11 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::time::Duration;
 
-use gdp::control::{NameRole, Peers, PeersExtent, PeersPush};
+use gdp::control::{NameRole, Peers, PeersExtent, PeersPush, Record};
 use gdp_wire::Name;
 
 use super::boxes::Boxes;
-use super::names::{Key, Names, RECORDS_SIZE};
+use super::names::{Key, Names, RECORDS_SIZE, Registration};
 use super::revocations::Revocations;
 
 /// Messages that are out at once to the entities at one switch, and to one of them.
@@ -29,6 +29,18 @@ pub(super) struct Stake {
     pub name: Key,
     pub entity: Name,
     pub role: NameRole,
+}
+
+impl Stake {
+    /// What an entity is to its own name: it takes what its counterparts send there. Of this it is told nothing but who has
+    /// keys for it.
+    pub fn inbox(entity: Name) -> Self {
+        Self { name: entity.to_bytes(), entity, role: NameRole::Subscriber }
+    }
+
+    fn is_inbox(&self) -> bool {
+        self.name == self.entity.to_bytes()
+    }
 }
 
 /// What there is to tell of.
@@ -68,10 +80,15 @@ struct Stream {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     /// Next is this part, of those above this one.
-    Whole { part: u32, after: Option<Name> },
+    Whole {
+        part: u32,
+        after: Option<Name>,
+    },
     /// The entity holds everything but what is marked.
     Following,
-    Failed { retry: Duration },
+    Failed {
+        retry: Duration,
+    },
     /// It is to be told that its credential was revoked, and nothing after.
     Farewell,
 }
@@ -131,6 +148,13 @@ impl Telling {
         self.mark(stake, |stream| _ = stream.boxes.insert(counterpart));
     }
 
+    /// A counterpart has boxes for what it sends to the entity itself. The stream begins with the first of them.
+    pub fn inbox_boxes_changed(&mut self, stake: Stake, switch: Name, counterpart: Name) {
+        let new = || Stream::new(switch, Phase::Whole { part: 0, after: None });
+        self.streams.entry(stake).or_insert_with(new);
+        self.boxes_changed(stake, counterpart);
+    }
+
     pub fn revocation_changed(&mut self, stake: Stake) {
         self.mark(stake, |stream| stream.revocation = true);
     }
@@ -147,10 +171,11 @@ impl Telling {
         let mut pushes = Vec::new();
         for (switch, turns) in &mut self.switches {
             while let Some(stake) = turns.next() {
+                // It may have ended meanwhile, and begun anew, here or elsewhere.
                 let here = self.streams.get_mut(&stake).filter(|stream| stream.switch == *switch && !stream.is_out);
-                let ready = here.filter(|stream| {
+                let ready = here.and_then(|stream| {
                     stream.is_queued = false;
-                    stream.has_more()
+                    stream.has_more().then_some(stream)
                 });
                 let Some(stream) = ready else {
                     turns.done(&stake.entity);
@@ -172,7 +197,8 @@ impl Telling {
         if let Some(turns) = self.switches.get_mut(switch) {
             turns.done(&stake.entity);
         }
-        let Some(stream) = self.streams.get_mut(&stake).filter(|stream| stream.is_out && stream.held == generation) else {
+        let Some(stream) = self.streams.get_mut(&stake).filter(|stream| stream.is_out && stream.held == generation)
+        else {
             return;
         };
         stream.is_out = false;
@@ -205,7 +231,8 @@ impl Telling {
     /// The switch is there again: what did not arrive through it is worth another attempt at once.
     pub fn reconnected(&mut self, switch: &Name) {
         let failed = |stream: &Stream| stream.switch == *switch && matches!(stream.phase, Phase::Failed { .. });
-        let stakes: Vec<_> = self.streams.iter().filter(|(_, stream)| failed(stream)).map(|(stake, _)| *stake).collect();
+        let stakes: Vec<_> =
+            self.streams.iter().filter(|(_, stream)| failed(stream)).map(|(stake, _)| *stake).collect();
         stakes.into_iter().for_each(|stake| self.retry(stake, |_| true));
     }
 
@@ -295,7 +322,8 @@ impl Stream {
             Phase::Whole { part, after } => {
                 let end = source.fill(&mut peers, stake, after);
                 // This part settles what is marked on it; what changed before it stays for later.
-                let settled = |name: &Name| after.is_none_or(|after| *name > after) && end.is_none_or(|end| *name <= end);
+                let settled =
+                    |name: &Name| after.is_none_or(|after| *name > after) && end.is_none_or(|end| *name <= end);
                 self.records.retain(|name| !settled(name));
                 self.boxes.retain(|name| !settled(name));
                 peers.extent = PeersExtent::Whole { part, last: end.is_none() };
@@ -327,11 +355,14 @@ impl Stream {
                 break;
             }
             room -= size;
-            if self.records.remove(&name) && !source.add_record(peers, stake, &name) {
-                peers.gone.push(name);
+            if self.records.remove(&name) {
+                match source.record(stake, &name) {
+                    Some(record) => peers.records.push(record),
+                    None => peers.gone.push(name),
+                }
             }
             self.boxes.remove(&name);
-            source.add_boxes(peers, stake, &name);
+            peers.boxes.extend(source.boxes.between(stake, &name).cloned());
         }
     }
 }
@@ -339,35 +370,32 @@ impl Stream {
 impl Source<'_> {
     /// Adds the counterparts behind `after`, as many as there is room for. Returns the last of them, if there are more.
     fn fill(self, peers: &mut Peers, stake: &Stake, after: Option<Name>) -> Option<Name> {
-        let mut room = RECORDS_SIZE;
-        let mut end = after;
-        for (entity, proof, registration) in self.names.behind_entity(&stake.name, stake.role.counterpart(), after) {
-            let size = registration.size() + self.boxes.size(stake, &entity);
+        let (mut room, mut end) = (RECORDS_SIZE, after);
+        let mut add = |counterpart: Name| {
+            let size = self.size(stake, &counterpart);
             if size > room {
-                return end;
+                return false;
             }
             room -= size;
-            peers.records.push(registration.record(self.now, Name::from_bytes(stake.name), *proof));
-            self.add_boxes(peers, stake, &entity);
-            end = Some(entity);
-        }
-        None
+            peers.records.extend(self.record(stake, &counterpart));
+            peers.boxes.extend(self.boxes.between(stake, &counterpart).cloned());
+            end = Some(counterpart);
+            true
+        };
+        let all = match stake.is_inbox() {
+            true => self.boxes.writers(&stake.name, after).all(&mut add),
+            false => self.names.behind_entity(&stake.name, stake.role.counterpart(), after).all(&mut add),
+        };
+        if all { None } else { end }
     }
 
+    /// What a counterpart takes in a message.
     fn size(self, stake: &Stake, counterpart: &Name) -> usize {
         let registration = self.names.get(&stake.name, counterpart, stake.role.counterpart());
-        registration.map_or(GONE_SIZE, |r| r.size() + self.boxes.size(stake, counterpart))
+        registration.map_or(GONE_SIZE, Registration::size) + self.boxes.size(stake, counterpart)
     }
 
-    fn add_record(self, peers: &mut Peers, stake: &Stake, counterpart: &Name) -> bool {
-        let record = self.names.record(self.now, &stake.name, counterpart, stake.role.counterpart());
-        let is_there = record.is_some();
-        peers.records.extend(record);
-        is_there
-    }
-
-    /// The boxes that a counterpart has for the entity, with what it sends to the name, or to the entity itself.
-    fn add_boxes(self, peers: &mut Peers, stake: &Stake, counterpart: &Name) {
-        peers.boxes.extend(self.boxes.between(stake, counterpart).cloned());
+    fn record(self, stake: &Stake, counterpart: &Name) -> Option<Record> {
+        self.names.record(self.now, &stake.name, counterpart, stake.role.counterpart())
     }
 }

@@ -6,7 +6,8 @@ use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
 use super::Record;
-use crate::cert::AdvertOp;
+use crate::cert::{AdvertOp, Revocation, Signed};
+use crate::keys::KeyBox;
 
 /// What an entity is to a name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -86,6 +87,10 @@ pub struct Peers {
     pub records: Vec<Record>,
     /// Entities that are counterparts no more.
     pub gone: Vec<Name>,
+    /// The newest of the name, with part 0 of the whole and when it changed.
+    pub revocation: Option<Signed<Revocation>>,
+    /// From counterparts to the entity that is told: the keys of what they send to the name, and to the entity itself.
+    pub boxes: Vec<Signed<KeyBox>>,
 }
 
 /// How a message relates to what the entity was told before.

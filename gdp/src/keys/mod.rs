@@ -1,0 +1,5 @@
+//! Content keys.
+
+mod key_box;
+
+pub use key_box::KeyBox;
