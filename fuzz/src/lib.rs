@@ -5,6 +5,8 @@
 mod cert;
 mod control;
 mod decide;
+mod feedback;
+mod key_box;
 mod seeds;
 
 use gdp_tests::frames;
@@ -14,13 +16,16 @@ mod tables;
 pub use cert::cert;
 pub use control::control;
 pub use decide::decide;
+pub use feedback::feedback;
+pub use key_box::key_box;
 pub use seeds::seeds;
 
 /// What is fuzzed: a function that panics at what must not be.
 pub type Target = fn(&[u8]);
 
 /// All targets, by the names of their executables and corpora.
-pub const TARGETS: [(&str, Target); 3] = [("decide", decide), ("control", control), ("cert", cert)];
+pub const TARGETS: [(&str, Target); 5] =
+    [("decide", decide), ("control", control), ("cert", cert), ("feedback", feedback), ("key_box", key_box)];
 
 /// Names the folder that [`write_seeds`] writes to.
 pub const SEED_FOLDER: &str = "GDP_FUZZ_SEEDS";

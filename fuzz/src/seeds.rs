@@ -9,12 +9,14 @@ use gdp::control::{
     Credential, EntityRequest, Extent, FibPush, Record, Refusal, RefusalCode, Request, Response, Route, WritersPush,
     encode,
 };
+use gdp::feedback_wire::{Feedback, Missing};
 use gdp::{Identity, NameCard, SigningKey};
-use gdp_wire::Counter;
+use gdp_wire::{Counter, Name};
 use serde::Serialize;
 
 use crate::decide::{TAGGED, TWICE};
 use crate::frames::fixtures;
+use crate::key_box;
 
 type Seeds = Vec<(String, Vec<u8>)>;
 
@@ -24,6 +26,8 @@ pub fn seeds(target: &str) -> Seeds {
         "decide" => frames(),
         "control" => Papers::new().messages(),
         "cert" => Papers::new().certificates(),
+        "feedback" => feedback(),
+        "key_box" => key_box::seeds(),
         _ => Vec::new(),
     }
 }
@@ -36,6 +40,37 @@ fn frames() -> Seeds {
         (case.name, input(TWICE | tagged, case.frame.bytes()))
     });
     cases.filter(|(_, input)| input.len() < 1000).collect()
+}
+
+fn feedback() -> Seeds {
+    let (name, session, challenge) = (Name::from_bytes([1; 32]), [2; 16], [3; 16]);
+    let (highest, received_segments, received_bytes, ce) = (7, 8, 9, 1);
+    let (echo, echo_index, delay_us) = (7, 1, 100);
+    let seeds = [
+        ("hello", Feedback::Hello { name, challenge }),
+        ("welcome", Feedback::Welcome { name, challenge, session, sequence: 5 }),
+        (
+            "report",
+            Feedback::Report {
+                name,
+                session,
+                highest,
+                received_segments,
+                received_bytes,
+                ce,
+                echo,
+                echo_index,
+                delay_us,
+            },
+        ),
+        ("nack", Feedback::Nack { name, session, missing: vec![Missing::whole(4), Missing::whole(6)] }),
+    ];
+    let encode = |feedback: &Feedback| {
+        let mut bytes = Vec::new();
+        feedback.encode(&mut bytes).expect("within the bounds");
+        bytes
+    };
+    seeds.iter().map(|(name, feedback)| ((*name).to_owned(), encode(feedback))).collect()
 }
 
 /// One of each.

@@ -2,6 +2,7 @@
 //! no longer in memory than their owner.
 
 use crate::crypto::{self, Backend, CryptoError, PUBLIC_KEY_LEN, SIGNATURE_LEN, Signer, Verifier};
+use crate::keys::BoxKey;
 use crate::name::{self, Metadata, Name, NameProof};
 use crate::secret_file::{self, SecretFileError};
 use p256::SecretKey;
@@ -25,6 +26,7 @@ struct Inner {
     secret: SecretKey,
     public: [u8; PUBLIC_KEY_LEN],
     signer: Signer,
+    box_key: BoxKey,
 }
 
 impl SigningKey {
@@ -100,7 +102,9 @@ impl SigningKey {
         let point = secret.public_key().to_sec1_point(true);
         let public = point.as_bytes().try_into().map_err(|_| CryptoError::BadPrivateKey)?;
         let signer = Backend::default().signer(&pkcs8_der(&secret))?;
-        Ok(Self(Arc::new(Inner { secret, public, signer })))
+        let scalar: Zeroizing<[u8; 32]> = Zeroizing::new(secret.to_bytes().into());
+        let box_key = BoxKey::derive(&scalar)?;
+        Ok(Self(Arc::new(Inner { secret, public, signer, box_key })))
     }
 
     #[cfg(test)]
@@ -223,9 +227,14 @@ impl Identity {
         self.name
     }
 
-    /// The key that content keys for this entity are wrapped to, SEC1 compressed.
+    /// What keys are wrapped to it with, and agreed upon with it.
+    pub fn box_key(&self) -> &BoxKey {
+        &self.key.0.box_key
+    }
+
+    /// The public half of [`Self::box_key`], SEC1 compressed.
     pub fn box_public(&self) -> [u8; PUBLIC_KEY_LEN] {
-        self.key.public()
+        self.box_key().public()
     }
 }
 

@@ -6,6 +6,7 @@
 
 mod hello;
 mod ids;
+mod keyed_entry;
 pub mod liveness;
 mod ratchet;
 mod rekey;
@@ -31,6 +32,7 @@ use crate::name::NameProof;
 use crate::port::{HostPair, LinkAddr};
 
 pub use ids::{LinkId, LinkIds};
+pub use keyed_entry::KeyedEntry;
 pub use ratchet::{LinkKeys, RekeySchedule};
 pub use streams::Responder;
 

@@ -294,7 +294,10 @@ fn links_over_udp_are_taken_over_from_an_earlier_daemon() -> Result<()> {
     let mut left: Vec<_> = left.into_iter().map(|(entry, to)| (entry, to.to_string())).collect();
     left.sort_by_key(|(entry, _)| entry.id);
     // Which interface the link-local address is on is not in its entry.
-    ensure!(left == [(links[0], "udp:192.0.2.1:2000".into()), (links[1], "udp:[2001:db8::2]:3000".into())], "{left:?}");
+    ensure!(
+        left == [(links[0].into(), "udp:192.0.2.1:2000".into()), (links[1].into(), "udp:[2001:db8::2]:3000".into())],
+        "{left:?}"
+    );
     Ok(())
 }
 

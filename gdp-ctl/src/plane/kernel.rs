@@ -11,6 +11,7 @@ use aya::programs::links::{FdLink, LinkError, PinnedLink};
 use aya::programs::xdp::{XdpLink, XdpLinkId, XdpMode};
 use aya::programs::{ProgramError, ProgramFd, TestRun, TestRunOptions, Xdp};
 use aya::{Ebpf, EbpfError, EbpfLoader};
+use gdp::link::KeyedEntry;
 use gdp_wire::replay::WORDS;
 use gdp_wire::table::{CopyCount, EGRESS_SET_SIZE, MAX_PORTS, link_index};
 use gdp_wire::{Counter, FibEntry, LinkEntry, LocalAddress, Name, Permit, SwitchConfig, Vlan};
@@ -142,7 +143,7 @@ impl Buffers {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Adopted {
     pub config: SwitchConfig,
-    pub links: Vec<LinkEntry>,
+    pub links: Vec<KeyedEntry>,
     pub routes: Vec<(Name, FibEntry)>,
     pub next_hops: [u32; EGRESS_SET_SIZE as usize],
     /// Interfaces by port.
@@ -314,7 +315,8 @@ impl KernelPlane {
         for (bit, link) in (0..).zip(&mut next_hops) {
             *link = self.next_hop.get(&bit, 0).map_err(update("NEXT_HOP"))?;
         }
-        let links: Vec<LinkEntry> = self.links.iter().collect::<Result<_, _>>().map_err(update("LINKS"))?;
+        let links = self.links.iter().map(|link| link.map(KeyedEntry::from));
+        let links: Vec<_> = links.collect::<Result<_, _>>().map_err(update("LINKS"))?;
         Ok(Some(Adopted {
             config,
             links: links.into_iter().filter(|link| link.id != 0).collect(),

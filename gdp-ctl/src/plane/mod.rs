@@ -45,6 +45,7 @@ use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLockReadGuard, RwLockWriteGuard};
 
+use gdp::link::KeyedEntry;
 use gdp::port::{DataSocket, HostPair, Interface, LinkAddr};
 use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS, PORT_ROUTED, PORT_USERSPACE, Tables, ip_of, mac_bytes};
 use gdp_wire::{
@@ -181,7 +182,7 @@ pub struct Left {
     /// This switch's egress bit.
     pub own_bit: u64,
     /// With where frames of each go.
-    pub links: Vec<(LinkEntry, LinkAddr)>,
+    pub links: Vec<(KeyedEntry, LinkAddr)>,
     pub routes: Vec<(Name, PlaneRoute)>,
     pub next_hops: [u32; EGRESS_SET_SIZE as usize],
     /// Interfaces.
@@ -419,9 +420,9 @@ impl Planes {
         }
         let is_rerouted = self.follow_route(&entry);
         let place = |link: &LinkEntry| (link.id, link.role, link.port, link.reach);
-        if is_rerouted || before.as_ref().map(place) != Some(place(&entry)) {
+        if is_rerouted || before.as_ref().map(|before| place(before)) != Some(place(&entry)) {
             self.set_kernel_groups_of(before.as_slice());
-            self.set_kernel_groups_of(&[entry]);
+            self.set_kernel_groups_of(&[entry.into()]);
         }
         Ok(())
     }
@@ -453,8 +454,8 @@ impl Planes {
     }
 
     /// All links, as the planes hold them.
-    pub fn links(&self) -> Vec<LinkEntry> {
-        self.read_tables().links().map(|(entry, _)| *entry).collect()
+    pub fn links(&self) -> Vec<KeyedEntry> {
+        self.read_tables().links().map(|(entry, _)| entry.clone()).collect()
     }
 
     /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold the same number.
@@ -640,10 +641,10 @@ impl Planes {
         for ifindex in &stop {
             self.devices.get_mut(ifindex).into_iter().for_each(|device| device.sends = false);
         }
-        let links: Vec<_> = self.read_tables().links().copied().collect();
+        let links: Vec<_> = self.read_tables().links().cloned().collect();
         for (entry, to) in links {
             if self.port_for(&entry, to) != entry.port {
-                self.set_link(entry, to)?;
+                self.set_link(*entry, to)?;
             }
         }
         self.follow_routes();
@@ -859,7 +860,7 @@ impl Planes {
     }
 
     /// Of the groups that the links are in, or were.
-    fn set_kernel_groups_of(&mut self, links: &[LinkEntry]) {
+    fn set_kernel_groups_of(&mut self, links: &[KeyedEntry]) {
         if links.iter().any(|link| link.role == LinkRole::Switch as u32) {
             return self.set_all_kernel_groups();
         }
@@ -906,8 +907,8 @@ impl Planes {
     /// Asks again by which interfaces links over UDP leave; and has the kernel copy again what it left to the userspace plane since a
     /// copy found that this was not so any more.
     fn follow_routes(&mut self) {
-        let links = |tables: &UserTables| -> Vec<LinkEntry> {
-            tables.links().map(|(entry, _)| *entry).filter(|entry| entry.port == PORT_ROUTED).collect()
+        let links = |tables: &UserTables| -> Vec<KeyedEntry> {
+            tables.links().map(|(entry, _)| entry).filter(|entry| entry.port == PORT_ROUTED).cloned().collect()
         };
         let routed = links(&self.read_tables());
         for link in &routed {
@@ -955,7 +956,7 @@ impl Planes {
                 if entry.port == PORT_ROUTED {
                     self.routing.get_or_insert_with(Routing::enable);
                 }
-                self.tables().set_link(entry, to);
+                self.tables().set_link(*entry, to);
                 self.follow_route(&entry);
                 left.links.push((entry, to));
             } else if let Ok(kernel) = &mut self.kernel {

@@ -3,6 +3,7 @@
 
 use std::collections::HashMap;
 
+use gdp::link::KeyedEntry;
 use gdp::port::LinkAddr;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
 use gdp_wire::replay::Words;
@@ -48,7 +49,7 @@ pub struct CopyOut {
 
 /// The full tables of a switch.
 pub struct UserTables {
-    links: Vec<Option<(LinkEntry, LinkAddr)>>,
+    links: Vec<Option<(KeyedEntry, LinkAddr)>>,
     routes: HashMap<Name, (FibEntry, Box<[Permit]>)>,
     /// Link ids of the local readers of each group.
     groups: HashMap<u32, Box<[u32]>>,
@@ -122,21 +123,21 @@ impl UserTables {
     }
 
     /// Returns the entry that was at this link's index.
-    pub fn set_link(&mut self, entry: LinkEntry, to: LinkAddr) -> Option<LinkEntry> {
-        let before = self.links[link_index(entry.id) as usize].replace((entry, to));
+    pub fn set_link(&mut self, entry: LinkEntry, to: LinkAddr) -> Option<KeyedEntry> {
+        let before = self.links[link_index(entry.id) as usize].replace((entry.into(), to));
         self.find_neighbours();
         before.map(|(entry, _)| entry)
     }
 
     /// Returns the link, if it was there.
-    pub fn remove_link(&mut self, id: u32) -> Option<LinkEntry> {
+    pub fn remove_link(&mut self, id: u32) -> Option<KeyedEntry> {
         let slot = &mut self.links[link_index(id) as usize];
         let removed = slot.take_if(|(entry, _)| entry.id == id)?;
         self.find_neighbours();
         Some(removed.0)
     }
 
-    pub fn links(&self) -> impl Iterator<Item = &(LinkEntry, LinkAddr)> {
+    pub fn links(&self) -> impl Iterator<Item = &(KeyedEntry, LinkAddr)> {
         self.links.iter().flatten()
     }
 

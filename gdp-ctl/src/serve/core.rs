@@ -9,11 +9,11 @@ use gdp::cert::Advert;
 use gdp::control::{EntityRequest, FibPush, NameRole, Refusal, RefusalCode, Request, Response};
 use gdp::crypto;
 use gdp::identity::Identity;
-use gdp::link::{HOLD, Link, LinkIds, LinkKeys, Peer, Role};
+use gdp::link::{HOLD, KeyedEntry, Link, LinkIds, LinkKeys, Peer, Role};
 use gdp::name::NameProof;
 use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
-use gdp_wire::{LinkEntry, LinkRole, Name};
+use gdp_wire::{LinkRole, Name};
 
 use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::routes::{Change, Routes};
@@ -63,7 +63,7 @@ pub struct LinkState {
     pub link: Link,
     pub via: Via,
     pub since: Instant,
-    entry: LinkEntry,
+    entry: KeyedEntry,
     to: LinkAddr,
 }
 
@@ -153,11 +153,11 @@ impl Core {
             let role = if entry.role == LinkRole::Endpoint as u32 { Role::Endpoint } else { Role::Switch };
             let Some(id) = ids.reserve(entry.id) else { continue };
             let id = Kept::Adopted { _id: id };
-            self.held.keep(HeldLink { peer: entry.peer, role, entry: *entry, to: *to, until, id });
+            self.held.keep(HeldLink { peer: entry.peer, role, entry: entry.clone(), to: *to, until, id });
             if role == Role::Endpoint {
                 self.attached.insert(entry.peer);
             }
-            links.push((*entry, role));
+            links.push((entry.clone(), role));
         }
         let changes = self.routes.adopt(&left, &links);
         self.carry_out(changes);
@@ -232,8 +232,8 @@ impl Core {
     /// Takes a link into service. Returns the one to the same peer that it replaces.
     pub fn link_up(&mut self, link: &Link, via: Via) -> Result<Option<Link>, PlaneError> {
         let (id, peer) = (link.local_id(), link.peer().name);
-        let (entry, to) = (link.entry(PORT_USERSPACE), link.addr());
-        if let Err(error) = self.planes.set_link(entry, to) {
+        let (entry, to) = (KeyedEntry::from(link.entry(PORT_USERSPACE)), link.addr());
+        if let Err(error) = self.planes.set_link(*entry, to) {
             // A part of the planes may have taken it.
             let _ = self.planes.remove_link(id);
             return Err(error);
@@ -305,7 +305,7 @@ impl Core {
     pub fn put_keys(&mut self, id: u32, keys: &LinkKeys) -> bool {
         let Some(state) = self.links.get_mut(&id) else { return false };
         keys.put(&mut state.entry);
-        let result = self.planes.set_link(state.entry, state.to);
+        let result = self.planes.set_link(*state.entry, state.to);
         if let Err(error) = &result {
             tracing::error!(link = id, %error, "the data plane did not take a link's new keys; it keeps those it has");
         }
@@ -327,7 +327,7 @@ impl Core {
                 tracing::debug!(peer, from = state.entry.mtu, to = mtu, "the MTU of a link changed");
             }
             (state.to, state.entry.mtu, state.entry.carrier) = (to, mtu, carrier);
-            if let Err(error) = self.planes.set_link(state.entry, to) {
+            if let Err(error) = self.planes.set_link(*state.entry, to) {
                 tracing::error!(%error, "the data plane did not take what changed on a link");
             }
         }
@@ -572,7 +572,7 @@ impl Core {
                     match live.or_else(|| self.held.get_mut(link).map(|held| (&mut held.entry, held.to))) {
                         Some((entry, to)) => {
                             entry.reach = bits;
-                            self.planes.set_link(*entry, to)
+                            self.planes.set_link(**entry, to)
                         }
                         None => Ok(()),
                     }

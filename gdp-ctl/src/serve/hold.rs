@@ -4,9 +4,9 @@
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
-use gdp::link::{Link, LinkId, Role};
+use gdp::link::{KeyedEntry, Link, LinkId, Role};
 use gdp::port::LinkAddr;
-use gdp_wire::{LinkEntry, Name};
+use gdp_wire::Name;
 
 /// How long a link is kept that another has replaced: until frames that were sent on it have arrived.
 pub const GRACE: Duration = Duration::from_secs(5);
@@ -18,7 +18,7 @@ const MOST: usize = 8;
 pub struct HeldLink {
     pub peer: Name,
     pub role: Role,
-    pub entry: LinkEntry,
+    pub entry: KeyedEntry,
     pub to: LinkAddr,
     pub until: Instant,
     /// So that no new link gets the same index in the tables.
@@ -83,6 +83,7 @@ impl Hold {
 mod tests {
     use super::*;
     use gdp::link::{HOLD, LinkIds};
+    use gdp_wire::LinkEntry;
 
     #[test]
     fn links_go_when_their_time_is_over_and_sooner_once_replaced() {
@@ -112,7 +113,7 @@ mod tests {
     }
 
     fn link(ids: &LinkIds, peer: u8, id: u32, until: Instant) -> HeldLink {
-        let entry = LinkEntry { id, ..LinkEntry::default() };
+        let entry = LinkEntry { id, ..LinkEntry::default() }.into();
         let to = LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] };
         let kept = Kept::Adopted { _id: ids.reserve(id).unwrap() };
         HeldLink { peer: name(peer), role: Role::Switch, entry, to, until, id: kept }

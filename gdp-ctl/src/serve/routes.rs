@@ -7,9 +7,9 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use gdp::control::{Extent, FibPush, Route};
-use gdp::link::Role;
+use gdp::link::{KeyedEntry, Role};
+use gdp_wire::Name;
 use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE};
-use gdp_wire::{LinkEntry, Name};
 
 use super::ends::Ends;
 use crate::plane::{Left, PlaneRoute};
@@ -70,7 +70,7 @@ struct Way {
 
 impl Routes {
     /// Holds what an earlier daemon left, of which `links` are still there.
-    pub fn adopt(&mut self, left: &Left, links: &[(LinkEntry, Role)]) -> Vec<Change> {
+    pub fn adopt(&mut self, left: &Left, links: &[(KeyedEntry, Role)]) -> Vec<Change> {
         self.own_bit = (left.own_bit != 0).then(|| left.own_bit.trailing_zeros() as u8);
         let peers: HashMap<u32, (Name, Role)> =
             links.iter().map(|(link, role)| (link.id, (link.peer, *role))).collect();

@@ -3,7 +3,10 @@
 use super::{CryptoError, NONCE_LEN, PUBLIC_KEY_LEN, SIGNATURE_LEN, TAG_LEN};
 use aws_lc_rs::{
     aead::{AES_256_GCM, Aad, LessSafeKey, Nonce, UnboundKey},
-    digest, hkdf,
+    agreement::{self, ECDH_P256, PrivateKey},
+    digest,
+    encoding::{AsBigEndian, EcPublicKeyCompressedBin},
+    hkdf,
     rand::SystemRandom,
     signature::{ECDSA_P256_SHA256_FIXED, ECDSA_P256_SHA256_FIXED_SIGNING, EcdsaKeyPair, ParsedPublicKey},
 };
@@ -25,6 +28,26 @@ pub fn hkdf_sha256(salt: &[u8], ikm: &[u8], info: &[&[u8]]) -> Result<Zeroizing<
         .and_then(|okm| okm.fill(out.as_mut_slice()))
         .map_err(|_| CryptoError::Internal)?;
     Ok(out)
+}
+
+pub fn agreement_public(secret: &[u8; 32]) -> Result<[u8; PUBLIC_KEY_LEN], CryptoError> {
+    let public = private_key(secret)?.compute_public_key().map_err(|_| CryptoError::Internal)?;
+    let bytes: EcPublicKeyCompressedBin<'_> = public.as_be_bytes().map_err(|_| CryptoError::Internal)?;
+    bytes.as_ref().try_into().map_err(|_| CryptoError::Internal)
+}
+
+pub fn agree(secret: &[u8; 32], public: &[u8; PUBLIC_KEY_LEN]) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
+    let public = agreement::UnparsedPublicKey::new(&ECDH_P256, public);
+    let mut shared = Zeroizing::new([0u8; 32]);
+    agreement::agree(&private_key(secret)?, public, CryptoError::BadPublicKey, |x| {
+        shared.copy_from_slice(x.get(..32).ok_or(CryptoError::Internal)?);
+        Ok(())
+    })?;
+    Ok(shared)
+}
+
+fn private_key(secret: &[u8; 32]) -> Result<PrivateKey, CryptoError> {
+    PrivateKey::from_private_key(&ECDH_P256, secret).map_err(|_| CryptoError::BadPrivateKey)
 }
 
 pub struct Aead(LessSafeKey);

@@ -5,6 +5,7 @@
 //! project identifies anything by its signature bytes, so that a signature can be restated is of no use to anybody.
 
 mod aws_lc;
+mod hpke;
 mod rust_crypto;
 
 use std::fmt;
@@ -85,6 +86,26 @@ impl Backend {
             Self::AwsLc => SignerImpl::AwsLc(aws_lc::Signer::new(pkcs8_der)?),
             Self::RustCrypto => SignerImpl::RustCrypto(rust_crypto::Signer::new(pkcs8_der)?),
         }))
+    }
+
+    /// The public key, SEC1 compressed, of a private P-256 key: 32 bytes, big endian.
+    pub fn agreement_public(self, secret: &[u8; 32]) -> Result<[u8; PUBLIC_KEY_LEN], CryptoError> {
+        match self {
+            Self::AwsLc => aws_lc::agreement_public(secret),
+            Self::RustCrypto => rust_crypto::agreement_public(secret),
+        }
+    }
+
+    /// ECDH on P-256: the x coordinate that both sides get. To be put through [`Self::hkdf_sha256`].
+    pub fn agree(
+        self,
+        secret: &[u8; 32],
+        public: &[u8; PUBLIC_KEY_LEN],
+    ) -> Result<zeroize::Zeroizing<[u8; 32]>, CryptoError> {
+        match self {
+            Self::AwsLc => aws_lc::agree(secret, public),
+            Self::RustCrypto => rust_crypto::agree(secret, public),
+        }
     }
 }
 
@@ -171,6 +192,25 @@ impl fmt::Debug for Signer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Signer(…)")
     }
+}
+
+/// What [`hpke_seal`] adds to a plaintext, in bytes.
+pub const HPKE_OVERHEAD: usize = hpke::OVERHEAD;
+
+/// Seals `plaintext` for who holds the private half of `public` (RFC 9180, base mode, DHKEM(P-256, HKDF-SHA256), HKDF-SHA256,
+/// AES-256-GCM, no additional data): the encapsulated key, 65 bytes, then ciphertext and tag. It does not say who sealed.
+pub fn hpke_seal(public: &[u8; PUBLIC_KEY_LEN], info: &[u8], plaintext: &[u8]) -> Result<Vec<u8>, CryptoError> {
+    hpke::seal(public, info, plaintext)
+}
+
+/// Opens what [`hpke_seal`] sealed with the same `info`.
+pub fn hpke_open(secret: &[u8; 32], info: &[u8], sealed: &[u8]) -> Result<zeroize::Zeroizing<Vec<u8>>, CryptoError> {
+    hpke::open(secret, info, sealed)
+}
+
+/// Whether two secrets are the same, in a time that does not tell where they differ.
+pub fn same_secret(a: &[u8; 32], b: &[u8; 32]) -> bool {
+    aws_lc_rs::constant_time::verify_slices_are_equal(a, b).is_ok()
 }
 
 /// Random bytes from the system, fit for keys, sessions and nonces.

@@ -10,7 +10,9 @@ use p256::ecdsa::{
     Signature, SigningKey, VerifyingKey,
     signature::{Signer as _, Verifier as _},
 };
+use p256::elliptic_curve::sec1::ToSec1Point;
 use p256::pkcs8::DecodePrivateKey;
+use p256::{PublicKey, SecretKey, ecdh};
 use sha2::{Digest, Sha256};
 use zeroize::Zeroizing;
 
@@ -26,6 +28,23 @@ pub fn hkdf_sha256(salt: &[u8], ikm: &[u8], info: &[&[u8]]) -> Result<Zeroizing<
         .expand_multi_info(info, out.as_mut_slice())
         .map_err(|_| CryptoError::Internal)?;
     Ok(out)
+}
+
+pub fn agreement_public(secret: &[u8; 32]) -> Result<[u8; PUBLIC_KEY_LEN], CryptoError> {
+    let point = private_key(secret)?.public_key().to_sec1_point(true);
+    point.as_bytes().try_into().map_err(|_| CryptoError::Internal)
+}
+
+pub fn agree(secret: &[u8; 32], public: &[u8; PUBLIC_KEY_LEN]) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
+    let public = PublicKey::from_sec1_bytes(public).map_err(|_| CryptoError::BadPublicKey)?;
+    let shared = ecdh::diffie_hellman(private_key(secret)?.to_nonzero_scalar(), public.as_affine());
+    let mut out = Zeroizing::new([0u8; 32]);
+    out.copy_from_slice(shared.raw_secret_bytes());
+    Ok(out)
+}
+
+fn private_key(secret: &[u8; 32]) -> Result<SecretKey, CryptoError> {
+    SecretKey::from_slice(secret).map_err(|_| CryptoError::BadPrivateKey)
 }
 
 pub struct Aead(Aes256Gcm);

@@ -82,6 +82,21 @@ fn each_back_end_verifies_what_the_other_signed() {
     }
 }
 
+/// RFC 5903 §8.1 (a group key exchange over P-256).
+#[test]
+fn ecdh_of_rfc_5903() {
+    let bytes = |text: &str| -> [u8; 32] { hex::decode(text).unwrap().try_into().unwrap() };
+    let i = bytes("c88f01f510d9ac3f70a292daa2316de544e9aab8afe84049c62a9c57862d1433");
+    let r = bytes("c6ef9c5d78ae012a011164acb397ce2088685d8f06bf9be0b283ab46476bee53");
+    let shared = "d6840f6b42f6edafd13116e0e12565202fef8e9ece7dce03812464d04b9442de";
+    for (ours, theirs) in pairs() {
+        let public = theirs.agreement_public(&r).unwrap();
+        assert_eq!(hex::encode(&public[1..]), "d12dfb5289c8d4f81208b70270398c342296970a0bccb74c736fc7554494bf63");
+        assert_eq!(hex::encode(*ours.agree(&i, &public).unwrap()), shared, "{ours:?}");
+        assert_eq!(hex::encode(*theirs.agree(&r, &ours.agreement_public(&i).unwrap()).unwrap()), shared, "{theirs:?}");
+    }
+}
+
 /// Both back ends agree on what a signature is: if one accepted a high `s` and the other did not, two nodes could
 /// disagree about one message.
 #[test]
@@ -106,6 +121,10 @@ fn what_is_no_key_is_refused_by_both() {
     for backend in Backend::ALL {
         for bytes in [[0u8; PUBLIC_KEY_LEN], off_curve, wrong_prefix] {
             assert_eq!(backend.verifier(&bytes).err(), Some(CryptoError::BadPublicKey), "{backend:?}");
+            assert_eq!(backend.agree(&[1; 32], &bytes).err(), Some(CryptoError::BadPublicKey), "{backend:?}");
+        }
+        for secret in [[0; 32], [0xff; 32]] {
+            assert_eq!(backend.agreement_public(&secret).err(), Some(CryptoError::BadPrivateKey), "{backend:?}");
         }
         assert_eq!(backend.signer(b"not DER").err(), Some(CryptoError::BadPrivateKey), "{backend:?}");
     }

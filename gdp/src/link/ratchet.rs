@@ -17,7 +17,7 @@
 use std::time::{Duration, Instant};
 
 use gdp_wire::LinkEntry;
-use zeroize::Zeroizing;
+use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing};
 
 use crate::crypto::{Backend, CryptoError};
 
@@ -50,8 +50,9 @@ impl Default for RekeySchedule {
     }
 }
 
-/// What data planes need of a link's keys at a moment. The `Debug` form leaves them out.
-#[derive(Clone, PartialEq, Eq)]
+/// What data planes need of a link's keys at a moment. Cleared when dropped; the `Debug` form leaves them out.
+#[derive(Clone, Zeroize, ZeroizeOnDrop)]
+#[cfg_attr(test, derive(PartialEq, Eq))]
 pub struct LinkKeys {
     rx_keys: [Key; 2],
     tx_keys: [Key; 2],
@@ -143,7 +144,7 @@ impl Ratchet {
     }
 
     pub fn keys(&self) -> LinkKeys {
-        LinkKeys { rx_keys: self.rx.held.keys, tx_keys: self.tx.held.keys, tx_phase: (self.tx.generation % 2) as u32 }
+        LinkKeys { rx_keys: *self.rx.held.keys, tx_keys: *self.tx.held.keys, tx_phase: (self.tx.generation % 2) as u32 }
     }
 
     /// The generations of frames that arrive and of those that leave.
@@ -218,13 +219,13 @@ impl Ratchet {
 
 /// Two keys in a row, by phase, and what those after them come from. Secrets that were used are gone.
 struct Held {
-    keys: [Key; 2],
+    keys: Zeroizing<[Key; 2]>,
     next: Zeroizing<[u8; 32]>,
 }
 
 impl Held {
     fn new(secret: Zeroizing<[u8; 32]>) -> Result<Self, CryptoError> {
-        let mut held = Self { keys: [[0; 2]; 2], next: secret };
+        let mut held = Self { keys: Zeroizing::new([[0; 2]; 2]), next: secret };
         held.replace(0)?;
         held.replace(1)?;
         Ok(held)

@@ -9,7 +9,8 @@ use quinn::crypto::rustls::{QuicClientConfig, QuicServerConfig};
 use quinn::{ClientConfig, IdleTimeout, ServerConfig, TransportConfig, VarInt};
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use rustls::client::{AlwaysResolvesClientRawPublicKeys, Resumption};
-use rustls::crypto::{CryptoProvider, WebPkiSupportedAlgorithms, aws_lc_rs, verify_tls13_signature_with_raw_key};
+use rustls::crypto::aws_lc_rs::{self, sign::any_ecdsa_type};
+use rustls::crypto::{WebPkiSupportedAlgorithms, verify_tls13_signature_with_raw_key};
 use rustls::pki_types::{
     CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer, ServerName, SubjectPublicKeyInfoDer, UnixTime,
 };
@@ -47,7 +48,7 @@ pub struct QuicMtu {
 pub fn configs(key: &SigningKey, mtu: QuicMtu) -> Result<(ClientConfig, ServerConfig), LinkError> {
     let provider = Arc::new(aws_lc_rs::default_provider());
     let verifier = Arc::new(RawKeyVerifier(provider.signature_verification_algorithms));
-    let certified = Arc::new(certified_key(&provider, key)?);
+    let certified = Arc::new(certified_key(key)?);
 
     let mut client = rustls::ClientConfig::builder_with_provider(provider.clone())
         .with_protocol_versions(&[&TLS13])
@@ -85,10 +86,11 @@ pub fn peer_key(connection: &quinn::Connection) -> Result<VerifyKey, LinkError> 
     parse_spki(spki).map_err(tls_error)
 }
 
-fn certified_key(provider: &CryptoProvider, key: &SigningKey) -> Result<CertifiedKey, LinkError> {
+fn certified_key(key: &SigningKey) -> Result<CertifiedKey, LinkError> {
     let pkcs8 = key.pkcs8_der();
     let der = PrivateKeyDer::Pkcs8(PrivatePkcs8KeyDer::from(pkcs8.as_slice()));
-    let signer = provider.key_provider.load_private_key(der.clone_key()).map_err(tls_error)?;
+    // Borrowed: the provider's own way takes a copy, which nobody would clear.
+    let signer = any_ecdsa_type(&der).map_err(tls_error)?;
     let spki = signer.public_key().ok_or_else(|| LinkError::Handshake("the key has no public half".into()))?;
     let shown = CertificateDer::from(spki.as_ref().to_vec());
     Ok(CertifiedKey::new(vec![shown], signer))
@@ -250,7 +252,7 @@ mod tests {
     #[test]
     fn only_the_exact_form_of_a_p256_key_is_read() {
         let key = SigningKey::generate().unwrap();
-        let certified = certified_key(&aws_lc_rs::default_provider(), &key).unwrap();
+        let certified = certified_key(&key).unwrap();
         let der = certified.cert[0].as_ref();
         assert_eq!(parse_spki(der).unwrap(), key.verify_key());
         for length in 0..der.len() {

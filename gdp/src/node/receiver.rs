@@ -7,7 +7,7 @@ use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 use gdp_wire::replay::{self, Window};
-use gdp_wire::{Counter, ErrorCode, FrameType, Header, LinkEntry, Name, forward};
+use gdp_wire::{Counter, ErrorCode, FrameType, Header, Name, forward};
 use tokio::sync::mpsc as async_mpsc;
 use zerocopy::FromBytes;
 
@@ -17,6 +17,7 @@ use super::held::Held;
 use super::intake::{Intake, Writer};
 use super::shared_entry::SharedEntry;
 use super::supervisor::{Attachment, Event};
+use crate::link::KeyedEntry;
 use crate::port::{DataSocket, RecvBatch};
 use crate::seal::DropReason;
 
@@ -166,7 +167,7 @@ impl Links {
 struct Ingress {
     shared: SharedEntry,
     /// As it is for the batch at hand.
-    entry: LinkEntry,
+    entry: KeyedEntry,
     window: Box<Window>,
     /// For answers, as long as the node sends on the link.
     attachment: Weak<Attachment>,
@@ -308,6 +309,7 @@ fn ask_about(asked: &mut HashMap<Name, Instant>, name: Name, events: &async_mpsc
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gdp_wire::LinkEntry;
     use std::collections::BTreeMap;
 
     use crate::crypto::Backend;

@@ -5,24 +5,26 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use gdp_wire::LinkEntry;
 
+use crate::link::KeyedEntry;
+
 /// Clones are the same entry.
 #[derive(Clone)]
-pub struct SharedEntry(Arc<Mutex<LinkEntry>>);
+pub struct SharedEntry(Arc<Mutex<KeyedEntry>>);
 
 impl SharedEntry {
     pub fn new(entry: LinkEntry) -> Self {
-        Self(Arc::new(Mutex::new(entry)))
+        Self(Arc::new(Mutex::new(entry.into())))
     }
 
-    pub fn get(&self) -> LinkEntry {
-        *self.lock()
+    pub fn get(&self) -> KeyedEntry {
+        self.lock().clone()
     }
 
     pub fn update(&self, change: impl FnOnce(&mut LinkEntry)) {
         change(&mut self.lock());
     }
 
-    fn lock(&self) -> MutexGuard<'_, LinkEntry> {
+    fn lock(&self) -> MutexGuard<'_, KeyedEntry> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -23,6 +23,21 @@ impl EpochKey {
         Self(Zeroizing::new(bytes))
     }
 
+    /// `None` if these are not 32 bytes.
+    pub(crate) fn from_slice(bytes: &[u8]) -> Option<Self> {
+        let mut key = Zeroizing::new([0u8; 32]);
+        if bytes.len() != key.len() {
+            return None;
+        }
+        key.copy_from_slice(bytes);
+        Some(Self(key))
+    }
+
+    /// For wrapping it, and for nothing else.
+    pub(crate) fn as_bytes(&self) -> &[u8; 32] {
+        &self.0
+    }
+
     /// Reads a file of 64 hex digits. One that others may read or write is refused.
     pub fn load(path: &Path) -> Result<Self, SecretFileError> {
         let content = secret_file::read(path, MAX_FILE)?;

@@ -19,12 +19,13 @@ pub use drop_reason::DropReason;
 pub use epoch_key::EpochKey;
 pub use reader::{Limits, Message, Reader};
 pub use segments::Segments;
+pub(crate) use window::Window;
 pub use wire::{Encoding, MAX_BATCH, MIN_PAYLOAD};
 pub use writer::{SealError, Writer};
 
 #[cfg(test)]
 mod hostile_tests;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 #[cfg(test)]
 mod vectors;

@@ -1,5 +1,7 @@
 //! Pushes, links and restarts, and what the data plane is told of them.
 
+use gdp_wire::LinkEntry;
+
 use super::*;
 
 #[test]
@@ -78,7 +80,7 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
     (next_hops[0], next_hops[2]) = (90, 90);
     let routes =
         vec![(name(1), plane(&[70], &[80])), (name(2), plane(&[], &[ANY_WRITER])), (name(3), plane(&[60], &[]))];
-    let link = |id, role: Role, peer| (LinkEntry { id, peer: name(peer), ..LinkEntry::default() }, role);
+    let link = |id, role: Role, peer| (LinkEntry { id, peer: name(peer), ..LinkEntry::default() }.into(), role);
     let links = [
         link(70, Role::Endpoint, 7),
         link(69, Role::Endpoint, 7),

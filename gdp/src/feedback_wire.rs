@@ -1,0 +1,375 @@
+//! What the reader and the writer of a name tell each other: the bytes of one [`Feedback`] message, specified in
+//! `docs/wire-format.md`, "Feedback". It travels sealed between the two ([`crate::keys`]), in a frame to the other's own name.
+//! When each is sent, and what follows from it, is the transport's; nothing is decided here.
+
+use gdp_wire::Name;
+
+/// Ranges that one [`Feedback::Nack`] may ask for: as many as fit, sealed, a frame of 1200 bytes, which every link takes.
+pub const MAX_MISSING: usize = 63;
+
+/// The largest encoding, in bytes: a Nack with all its ranges.
+pub const MAX_FEEDBACK: usize = NACK_LEN + MAX_MISSING * MISSING_LEN;
+
+/// Sequences have 48 bits (`docs/wire-format.md`, "Sealed segments").
+pub const MAX_SEQUENCE: u64 = (1 << 48) - 1;
+
+const HELLO_LEN: usize = 1 + 32 + 16;
+const WELCOME_LEN: usize = 1 + 32 + 16 + 16 + 8;
+const REPORT_LEN: usize = 1 + 32 + 16 + 3 * 8 + 4 + 8 + 4 + 4;
+const NACK_LEN: usize = 1 + 32 + 16 + 1;
+const MISSING_LEN: usize = 6 + 2 + 4 + 4;
+
+/// One message between a reader and a writer of `name`. Sequences are at most [`MAX_SEQUENCE`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Feedback {
+    /// Reader → writer: which session is yours now?
+    Hello { name: Name, challenge: [u8; 16] },
+    /// Writer → reader, with the challenge of its Hello: this session, and in it what comes from this sequence on.
+    Welcome { name: Name, challenge: [u8; 16], session: [u8; 16], sequence: u64 },
+    /// Reader → writer: what has come of the writer's session so far.
+    Report {
+        name: Name,
+        session: [u8; 16],
+        /// The highest sequence of which any segment has come; 0 before there is one.
+        highest: u64,
+        /// Segments that have come, each counted once.
+        received_segments: u64,
+        /// Their bytes, as in frames.
+        received_bytes: u64,
+        /// Frames that came with a congestion mark.
+        ce: u32,
+        /// The sequence of the segment that came last, for the round-trip time; 0: none since the last report.
+        echo: u64,
+        /// Its index.
+        echo_index: u32,
+        /// Microseconds between its arrival and this report.
+        delay_us: u32,
+    },
+    /// Reader → writer: these did not come.
+    Nack {
+        name: Name,
+        session: [u8; 16],
+        /// 1 to [`MAX_MISSING`], in ascending order of sequence and first index, none of a message overlapping another.
+        missing: Vec<Missing>,
+    },
+}
+
+/// A range of segments of one message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Missing {
+    pub sequence: u64,
+    /// Which cut of the message the indices are of.
+    pub cut: u16,
+    /// Index of the first segment.
+    pub first: u32,
+    /// At least 1; the last index fits 32 bits.
+    pub count: u32,
+}
+
+impl Missing {
+    /// All of a message of which nothing has come, however it was cut.
+    pub const fn whole(sequence: u64) -> Self {
+        Self { sequence, cut: 0, first: 0, count: u32::MAX }
+    }
+
+    /// Index of the last segment.
+    fn last(&self) -> Option<u32> {
+        self.first.checked_add(self.count.checked_sub(1)?)
+    }
+}
+
+/// Why bytes are no feedback, or feedback has no bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FeedbackError {
+    #[error("feedback of kind {0}, which this version does not know")]
+    Kind(u8),
+    #[error("{got} bytes where this kind of feedback has {expected}")]
+    Length { got: usize, expected: usize },
+    #[error("a Nack with {0} ranges where 1 to {MAX_MISSING} are allowed")]
+    Ranges(usize),
+    #[error("ranges of a Nack that are empty, overlap or are not in ascending order")]
+    Order,
+    #[error("sequence {0} where at most {MAX_SEQUENCE} is possible")]
+    Sequence(u64),
+}
+
+impl Feedback {
+    /// What it is about.
+    pub fn name(&self) -> Name {
+        match self {
+            Self::Hello { name, .. }
+            | Self::Welcome { name, .. }
+            | Self::Report { name, .. }
+            | Self::Nack { name, .. } => *name,
+        }
+    }
+
+    /// Appends its encoding to `out`; nothing if it is not within the bounds.
+    pub fn encode(&self, out: &mut Vec<u8>) -> Result<(), FeedbackError> {
+        self.check()?;
+        match self {
+            Self::Hello { name, challenge } => put(out, &[&[kind::HELLO][..], name.as_bytes(), challenge]),
+            Self::Welcome { name, challenge, session, sequence } => {
+                put(out, &[&[kind::WELCOME][..], name.as_bytes(), challenge, session, &sequence.to_be_bytes()]);
+            }
+            Self::Report {
+                name,
+                session,
+                highest,
+                received_segments,
+                received_bytes,
+                ce,
+                echo,
+                echo_index,
+                delay_us,
+            } => {
+                put(out, &[&[kind::REPORT][..], name.as_bytes(), session]);
+                put(out, &[highest, received_segments, received_bytes].map(|field| field.to_be_bytes()));
+                put(out, &[ce.to_be_bytes().as_slice(), &echo.to_be_bytes()]);
+                put(out, &[echo_index, delay_us].map(|field| field.to_be_bytes()));
+            }
+            Self::Nack { name, session, missing } => {
+                put(out, &[&[kind::NACK][..], name.as_bytes(), session, &[missing.len() as u8]]);
+                for Missing { sequence, cut, first, count } in missing {
+                    put(out, &[&sequence.to_be_bytes()[2..], &cut.to_be_bytes()]);
+                    put(out, &[first, count].map(|field| field.to_be_bytes()));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The message whose only encoding `bytes` are.
+    pub fn decode(bytes: &[u8]) -> Result<Self, FeedbackError> {
+        let too_short = FeedbackError::Length { got: 0, expected: HELLO_LEN };
+        let (&kind, rest) = bytes.split_first().ok_or(too_short)?;
+        let expected = match kind {
+            kind::HELLO => HELLO_LEN,
+            kind::WELCOME => WELCOME_LEN,
+            kind::REPORT => REPORT_LEN,
+            kind::NACK => match bytes.get(NACK_LEN - 1).map(|count| usize::from(*count)) {
+                Some(count @ 1..=MAX_MISSING) => NACK_LEN + count * MISSING_LEN,
+                Some(count) => return Err(FeedbackError::Ranges(count)),
+                None => NACK_LEN,
+            },
+            kind => return Err(FeedbackError::Kind(kind)),
+        };
+        let wrong_length = FeedbackError::Length { got: bytes.len(), expected };
+        if bytes.len() != expected {
+            return Err(wrong_length);
+        }
+        // The length was that of the kind, so no field is cut off.
+        let feedback = Self::decode_fields(kind, &mut Fields(rest)).ok_or(wrong_length)?;
+        feedback.check()?;
+        Ok(feedback)
+    }
+
+    fn decode_fields(kind: u8, fields: &mut Fields<'_>) -> Option<Self> {
+        let name = Name::from_bytes(fields.take()?);
+        Some(match kind {
+            kind::HELLO => Self::Hello { name, challenge: fields.take()? },
+            kind::WELCOME => {
+                let (challenge, session) = (fields.take()?, fields.take()?);
+                Self::Welcome { name, challenge, session, sequence: fields.u64()? }
+            }
+            kind::REPORT => Self::Report {
+                name,
+                session: fields.take()?,
+                highest: fields.u64()?,
+                received_segments: fields.u64()?,
+                received_bytes: fields.u64()?,
+                ce: fields.u32()?,
+                echo: fields.u64()?,
+                echo_index: fields.u32()?,
+                delay_us: fields.u32()?,
+            },
+            _ => {
+                let session = fields.take()?;
+                let [count] = fields.take()?;
+                let missing = (0..count).map(|_| fields.missing()).collect::<Option<_>>()?;
+                Self::Nack { name, session, missing }
+            }
+        })
+    }
+
+    fn check(&self) -> Result<(), FeedbackError> {
+        let sequence = |sequence: u64| match sequence {
+            0..=MAX_SEQUENCE => Ok(()),
+            _ => Err(FeedbackError::Sequence(sequence)),
+        };
+        match self {
+            Self::Hello { .. } => Ok(()),
+            Self::Welcome { sequence: from, .. } => sequence(*from),
+            Self::Report { highest, echo, .. } => sequence(*highest).and_then(|()| sequence(*echo)),
+            Self::Nack { missing, .. } => {
+                if !(1..=MAX_MISSING).contains(&missing.len()) {
+                    return Err(FeedbackError::Ranges(missing.len()));
+                }
+                missing.iter().try_for_each(|range| sequence(range.sequence))?;
+                // So nobody makes a writer send one segment twice by one message.
+                let follows =
+                    |pair: &[Missing]| (pair[0].sequence, pair[0].last()) < (pair[1].sequence, Some(pair[1].first));
+                let in_order = missing.windows(2).all(follows);
+                let whole = missing.iter().all(|range| range.last().is_some());
+                if in_order && whole { Ok(()) } else { Err(FeedbackError::Order) }
+            }
+        }
+    }
+}
+
+mod kind {
+    pub const HELLO: u8 = 1;
+    pub const WELCOME: u8 = 2;
+    pub const REPORT: u8 = 3;
+    pub const NACK: u8 = 4;
+}
+
+fn put<T: AsRef<[u8]>>(out: &mut Vec<u8>, parts: &[T]) {
+    parts.iter().for_each(|part| out.extend_from_slice(part.as_ref()));
+}
+
+struct Fields<'a>(&'a [u8]);
+
+impl Fields<'_> {
+    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (field, rest) = self.0.split_first_chunk()?;
+        self.0 = rest;
+        Some(*field)
+    }
+
+    fn u32(&mut self) -> Option<u32> {
+        self.take().map(u32::from_be_bytes)
+    }
+
+    fn u64(&mut self) -> Option<u64> {
+        self.take().map(u64::from_be_bytes)
+    }
+
+    fn missing(&mut self) -> Option<Missing> {
+        let [a, b, c, d, e, f] = self.take()?;
+        Some(Missing {
+            sequence: u64::from_be_bytes([0, 0, a, b, c, d, e, f]),
+            cut: self.take().map(u16::from_be_bytes)?,
+            first: self.u32()?,
+            count: self.u32()?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NAME: Name = Name::from_bytes([7; 32]);
+    const SESSION: [u8; 16] = [9; 16];
+
+    #[test]
+    fn every_kind_survives_its_bytes() {
+        for (feedback, len) in all() {
+            let bytes = encoded(&feedback);
+            assert_eq!(bytes.len(), len, "{feedback:?}");
+            assert_eq!(Feedback::decode(&bytes), Ok(feedback.clone()));
+            assert_eq!(feedback.name(), NAME);
+        }
+        assert_eq!(encoded(&nack((1..=MAX_MISSING as u64).map(Missing::whole).collect())).len(), MAX_FEEDBACK);
+    }
+
+    #[test]
+    fn fields_are_where_the_specification_says() {
+        let bytes = encoded(&nack(vec![Missing { sequence: 0x0102_0304_0506, cut: 7, first: 8, count: 9 }]));
+        assert_eq!(hex::encode(&bytes[..2]), "0407");
+        assert_eq!(hex::encode(&bytes[48..]), "0901010203040506000700000008 00000009".replace(' ', ""));
+        let (report, _) = &all()[2];
+        let expected = "0000000000000005 0000000000000006 0000000000000007 00000008 0000000000000009 0000000a 0000000b";
+        assert_eq!(hex::encode(&encoded(report)[49..]), expected.replace(' ', ""));
+    }
+
+    #[test]
+    fn other_lengths_and_kinds_are_refused() {
+        for (feedback, _) in all() {
+            let mut bytes = encoded(&feedback);
+            for len in 0..bytes.len() {
+                assert!(Feedback::decode(&bytes[..len]).is_err(), "{len} bytes of {feedback:?}");
+            }
+            bytes.push(0);
+            assert!(matches!(Feedback::decode(&bytes), Err(FeedbackError::Length { .. })));
+            for kind in [0, 5, 0xff] {
+                bytes[0] = kind;
+                assert_eq!(Feedback::decode(&bytes), Err(FeedbackError::Kind(kind)));
+            }
+        }
+    }
+
+    #[test]
+    fn a_nack_asks_for_each_segment_once() {
+        let range = |sequence, first, count| Missing { sequence, cut: 1, first, count };
+        let refused = |missing: Vec<Missing>| {
+            let (feedback, mut out) = (nack(missing), Vec::new());
+            let error = feedback.encode(&mut out).unwrap_err();
+            assert!(out.is_empty());
+            error
+        };
+        for missing in [
+            vec![range(1, 0, 0)],
+            vec![range(1, 2, u32::MAX)],
+            vec![range(2, 0, 1), range(1, 0, 1)],
+            vec![range(1, 0, 1), range(1, 0, 1)],
+            vec![range(1, 0, 3), range(1, 2, 1)],
+            vec![Missing::whole(1), range(1, 5, 1)],
+        ] {
+            assert_eq!(refused(missing.clone()), FeedbackError::Order, "{missing:?}");
+        }
+        assert_eq!(refused(vec![]), FeedbackError::Ranges(0));
+        assert_eq!(refused((1..=64).map(Missing::whole).collect()), FeedbackError::Ranges(64));
+        assert_eq!(refused(vec![Missing::whole(1 << 48)]), FeedbackError::Sequence(1 << 48));
+        encoded(&nack(vec![range(1, 0, 3), range(1, 3, 1), range(2, 0, 1), range(3, u32::MAX, 1)]));
+    }
+
+    /// What an attacker may write into the bytes, which `encode` would not.
+    #[test]
+    fn hostile_bytes_are_refused() {
+        let two = encoded(&nack(vec![Missing::whole(1), Missing::whole(2)]));
+        let twice = [&two[..NACK_LEN + MISSING_LEN], &two[NACK_LEN..NACK_LEN + MISSING_LEN]].concat();
+        assert_eq!(Feedback::decode(&twice), Err(FeedbackError::Order));
+        for count in [0, 64, 255] {
+            let mut bytes = two.clone();
+            bytes[NACK_LEN - 1] = count;
+            assert_eq!(Feedback::decode(&bytes), Err(FeedbackError::Ranges(count.into())));
+        }
+        let (welcome, _) = &all()[1];
+        let mut bytes = encoded(welcome);
+        bytes[WELCOME_LEN - 8] = 1;
+        assert!(matches!(Feedback::decode(&bytes), Err(FeedbackError::Sequence(_))));
+    }
+
+    fn all() -> [(Feedback, usize); 4] {
+        let (name, session, challenge) = (NAME, SESSION, [3; 16]);
+        let report = Feedback::Report {
+            name,
+            session,
+            highest: 5,
+            received_segments: 6,
+            received_bytes: 7,
+            ce: 8,
+            echo: 9,
+            echo_index: 10,
+            delay_us: 11,
+        };
+        [
+            (Feedback::Hello { name, challenge }, 49),
+            (Feedback::Welcome { name, challenge, session, sequence: MAX_SEQUENCE }, 73),
+            (report, 93),
+            (nack(vec![Missing::whole(4), Missing { sequence: 5, cut: 1, first: 2, count: 3 }]), 50 + 2 * 16),
+        ]
+    }
+
+    fn nack(missing: Vec<Missing>) -> Feedback {
+        Feedback::Nack { name: NAME, session: SESSION, missing }
+    }
+
+    fn encoded(feedback: &Feedback) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        feedback.encode(&mut bytes).unwrap();
+        bytes
+    }
+}
