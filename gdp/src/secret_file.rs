@@ -1,5 +1,6 @@
 //! Files that hold secrets: created at mode 0600 and never visible wider or half-written, refused when anybody but the
-//! owner may touch them. Used for private keys and epoch keys; the content is the caller's business.
+//! owner may touch them. Used for private keys, epoch keys and what the command line remembers of a name; the content is
+//! the caller's business.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -36,8 +37,31 @@ impl SecretFileError {
 /// Creates `path` with `content`. The bytes are written and synced under a temporary name and then linked to the final
 /// one, which fails if that exists: whoever opens `path` sees the whole content or no file.
 pub(crate) fn create(path: &Path, content: &[u8]) -> Result<(), SecretFileError> {
+    with_temporary(path, content, |temporary| {
+        fs::hard_link(temporary, path).map_err(|source| match source.kind() {
+            io::ErrorKind::AlreadyExists => SecretFileError::Exists(path.into()),
+            _ => SecretFileError::Io { path: path.into(), action: "create", source },
+        })
+    })
+}
+
+/// As [`create`], but takes the place of a file that is there. After a crash there is the one or the other, whole.
+pub fn replace(path: &Path, content: &[u8]) -> Result<(), SecretFileError> {
     let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
-    let suffix = crate::crypto::random::<8>().map_err(|e| io("create")(io::Error::other(e)))?;
+    with_temporary(path, content, |temporary| {
+        fs::rename(temporary, path).map_err(io("replace"))?;
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        File::open(folder).and_then(|folder| folder.sync_all()).map_err(io("keep"))
+    })
+}
+
+fn with_temporary(
+    path: &Path,
+    content: &[u8],
+    place: impl FnOnce(&Path) -> Result<(), SecretFileError>,
+) -> Result<(), SecretFileError> {
+    let io = |source| SecretFileError::Io { path: path.into(), action: "create", source };
+    let suffix = crate::crypto::random::<8>().map_err(|e| io(io::Error::other(e)))?;
     let mut file_name = path.file_name().ok_or_else(|| SecretFileError::NotAFile(path.into()))?.to_owned();
     file_name.push(format!(".{}.tmp", hex::encode(suffix)));
     let temporary = path.with_file_name(file_name);
@@ -48,19 +72,14 @@ pub(crate) fn create(path: &Path, content: &[u8]) -> Result<(), SecretFileError>
         .mode(0o600)
         .open(&temporary)
         .and_then(|mut file| file.write_all(content).and_then(|()| file.sync_all()));
-    let result = written.map_err(io("create")).and_then(|()| {
-        fs::hard_link(&temporary, path).map_err(|source| match source.kind() {
-            io::ErrorKind::AlreadyExists => SecretFileError::Exists(path.into()),
-            _ => io("create")(source),
-        })
-    });
-    // Nothing to do about a failure: the file was not created, or its name is of no interest to anybody.
+    let result = written.map_err(io).and_then(|()| place(&temporary));
+    // Nothing to do about a failure: the file has moved, was not created, or its name is of no interest to anybody.
     let _ = fs::remove_file(&temporary);
     result
 }
 
 /// The whole of `path`, at most `max` bytes. A symbolic link is followed; what counts is the file it leads to.
-pub(crate) fn read(path: &Path, max: usize) -> Result<Zeroizing<Vec<u8>>, SecretFileError> {
+pub fn read(path: &Path, max: usize) -> Result<Zeroizing<Vec<u8>>, SecretFileError> {
     let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
     // Without O_NONBLOCK, opening a FIFO would wait for a writer.
     let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(io("open"))?;
@@ -104,6 +123,19 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"one");
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "no temporary file stays behind");
         assert!(create(&dir.path().join("no/such/folder"), b"x").is_err());
+    }
+
+    #[test]
+    fn a_file_is_replaced_as_a_whole() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("secret");
+        for content in [b"one".as_slice(), b"three"] {
+            replace(&path, content).unwrap();
+            assert_eq!(read(&path, 5).unwrap().as_slice(), content);
+            assert_eq!(fs::metadata(&path).unwrap().mode() & 0o7777, 0o600);
+        }
+        assert!(replace(&dir.path().join("no/such/folder"), b"x").is_err());
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "no temporary file stays behind");
     }
 
     #[test]

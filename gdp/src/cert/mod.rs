@@ -95,4 +95,6 @@ impl From<CborError> for CertError {
 }
 
 #[cfg(test)]
+mod issued_tests;
+#[cfg(test)]
 mod tests;

@@ -15,6 +15,11 @@ fn a_rightful_publisher_and_subscriber_pass() {
     let subscribe = f.advert(|a| a.op = AdvertOp::Subscribe);
     authorise_subscribe(&f.speaker, &f.proof, &f.grant(|_| ()).into(), &subscribe, None).unwrap();
     authorise_withdraw(&f.speaker, &f.advert(|a| a.op = AdvertOp::Withdraw)).unwrap();
+    let (serve, call) = (f.advert(|a| a.op = AdvertOp::Serve), f.advert(|a| a.op = AdvertOp::Call));
+    authorise_advertise(&f.speaker, &f.proof, &f.ad_cert(|_| ()).into(), &serve, None).unwrap();
+    authorise_subscribe(&f.speaker, &f.proof, &f.grant(|_| ()).into(), &call, None).unwrap();
+    let error = authorise_advertise(&f.speaker, &f.proof, &f.ad_cert(|_| ()).into(), &call, None).unwrap_err();
+    assert_eq!(error, CertError::WrongOperation { expected: "publish or serve", got: AdvertOp::Call });
 }
 
 #[test]
@@ -155,6 +160,9 @@ fn what_makes_no_sense_is_neither_issued_nor_believed() {
     let mut claims = f.grant_claims();
     claims.not_before = claims.not_after + 1;
     assert!(issue(&f.owner, &claims).is_err());
+    let mut claims = f.advert_claims();
+    claims.box_key = [0xff; 33];
+    assert!(issue(f.entity.key(), &claims).is_err());
 }
 
 struct Fixture {
