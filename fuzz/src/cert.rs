@@ -21,6 +21,9 @@ pub fn cert(data: &[u8]) {
     if let Ok(reading) = Reading::from_pem(text) {
         assert_eq!(Reading::from_pem(&reading.to_pem()).expect("its own text"), reading);
     }
+    if let Ok(signed) = Signed::<Revocation>::from_pem(text) {
+        assert_eq!(Signed::from_pem(&signed.to_pem()).expect("its own text"), signed);
+    }
     if let Ok(member) = Membership::from_pem(text) {
         assert_eq!(Membership::from_pem(&member.to_pem()).expect("its own text"), member);
     }

@@ -1,10 +1,12 @@
 //! The command line as a user or a script meets it: output, files, exit statuses, and messages that name the remedy.
 
+mod user;
+
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use serde_json::Value;
+use user::User;
 
 const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -29,9 +31,9 @@ fn keys_cards_and_certificates_are_made_without_a_daemon() {
     assert_eq!(user.text(&derive.iter().map(String::as_str).collect::<Vec<_>>()).trim(), name);
 
     let entity = robot["name"].as_str().unwrap();
-    let issue = ["--owner", "owner.pem", "--card", "chatter.card", "--entity", entity, "-o"];
-    user.json(&[&["cert", "advertise"], &issue[..], &["chatter.ad"]].concat());
-    user.json(&[&["cert", "read"], &issue[..], &["chatter.grant", "--days", "7"]].concat());
+    let add = ["grant", "add", "chatter.card", "--key", "owner.pem", "--entity", entity];
+    user.json(&[&add[..], &["--publish", "-o", "chatter.ad"]].concat());
+    user.json(&[&add[..], &["--read", "-o", "chatter.grant", "--for", "7d"]].concat());
     let shown = user.json(&["cert", "show", "chatter.ad", "--card", "chatter.card"]);
     assert_eq!((&shown["claims"]["entity"], &shown["verified"]), (&robot["name"], &true.into()));
     assert_eq!(user.json(&["cert", "show", "chatter.grant"])["verified"], false);
@@ -49,7 +51,7 @@ fn what_goes_wrong_is_named_with_its_remedy() {
     std::fs::set_permissions(user.file("open.pem"), open).unwrap();
     std::fs::write(user.file("junk"), "junk").unwrap();
     let zero = "0".repeat(64);
-    let issue = ["--card", "chatter.card", "--entity", &zero, "-o", "x"];
+    let add = ["grant", "add", "chatter.card", "--entity", &zero, "-o", "x"];
     for (arguments, status, needles) in [
         (&["key", "generate", "owner.pem", "--kind", "owner"][..], 1, &["owner.pem"][..]),
         (&["key", "show", "none.pem"], 1, &["none.pem"]),
@@ -57,8 +59,28 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         (&["key", "show", "junk"], 1, &["junk"]),
         (&["name", "show", "junk"], 1, &["junk", "not a name card"]),
         (&["cert", "show", "junk"], 1, &["BEGIN GDP AD CERT"]),
-        (&[&["cert", "advertise", "--owner", "robot.pem"], &issue[..]].concat(), 1, &["robot.pem is not the owner"]),
-        (&["advertise", "chatter.card", "--key", "robot.pem"], 1, &["needs the owner's certificate", "cert advertise"]),
+        (
+            &[&add[..], &["--publish", "--key", "robot.pem"]].concat(),
+            1,
+            &["robot.pem is not the owner", "--delegation"],
+        ),
+        (&[&add[..], &["--publish", "--read", "--key", "owner.pem"]].concat(), 1, &["make two"]),
+        (&[&add[..], &["--key", "owner.pem"]].concat(), 2, &["--publish"]),
+        (&[&add[..], &["--read", "--key", "owner.pem", "--delegate", &zero]].concat(), 2, &["--delegate"]),
+        (&[&add[..], &["--read", "--key", "owner.pem", "--scope", &zero]].concat(), 2, &["--publish"]),
+        (&["grant", "add", "chatter.card", "--read", "--key", "owner.pem", "-o", "x"], 2, &["--entity"]),
+        (
+            &["grant", "add", "chatter.card", "--read", "--key", "owner.pem", "-o", "x", "--role", "operator"],
+            2,
+            &["--domain"],
+        ),
+        (&["grant", "list", "none.card"], 1, &["none.card"]),
+        (&["grant", "revoke", "chatter.card"], 1, &["nothing of", "is revoked yet"]),
+        (&["grant", "revoke", "chatter.card", "7"], 1, &["only the owner revokes", "--key"]),
+        (&["grant", "revoke", "chatter.card", "7", "--key", "robot.pem"], 1, &["robot.pem is not the owner"]),
+        (&["grant", "revoke", "chatter.card", "junk", "--key", "owner.pem"], 1, &["junk", "not a certificate"]),
+        (&["grant", "revoke", "chatter.card", "--entity", &zero, "--key", "owner.pem"], 1, &["nothing was granted to"]),
+        (&["advertise", "chatter.card", "--key", "robot.pem"], 1, &["needs the owner's certificate", "grant add"]),
         (&["query", "not-hex"], 1, &["neither a file nor the beginning of a name"]),
         (&["status"], 3, &["no daemon answers", "gdp-ctl serve"]),
         (&["query", "75e"], 3, &["no daemon answers"]),
@@ -66,7 +88,7 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         (&["fib", "dump"], 3, &["no daemon answers"]),
         (&["frobnicate"], 2, &["frobnicate"]),
         (
-            &["cert", "read", "--owner", "owner.pem", "--card", "chatter.card", "--entity", "75e", "-o", "x"],
+            &["grant", "add", "chatter.card", "--read", "--key", "owner.pem", "--entity", "75e", "-o", "x"],
             2,
             &["64 hex digits"],
         ),
@@ -74,13 +96,10 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         (&["serve", "--config", "none.yaml"], 1, &["none.yaml"]),
         (&["serve", "--config", "junk"], 1, &["junk"]),
     ] {
-        let output = user.run(arguments);
-        let error = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(status), "{arguments:?}: {error}");
+        let error = user.refusal(status, arguments);
         for needle in needles {
             assert!(error.contains(needle), "{arguments:?}: {error}");
         }
-        assert!(output.stdout.is_empty(), "{arguments:?}: an error is not data");
         assert!(error.matches("os error").count() <= 1, "{arguments:?}: says it twice: {error}");
     }
 }
@@ -106,8 +125,8 @@ fn a_name_is_advertised_queried_dumped_and_withdrawn() {
         assert_eq!(found["records"][0]["name"], card["name"], "{what}");
         assert_eq!(found["records"][0]["verified"], true);
     }
-    let issue = ["--owner", "owner.pem", "--card", "chatter.card", "--entity", robot["name"].as_str().unwrap()];
-    user.json(&[&["cert", "advertise"], &issue[..], &["-o", "chatter.ad"]].concat());
+    let add = ["grant", "add", "chatter.card", "--key", "owner.pem", "--entity", robot["name"].as_str().unwrap()];
+    user.json(&[&add[..], &["--publish", "-o", "chatter.ad"]].concat());
     user.json(&["advertise", "chatter.card", "--key", "robot.pem", "--cert", "chatter.ad"]);
     assert_eq!(user.json(&["rib", "dump"])["records"].as_array().unwrap().len(), 2);
     assert_eq!(user.json(&["rib", "dump", "--", &name[..8]])["records"].as_array().unwrap().len(), 2);
@@ -170,51 +189,6 @@ fn hostile_admin_clients_get_an_error_and_others_are_served() {
         silent.push(stream);
     }
     user.json(&["status"]);
-}
-
-/// A folder, and commands run in it.
-struct User {
-    folder: tempfile::TempDir,
-}
-
-impl User {
-    fn new() -> Self {
-        Self { folder: tempfile::tempdir().unwrap() }
-    }
-
-    fn file(&self, name: &str) -> std::path::PathBuf {
-        self.folder.path().join(name)
-    }
-
-    fn command(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_gdp-ctl"));
-        command.args(arguments).current_dir(self.folder.path()).env("GDP_SOCKET", self.file("ctl.sock"));
-        command.env_remove("RUST_LOG").env_remove("RUST_BACKTRACE");
-        command
-    }
-
-    fn run(&self, arguments: &[&str]) -> Output {
-        self.command(arguments).output().unwrap()
-    }
-
-    fn text(&self, arguments: &[&str]) -> String {
-        let output = self.run(arguments);
-        assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8(output.stdout).unwrap()
-    }
-
-    fn json(&self, arguments: &[&str]) -> Value {
-        let text = self.text(&[&["-j"], arguments].concat());
-        let value: Value = serde_json::from_str(&text).unwrap_or_else(|e| panic!("{arguments:?}: {e}: {text}"));
-        assert_eq!(value["v"], 1, "{arguments:?}");
-        value
-    }
-
-    /// Makes `chatter.card`; `owner.pem` is its owner.
-    fn card(&self, topic: &str) -> Value {
-        let create = ["name", "create", "--owner", "owner.pem", "--topic", topic, "--type", "std_msgs/msg/String"];
-        self.json(&[&create[..], &["-o", "chatter.card"]].concat())
-    }
 }
 
 /// A daemon in a user's folder, on loopback UDP.

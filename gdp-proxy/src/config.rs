@@ -48,8 +48,8 @@ pub struct TopicConfig {
     pub direction: Direction,
     /// The topic's name card (`gdp-ctl name create`).
     pub card: PathBuf,
-    /// The owner's permission for this proxy: to publish (`gdp-ctl cert advertise`) if `out`, to read (`gdp-ctl cert read`)
-    /// if `in`.
+    /// The owner's permission for this proxy: to publish (`gdp-ctl grant add --publish`) if `out`, to read
+    /// (`gdp-ctl grant add --read`) if `in`.
     pub cert: PathBuf,
     /// The epoch key that writer and readers share (`gdp-ctl key epoch`).
     pub key: PathBuf,

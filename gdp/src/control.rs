@@ -7,10 +7,15 @@
 //! Nothing here is trusted because of who sent it: certificates and statements are verified by the RIB before it stores
 //! them and again, with [`Record::verify`], by whoever receives an answer.
 
+mod peers;
+
+pub use peers::{NameRole, Peers, PeersExtent, PeersPush};
+
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::cert::{AdCert, Advert, CertError, Issued, Reading, Revocation, RtCert, Side, Signed, verify_statement};
+use crate::keys::KeyBox;
 use crate::name::{NamePrefix, NameProof};
 
 /// Largest encoded request or response, in bytes, without its length prefix.
@@ -41,8 +46,8 @@ pub enum Request {
     Ready,
     /// RIB → switch, relayed down: what the switch's FIB holds.
     Fib(FibPush),
-    /// RIB → each subscriber, relayed down: the writers of a name it subscribed to are now these.
-    Writers(WritersPush),
+    /// RIB → entity, relayed down: its counterparts in a name are now these.
+    Peers(PeersPush),
     /// Either end of a link → the other: my data frames are now under the link key of this generation. Answered once the
     /// one after it is held; until then there is no further change.
     Ratcheted { generation: u64 },
@@ -55,13 +60,18 @@ pub enum EntityRequest {
     /// on. Answered by [`Response::Attached`]. `resumes`: what this entity advertised before stands; otherwise it has
     /// started anew, and what the RIB holds of its last attachment ends.
     Attach { rt_cert: Signed<RtCert>, resumes: bool },
-    /// I publish (or serve) a name. Lives as long as the attachment, or the statement's lifetime if that ends first.
+    /// I publish or serve a name. Lives as long as the attachment, or the statement's lifetime if that ends first. Answered,
+    /// as a subscription is, by [`Response::Peers`] with its readers or callers; changes come as [`PeersPush`].
     Advertise { proof: NameProof, ad_cert: Issued<AdCert>, advert: Signed<Advert> },
-    /// I read (or call) a name. Answered by [`Response::Records`] with its writers; changes come as [`WritersPush`].
+    /// I read or call a name. Answered with its publishers or servers.
     Subscribe { proof: NameProof, grant: Reading, advert: Signed<Advert> },
-    /// I no longer publish and no longer subscribe to the name in the statement.
+    /// I have no part any more in the name in the statement.
     Withdraw { advert: Signed<Advert> },
-    /// The owner of a name takes certificates back. Anybody may pass this on: the owner's signature is what counts.
+    /// The keys of what I send, each wrapped for one reader. Kept beside what I stated, for as long as that; given to each
+    /// reader when it states that it takes the name, and when they come.
+    KeyBoxes { boxes: Vec<Signed<KeyBox>> },
+    /// The owner of a name takes certificates back. Anybody may pass this on, also without showing who it is: the owner's
+    /// signature is what counts.
     Revoke { proof: NameProof, revocation: Signed<Revocation> },
     /// Who publishes and reads the names that begin so? Answered by [`Response::Records`], from the one behind `after` on.
     Query { prefix: NamePrefix, after: Option<RecordPlace> },
@@ -81,6 +91,8 @@ pub enum Response {
         records: Vec<Record>,
         truncated: bool,
     },
+    /// Accepted; these are the counterparts, or the first of them: then pushes bring the others.
+    Peers(Peers),
     Refused(Refusal),
 }
 
@@ -175,6 +187,14 @@ impl Credential {
             Self::Reader(grant) => grant.size(),
         }
     }
+
+    /// Of what a revocation can take back: what it is, and its serial. Believe it once the credential is verified.
+    pub fn serials(&self) -> Result<Vec<(&'static str, u64)>, CertError> {
+        match self {
+            Self::Writer(cert) => cert.serials(),
+            Self::Reader(reading) => reading.grant.serials(),
+        }
+    }
 }
 
 /// What a record is worth once it verified.
@@ -190,14 +210,20 @@ pub struct Verified {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct RecordPlace {
     pub name: Name,
-    pub reads: bool,
+    pub role: NameRole,
     pub entity: Name,
 }
 
 impl Record {
-    /// Where the record is listed; an error if the entity's key is not one.
+    /// Where the record is listed; an error if the entity's key is not one, or the statement none that is listed.
     pub fn place(&self) -> Result<RecordPlace, CertError> {
-        Ok(RecordPlace { name: self.name, reads: !self.is_writer(), entity: self.entity.name()? })
+        Ok(RecordPlace { name: self.name, role: self.role()?, entity: self.entity.name()? })
+    }
+
+    /// What the entity says it is to the name. Believe it once the record is [verified](Self::verify).
+    pub fn role(&self) -> Result<NameRole, CertError> {
+        let op = self.advert.claims_unverified()?.op;
+        NameRole::of(op).ok_or_else(|| CertError::Malformed("a record of a withdrawal".into()))
     }
 
     /// Verifies the record as if nobody had before: derivation of both names, the credential at `now` (Unix seconds) under
@@ -270,16 +296,6 @@ pub struct Route {
     pub locals: Vec<Name>,
     /// The local endpoints that may send to the name: those that publish it through this switch.
     pub writers: Vec<Name>,
-}
-
-/// The writers of a name, all of them, to be verified by the subscriber that is told.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct WritersPush {
-    /// Switches on the way pass the push on to this one, and this one to `entity`.
-    pub switch: Name,
-    pub entity: Name,
-    pub name: Name,
-    pub records: Vec<Record>,
 }
 
 /// Why a message could not be encoded or decoded.

@@ -13,6 +13,7 @@ pub mod keys;
 pub mod link;
 pub mod name;
 pub mod node;
+pub mod peers;
 pub mod port;
 pub mod seal;
 pub mod secret_file;

@@ -38,7 +38,7 @@ use self::receiver::{Command, Receiver};
 use self::state::{State, Statement, lock, unix_now};
 use self::supervisor::Supervisor;
 use crate::cert::{AdCert, CertError, Issued, Reading};
-use crate::control::{Record, RecordPlace, Refusal};
+use crate::control::{NameRole, Record, RecordPlace, Refusal};
 use crate::crypto::Backend;
 use crate::identity::Identity;
 use crate::link::{LinkError, RekeySchedule};
@@ -119,6 +119,15 @@ pub enum NodeError {
 pub enum Stated {
     Published,
     Subscribed,
+}
+
+impl Stated {
+    fn role(self) -> NameRole {
+        match self {
+            Self::Published => NameRole::Publisher,
+            Self::Subscribed => NameRole::Subscriber,
+        }
+    }
 }
 
 impl std::fmt::Display for Stated {

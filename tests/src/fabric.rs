@@ -304,9 +304,9 @@ impl Authority<'_> {
         let cloud = self.key("cloud.pem", "proxy")?;
         let card = ["--topic", TOPIC, "--type", TYPE, "-o", "chatter.card"];
         let made = self.ctl(&[&["name", "create", "--owner", "owner.pem"], &card[..]].concat())?;
-        for (kind, entity, file) in [("advertise", &robot, "chatter.ad"), ("read", &cloud, "chatter.grant")] {
-            let signed = ["--owner", "owner.pem", "--card", "chatter.card", "--entity", entity, "-o", file];
-            self.ctl(&[&["cert", kind], &signed[..]].concat())?;
+        for (right, entity, file) in [("--publish", &robot, "chatter.ad"), ("--read", &cloud, "chatter.grant")] {
+            let whom = ["--entity", entity, "-o", file];
+            self.ctl(&[&["grant", "add", "chatter.card", "--key", "owner.pem", right], &whom[..]].concat())?;
         }
         self.ctl(&["key", "epoch", "chatter.key"])?;
         field(&made, "name")

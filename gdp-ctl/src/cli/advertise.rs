@@ -12,7 +12,8 @@ use gdp::name::Name;
 use serde_json::json;
 
 use super::key::Kind;
-use super::{Context, cert, parse_seconds, serial_now, unix_now, validity};
+use super::paper::Paper;
+use super::{Context, parse_seconds, serial_now, unix_now, validity};
 use crate::admin::{Client, Request};
 
 /// What the switch is allowed to carry for a statement that a tool makes.
@@ -93,7 +94,9 @@ impl Entity {
 /// The certificate of the file; without one, the owner allows itself.
 fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow::Result<Issued<AdCert>> {
     if let Some(file) = &options.cert {
-        let cert = cert::load(file)?;
+        let Paper::Ad(cert) = Paper::load(file)? else {
+            bail!("{}: not a certificate to publish; `gdp-ctl cert show` tells what it is", file.display());
+        };
         let meant = cert.cert.claims_unverified().map_err(|error| anyhow!("{}: {error}", file.display()))?.entity;
         let other = |kind: &&Kind| Identity::new(entity.key().clone(), kind.as_str()).name() == meant;
         if meant != entity.name()
@@ -112,8 +115,8 @@ fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow:
     let key = entity.key();
     if key.verify_key() != *card.owner_key() {
         bail!(
-            "{} is not the owner's key of {}, so it needs the owner's certificate: have the owner run `gdp-ctl cert \
-             advertise --owner OWNER.pem --card {} --entity {} -o FILE`, then add --cert FILE",
+            "{} is not the owner's key of {}, so it needs the owner's certificate: have the owner run `gdp-ctl grant add {} \
+             --key OWNER.pem --publish --entity {} -o FILE`, then add --cert FILE",
             options.entity.key.display(),
             card.name(),
             options.card.display(),

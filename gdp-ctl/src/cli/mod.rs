@@ -5,10 +5,12 @@ mod advertise;
 mod cert;
 mod doctor;
 mod dump;
+mod grant;
 mod key;
 mod link;
 mod name;
 mod output;
+mod paper;
 mod query;
 mod serve;
 mod status;
@@ -59,7 +61,10 @@ enum Command {
     /// Make and read keys.
     #[command(subcommand)]
     Key(key::Command),
-    /// Issue and read certificates.
+    /// Let others publish and read a name, see who may, and take it back.
+    #[command(subcommand)]
+    Grant(grant::Command),
+    /// Read certificates.
     #[command(subcommand)]
     Cert(cert::Command),
     /// What the switch forwards by.
@@ -126,6 +131,7 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Status => status::run(context),
         Command::Name(command) => name::run(command, context),
         Command::Key(command) => key::run(command, context),
+        Command::Grant(command) => grant::run(command, context),
         Command::Cert(command) => cert::run(command, context),
         Command::Fib(command) => dump::fib(&command, context),
         Command::Rib(command) => dump::rib(&command, context),

@@ -1,22 +1,25 @@
 //! The entities a RIB knows: where they are attached, how far their serials are spent, which names they
-//! have. An entity that is gone is remembered as long as one of its statements could still be presented again.
+//! have. One that has neither an attachment nor a name is forgotten at once; what remains of all of those is one number.
 
 use std::collections::{BTreeSet, HashMap};
 use std::time::Duration;
 
-use gdp::control::Refusal;
+use gdp::control::{Refusal, RefusalCode};
 use gdp_wire::Name;
 
 use super::names::Key;
-use super::{Timer, Timers, limit_reached};
+use super::{Now, count_out, limit_reached};
+
+/// How far ahead of the RIB's clock a serial may be, read as Unix time in nanoseconds, if it does not just count up: 2 days.
+const SERIAL_AHEAD: u64 = 2 * 24 * 3600;
 
 #[derive(Debug)]
 pub(super) struct Entity {
-    pub floor: u64,
-    pub attachment: Option<Attachment>,
-    /// The latest end of a certificate that a statement of the entity was accepted under.
-    pub remember_until: Duration,
+    floor: u64,
+    attachment: Option<Attachment>,
     names: BTreeSet<Key>,
+    /// The switch through which it came to be known, or that it was attached to last.
+    through: Name,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -26,75 +29,95 @@ pub(super) struct Attachment {
 }
 
 #[derive(Debug, Default)]
-pub(super) struct Entities(HashMap<Name, Entity>);
+pub(super) struct Entities {
+    known: HashMap<Name, Entity>,
+    /// Those without an attachment, that tools speak for: how many through each switch.
+    unattached: HashMap<Name, usize>,
+    /// The highest serial spent by any entity that is forgotten. It is the floor of all that are not known, so that what one
+    /// of them stated cannot be presented again: memory is bounded, however many come and go.
+    forgotten: u64,
+}
 
 static NO_NAMES: BTreeSet<Key> = BTreeSet::new();
 
 impl Entities {
-    pub fn get_or_insert(&mut self, name: Name, limit: usize, timers: &mut Timers) -> Result<&mut Entity, Refusal> {
-        if self.0.len() >= limit && !self.0.contains_key(&name) {
-            return Err(limit_reached(format!("{limit} entities are known")));
-        }
-        let entity = self.0.entry(name).or_insert_with(|| Entity {
-            floor: 0,
-            attachment: None,
-            remember_until: Duration::ZERO,
-            names: BTreeSet::new(),
-        });
-        timers.remove(&(entity.remember_until, Timer::Entity { entity: name }));
-        Ok(entity)
-    }
-
+    /// The serial that a statement of the entity must exceed.
     pub fn floor(&self, name: &Name) -> u64 {
-        self.0.get(name).map_or(0, |e| e.floor)
+        self.known.get(name).map_or(self.forgotten, |entity| entity.floor)
     }
 
-    pub fn raise_floor(&mut self, name: &Name, serial: u64) {
-        if let Some(entity) = self.0.get_mut(name) {
-            entity.floor = serial;
+    /// A verified statement is spent, whatever becomes of it: nobody may present it again. `limit`: of entities without an
+    /// attachment through one switch.
+    ///
+    /// One stranger could otherwise end the serials of all by stating the highest there is, and being forgotten; so they may
+    /// jump no further than the clock does, which leaves some to everybody.
+    pub fn spend(&mut self, now: Now, name: Name, through: Name, serial: u64, limit: usize) -> Result<(), Refusal> {
+        let (floor, furthest) =
+            (self.floor(&name), now.unix.saturating_add(SERIAL_AHEAD).saturating_mul(1_000_000_000));
+        if serial > floor.saturating_add(1) && serial > furthest {
+            let reason =
+                format!("serial {serial} is too far above {floor}: count up from what the attachment answered");
+            return Err(Refusal::new(RefusalCode::Malformed, reason));
         }
+        if let Some(entity) = self.known.get_mut(&name) {
+            entity.floor = serial;
+            return Ok(());
+        }
+        let unattached = self.unattached.entry(through).or_default();
+        if *unattached >= limit {
+            return Err(limit_reached(format!(
+                "{limit} entities are known through switch {through} without being attached"
+            )));
+        }
+        *unattached += 1;
+        self.known.insert(name, Entity { floor: serial, attachment: None, names: BTreeSet::new(), through });
+        Ok(())
     }
 
     pub fn attachment(&self, name: &Name) -> Option<Attachment> {
-        self.0.get(name)?.attachment
+        self.known.get(name)?.attachment
     }
 
+    pub fn attach(&mut self, name: Name, attachment: Attachment) {
+        let (floor, through) = (self.forgotten, attachment.switch);
+        if let Some(entity) = self.known.get(&name).filter(|entity| entity.attachment.is_none()) {
+            count_out(&mut self.unattached, &entity.through, 1);
+        }
+        let unknown = || Entity { floor, attachment: None, names: BTreeSet::new(), through };
+        let entity = self.known.entry(name).or_insert_with(unknown);
+        (entity.attachment, entity.through) = (Some(attachment), through);
+    }
+
+    /// Follow with [`Self::retire`].
     pub fn take_attachment(&mut self, name: &Name) -> Option<Attachment> {
-        self.0.get_mut(name)?.attachment.take()
+        let attachment = self.known.get_mut(name)?.attachment.take()?;
+        *self.unattached.entry(attachment.switch).or_default() += 1;
+        Some(attachment)
     }
 
     pub fn names(&self, name: &Name) -> &BTreeSet<Key> {
-        self.0.get(name).map_or(&NO_NAMES, |e| &e.names)
+        self.known.get(name).map_or(&NO_NAMES, |entity| &entity.names)
     }
 
     pub fn add_name(&mut self, entity: &Name, name: Key) {
-        if let Some(entity) = self.0.get_mut(entity) {
+        if let Some(entity) = self.known.get_mut(entity) {
             entity.names.insert(name);
         }
     }
 
     pub fn remove_name(&mut self, entity: &Name, name: &Key) {
-        if let Some(entity) = self.0.get_mut(entity) {
+        if let Some(entity) = self.known.get_mut(entity) {
             entity.names.remove(name);
         }
     }
 
-    /// Sees to it that an entity with neither an attachment nor a name is forgotten in time.
-    pub fn retire(&mut self, name: &Name, timers: &mut Timers) {
-        let Some(entity) = self.0.get(name) else { return };
-        if entity.attachment.is_some() || !entity.names.is_empty() {
-            return;
-        }
-        if entity.floor == 0 {
-            self.0.remove(name);
-        } else {
-            timers.insert((entity.remember_until, Timer::Entity { entity: *name }));
-        }
-    }
-
-    pub fn forget(&mut self, name: &Name) {
-        if self.0.get(name).is_some_and(|e| e.attachment.is_none() && e.names.is_empty()) {
-            self.0.remove(name);
+    /// Forgets an entity that has neither an attachment nor a name.
+    pub fn retire(&mut self, name: &Name) {
+        if self.known.get(name).is_some_and(|entity| entity.attachment.is_none() && entity.names.is_empty())
+            && let Some(entity) = self.known.remove(name)
+        {
+            self.forgotten = self.forgotten.max(entity.floor);
+            count_out(&mut self.unattached, &entity.through, 1);
         }
     }
 }

@@ -1,11 +1,12 @@
-//! Who publishes and who reads each name, with the certificates that prove it, and which switches need a route for it.
+//! Who publishes, serves, reads and calls each name, with the certificates that prove it, and which switches need a route
+//! for it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound;
 use std::time::Duration;
 
-use gdp::cert::{Advert, Signed};
-use gdp::control::{Credential, Record, RecordPlace, Refusal, Response, Route, WritersPush};
+use gdp::cert::{Advert, Revocation, Signed};
+use gdp::control::{Credential, NameRole, Record, RecordPlace, Refusal, RefusalCode, Response, Route};
 use gdp::name::{NamePrefix, NameProof};
 use gdp_wire::Name;
 
@@ -15,33 +16,33 @@ use super::{Limits, limit_reached};
 pub(super) type Key = [u8; 32];
 
 /// Bytes of records in one message; what is left of 64 KiB is for what encloses them.
-const RECORDS_SIZE: usize = 56 * 1024;
+pub(super) const RECORDS_SIZE: usize = 56 * 1024;
 
-/// What an encoded record has besides certificate and statement: two proofs, two names, field names.
-const RECORD_OVERHEAD: usize = 384;
+/// What an encoded record has besides credential and statement: two proofs, two names, field names.
+const RECORD_OVERHEAD: usize = 512;
 
 /// One entity's part in a name.
 #[derive(Debug)]
 pub(super) struct Registration {
     pub entity: NameProof,
     pub switch: Name,
+    pub role: NameRole,
     pub credential: Credential,
     pub advert: Signed<Advert>,
+    pub box_key: [u8; 33],
+    /// Of the certificates in the credential that a revocation can take back: what they are, and their serials.
+    pub serials: Vec<(&'static str, u64)>,
     pub ends: Duration,
-    /// Ends with the attachment of its entity.
+    /// Ends with the attachment of its entity; the entity is told of its counterparts, and can be reached by them.
     pub bound: bool,
 }
 
 impl Registration {
-    pub fn reads(&self) -> bool {
-        matches!(self.credential, Credential::Reader(_))
-    }
-
-    fn size(&self) -> usize {
+    pub fn size(&self) -> usize {
         RECORD_OVERHEAD + self.credential.size() + self.advert.as_bytes().len()
     }
 
-    fn record(&self, now: Duration, name: Name, proof: NameProof) -> Record {
+    pub fn record(&self, now: Duration, name: Name, proof: NameProof) -> Record {
         Record {
             name,
             proof,
@@ -52,29 +53,28 @@ impl Registration {
             expires_in: self.ends.saturating_sub(now).as_secs(),
         }
     }
+
+    /// Whether a counterpart that knows `other` need not be told of this one.
+    pub fn tells_the_same(&self, other: &Self) -> bool {
+        self.credential == other.credential && self.box_key == other.box_key
+    }
 }
 
 #[derive(Debug)]
 struct Topic {
     proof: NameProof,
-    writers: Registrations,
-    readers: Registrations,
-    /// The egress bits of the readers' switches, as of the last [`Names::reroute`]; 0 while there are no routes.
+    /// By role.
+    parts: [Registrations; NameRole::ALL.len()],
+    /// The egress bits of the switches of those that take what is sent, as of the last [`Names::reroute`]; 0 while there are
+    /// no routes.
     egress_bits: u64,
 }
 
-/// Those who write a name, or those who read it.
+/// Those who have one role in a name.
 #[derive(Debug, Default)]
 struct Registrations {
     by_entity: BTreeMap<Name, Registration>,
     by_switch: BTreeMap<Name, BTreeSet<Name>>,
-}
-
-/// What an insertion changed.
-pub(super) struct Change {
-    pub ends: Duration,
-    pub replaced: Option<Registration>,
-    pub writers_changed: bool,
 }
 
 #[derive(Debug, Default)]
@@ -86,57 +86,72 @@ impl Names {
     }
 
     /// Whether one more registration is allowed.
+    ///
+    /// A name is published or served, not both: so those that may call it, and have no more than the right to read it, never
+    /// send to those that read it.
     pub fn check_room(&self, name: &Name, entity: &Name, new: &Registration, limits: &Limits) -> Result<(), Refusal> {
         let Some(topic) = self.0.get(name.as_bytes()) else {
             let limit = limits.names;
             return if self.0.len() < limit { Ok(()) } else { Err(limit_reached(format!("{limit} names are known"))) };
         };
-        if new.reads() {
+        let part = topic.part(new.role);
+        if !new.role.is_writer() {
             let limit = limits.readers_per_switch;
-            let here = topic.readers.by_switch.get(&new.switch);
-            return match here {
+            return match part.by_switch.get(&new.switch) {
                 Some(here) if here.len() >= limit && !here.contains(entity) => {
-                    Err(limit_reached(format!("{name} has {limit} subscribers at switch {}", new.switch)))
+                    Err(limit_reached(format!("{name} has {limit} {}s at switch {}", new.role, new.switch)))
                 }
                 _ => Ok(()),
             };
         }
-        let others = topic.writers.by_entity.iter().filter(|(writer, _)| *writer != entity);
-        let size = others.map(|(_, registration)| registration.size()).sum::<usize>() + new.size();
-        if size > RECORDS_SIZE {
-            let count = topic.writers.by_entity.len();
-            return Err(limit_reached(format!("{name} has {count} writers, whose records fill a message")));
+        let (limit, other) =
+            (limits.writers_per_name, if new.role.sends() { NameRole::Server } else { NameRole::Publisher });
+        if !topic.part(other).is_empty() {
+            let reason = format!("{name} has a {other} already, and cannot have a {} too: use another name", new.role);
+            return Err(Refusal::new(RefusalCode::Unsupported, reason));
+        }
+        if part.by_entity.len() >= limit && !part.by_entity.contains_key(entity) {
+            return Err(limit_reached(format!("{name} has {limit} {}s", new.role)));
         }
         Ok(())
     }
 
-    /// Stores what [`Self::check_room`] allowed.
-    pub fn insert(&mut self, name: Name, proof: NameProof, entity: Name, new: Registration) -> Change {
-        let topic = self.0.entry(name.to_bytes()).or_insert_with(|| Topic {
-            proof,
-            writers: Registrations::default(),
-            readers: Registrations::default(),
-            egress_bits: 0,
-        });
-        let (ends, reads, credential) = (new.ends, new.reads(), new.credential.clone());
-        let replaced = topic.part(reads).insert(entity, new);
-        let same = replaced.as_ref().is_some_and(|old| old.credential == credential);
-        Change { ends, replaced, writers_changed: !reads && !same }
+    /// Stores what [`Self::check_room`] allowed. Returns what it replaces.
+    pub fn insert(&mut self, name: Name, proof: NameProof, entity: Name, new: Registration) -> Option<Registration> {
+        let topic =
+            self.0.entry(name.to_bytes()).or_insert_with(|| Topic { proof, parts: Default::default(), egress_bits: 0 });
+        topic.part_mut(new.role).insert(entity, new)
     }
 
-    pub fn remove(&mut self, name: &Key, entity: &Name, reads: bool) -> Option<Registration> {
-        self.0.get_mut(name)?.part(reads).remove(entity)
+    pub fn remove(&mut self, name: &Key, entity: &Name, role: NameRole) -> Option<Registration> {
+        self.0.get_mut(name)?.part_mut(role).remove(entity)
     }
 
-    /// Drops a name that nobody has any part in.
-    pub fn sweep(&mut self, name: &Key) {
-        if self.0.get(name).is_some_and(|t| t.writers.is_empty() && t.readers.is_empty()) {
+    /// Drops a name that nobody has any part in; whether it did.
+    pub fn sweep(&mut self, name: &Key) -> bool {
+        let unused = self.0.get(name).is_some_and(|topic| topic.parts.iter().all(Registrations::is_empty));
+        if unused {
             self.0.remove(name);
         }
+        unused
+    }
+
+    pub fn contains(&self, name: &Key) -> bool {
+        self.0.contains_key(name)
+    }
+
+    pub fn get(&self, name: &Key, entity: &Name, role: NameRole) -> Option<&Registration> {
+        self.0.get(name)?.part(role).by_entity.get(entity)
+    }
+
+    pub fn record(&self, now: Duration, name: &Key, entity: &Name, role: NameRole) -> Option<Record> {
+        let topic = self.0.get(name)?;
+        let registration = topic.part(role).by_entity.get(entity)?;
+        Some(registration.record(now, Name::from_bytes(*name), topic.proof))
     }
 
     pub fn has(&self, name: &Key, entity: &Name) -> bool {
-        self.0.get(name).is_some_and(|topic| topic.parts().any(|part| part.by_entity.contains_key(entity)))
+        self.0.get(name).is_some_and(|topic| topic.parts.iter().any(|part| part.by_entity.contains_key(entity)))
     }
 
     /// Switches that a route for the name is for.
@@ -145,64 +160,66 @@ impl Names {
         topic.into_iter().flat_map(Topic::switches)
     }
 
-    /// Those who read a name.
-    pub fn readers(&self, name: &Key) -> impl Iterator<Item = &Name> {
-        self.0.get(name).into_iter().flat_map(|topic| topic.readers.by_entity.keys())
+    /// The attached entities with this role in a name, and their switches.
+    pub fn bound(&self, name: &Key, role: NameRole) -> impl Iterator<Item = (Name, Name)> {
+        let part = self.0.get(name).map(|topic| topic.part(role));
+        let all = part.into_iter().flat_map(|part| &part.by_entity);
+        all.filter(|(_, registration)| registration.bound).map(|(entity, registration)| (*entity, registration.switch))
     }
 
-    /// Those of an entity's registrations that end with its attachment: name, and whether it reads.
-    pub fn bound_of(&self, entity: &Name, names: &BTreeSet<Key>) -> Vec<(Key, bool)> {
-        let topics = names.iter().filter_map(|name| Some((name, self.0.get(name)?)));
-        let both = topics.flat_map(|(name, topic)| [(*name, false, &topic.writers), (*name, true, &topic.readers)]);
-        let bound = both.filter(|(_, _, part)| part.by_entity.get(entity).is_some_and(|r| r.bound));
-        bound.map(|(name, reads, _)| (name, reads)).collect()
+    /// Those with this role behind `after`.
+    pub fn behind_entity(&self, name: &Key, role: NameRole, after: Option<Name>) -> impl Iterator<Item = Name> {
+        let range = (after.map_or(Bound::Unbounded, Bound::Excluded), Bound::Unbounded);
+        let part = self.0.get(name).map(|topic| topic.part(role));
+        part.into_iter().flat_map(move |part| part.by_entity.range(range).map(|(entity, _)| *entity))
     }
 
-    /// All registrations through one switch: name, entity, whether it reads.
-    pub fn registered_at(&self, switch: &Name) -> Vec<(Key, Name, bool)> {
+    /// Those of an entity's registrations that end with its attachment.
+    pub fn bound_of(&self, entity: &Name, names: &BTreeSet<Key>) -> Vec<(Key, NameRole)> {
+        let each = names.iter().flat_map(|name| NameRole::ALL.map(|role| (*name, role)));
+        each.filter(|(name, role)| self.get(name, entity, *role).is_some_and(|r| r.bound)).collect()
+    }
+
+    /// All registrations through one switch.
+    pub fn registered_at(&self, switch: &Name) -> Vec<(Key, Name, NameRole)> {
         let mut found = Vec::new();
         for (name, topic) in &self.0 {
-            for (reads, part) in [(false, &topic.writers), (true, &topic.readers)] {
-                found.extend(part.at(switch).map(|entity| (*name, *entity, reads)));
+            for role in NameRole::ALL {
+                found.extend(topic.part(role).at(switch).map(|entity| (*name, *entity, role)));
             }
         }
         found
     }
 
-    /// Names with readers at this switch, and those.
-    pub fn read_at(&self, switch: &Name) -> impl Iterator<Item = (Key, Name)> {
-        self.0.iter().flat_map(|(name, topic)| topic.readers.at(switch).map(|reader| (*name, *reader)))
+    /// The registrations of a name that do not hold any more.
+    pub fn revoked(&self, name: &Key, revocation: &Revocation) -> Vec<(Name, NameRole)> {
+        let all = self.0.get(name).into_iter().flat_map(|topic| topic.parts.iter().flat_map(|part| &part.by_entity));
+        let holds = |r: &Registration| r.serials.iter().all(|(what, serial)| revocation.check(what, *serial).is_ok());
+        all.filter(|(_, r)| !holds(r)).map(|(entity, r)| (*entity, r.role)).collect()
     }
 
-    /// The routes that change because registrations of the name `at` this switch did; `None` for one that goes.
+    /// The switches whose route changes because registrations of the name `at` this switch did.
     ///
-    /// There are none unless somebody writes the name and somebody reads it. One more reader at a switch concerns that
-    /// switch alone; the first or the last one there also those of the writers.
-    pub fn reroute(&mut self, name: &Key, at: &Name, bit: impl Fn(&Name) -> Option<u8>) -> Vec<(Name, Option<Route>)> {
-        let Some(topic) = self.0.get_mut(name) else { return Vec::new() };
-        let readers_at = topic.readers.by_switch.keys().filter_map(bit);
-        let now = if topic.writers.is_empty() { 0 } else { readers_at.fold(0, |bits, bit| bits | 1 << bit) };
+    /// There are no routes unless somebody sends to the name and somebody takes it. One more taker at a switch concerns that
+    /// switch alone; the first or the last one there also those of the senders.
+    pub fn reroute(&mut self, name: &Key, at: &Name, bit: impl Fn(&Name) -> Option<u8>) -> BTreeSet<Name> {
         let mut affected = BTreeSet::from([*at]);
-        match (std::mem::replace(&mut topic.egress_bits, now), now) {
+        let Some(topic) = self.0.get_mut(name) else { return affected };
+        let (senders, takers) = topic.ways();
+        let takers_at = takers.by_switch.keys().filter_map(bit);
+        let now = if senders.is_empty() { 0 } else { takers_at.fold(0, |bits, bit| bits | 1 << bit) };
+        match (topic.egress_bits, now) {
             (before, now) if before == now => {}
             (0, _) | (_, 0) => affected.extend(topic.switches()),
-            _ => affected.extend(topic.writers.by_switch.keys()),
+            _ => affected.extend(senders.by_switch.keys()),
         }
-        affected.into_iter().map(|switch| (switch, topic.route(name, &switch))).collect()
+        topic.egress_bits = now;
+        affected
     }
 
-    /// The writers of a name, as a subscriber is told.
-    pub fn writers(&self, now: Duration, name: &Key) -> Response {
-        let records = self.0.get(name).map_or_else(Vec::new, |topic| writer_records(now, name, topic));
-        Response::Records { records, truncated: false }
-    }
-
-    /// What one reader of a name is told of its writers.
-    pub fn writers_push(&self, now: Duration, key: &Key, reader: &Name) -> Option<WritersPush> {
-        let topic = self.0.get(key)?;
-        let switch = topic.readers.by_entity.get(reader)?.switch;
-        let records = writer_records(now, key, topic);
-        Some(WritersPush { switch, entity: *reader, name: Name::from_bytes(*key), records })
+    /// The route of a name at one switch, if it needs any.
+    pub fn route(&self, name: &Key, switch: &Name) -> Option<Route> {
+        self.0.get(name)?.route(name, switch)
     }
 
     /// The records of the names that begin so and lie behind `after`, as far as one message holds them.
@@ -240,13 +257,14 @@ impl Names {
         let from = after.map_or(begin, |after| after.name.max(begin)).to_bytes();
         self.0.range(from..).flat_map(move |(key, topic)| {
             let name = Name::from_bytes(*key);
-            [(false, &topic.writers), (true, &topic.readers)].into_iter().flat_map(move |(reads, part)| {
+            let after = after.filter(|after| after.name == name);
+            NameRole::ALL.into_iter().flat_map(move |role| {
                 let first = match after {
-                    Some(after) if after.name == name && after.reads && !reads => None,
-                    Some(after) if after.name == name && after.reads == reads => Some(Bound::Excluded(after.entity)),
+                    Some(after) if role < after.role => None,
+                    Some(after) if role == after.role => Some(Bound::Excluded(after.entity)),
                     _ => Some(Bound::Unbounded),
                 };
-                let listed = first.map(|first| part.by_entity.range((first, Bound::Unbounded)));
+                let listed = first.map(|first| topic.part(role).by_entity.range((first, Bound::Unbounded)));
                 listed.into_iter().flatten().map(move |(_, registration)| (name, topic, registration))
             })
         })
@@ -254,23 +272,29 @@ impl Names {
 }
 
 impl Topic {
-    fn part(&mut self, reads: bool) -> &mut Registrations {
-        if reads { &mut self.readers } else { &mut self.writers }
+    fn part(&self, role: NameRole) -> &Registrations {
+        &self.parts[role as usize]
     }
 
-    fn parts(&self) -> impl Iterator<Item = &Registrations> {
-        [&self.writers, &self.readers].into_iter()
+    fn part_mut(&mut self, role: NameRole) -> &mut Registrations {
+        &mut self.parts[role as usize]
     }
 
-    /// Where there are writers or readers; some twice.
+    /// Those who send to the name, and those who take what is sent.
+    fn ways(&self) -> (&Registrations, &Registrations) {
+        let takers = if self.part(NameRole::Server).is_empty() { NameRole::Subscriber } else { NameRole::Server };
+        (self.part(takers.counterpart()), self.part(takers))
+    }
+
+    /// Where anybody has a part in the name; some several times.
     fn switches(&self) -> impl Iterator<Item = &Name> {
-        self.parts().flat_map(|part| part.by_switch.keys())
+        self.parts.iter().flat_map(|part| part.by_switch.keys())
     }
 
-    /// The route at one switch, if it needs any.
     fn route(&self, name: &Key, switch: &Name) -> Option<Route> {
-        let writers: Vec<Name> = self.writers.at(switch).copied().collect();
-        let locals: Vec<Name> = self.readers.at(switch).copied().collect();
+        let (senders, takers) = self.ways();
+        let writers: Vec<Name> = senders.at(switch).copied().collect();
+        let locals: Vec<Name> = takers.at(switch).copied().collect();
         if self.egress_bits == 0 || writers.is_empty() && locals.is_empty() {
             return None;
         }
@@ -305,8 +329,4 @@ impl Registrations {
     fn at(&self, switch: &Name) -> impl Iterator<Item = &Name> {
         self.by_switch.get(switch).into_iter().flatten()
     }
-}
-
-fn writer_records(now: Duration, key: &Key, topic: &Topic) -> Vec<Record> {
-    topic.writers.by_entity.values().map(|r| r.record(now, Name::from_bytes(*key), topic.proof)).collect()
 }

@@ -5,7 +5,8 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-use gdp::control::{EntityRequest, FibPush, Refusal, RefusalCode, Request, Response};
+use gdp::cert::Advert;
+use gdp::control::{EntityRequest, FibPush, NameRole, Refusal, RefusalCode, Request, Response};
 use gdp::crypto;
 use gdp::identity::Identity;
 use gdp::link::{HOLD, KeyedEntry, Link, LinkIds, LinkKeys, Peer, Role};
@@ -19,7 +20,7 @@ use super::routes::{Change, Routes};
 use crate::config::{Neighbour, Via};
 use crate::plane::{PlaneError, PlaneRoute, Planes};
 use crate::rib::fib::Pushed;
-use crate::rib::{Effect, Limits, Now, Rib, Run};
+use crate::rib::{Effect, Limits, Now, Rib, Run, Told};
 
 /// Switches that reach the RIB through this one; a RIB takes fewer.
 const MAX_DOWNSTREAM: usize = 256;
@@ -78,17 +79,23 @@ pub enum Expects {
     Nothing,
     /// What became of its push of this generation to this switch.
     Push(Name, u64),
-    /// That this reader of this name has been told of its writers.
-    Told(Name, Name),
+    /// Whether an entity has been told of its counterparts.
+    Told(Told),
     /// That the endpoint has attached again; if not, its link is closed.
     Reattach,
 }
 
-/// What an entity has stated: it publishes the name, or reads it.
+/// What an entity has stated: what it is to the name.
 pub struct Statement {
     pub name: Name,
     pub entity: Name,
-    pub reads: bool,
+    pub role: NameRole,
+}
+
+impl Statement {
+    pub fn is_settled(&self, rib: &Rib) -> bool {
+        rib.is_settled(&self.name, &self.entity, self.role)
+    }
 }
 
 /// What a request needs before it can be answered.
@@ -399,7 +406,7 @@ impl Core {
                     return refuse(RefusalCode::Unreachable, reason);
                 }
             }
-            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) | Request::Ready | Request::Ratcheted { .. } => {
+            Request::Entity(_) | Request::Fib(_) | Request::Peers(_) | Request::Ready | Request::Ratcheted { .. } => {
                 let reason = "only the uplink of a switch may send it this; check uplink in the configuration of both";
                 return refuse(RefusalCode::Malformed, reason);
             }
@@ -419,7 +426,7 @@ impl Core {
                 rib.report(now, &switch, &neighbours, attached.as_deref(), own_bit)
             }
             Request::Detach { switch, entity } => rib.detach(now, &switch, &entity),
-            Request::Entity(_) | Request::Fib(_) | Request::Writers(_) | Request::Ready | Request::Ratcheted { .. } => {
+            Request::Entity(_) | Request::Fib(_) | Request::Peers(_) | Request::Ready | Request::Ratcheted { .. } => {
                 Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into()
             }
         })
@@ -429,7 +436,7 @@ impl Core {
     fn downward(&mut self, request: Request) -> Next {
         let target = match &request {
             Request::Fib(push) => push.switch,
-            Request::Writers(push) => push.switch,
+            Request::Peers(push) => push.switch,
             Request::Detach { switch, .. } => *switch,
             _ => return refuse(RefusalCode::Malformed, "this came from the uplink itself: the uplinks form a loop"),
         };
@@ -442,8 +449,8 @@ impl Core {
         }
         match request {
             Request::Fib(push) => Next::Answer(self.push(&push)),
-            Request::Writers(push) => match self.link_to(&push.entity) {
-                Some(link) => Next::Forward(link, Request::Writers(push)),
+            Request::Peers(push) => match self.link_to(&push.entity) {
+                Some(link) => Next::Forward(link, Request::Peers(push)),
                 None => refuse(RefusalCode::Unreachable, format!("{} has no link here", push.entity)),
             },
             Request::Detach { switch, entity } => match self.told_to_detach(&entity) {
@@ -509,9 +516,9 @@ impl Core {
                         let expects = Expects::Push(push.switch, push.generation);
                         (push.switch, Request::Fib(push), expects)
                     }
-                    Effect::Writers(push) => {
-                        let expects = Expects::Told(push.name, push.entity);
-                        (push.switch, Request::Writers(push), expects)
+                    Effect::Peers(push) => {
+                        let expects = Expects::Told(Told::from(&push));
+                        (push.switch, Request::Peers(push), expects)
                     }
                     Effect::Detach { switch, entity } if switch == own => {
                         let Some(link) = self.told_to_detach(&entity) else { continue };
@@ -522,7 +529,7 @@ impl Core {
                     Effect::Detach { switch, entity } => (switch, Request::Detach { switch, entity }, Expects::Nothing),
                 };
                 let link = match &request {
-                    Request::Writers(push) if target == own => self.link_to(&push.entity),
+                    Request::Peers(push) if target == own => self.link_to(&push.entity),
                     _ => self.downstream.get(&target).and_then(|id| self.links.get(id)).map(|s| s.link.clone()),
                 };
                 outgoing.push(Outgoing { link, request, expects });
@@ -539,7 +546,7 @@ impl Core {
             Expects::Push(switch, generation) => {
                 rib.pushed(now, &switch, generation, response.map_or(Pushed::Failed, outcome));
             }
-            Expects::Told(name, reader) => rib.told(&name, &reader),
+            Expects::Told(told) => rib.told(now, told, matches!(response, Some(Response::Done))),
         }
     }
 
@@ -637,16 +644,15 @@ fn ask(
 ) -> Next {
     let response = rib.request(now, switch, entity, by_tool, request);
     let stated = match request {
-        EntityRequest::Advertise { proof, .. } => Some((proof, false)),
-        EntityRequest::Subscribe { proof, .. } => Some((proof, true)),
+        EntityRequest::Advertise { advert, .. } | EntityRequest::Subscribe { advert, .. } => Some(advert),
         _ => None,
     };
-    let statement = stated.and_then(|(proof, reads)| {
-        let (name, entity) = (proof.name().ok()?, entity?.name().ok()?);
-        Some(Statement { name, entity, reads })
+    let statement = stated.and_then(|advert| {
+        let Advert { name, entity, op, .. } = advert.claims_unverified().ok()?;
+        Some(Statement { name, entity, role: NameRole::of(op)? })
     });
     match statement {
-        Some(statement) if !matches!(response, Response::Refused(_)) && !rib.is_settled(&statement.name) => {
+        Some(statement) if !matches!(response, Response::Refused(_)) && !statement.is_settled(rib) => {
             Next::Settle(response, statement)
         }
         _ => Next::Answer(response),

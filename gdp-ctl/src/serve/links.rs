@@ -217,7 +217,7 @@ impl Daemon {
         let settled = async {
             loop {
                 let answered = self.answered.notified();
-                if self.core().rib.as_ref().is_none_or(|rib| rib.is_settled(&statement.name)) {
+                if self.core().rib.as_ref().is_none_or(|rib| statement.is_settled(rib)) {
                     return;
                 }
                 answered.await;
@@ -230,7 +230,7 @@ impl Daemon {
             );
         }
         let room = match &mut self.core().rib {
-            Some(rib) => rib.check_room(&statement.name, &statement.entity, statement.reads),
+            Some(rib) => rib.check_room(&statement.name, &statement.entity, statement.role),
             None => Ok(()),
         };
         if room.is_err() {

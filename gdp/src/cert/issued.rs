@@ -67,6 +67,17 @@ impl<T: AboutName> Issued<T> {
     }
 }
 
+impl<T: AboutName> Issued<T> {
+    /// Of what a revocation can take back: what it is, and its serial. Believe it once the certificate is verified.
+    pub fn serials(&self) -> Result<Vec<(&'static str, u64)>, CertError> {
+        let mut serials = vec![(T::KIND, self.cert.claims_unverified()?.serial())];
+        if let Some(delegation) = &self.delegation {
+            serials.push((Delegation::KIND, delegation.claims_unverified()?.serial));
+        }
+        Ok(serials)
+    }
+}
+
 impl<T: Claims> Issued<T> {
     /// Bytes of what is signed in it.
     pub fn size(&self) -> usize {

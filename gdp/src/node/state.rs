@@ -14,10 +14,11 @@ use super::intake::Writer as KnownWriter;
 use super::receiver::Command;
 use super::supervisor::{Attachment, Event};
 use super::{NodeError, Stated};
-use crate::cert::{AdCert, Advert, AdvertOp, CertError, Issued, Reading, RtCert, Signed, issue};
-use crate::control::{EntityRequest, Record, RecordPlace, RefusalCode, Request, Response};
+use crate::cert::{AdCert, Advert, AdvertOp, Issued, Reading, RtCert, Signed, issue};
+use crate::control::{EntityRequest, NameRole, Peers, Record, RecordPlace, RefusalCode, Request, Response};
 use crate::identity::Identity;
 use crate::name::{NamePrefix, NameProof};
+use crate::peers::{Counterpart, Counterparts, OutOfStep, PeerEvent};
 
 /// Seconds that certificates for the switch and statements to the RIB hold; they are renewed long before.
 pub const LIFETIME: u32 = 24 * 3600;
@@ -33,6 +34,8 @@ pub struct State {
     status: watch::Sender<Status>,
     /// Everything the RIB is to know, stated again after each reconnection; and whether it was, on the present link.
     statements: Mutex<HashMap<(Name, Stated), (Statement, bool)>>,
+    /// Those on the other side of what is stated.
+    counterparts: Mutex<HashMap<(Name, NameRole), Counterparts>>,
     /// Something that stands has to be stated again.
     pub unstated: Notify,
     /// The highest serial used. Held while a statement is on its way, so that they arrive in their order.
@@ -58,6 +61,14 @@ pub enum Statement {
     Subscribe { proof: NameProof, grant: Reading },
 }
 
+impl Statement {
+    fn proof(&self) -> &NameProof {
+        match self {
+            Self::Publish { proof, .. } | Self::Subscribe { proof, .. } => proof,
+        }
+    }
+}
+
 impl State {
     /// Not attached yet.
     pub fn new(
@@ -71,6 +82,7 @@ impl State {
             counters: Arc::default(),
             status: watch::Sender::new(Status::Down("connecting".into())),
             statements: Mutex::default(),
+            counterparts: Mutex::default(),
             unstated: Notify::new(),
             serial: tokio::sync::Mutex::new(0),
             commands,
@@ -134,22 +146,21 @@ impl State {
     }
 
     pub fn begin(&self, name: Name, stated: Stated, statement: Statement) -> Result<(), NodeError> {
+        let counterparts = Counterparts::new(*statement.proof(), stated.role())?;
         match lock(&self.statements).entry((name, stated)) {
             std::collections::hash_map::Entry::Occupied(_) => Err(NodeError::Already { name, stated }),
             std::collections::hash_map::Entry::Vacant(entry) => {
+                lock(&self.counterparts).insert((name, stated.role()), counterparts);
                 entry.insert((statement, false));
                 Ok(())
             }
         }
     }
 
-    pub fn subscribes_to(&self, name: &Name) -> bool {
-        lock(&self.statements).contains_key(&(*name, Stated::Subscribed))
-    }
-
     /// A handle was dropped. The RIB is told by the supervisor, or by the loss of the link.
     pub fn withdraw(&self, name: Name, stated: Stated) {
         lock(&self.statements).remove(&(name, stated));
+        lock(&self.counterparts).remove(&(name, stated.role()));
         match stated {
             Stated::Subscribed => self.command(Command::Unsubscribe { name }),
             Stated::Published => self.feedback.forget(&name),
@@ -187,17 +198,14 @@ impl State {
     pub async fn state(&self, attachment: &Attachment, name: Name, stated: Stated) -> Result<(), NodeError> {
         let mut serial = self.serial.lock().await;
         let Some((statement, false)) = lock(&self.statements).get(&(name, stated)).cloned() else { return Ok(()) };
-        let op = match statement {
-            Statement::Publish { .. } => AdvertOp::Publish,
-            Statement::Subscribe { .. } => AdvertOp::Subscribe,
-        };
+        let op = stated.role().op();
         let response = self.ask_signed(attachment, &mut serial, op, name, |advert| match statement.clone() {
             Statement::Publish { proof, ad_cert } => EntityRequest::Advertise { proof, ad_cert, advert },
             Statement::Subscribe { proof, grant } => EntityRequest::Subscribe { proof, grant, advert },
         });
-        if let Response::Records { records, .. } = response.await? {
-            self.authorise(name, &records);
-        }
+        let Response::Peers(peers) = response.await? else { return Err(NodeError::Protocol("to a statement")) };
+        // Something newer may have come before; then the RIB tells the whole once more.
+        let _ = self.take_peers(name, stated.role(), &peers);
         if let Some((_, done)) = lock(&self.statements).get_mut(&(name, stated)) {
             *done = true;
         }
@@ -247,26 +255,45 @@ impl State {
         }
     }
 
-    /// Asks the RIB who writes a name: its writers come first, and all fit an answer.
+    /// Asks the RIB who writes a name: its writers come first, so those that fit an answer.
     pub async fn learn_writers(&self, attachment: &Attachment, name: Name) -> Result<(), NodeError> {
         let (records, _) = self.query(attachment, name.into(), None).await?;
-        self.authorise(name, &records);
+        let writers = lock(&self.counterparts).get(&(name, NameRole::Subscriber)).map(|counterparts| {
+            let believed = records.iter().filter(|r| r.is_writer()).map(|r| counterparts.believe(unix_now(), r));
+            believed
+                .filter_map(|c| c.inspect_err(|e| tracing::warn!(%name, error = %e, "a record does not verify")).ok())
+                .collect()
+        });
+        self.authorise(name, writers.unwrap_or_default());
         Ok(())
     }
 
-    /// Has the reader of `name` believe those of the records' writers that verify.
-    pub fn authorise(&self, name: Name, records: &[Record]) {
-        let writers: Vec<KnownWriter> = records
-            .iter()
-            .filter(|record| record.name == name)
-            .filter_map(|record| match verified_writer(record) {
-                Ok(writer) => writer,
-                Err(error) => {
-                    tracing::warn!(%name, %error, "a record of a writer does not verify");
-                    None
-                }
-            })
-            .collect();
+    /// Takes what the RIB told of the counterparts in a name; `None` if this node has no such part in it.
+    pub fn take_peers(&self, name: Name, role: NameRole, peers: &Peers) -> Option<Result<(), OutOfStep>> {
+        let taken = lock(&self.counterparts).get_mut(&(name, role))?.take(unix_now(), peers);
+        let events = match taken {
+            Ok(events) => events,
+            Err(error) => return Some(Err(error)),
+        };
+        let mut joined = Vec::new();
+        for event in events {
+            match event {
+                PeerEvent::Joined(counterpart) => joined.push(counterpart),
+                PeerEvent::Refused(error) => tracing::warn!(%name, %error, "the RIB told what does not verify"),
+                // A writer is believed as long as its right holds: forgetting it would forget what was delivered of it.
+                PeerEvent::Left(_) | PeerEvent::Revoked(_) | PeerEvent::KeyBox(_) => {}
+            }
+        }
+        if role == NameRole::Subscriber {
+            self.authorise(name, joined);
+        }
+        Some(Ok(()))
+    }
+
+    /// Has the reader of `name` believe these writers.
+    fn authorise(&self, name: Name, writers: Vec<Counterpart>) {
+        let known = |Counterpart { entity, key, not_after, .. }| KnownWriter { entity, key, not_after };
+        let writers: Vec<KnownWriter> = writers.into_iter().map(known).collect();
         if !writers.is_empty() {
             self.command(Command::Authorise { name, writers });
         }
@@ -307,16 +334,6 @@ impl State {
 
 async fn ask(attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {
     Ok(attachment.link.request(&Request::Entity(request)).await?.accepted()?)
-}
-
-/// The writer that a record is of, if it is one of a writer.
-fn verified_writer(record: &Record) -> Result<Option<KnownWriter>, CertError> {
-    if !record.is_writer() {
-        return Ok(None);
-    }
-    let verified = record.verify(None, unix_now())?;
-    let key = record.entity.verify_key()?;
-    Ok(Some(KnownWriter { entity: verified.entity, key, not_after: verified.not_after }))
 }
 
 /// Unix seconds.

@@ -396,12 +396,12 @@ async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
 /// Answers what the switch asks.
 async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request, responder: Responder) {
     let response = match request {
-        Request::Writers(push) if push.entity == state.identity.name() && state.subscribes_to(&push.name) => {
-            state.authorise(push.name, &push.records);
-            Response::Done
-        }
-        Request::Writers(push) => {
-            Refusal::new(RefusalCode::NotFound, format!("no subscription to {} here", push.name)).into()
+        Request::Peers(push) if push.entity == state.identity.name() => {
+            match state.take_peers(push.name, push.role, &push.peers) {
+                Some(Ok(())) => Response::Done,
+                Some(Err(error)) => Refusal::new(RefusalCode::Malformed, error.to_string()).into(),
+                None => Refusal::new(RefusalCode::NotFound, format!("no {} of {} here", push.role, push.name)).into(),
+            }
         }
         // The RIB has forgotten what was stated, as after a restart. Frames go on meanwhile.
         Request::Detach { entity, .. } if entity == state.identity.name() => {
@@ -411,7 +411,10 @@ async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request
                 Err(_) => Refusal::new(RefusalCode::Unreachable, "the RIB did not answer").into(),
             }
         }
-        _ => Refusal::new(RefusalCode::Unsupported, "an endpoint is told about writers and its attachment only").into(),
+        _ => {
+            Refusal::new(RefusalCode::Unsupported, "an endpoint is told about its counterparts and its attachment only")
+                .into()
+        }
     };
     let _ = responder.respond(response).await;
 }

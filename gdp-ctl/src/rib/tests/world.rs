@@ -1,16 +1,22 @@
-//! A RIB with switches and entities around it, that report, ask and take pushes as real ones do.
+//! A RIB with switches and entities around it, that report, ask, and take what they are pushed as real ones do.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use gdp::NameCard;
-use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Mode, ReadGrant, RtCert, issue};
-use gdp::control::{EntityRequest, Extent, FibPush, Record, RefusalCode, Response, Route};
+use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Mode, ReadGrant, Revocation, RtCert, Signed, issue};
+use gdp::control;
+use gdp::control::{
+    EntityRequest, Extent, FibPush, NameRole, Peers, PeersPush, Record, RefusalCode, Request, Response, Route,
+};
 use gdp::identity::{Identity, SigningKey};
+use gdp::keys::KeyBox;
 use gdp::name::{Name, NamePrefix, NameProof};
+use gdp::peers::{Counterparts, PeerEvent};
 
 use crate::rib::fib::Pushed;
-use crate::rib::{Effect, Limits, Now, Rib, Run};
+use crate::rib::telling::Stake;
+use crate::rib::{Effect, Limits, Now, Rib, Run, Told};
 
 pub const UNIX: u64 = 1_800_000_000;
 const HOUR: u32 = 3600;
@@ -20,10 +26,18 @@ pub struct World {
     pub now: Now,
     pub owner: SigningKey,
     pub card: NameCard,
+    /// Of the certificates that are issued from now on.
+    pub serial: u64,
     pub switches: Vec<Identity>,
     pub links: Vec<(usize, usize)>,
     /// What each switch holds after the pushes it got.
     pub held: BTreeMap<Name, Held>,
+    /// The switch that each entity attached to last.
+    pub entities: BTreeMap<Name, Name>,
+    /// What entities hold of their counterparts: by entity, name and role.
+    pub nodes: BTreeMap<(Name, Name, NameRole), Counterparts>,
+    /// Key boxes that readers were given: name, writer, reader, epoch.
+    pub given: BTreeSet<(Name, Name, Name, u32)>,
 }
 
 #[derive(Default)]
@@ -51,9 +65,13 @@ impl World {
             now: Now { unix: UNIX, clock: Duration::from_secs(1000) },
             owner,
             card,
+            serial: UNIX * 1_000_000_000,
             switches,
             links: (1..length).map(|i| (i - 1, i)).collect(),
             held: BTreeMap::new(),
+            entities: BTreeMap::new(),
+            nodes: BTreeMap::new(),
+            given: BTreeSet::new(),
         };
         (0..length).for_each(|i| world.report(i, Some(&[])));
         world
@@ -75,7 +93,23 @@ impl World {
     }
 
     pub fn ask(&mut self, entity: &Identity, at: usize, request: EntityRequest) -> Response {
-        self.rib.request(self.now, self.switch(at), Some(&entity.proof()), false, &request)
+        let response = self.rib.request(self.now, self.switch(at), Some(&entity.proof()), false, &request);
+        match &request {
+            EntityRequest::Attach { .. } if matches!(response, Response::Attached { .. }) => {
+                self.entities.insert(entity.name(), self.switch(at));
+            }
+            EntityRequest::Advertise { proof, advert, .. } | EntityRequest::Subscribe { proof, advert, .. } => {
+                if let Response::Peers(peers) = &response {
+                    let (name, op) = (proof.name().unwrap(), advert.claims_unverified().unwrap().op);
+                    let role = NameRole::of(op).unwrap();
+                    let node = || Counterparts::new(*proof, role).unwrap();
+                    self.nodes.entry((entity.name(), name, role)).or_insert_with(node);
+                    assert!(self.take(entity.name(), name, role, peers), "the answer does not follow");
+                }
+            }
+            _ => {}
+        }
+        response
     }
 
     pub fn attach(&mut self, entity: &Identity, at: usize) -> Response {
@@ -90,27 +124,60 @@ impl World {
         entity
     }
 
+    /// Has the owner of the present name take back what has these serials, or one below the floor.
+    pub fn revoke(&mut self, number: u64, floor: u64, revoked: &[u64]) -> Response {
+        let claims = Revocation { name: self.card.name(), number, floor, revoked: revoked.to_vec() };
+        let request =
+            EntityRequest::Revoke { proof: self.card.proof(), revocation: issue(&self.owner, &claims).unwrap() };
+        self.rib.request(self.now, self.switch(0), None, true, &request)
+    }
+
+    /// Wraps no key, but says so, for these readers of what `writer` sends to `name`.
+    pub fn key_boxes(&self, writer: &Identity, name: Name, epoch: u32, readers: &[Name]) -> EntityRequest {
+        let signed = |reader: &Name| {
+            let claims = KeyBox { name, writer: writer.name(), reader: *reader, epoch, sealed: vec![0; 113] };
+            issue(writer.key(), &claims).unwrap()
+        };
+        EntityRequest::KeyBoxes { boxes: readers.iter().map(signed).collect() }
+    }
+
+    pub fn boxes(&mut self, writer: &Identity, at: usize, name: Name, epoch: u32, readers: &[Name]) -> Response {
+        let request = self.key_boxes(writer, name, epoch, readers);
+        self.ask(writer, at, request)
+    }
+
     pub fn detach(&mut self, entity: &Identity, at: usize) {
         self.rib.detach(self.now, &self.switch(at), &entity.name());
     }
 
     pub fn publish(&mut self, entity: &Identity, at: usize, serial: u64) -> Response {
-        let mut parts = Parts::publish(self, entity, at);
-        parts.advert.serial = serial;
-        self.ask(entity, at, parts.advertise())
+        self.state(entity, at, serial, NameRole::Publisher)
     }
 
     pub fn subscribe(&mut self, entity: &Identity, at: usize, serial: u64) -> Response {
-        let request = self.subscription(entity, at, serial);
+        self.state(entity, at, serial, NameRole::Subscriber)
+    }
+
+    pub fn state(&mut self, entity: &Identity, at: usize, serial: u64, role: NameRole) -> Response {
+        let request = self.statement(entity, at, serial, role);
         self.ask(entity, at, request)
     }
 
     pub fn subscription(&self, entity: &Identity, at: usize, serial: u64) -> EntityRequest {
+        self.statement(entity, at, serial, NameRole::Subscriber)
+    }
+
+    fn statement(&self, entity: &Identity, at: usize, serial: u64, role: NameRole) -> EntityRequest {
+        if role.is_writer() {
+            let mut parts = Parts::publish(self, entity, at);
+            (parts.advert.op, parts.advert.serial) = (role.op(), serial);
+            return parts.advertise();
+        }
         let parts = Parts::publish(self, entity, at);
         let (name, to, serial_of_grant) = (parts.cert.name, Grantee::Entity(entity.name()), parts.cert.serial);
         let (not_before, not_after) = (UNIX, UNIX + 1_000_000);
         let grant = ReadGrant { name, to, serial: serial_of_grant, not_before, not_after };
-        let advert = Advert { op: AdvertOp::Subscribe, serial, ..parts.advert };
+        let advert = Advert { op: role.op(), serial, ..parts.advert };
         let (grant, advert) = (issue(&self.owner, &grant).unwrap().into(), issue(entity.key(), &advert).unwrap());
         EntityRequest::Subscribe { proof: parts.proof, grant, advert }
     }
@@ -145,12 +212,23 @@ impl World {
         self.rib.tick(self.now);
     }
 
-    /// All routes that should be: switch index, bits, local readers.
+    /// All routes of names that should be: switch index, bits, local readers.
     pub fn routes(&self) -> Vec<(usize, u64, Vec<Name>)> {
-        let of = |(i, s): (usize, &Identity)| {
-            self.rib.desired(&s.name()).into_iter().map(move |r| (i, r.egress_bits, r.locals)).collect::<Vec<_>>()
-        };
-        self.switches.iter().enumerate().flat_map(of).collect()
+        let (records, _) = self.rib.records(self.now, None, usize::MAX);
+        let names: BTreeSet<Name> = records.iter().map(|record| record.name).collect();
+        self.routes_of(|name| names.contains(name)).into_iter().map(|(i, r)| (i, r.egress_bits, r.locals)).collect()
+    }
+
+    /// The routes to an entity's inbox: switch index, bits, local readers, local writers.
+    pub fn inbox_routes(&self, entity: &Identity) -> Vec<(usize, u64, Vec<Name>, Vec<Name>)> {
+        let routes = self.routes_of(|name| *name == entity.name()).into_iter();
+        routes.map(|(i, r)| (i, r.egress_bits, r.locals, r.writers)).collect()
+    }
+
+    fn routes_of(&self, wanted: impl Fn(&Name) -> bool) -> Vec<(usize, Route)> {
+        let switches = self.switches.iter().enumerate();
+        let all = switches.flat_map(|(i, s)| self.rib.desired(&s.name()).into_iter().map(move |route| (i, route)));
+        all.filter(|(_, route)| wanted(&route.name)).collect()
     }
 
     pub fn detaches(&mut self) -> Vec<(Name, Name)> {
@@ -160,23 +238,88 @@ impl World {
             .collect()
     }
 
-    pub fn writers_told(&mut self) -> Vec<(Name, Name, usize)> {
+    /// Has everybody told once: those with this role that were, and how many counterparts each of them knows now.
+    pub fn told(&mut self, role: NameRole) -> Vec<(Name, Name, usize)> {
+        let pushes = self.tell().into_iter().filter(|push| push.role == role);
+        let known = |p: &PeersPush| self.nodes[&(p.entity, p.name, p.role)].known().count();
+        pushes.map(|push| (push.switch, push.entity, known(&push))).collect()
+    }
+
+    /// Has everybody told until there is nothing left to tell. How many messages it took.
+    pub fn tell_all(&mut self) -> usize {
+        std::iter::from_fn(|| Some(self.tell().len()).filter(|count| *count > 0)).sum()
+    }
+
+    /// Carries out what is to be sent now, as entities and switches do. Returns what entities were told.
+    pub fn tell(&mut self) -> Vec<PeersPush> {
         let (mut told, mut pushes) = (Vec::new(), Vec::new());
         for effect in self.rib.effects(self.now) {
             match effect {
-                Effect::Writers(push) => told.push(push),
+                Effect::Peers(push) => told.push(push),
                 Effect::Fib(push) => pushes.push(push),
                 Effect::Detach { .. } => {}
             }
         }
         self.carry_out(pushes);
-        told.iter().for_each(|push| self.rib.told(&push.name, &push.entity));
-        told.into_iter().map(|push| (push.switch, push.entity, push.records.len())).collect()
+        told.iter().for_each(|push| self.arrive(push));
+        told
+    }
+
+    fn arrive(&mut self, push: &PeersPush) {
+        control::encode(&Request::Peers(push.clone())).expect("fits a message");
+        assert_eq!(self.entities[&push.entity], push.switch, "told where it is attached");
+        let arrived = self.take(push.entity, push.name, push.role, &push.peers);
+        self.rib.told(self.now, Told::from(push), arrived);
+    }
+
+    /// What the SDK of an entity does with what it is told. Whether it follows.
+    pub fn take(&mut self, entity: Name, name: Name, role: NameRole, peers: &Peers) -> bool {
+        if entity == name {
+            self.keep_boxes(entity, name, peers.boxes.iter());
+            return true;
+        }
+        let Some(node) = self.nodes.get_mut(&(entity, name, role)) else { return false };
+        let Ok(events) = node.take(self.now.unix, peers) else { return false };
+        let boxes = events.iter().filter_map(|event| match event {
+            PeerEvent::KeyBox(signed) => Some(signed),
+            PeerEvent::Refused(error) => panic!("the RIB told what does not verify: {error}"),
+            PeerEvent::Revoked(_) | PeerEvent::Joined(_) | PeerEvent::Left(_) => None,
+        });
+        self.keep_boxes(entity, name, boxes);
+        true
+    }
+
+    fn keep_boxes<'a>(&mut self, entity: Name, name: Name, boxes: impl Iterator<Item = &'a Signed<KeyBox>>) {
+        for claims in boxes.map(|signed| signed.claims_unverified().unwrap()) {
+            assert_eq!((claims.reader, claims.name), (entity, name), "somebody else's box");
+            self.given.insert((claims.name, claims.writer, claims.reader, claims.epoch));
+        }
+    }
+
+    /// How many counterparts an entity knows.
+    pub fn counterparts(&self, entity: &Identity, role: NameRole) -> usize {
+        self.nodes[&(entity.name(), self.card.name(), role)].known().count()
+    }
+
+    /// The counterpart an entity knows is there, as the SDK believes it.
+    pub fn knows(&self, entity: &Identity, role: NameRole, other: &Identity) -> bool {
+        self.nodes[&(entity.name(), self.card.name(), role)].get(&other.name()).is_some()
+    }
+
+    pub fn is_settled(&self, entity: &Identity, role: NameRole) -> bool {
+        self.rib.is_settled(&self.card.name(), &entity.name(), role)
     }
 
     pub fn pushes(&mut self) -> Vec<FibPush> {
-        let effects = self.rib.effects(self.now).into_iter();
-        effects.filter_map(|e| if let Effect::Fib(push) = e { Some(push) } else { None }).collect()
+        let mut pushes = Vec::new();
+        for effect in self.rib.effects(self.now) {
+            match effect {
+                Effect::Fib(push) => pushes.push(push),
+                Effect::Peers(push) => self.arrive(&push),
+                Effect::Detach { .. } => {}
+            }
+        }
+        pushes
     }
 
     /// Carries pushes out until there are none; the FIBs of the switches are then what the RIB wants.
@@ -218,42 +361,99 @@ impl World {
             let mut model: BTreeMap<Name, Route> = BTreeMap::new();
             for record in &records {
                 let of_name = || records.iter().filter(|other| other.name == record.name);
-                if record.switch != switch || of_name().all(Record::is_writer) || !of_name().any(Record::is_writer) {
+                let (entity, role) = (record.entity.name().unwrap(), record.role().unwrap());
+                let others = || of_name().filter(|other| other.role().unwrap() == role.counterpart());
+                if others().next().is_none() {
                     continue;
                 }
-                let empty = Route { name: record.name, egress_bits: 0, locals: vec![], writers: vec![] };
-                let route = model.entry(record.name).or_insert(empty);
-                let entity = record.entity.name().unwrap();
-                if record.is_writer() {
-                    let readers = of_name().filter(|other| !other.is_writer());
-                    let bits = readers.map(|reader| 1 << self.rib.bit(&reader.switch).unwrap());
-                    route.egress_bits = bits.fold(0, |all, bit: u64| all | bit);
-                    route.writers.push(entity);
-                } else {
-                    route.locals.push(entity);
+                let bits = |at: &Name| 1 << self.rib.bit(at).unwrap();
+                let empty = |name| Route { name, egress_bits: 0, locals: vec![], writers: vec![] };
+                if record.switch == switch {
+                    let route = model.entry(record.name).or_insert_with(|| empty(record.name));
+                    if role.sends() {
+                        route.egress_bits = others().fold(0, |all, other| all | bits(&other.switch));
+                        route.writers.push(entity);
+                    } else {
+                        route.locals.push(entity);
+                    }
                 }
+                for other in others().filter(|other| self.are_a_pair(record, other)) {
+                    let sender = other.entity.name().unwrap();
+                    if record.switch != switch && other.switch != switch {
+                        continue;
+                    }
+                    let route = model.entry(entity).or_insert_with(|| empty(entity));
+                    if other.switch == switch {
+                        route.egress_bits = bits(&record.switch);
+                        route.writers.push(sender);
+                    }
+                    if record.switch == switch {
+                        route.locals = vec![entity];
+                    }
+                }
+            }
+            for route in model.values_mut() {
+                route.writers.sort();
+                route.writers.dedup();
             }
             assert_eq!(self.held[&switch].routes, model);
         }
     }
 
-    /// Sends a frame of every registered writer through the switches' FIBs, as `gdp_wire::forward` would: each reader of the
-    /// name gets one copy, if there is a path to its switch, and nobody else any.
+    /// Sends a frame of everybody that may send through the switches' FIBs, as `gdp_wire::forward` would: each of those that
+    /// take the name gets one copy, if there is a path to its switch, and nobody else any; so does each counterpart in its
+    /// inbox.
     pub fn check_delivery(&self) {
         let (records, _) = self.rib.records(self.now, None, usize::MAX);
-        for writer in records.iter().filter(|r| r.is_writer()) {
-            let readers = records.iter().filter(|r| r.name == writer.name && !r.is_writer());
-            let reached = readers.filter(|r| self.rib.topology.connected(&writer.switch, &r.switch));
-            let expected: BTreeSet<_> = reached.map(|r| (r.switch, r.entity.name().unwrap())).collect();
-            let copies = self.deliver(writer.switch, writer.name);
-            assert_eq!(copies.len(), expected.len(), "a copy too many or too few");
-            assert_eq!(BTreeSet::from_iter(copies), expected);
-            assert!(
-                self.held[&writer.switch]
-                    .routes
-                    .get(&writer.name)
-                    .is_none_or(|route| { route.writers.contains(&writer.entity.name().unwrap()) })
-            );
+        let name = |record: &Record| record.entity.name().unwrap();
+        for sender in &records {
+            let role = sender.role().unwrap();
+            let others = records.iter().filter(|r| r.name == sender.name && r.role().unwrap() == role.counterpart());
+            let reached = others.filter(|r| self.rib.topology.connected(&sender.switch, &r.switch));
+            let reached: Vec<_> = reached.collect();
+            let expected: BTreeSet<_> = reached.iter().map(|r| (r.switch, name(r))).collect();
+            if role.sends() {
+                let copies = self.deliver(sender.switch, sender.name);
+                assert_eq!(copies.len(), expected.len(), "a copy too many or too few");
+                assert_eq!(BTreeSet::from_iter(copies), expected);
+                let route = self.held[&sender.switch].routes.get(&sender.name);
+                assert!(route.is_none_or(|route| route.writers.contains(&name(sender))));
+            }
+            for other in reached.into_iter().filter(|other| self.are_a_pair(sender, other)) {
+                let (at, other) = (other.switch, name(other));
+                assert_eq!(self.deliver(sender.switch, other), [(at, other)]);
+                assert!(self.held[&sender.switch].routes[&other].writers.contains(&name(sender)));
+            }
+        }
+    }
+
+    /// Whether two counterparts send to each other's inbox: both are attached, and they are two.
+    fn are_a_pair(&self, one: &Record, other: &Record) -> bool {
+        let is_bound = |record: &Record| {
+            let (entity, role) = (record.entity.name().unwrap(), record.role().unwrap());
+            self.rib.names.get(record.name.as_bytes(), &entity, role).unwrap().bound
+        };
+        one.entity != other.entity && is_bound(one) && is_bound(other)
+    }
+
+    /// What every entity believes of its counterparts is what the RIB holds, and it has every box that is kept for it.
+    pub fn check_told(&self) {
+        let (records, _) = self.rib.records(self.now, None, usize::MAX);
+        for record in &records {
+            let (entity, role) = (record.entity.name().unwrap(), record.role().unwrap());
+            let others = records.iter().filter(|r| r.name == record.name && r.role().unwrap() == role.counterpart());
+            let expected: BTreeSet<Name> = others.map(|other| other.entity.name().unwrap()).collect();
+            let known = self.nodes[&(entity, record.name, role)].known().map(|c| c.entity);
+            assert_eq!(known.collect::<BTreeSet<_>>(), expected);
+            let own = Stake { name: record.name.to_bytes(), entity, role };
+            for (stake, other) in expected.iter().flat_map(|other| [(own, other), (Stake::inbox(entity), other)]) {
+                for kept in self.rib.boxes.between(&stake, other).map(|signed| signed.claims_unverified().unwrap()) {
+                    assert!(
+                        self.given.contains(&(kept.name, kept.writer, kept.reader, kept.epoch)),
+                        "a box is missing"
+                    );
+                }
+            }
         }
     }
 
@@ -300,7 +500,7 @@ impl Parts {
                 entity: entity.name(),
                 mode: Mode::Unicast,
                 scope: vec![],
-                serial: UNIX * 1_000_000_000,
+                serial: w.serial,
                 not_before: UNIX - 1,
                 not_after: UNIX + 1_000_000,
             },

@@ -13,7 +13,9 @@ use zerocopy::{FromBytes, IntoBytes};
 
 use crate::card::NameCard;
 use crate::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, issue};
-use crate::control::{Credential, EntityRequest, Record, Refusal, RefusalCode, Request, Response, WritersPush};
+use crate::control::{
+    Credential, EntityRequest, NameRole, Peers, PeersExtent, PeersPush, Record, Refusal, RefusalCode, Request, Response,
+};
 use crate::identity::{Identity, SigningKey};
 use crate::link::{Link, LinkIds};
 use crate::name::NameProof;
@@ -46,6 +48,8 @@ struct Rib {
     subscribers: HashMap<Name, Name>,
     refuse: Option<RefusalCode>,
     silent: bool,
+    run: u64,
+    generation: u64,
 }
 
 impl Fabric {
@@ -87,7 +91,10 @@ impl Fabric {
         running.forwarder.join().unwrap();
         running.port.close("going away").await;
         // The socket closes with the last of what still uses it.
-        *lock(&self.rib) = Rib::default();
+        {
+            let mut rib = lock(&self.rib);
+            *rib = Rib { run: rib.run + 1, ..Rib::default() };
+        }
         let port = Arc::downgrade(&running.port);
         drop(running.port);
         eventually("the address is free", || {
@@ -212,7 +219,7 @@ async fn accept_all(port: Arc<Port>, rib: Arc<Mutex<Rib>>) {
                 let (response, push) = lock(&rib).answer(&link, request);
                 // Unlike a real RIB, so that the first message of a new writer is never too early.
                 if let Some((subscriber, push)) = push {
-                    let _ = subscriber.request(&Request::Writers(push)).await;
+                    let _ = subscriber.request(&Request::Peers(push)).await;
                 }
                 let _ = responder.respond(response).await;
             }
@@ -224,7 +231,7 @@ async fn accept_all(port: Arc<Port>, rib: Arc<Mutex<Rib>>) {
 }
 
 impl Rib {
-    fn answer(&mut self, link: &Link, request: Request) -> (Response, Option<(Link, WritersPush)>) {
+    fn answer(&mut self, link: &Link, request: Request) -> (Response, Option<(Link, PeersPush)>) {
         let entity = link.peer().name;
         let Request::Entity(request) = request else { panic!("an endpoint sent {request:?}") };
         let serial = match &request {
@@ -237,8 +244,8 @@ impl Rib {
                 let records = found.flat_map(|(_, records)| records.clone()).collect();
                 return (Response::Records { records, truncated: false }, None);
             }
-            EntityRequest::Revoke { .. } => {
-                return (Refusal::new(RefusalCode::Unsupported, "no test revokes here").into(), None);
+            EntityRequest::Revoke { .. } | EntityRequest::KeyBoxes { .. } => {
+                return (Refusal::new(RefusalCode::Unsupported, "no test of a node asks this").into(), None);
             }
             EntityRequest::Advertise { advert, .. }
             | EntityRequest::Subscribe { advert, .. }
@@ -262,13 +269,13 @@ impl Rib {
                 let records = self.writers.entry(name).or_default();
                 records.retain(|other| other.entity != record.entity);
                 records.push(record);
-                (Response::Done, self.push(name))
+                (Response::Peers(self.peers(Vec::new())), self.push(name))
             }
             EntityRequest::Subscribe { proof, .. } => {
                 let name = proof.name().unwrap();
                 self.subscribers.insert(name, entity);
                 let records = self.writers.get(&name).cloned().unwrap_or_default();
-                (Response::Records { records, truncated: false }, None)
+                (Response::Peers(self.peers(records)), None)
             }
             EntityRequest::Withdraw { advert } => {
                 let name = advert.claims_unverified().unwrap().name;
@@ -278,18 +285,27 @@ impl Rib {
                 self.subscribers.retain(|other, subscriber| *other != name || *subscriber != entity);
                 (Response::Done, None)
             }
-            EntityRequest::Attach { .. } | EntityRequest::Query { .. } | EntityRequest::Revoke { .. } => {
-                unreachable!("answered above")
-            }
+            EntityRequest::Attach { .. }
+            | EntityRequest::Query { .. }
+            | EntityRequest::Revoke { .. }
+            | EntityRequest::KeyBoxes { .. } => unreachable!("answered above"),
         }
     }
 
-    fn push(&self, name: Name) -> Option<(Link, WritersPush)> {
+    /// All counterparts of somebody, as this RIB tells of them.
+    fn peers(&mut self, records: Vec<Record>) -> Peers {
+        self.generation += 1;
+        let extent = PeersExtent::Whole { part: 0, last: true };
+        let (run, generation, gone, boxes) = (self.run, self.generation, Vec::new(), Vec::new());
+        Peers { run, generation, extent, records, gone, revocation: None, boxes }
+    }
+
+    fn push(&mut self, name: Name) -> Option<(Link, PeersPush)> {
         let entity = *self.subscribers.get(&name).filter(|_| !self.silent)?;
         let link = self.links.values().find(|link| link.peer().name == entity)?.clone();
         let records = self.writers[&name].clone();
-        let switch = records[0].switch;
-        Some((link, WritersPush { switch, entity, name, records }))
+        let (switch, role, peers) = (records[0].switch, NameRole::Subscriber, self.peers(records));
+        Some((link, PeersPush { switch, entity, name, role, peers }))
     }
 
     fn entry(&self, id: u32) -> Option<(LinkEntry, LinkAddr)> {

@@ -1,0 +1,197 @@
+//! `gdp-ctl grant add`: a certificate for one entity, one role or one delegate.
+
+use std::path::PathBuf;
+
+use anyhow::{Context as _, bail};
+use clap::{ArgGroup, Args, ValueEnum};
+use gdp::cert::{
+    AboutName, AdCert, Claims, Delegation, Grantee, Issued, Mode, ReadGrant, Revocation, Signed, Validity, issue,
+};
+use gdp::identity::{SigningKey, VerifyKey};
+use gdp::{Name, NameCard};
+use serde_json::json;
+
+use super::super::{Context, output, parse_seconds, serial_now, unix_now, validity};
+use super::books::{Books, Entry, Holder};
+
+#[derive(Debug, Args)]
+#[command(group = ArgGroup::new("to").required(true).args(["entity", "role", "delegate"]))]
+#[command(group = ArgGroup::new("right").required(true).multiple(true).args(["publish", "read"]))]
+pub struct Options {
+    /// The name card. What is granted is remembered beside it, in CARD.grants.
+    card: PathBuf,
+    /// The owner's private key file; with --delegation, the delegate's.
+    #[arg(long, value_name = "FILE")]
+    key: PathBuf,
+    /// What the owner gave the delegate whose key this is.
+    #[arg(long, value_name = "FILE", conflicts_with = "delegate")]
+    delegation: Option<PathBuf>,
+    /// To publish, or to serve requests.
+    #[arg(long)]
+    publish: bool,
+    /// To subscribe, or to make requests.
+    #[arg(long)]
+    read: bool,
+    /// To this entity: 64 hex digits, as `gdp-ctl key show` prints them.
+    #[arg(long, value_name = "NAME")]
+    entity: Option<Name>,
+    /// To every entity that the domain says has this role (only --read).
+    #[arg(long, requires = "domain", conflicts_with = "publish")]
+    role: Option<String>,
+    /// The domain of --role.
+    #[arg(long, value_name = "NAME", requires = "role")]
+    domain: Option<Name>,
+    /// To another key (66 hex digits, as `gdp-ctl key show` prints them): it may issue such grants to others.
+    #[arg(long, value_name = "KEY")]
+    delegate: Option<VerifyKey>,
+    /// How messages are delivered.
+    #[arg(long, value_enum, default_value = "unicast", requires = "publish", conflicts_with = "delegate")]
+    mode: DeliveryMode,
+    /// A domain that may know the name; repeat for several. Without any: only the domain it is advertised in.
+    #[arg(long, value_name = "NAME", requires = "publish", conflicts_with = "delegate")]
+    scope: Vec<Name>,
+    /// How long it holds: 90s, 15m, 2h, 7d.
+    #[arg(long = "for", default_value = "365d", value_parser = parse_seconds, value_name = "TIME")]
+    lifetime: u32,
+    /// The certificate: a new file, to be taken to the robot.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum DeliveryMode {
+    Multicast,
+    Anycast,
+    Unicast,
+}
+
+impl From<DeliveryMode> for Mode {
+    fn from(mode: DeliveryMode) -> Self {
+        match mode {
+            DeliveryMode::Multicast => Self::Multicast,
+            DeliveryMode::Anycast => Self::Anycast,
+            DeliveryMode::Unicast => Self::Unicast,
+        }
+    }
+}
+
+pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
+    if options.output.exists() {
+        bail!("{}: a file of this name exists and is not overwritten", options.output.display());
+    }
+    let books = Books::open(&options.card)?;
+    let issuer = Issuer::open(&options, &books)?;
+    let (name, serial, Validity { not_before, not_after }) = (issuer.card.name(), issuer.serial, issuer.validity);
+    let (publish, read) = (options.publish, options.read);
+    let (to, (text, mut value)) = match (options.delegate, options.entity, &options.role, options.domain) {
+        (Some(delegate), ..) => {
+            let claims = Delegation { name, delegate, publish, read, serial, not_before, not_after };
+            let signed = issue(&issuer.key, &claims)?;
+            (Holder::Delegate(delegate), (signed.to_pem(), json!({"kind": Delegation::KIND, "claims": claims})))
+        }
+        (None, Some(_), ..) if publish && read => bail!("one certificate is for --publish or for --read; make two"),
+        (None, Some(entity), ..) if publish => {
+            let (mode, scope) = (options.mode.into(), options.scope);
+            let claims = AdCert { name, entity, mode, scope, serial, not_before, not_after };
+            (Holder::Entity(entity), issuer.issue(&claims)?)
+        }
+        (None, entity, role, domain) => {
+            let to = match (entity, role, domain) {
+                (Some(entity), ..) => Grantee::Entity(entity),
+                (None, Some(role), Some(domain)) => Grantee::Role { domain, role: role.clone() },
+                _ => bail!("--entity, --role with --domain, or --delegate says to whom"),
+            };
+            let claims = ReadGrant { name, to: to.clone(), serial, not_before, not_after };
+            (to.into(), issuer.issue(&claims)?)
+        }
+    };
+    // Remembered first: what is not known to be granted would not be revoked.
+    let mut grants = issuer.grants;
+    let file = std::path::absolute(&options.output)?;
+    grants.push(Entry { serial, publish, read, to, not_before, not_after, file });
+    books.keep_ledger(grants)?;
+    output::write_new(&options.output, &text)?;
+    value["file"] = json!(options.output);
+    value["serial"] = serial.to_string().into();
+    context.output.print(value, || options.output.display().to_string())
+}
+
+/// Who signs, and what all that is issued now has in common.
+struct Issuer<'b> {
+    card: &'b NameCard,
+    key: SigningKey,
+    delegation: Option<Signed<Delegation>>,
+    revocation: Option<Revocation>,
+    grants: Vec<Entry>,
+    serial: u64,
+    validity: Validity,
+}
+
+impl<'b> Issuer<'b> {
+    fn open(options: &Options, books: &'b Books) -> anyhow::Result<Self> {
+        let (card, key) = (books.card(), SigningKey::load(&options.key)?);
+        let (grants, revocation) = (books.ledger()?, books.revocation()?.map(|(_, revocation)| revocation));
+        let mut serial = next_serial(&grants, revocation.as_ref())?;
+        let (not_before, not_after) = validity(u64::from(options.lifetime));
+        let mut validity = Validity { not_before, not_after };
+        let delegation = match &options.delegation {
+            Some(file) => {
+                let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+                let signed = Signed::<Delegation>::from_pem(&text).with_context(|| file.display().to_string())?;
+                let claims = signed.verify(card.owner_key(), unix_now()).with_context(|| file.display().to_string())?;
+                if claims.delegate != key.verify_key() {
+                    bail!("{} is for another key than {}", file.display(), options.key.display());
+                }
+                validity = validity.and(claims.validity());
+                serial = serial.max(claims.serial);
+                Some(signed)
+            }
+            None if key.verify_key() != *card.owner_key() => bail!(
+                "{} is not the owner of {} ({}): its public key is {}, the card names {}; a delegate adds --delegation",
+                options.key.display(),
+                card.name(),
+                options.card.display(),
+                key.verify_key(),
+                card.owner_key()
+            ),
+            None => None,
+        };
+        Ok(Self { card, key, delegation, revocation, grants, serial, validity })
+    }
+
+    /// The text of a certificate and what it says; refused if whoever gets it would refuse it.
+    fn issue<T: AboutName>(&self, claims: &T) -> anyhow::Result<(String, serde_json::Value)> {
+        let issued = Issued { cert: issue(&self.key, claims)?, delegation: self.delegation.clone() };
+        issued.verify(&self.card.proof(), self.revocation.as_ref(), unix_now())?;
+        Ok((issued.to_pem(), json!({"kind": T::KIND, "claims": claims})))
+    }
+}
+
+/// The time of issue; above all that was issued or revoked, also if the clock was set back.
+pub(super) fn next_serial(grants: &[Entry], revocation: Option<&Revocation>) -> anyhow::Result<u64> {
+    let issued = grants.iter().map(|grant| grant.serial);
+    let revoked = revocation.into_iter().flat_map(|revocation| {
+        let floor = revocation.floor.checked_sub(1);
+        revocation.revoked.iter().copied().chain(floor)
+    });
+    let next = match issued.chain(revoked).max() {
+        Some(last) => last.checked_add(1).context("the serials of this name are used up; make a new name")?,
+        None => 0,
+    };
+    Ok(serial_now().max(next))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn serials_rise_also_if_the_clock_is_set_back() {
+        assert!(next_serial(&[], None).unwrap() > 1_700_000_000_000_000_000);
+        let later = u64::MAX - 9;
+        let revocation = |floor, revoked| Revocation { name: Name::default(), number: 1, floor, revoked };
+        assert_eq!(next_serial(&[], Some(&revocation(later, vec![]))).unwrap(), later);
+        assert_eq!(next_serial(&[], Some(&revocation(0, vec![later]))).unwrap(), later + 1);
+        assert!(next_serial(&[], Some(&revocation(0, vec![u64::MAX]))).is_err());
+    }
+}

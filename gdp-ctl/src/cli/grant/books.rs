@@ -1,0 +1,168 @@
+//! What is kept beside a name card: `CARD.grants`, the ledger of what was issued from here, and `CARD.revocation`, the newest
+//! revocation. Both are written whole or not at all, mode 0600; nobody else changes them while [`Books`] are open.
+//!
+//! The revocation is the owner's word and is checked like one. The ledger is a memory: without it nothing that was granted
+//! stops to hold, but only its serial or its file can name it.
+
+use std::fmt;
+use std::fs::File;
+use std::ops::Deref;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail};
+use gdp::cert::{Grantee, Revocation, Signed};
+use gdp::identity::VerifyKey;
+use gdp::secret_file::{self, SecretFileError};
+use gdp::{Name, NameCard};
+use serde::{Deserialize, Serialize};
+
+const VERSION: u32 = 1;
+
+/// About 300 bytes an entry.
+const MAX_LEDGER: usize = 4 << 20;
+
+const MAX_REVOCATION: usize = 16 << 10;
+
+/// A name's card, and the files beside it.
+pub struct Books {
+    card: NameCard,
+    path: PathBuf,
+    /// Held on the card itself, which no command replaces.
+    _lock: File,
+}
+
+/// One certificate that was issued from here.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Entry {
+    pub serial: u64,
+    /// May publish or serve; for a delegate: may let others.
+    pub publish: bool,
+    /// May subscribe or call; for a delegate: may let others.
+    pub read: bool,
+    pub to: Holder,
+    pub not_before: u64,
+    pub not_after: u64,
+    pub file: PathBuf,
+}
+
+/// Whom a certificate was issued to.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
+pub enum Holder {
+    Entity(Name),
+    Role { domain: Name, role: String },
+    Delegate(VerifyKey),
+}
+
+impl From<Grantee> for Holder {
+    fn from(grantee: Grantee) -> Self {
+        match grantee {
+            Grantee::Entity(entity) => Self::Entity(entity),
+            Grantee::Role { domain, role } => Self::Role { domain, role },
+        }
+    }
+}
+
+impl fmt::Display for Holder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Entity(entity) => write!(f, "{entity}"),
+            Self::Role { domain, role } => write!(f, "role {role} of {domain}"),
+            Self::Delegate(key) => write!(f, "delegate {key}"),
+        }
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Ledger {
+    version: u32,
+    name: Name,
+    grants: Vec<Entry>,
+}
+
+impl Books {
+    /// Waits for another command that has them open.
+    pub fn open(card: &Path) -> anyhow::Result<Self> {
+        let books = Self {
+            card: NameCard::load(card)?,
+            path: card.into(),
+            _lock: File::open(card).with_context(|| format!("cannot open {}", card.display()))?,
+        };
+        books._lock.lock().with_context(|| format!("cannot lock {}", card.display()))?;
+        Ok(books)
+    }
+
+    pub fn card(&self) -> &NameCard {
+        &self.card
+    }
+
+    pub fn ledger_path(&self) -> PathBuf {
+        self.beside(".grants")
+    }
+
+    pub fn revocation_path(&self) -> PathBuf {
+        self.beside(".revocation")
+    }
+
+    /// What was issued from here, in the order of serials; empty if nothing was.
+    pub fn ledger(&self) -> anyhow::Result<Vec<Entry>> {
+        let path = self.ledger_path();
+        let Some(content) = read(&path, MAX_LEDGER)? else { return Ok(Vec::new()) };
+        let ledger: Ledger =
+            serde_json::from_slice(&content).with_context(|| format!("{}: not a ledger of grants", path.display()))?;
+        if ledger.version != VERSION || ledger.name != self.card.name() {
+            let (version, name) = (ledger.version, ledger.name);
+            bail!(
+                "{}: version {version} for {name}, where version {VERSION} for {} is expected",
+                path.display(),
+                self.card.name()
+            );
+        }
+        Ok(ledger.grants)
+    }
+
+    pub fn keep_ledger(&self, grants: Vec<Entry>) -> anyhow::Result<()> {
+        let ledger = Ledger { version: VERSION, name: self.card.name(), grants };
+        let text = serde_json::to_string_pretty(&ledger)? + "\n";
+        let path = self.ledger_path();
+        if text.len() > MAX_LEDGER {
+            bail!("{}: longer than {MAX_LEDGER} bytes; make a new name, or a new copy of the card", path.display());
+        }
+        Ok(secret_file::replace(&path, text.as_bytes())?)
+    }
+
+    /// The newest revocation of the name that is known here.
+    pub fn revocation(&self) -> anyhow::Result<Option<(Signed<Revocation>, Revocation)>> {
+        let path = self.revocation_path();
+        let Some(content) = read(&path, MAX_REVOCATION)? else { return Ok(None) };
+        let check = || -> anyhow::Result<_> {
+            let signed = Signed::<Revocation>::from_pem(std::str::from_utf8(&content)?)?;
+            let claims = signed.verify_signature(self.card.owner_key())?;
+            if claims.name != self.card.name() {
+                bail!("it is of {}, not of {}", claims.name, self.card.name());
+            }
+            Ok((signed, claims))
+        };
+        check().map(Some).with_context(|| path.display().to_string())
+    }
+
+    pub fn keep_revocation(&self, signed: &Signed<Revocation>) -> anyhow::Result<()> {
+        Ok(secret_file::replace(&self.revocation_path(), signed.to_pem().as_bytes())?)
+    }
+
+    fn beside(&self, suffix: &str) -> PathBuf {
+        let mut name = self.path.file_name().unwrap_or_default().to_owned();
+        name.push(suffix);
+        self.path.with_file_name(name)
+    }
+}
+
+/// The content of a file, if there is one.
+fn read(path: &Path, max: usize) -> Result<Option<impl Deref<Target = Vec<u8>>>, SecretFileError> {
+    match secret_file::read(path, max) {
+        Err(error) if error.is_not_found() => Ok(None),
+        result => result.map(Some),
+    }
+}

@@ -1,0 +1,86 @@
+//! `gdp-ctl grant list`: what was granted from here, and what of it still holds.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use gdp::cert::{AdCert, Claims, Delegation, ReadGrant, Revocation};
+use serde_json::{Value, json};
+
+use super::super::{Context, output, unix_now};
+use super::books::{Books, Entry, Holder};
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// The name card. What delegates granted is in their own ledgers.
+    card: PathBuf,
+}
+
+pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let books = Books::open(&options.card)?;
+    let (grants, (_, revocation)) = (books.ledger()?, books.revocation()?.unzip());
+    let now = unix_now();
+    let state = |grant: &Entry| state(grant, revocation.as_ref(), now);
+    let value = json!({
+        "name": books.card().name(),
+        "grants": grants.iter().map(|grant| describe(grant, state(grant))).collect::<Vec<_>>(),
+        "revocation": revocation.as_ref().map(describe_revocation),
+    });
+    context.output.print(value, || {
+        let row = |grant: &Entry| {
+            let left = match grant.not_after.saturating_sub(now) {
+                days @ 86400.. => format!("{} d", days / 86400),
+                seconds => format!("{seconds} s"),
+            };
+            let holds = match state(grant) {
+                "valid" => format!("for {left}"),
+                other => other.to_owned(),
+            };
+            [grant.serial.to_string(), right(grant).into(), holder(&grant.to), holds, grant.file.display().to_string()]
+        };
+        output::table(["serial", "may", "to", "valid", "file"], &grants.iter().map(row).collect::<Vec<_>>())
+    })
+}
+
+fn describe(grant: &Entry, state: &str) -> Value {
+    json!({
+        // JavaScript and jq do not count that far.
+        "serial": grant.serial.to_string(),
+        "publish": grant.publish, "read": grant.read, "to": grant.to,
+        "not_before": grant.not_before, "not_after": grant.not_after, "file": grant.file, "state": state,
+    })
+}
+
+pub(super) fn describe_revocation(revocation: &Revocation) -> Value {
+    let revoked: Vec<String> = revocation.revoked.iter().map(u64::to_string).collect();
+    json!({"number": revocation.number, "floor": revocation.floor.to_string(), "revoked": revoked})
+}
+
+fn state(grant: &Entry, revocation: Option<&Revocation>, now: u64) -> &'static str {
+    let kind = match grant.to {
+        Holder::Delegate(_) => Delegation::KIND,
+        _ if grant.publish => AdCert::KIND,
+        _ => ReadGrant::KIND,
+    };
+    match revocation.map(|revocation| revocation.check(kind, grant.serial)) {
+        Some(Err(_)) => "revoked",
+        _ if now > grant.not_after => "expired",
+        _ if now < grant.not_before => "not yet",
+        _ => "valid",
+    }
+}
+
+fn right(grant: &Entry) -> &'static str {
+    match (grant.publish, grant.read) {
+        (true, true) => "publish, read",
+        (true, false) => "publish",
+        (false, _) => "read",
+    }
+}
+
+fn holder(holder: &Holder) -> String {
+    match holder {
+        Holder::Entity(entity) => format!("{entity:#}"),
+        Holder::Role { domain, role } => format!("role {role} of {domain:#}"),
+        Holder::Delegate(key) => format!("delegate {}…", &key.to_string()[..8]),
+    }
+}

@@ -1,0 +1,72 @@
+//! Takes in the key boxes of a writer and has their readers told.
+
+use gdp::cert::{CertError, Signed, Speaker};
+use gdp::control::{NameRole, Refusal, RefusalCode, Response};
+use gdp::keys::KeyBox;
+use gdp_wire::Name;
+
+use super::inboxes::Place;
+use super::telling::Stake;
+use super::{Now, Rib, refusal};
+
+impl Rib {
+    /// One after the other: those before one that is refused are kept. A box may be for a reader that is not there, or not
+    /// yet: only one that shows the owner's grant is given it.
+    pub(super) fn key_boxes(
+        &mut self,
+        now: Now,
+        speaker: &Speaker,
+        boxes: &[Signed<KeyBox>],
+    ) -> Result<Response, Refusal> {
+        for signed in boxes {
+            let claims = signed.claims_unverified().map_err(refusal)?;
+            if claims.writer != speaker.entity {
+                return Err(refusal(CertError::WrongEntity { expected: speaker.entity, got: claims.writer }));
+            }
+            let place = self.sends_from(speaker, &claims)?;
+            if self.boxes.holds(&claims, signed) {
+                continue;
+            }
+            // For the reader's sake no more than for the RIB's: it verifies this again.
+            signed.verify(&speaker.entity_key, now.unix).map_err(refusal)?;
+            self.boxes.put(place, &claims, signed.clone(), &self.limits)?;
+            self.tell_reader(&claims);
+        }
+        Ok(Response::Done)
+    }
+
+    /// Where the writer sends from; a refusal if it may not send to the name of the box.
+    fn sends_from(&self, speaker: &Speaker, claims: &KeyBox) -> Result<Place, Refusal> {
+        let (name, entity) = (claims.name, speaker.entity);
+        let sending = NameRole::ALL.iter().filter(|role| role.sends());
+        let registered = sending.filter_map(|role| self.names.get(name.as_bytes(), &entity, *role)).next();
+        if let Some(registration) = registered {
+            return Ok(Place { entity, switch: registration.switch });
+        }
+        let here = Place { entity, switch: speaker.switch };
+        if name == claims.reader && self.inboxes.allows(name, here) {
+            return Ok(here);
+        }
+        let reason =
+            format!("{entity} neither publishes nor calls {name}, nor is it a counterpart of that: advertise first");
+        Err(Refusal::new(RefusalCode::NotEntitled, reason))
+    }
+
+    fn tell_reader(&mut self, claims: &KeyBox) {
+        let (name, entity) = (claims.name.to_bytes(), claims.reader);
+        for role in [NameRole::Subscriber, NameRole::Server] {
+            if self.names.get(&name, &claims.writer, role.counterpart()).is_some() {
+                self.telling.boxes_changed(Stake { name, entity, role }, claims.writer);
+            }
+        }
+        if let Some(switch) = self.inbox_home(claims) {
+            self.telling.inbox_boxes_changed(Stake::inbox(entity), switch, claims.writer);
+        }
+    }
+
+    /// The switch of the reader, if the box is for what comes to its inbox.
+    fn inbox_home(&self, claims: &KeyBox) -> Option<Name> {
+        let attachment = self.entities.attachment(&claims.reader);
+        attachment.filter(|_| claims.name == claims.reader).map(|attachment| attachment.switch)
+    }
+}

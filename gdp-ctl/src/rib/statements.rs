@@ -1,0 +1,325 @@
+//! What entities state: that they are attached, what they are to which names. Verified here, stored, and followed up: routes
+//! for the names, routes between counterparts, and who is to be told.
+
+use std::time::Duration;
+
+use gdp::cert::{Advert, CertError, Signed, Speaker, authorise_advertise, authorise_subscribe, authorise_withdraw};
+use gdp::control::{Credential, EntityRequest, NameRole, Refusal, RefusalCode, Response};
+use gdp::name::NameProof;
+use gdp_wire::Name;
+
+use super::entities::Attachment;
+use super::inboxes::Place;
+use super::names::{Key, Registration};
+use super::telling::{Source, Stake};
+use super::{Now, Rib, Timer, join, limit_reached, refusal};
+
+/// A statement that is verified, with what it rests on.
+struct Verified {
+    name: NameProof,
+    credential: Credential,
+    signed: Signed<Advert>,
+    advert: Advert,
+    not_after: u64,
+}
+
+impl Rib {
+    pub(super) fn entity_request(
+        &mut self,
+        now: Now,
+        origin: Name,
+        entity: Option<&NameProof>,
+        by_tool: bool,
+        request: &EntityRequest,
+    ) -> Result<Response, Refusal> {
+        if !self.switches.contains_key(&origin) {
+            self.detached.insert((origin, origin));
+            let reason = format!("switch {origin} has not reported its links to the RIB yet; try again in a moment");
+            return Err(Refusal::new(RefusalCode::Unreachable, reason));
+        }
+        let proof = entity.ok_or_else(|| {
+            Refusal::new(RefusalCode::Malformed, "only queries and revocations may be anonymous: show the entity's key")
+        })?;
+        let speaker = self.speaker(now, origin, proof)?;
+        let here = self.entities.attachment(&speaker.entity).is_some_and(|a| a.switch == origin);
+        if !here && !by_tool && !matches!(request, EntityRequest::Attach { .. }) {
+            let reason = format!("{} is not attached to switch {origin}; attach first", speaker.entity);
+            return Err(Refusal::new(RefusalCode::NotAttached, reason));
+        }
+        match request {
+            EntityRequest::Attach { rt_cert, resumes } => {
+                let cert = rt_cert.verify(&speaker.entity_key, now.unix).map_err(refusal)?;
+                if cert.entity != speaker.entity {
+                    return Err(refusal(CertError::WrongEntity { expected: speaker.entity, got: cert.entity }));
+                }
+                if cert.switch != origin {
+                    return Err(refusal(CertError::WrongSwitch { expected: origin, got: cert.switch }));
+                }
+                if !by_tool {
+                    let ends = now.clock.saturating_add(Duration::from_secs(cert.not_after - now.unix));
+                    self.attach(&speaker, ends, *resumes)?;
+                }
+                Ok(Response::Attached { serial: speaker.floor })
+            }
+            EntityRequest::Advertise { proof: name, ad_cert, advert } => {
+                let revocation = name.name().ok().and_then(|name| self.revocations.claims(name.as_bytes()));
+                let authorised = authorise_advertise(&speaker, name, ad_cert, advert, revocation);
+                let (cert, statement) = authorised.map_err(refusal)?;
+                let verified = Verified {
+                    name: *name,
+                    credential: Credential::Writer(ad_cert.clone()),
+                    signed: advert.clone(),
+                    advert: statement,
+                    not_after: cert.not_after,
+                };
+                self.state(now, &speaker, *proof, by_tool, verified)
+            }
+            EntityRequest::Subscribe { proof: name, grant, advert } => {
+                let revocation = name.name().ok().and_then(|name| self.revocations.claims(name.as_bytes()));
+                let authorised = authorise_subscribe(&speaker, name, grant, advert, revocation);
+                let (cert, statement) = authorised.map_err(refusal)?;
+                let verified = Verified {
+                    name: *name,
+                    credential: Credential::Reader(grant.clone()),
+                    signed: advert.clone(),
+                    advert: statement,
+                    not_after: cert.not_after,
+                };
+                self.state(now, &speaker, *proof, by_tool, verified)
+            }
+            EntityRequest::Withdraw { advert } => {
+                let statement = authorise_withdraw(&speaker, advert).map_err(refusal)?;
+                let key = statement.name.to_bytes();
+                if !self.names.has(&key, &speaker.entity) {
+                    let reason = format!("{} neither writes nor reads {}", speaker.entity, statement.name);
+                    return Err(Refusal::new(RefusalCode::NotFound, reason));
+                }
+                self.spend(now, &speaker, statement.serial)?;
+                for role in NameRole::ALL {
+                    self.unregister(Stake { name: key, entity: speaker.entity, role });
+                }
+                Ok(Response::Done)
+            }
+            EntityRequest::KeyBoxes { boxes } => self.key_boxes(now, &speaker, boxes),
+            EntityRequest::Query { .. } | EntityRequest::Revoke { .. } => {
+                Err(Refusal::new(RefusalCode::Malformed, "not a request of an entity"))
+            }
+        }
+    }
+
+    /// Takes in a verified statement. Answers with the counterparts.
+    fn state(
+        &mut self,
+        now: Now,
+        speaker: &Speaker,
+        proof: NameProof,
+        by_tool: bool,
+        verified: Verified,
+    ) -> Result<Response, Refusal> {
+        let Verified { name: name_proof, credential, signed, advert, not_after } = verified;
+        self.spend(now, speaker, advert.serial)?;
+        let ends = lifetime(now, advert.lifetime, not_after);
+        let role = NameRole::of(advert.op)
+            .ok_or_else(|| Refusal::new(RefusalCode::Malformed, "a withdrawal states nothing about a name"));
+        let registered = ends.and_then(|ends| {
+            let (name, switch, box_key, bound) = (advert.name, speaker.switch, advert.box_key, !by_tool);
+            let (role, entity, serials) = (role?, speaker.entity, credential.serials().map_err(refusal)?);
+            let registration =
+                Registration { entity: proof, switch, role, credential, advert: signed, box_key, serials, ends, bound };
+            let stake = Stake { name: name.to_bytes(), entity, role };
+            self.register(stake, name_proof, registration).map(|()| stake)
+        });
+        let stake = registered.inspect_err(|_| self.entities.retire(&speaker.entity))?;
+        let (run, names, boxes, revocations) = (self.run.id, &self.names, &self.boxes, &self.revocations);
+        let source = Source { run, now: now.clock, names, boxes, revocations };
+        Ok(Response::Peers(match by_tool {
+            true => self.telling.once(stake, speaker.switch, source),
+            false => self.telling.begin(stake, speaker.switch, source),
+        }))
+    }
+
+    fn speaker(&self, now: Now, switch: Name, proof: &NameProof) -> Result<Speaker, Refusal> {
+        let not_a_key = |error| refusal(CertError::Crypto(error));
+        let entity = proof.name().map_err(not_a_key)?;
+        let entity_key = proof.verify_key().map_err(not_a_key)?;
+        Ok(Speaker { entity, entity_key, switch, floor: self.entities.floor(&entity), now: now.unix })
+    }
+
+    fn spend(&mut self, now: Now, speaker: &Speaker, serial: u64) -> Result<(), Refusal> {
+        self.entities.spend(now, speaker.entity, speaker.switch, serial, self.limits.unattached_per_switch)
+    }
+
+    /// Attaching again at the same switch only renews, if it resumes what was: a link that does not come back is told of by a
+    /// detach. Attaching elsewhere ends what was; the old switch is told, in case its link is still up: the entity must not
+    /// believe that it is attached there.
+    fn attach(&mut self, speaker: &Speaker, ends: Duration, resumes: bool) -> Result<(), Refusal> {
+        let limit = self.limits.attached_per_switch;
+        let full = |s: &super::Switch| s.attached.len() >= limit && !s.attached.contains(&speaker.entity);
+        if self.switches.get(&speaker.switch).is_some_and(full) {
+            return Err(limit_reached(format!("switch {} has {limit} attached entities", speaker.switch)));
+        }
+        match self.entities.attachment(&speaker.entity) {
+            Some(old) if old.switch == speaker.switch && resumes => {
+                self.timers.remove(&(old.ends, Timer::Attachment { entity: speaker.entity }));
+            }
+            Some(old) => {
+                self.end_attachment(&speaker.entity);
+                if old.switch != speaker.switch {
+                    self.detached.insert((old.switch, speaker.entity));
+                }
+            }
+            None => {}
+        }
+        let Some(switch) = self.switches.get_mut(&speaker.switch) else { return Ok(()) };
+        self.entities.attach(speaker.entity, Attachment { switch: speaker.switch, ends });
+        switch.attached.insert(speaker.entity);
+        self.timers.insert((ends, Timer::Attachment { entity: speaker.entity }));
+        Ok(())
+    }
+
+    pub(super) fn end_attachment(&mut self, entity: &Name) {
+        let Some(attachment) = self.entities.take_attachment(entity) else { return };
+        self.timers.remove(&(attachment.ends, Timer::Attachment { entity: *entity }));
+        if let Some(switch) = self.switches.get_mut(&attachment.switch) {
+            switch.attached.remove(entity);
+        }
+        for (name, role) in self.names.bound_of(entity, self.entities.names(entity)) {
+            self.unregister(Stake { name, entity: *entity, role });
+        }
+        self.telling.end(&Stake::inbox(*entity));
+        self.entities.retire(entity);
+    }
+
+    fn register(&mut self, stake: Stake, proof: NameProof, new: Registration) -> Result<(), Refusal> {
+        let Stake { name: key, entity, role } = stake;
+        let name = Name::from_bytes(key);
+        if name == entity {
+            let reason =
+                format!("{entity} is reached under its own name as it is, by its counterparts; use another name");
+            return Err(Refusal::new(RefusalCode::Unsupported, reason));
+        }
+        self.names.check_room(&name, &entity, &new, &self.limits)?;
+        let names = self.entities.names(&entity);
+        if names.len() >= self.limits.names_per_entity && !names.contains(&key) {
+            return Err(limit_reached(format!("{entity} already has {} names", names.len())));
+        }
+        let place = Place { entity, switch: new.switch };
+        if new.bound {
+            let counterparts: Vec<Place> = self.counterparts(&key, role).collect();
+            self.inboxes.check_room(place, &counterparts, &self.limits)?;
+        }
+        let (ends, bound) = (new.ends, new.bound);
+        let old = self.names.get(&key, &entity, role);
+        let says_the_same = old.is_some_and(|old| old.tells_the_same(&new));
+        let was_bound_at = old.filter(|old| old.bound).map(|old| old.switch);
+        let is_bound_at = bound.then_some(new.switch);
+        self.revocations.enter(&key);
+        let old = self.names.insert(name, proof, entity, new);
+        self.timers.insert((ends, Timer::Registration(stake)));
+        self.entities.add_name(&entity, key);
+        if let Some(old) = &old
+            && old.ends != ends
+        {
+            self.timers.remove(&(old.ends, Timer::Registration(stake)));
+        }
+        if was_bound_at != is_bound_at {
+            was_bound_at.into_iter().for_each(|switch| self.part(stake, switch));
+            is_bound_at.into_iter().for_each(|switch| self.join(stake, switch));
+        }
+        if let Some(old) = old.filter(|old| old.switch != place.switch) {
+            self.follow_up(key, old.switch);
+        }
+        self.follow_up(key, place.switch);
+        if !says_the_same {
+            self.tell_counterparts(stake);
+        }
+        Ok(())
+    }
+
+    pub(super) fn unregister(&mut self, stake: Stake) {
+        let Stake { name, entity, role } = stake;
+        let Some(old) = self.names.remove(&name, &entity, role) else { return };
+        self.timers.remove(&(old.ends, Timer::Registration(stake)));
+        if old.bound {
+            self.part(stake, old.switch);
+        }
+        let sends = |role: &NameRole| role.sends() && self.names.get(&name, &entity, *role).is_some();
+        if !NameRole::ALL.iter().any(sends) {
+            self.boxes.forget(&name, &entity);
+        }
+        if !self.names.has(&name, &entity) {
+            self.entities.remove_name(&entity, &name);
+            self.entities.retire(&entity);
+        }
+        self.follow_up(name, old.switch);
+        self.tell_counterparts(stake);
+        if self.names.sweep(&name) {
+            self.revocations.leave(&name, self.limits.idle_revocations);
+        }
+    }
+
+    /// The attached entities that one with this role exchanges messages with.
+    pub(super) fn counterparts(&self, name: &Key, role: NameRole) -> impl Iterator<Item = Place> {
+        self.names.bound(name, role.counterpart()).map(|(entity, switch)| Place { entity, switch })
+    }
+
+    /// Lets an entity at `switch` and its counterparts send to each other's inbox.
+    fn join(&mut self, stake: Stake, switch: Name) {
+        let place = Place { entity: stake.entity, switch };
+        let others: Vec<Place> = self.counterparts(&stake.name, stake.role).collect();
+        for other in others.into_iter().filter(|other| other.entity != place.entity) {
+            for (inbox, sender) in [(place, other), (other, place)] {
+                let switches = self.inboxes.allow(inbox, sender);
+                self.reroute(inbox.entity.to_bytes(), switches);
+            }
+        }
+    }
+
+    /// The entity is no counterpart of these any more, as far as this name goes.
+    fn part(&mut self, stake: Stake, switch: Name) {
+        self.telling.end(&stake);
+        let place = Place { entity: stake.entity, switch };
+        let others: Vec<Place> = self.counterparts(&stake.name, stake.role).collect();
+        for other in others.into_iter().filter(|other| other.entity != place.entity) {
+            for (inbox, sender) in [(place, other), (other, place)] {
+                let (switches, ended) = self.inboxes.deny(inbox, sender);
+                if ended {
+                    self.boxes.forget(inbox.entity.as_bytes(), &sender.entity);
+                }
+                self.reroute(inbox.entity.to_bytes(), switches);
+            }
+        }
+    }
+
+    fn tell_counterparts(&mut self, stake: Stake) {
+        let role = stake.role.counterpart();
+        for (entity, _) in self.names.bound(&stake.name, role) {
+            self.telling.record_changed(Stake { name: stake.name, entity, role }, stake.entity);
+        }
+    }
+
+    /// Brings the desired FIBs in line with what is registered for one name, after a change `at` a switch.
+    fn follow_up(&mut self, name: Key, at: Name) {
+        let topology = &self.topology;
+        let switches = self.names.reroute(&name, &at, |switch| topology.bit(switch));
+        self.reroute(name, switches);
+    }
+
+    fn reroute(&mut self, name: Key, switches: impl IntoIterator<Item = Name>) {
+        for switch in switches {
+            let inbox = self.inboxes.route(&name, &switch, |switch| self.topology.bit(switch));
+            let route = join(self.names.route(&name, &switch), inbox);
+            if let Some(state) = self.switches.get_mut(&switch) {
+                state.fib.set(&Name::from_bytes(name), route);
+            }
+        }
+    }
+}
+
+fn lifetime(now: Now, stated: u32, not_after: u64) -> Result<Duration, Refusal> {
+    if stated == 0 {
+        return Err(Refusal::new(RefusalCode::Malformed, "a statement with a lifetime of 0 s states nothing"));
+    }
+    let seconds = u64::from(stated).min((not_after - now.unix).max(1));
+    Ok(now.clock.saturating_add(Duration::from_secs(seconds)))
+}

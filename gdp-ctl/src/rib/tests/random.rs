@@ -1,0 +1,140 @@
+//! Random joins, leaves, moves, link failures, revocations, key boxes and restarts of the RIB. Whatever happened: FIBs that
+//! follow the pushes equal the desired ones and a model's, what is sent reaches exactly those that take it, and everybody
+//! knows its counterparts and has the boxes that are kept for it.
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use gdp::control::NameRole;
+use gdp::identity::Identity;
+use gdp::name::Name;
+
+use super::world::{Parts, Random, World};
+use crate::rib::{Limits, Rib, Run};
+
+const SWITCHES: usize = 6;
+const ENTITIES: usize = 8;
+const NAMES: usize = 4;
+
+/// Links that come and go.
+const LOOSE: [(usize, usize); 2] = [(0, 3), (2, 5)];
+
+struct Entity {
+    identity: Identity,
+    at: usize,
+    serial: u64,
+}
+
+#[test]
+fn pushes_bring_everything_to_its_desired_state_whatever_happens() {
+    let mut random = Random(11);
+    for round in 0..4 {
+        let mut w = World::chain(SWITCHES);
+        w.links.extend(LOOSE);
+        (0..SWITCHES).for_each(|i| w.report(i, None));
+        let mut entities: Vec<Entity> = (0..ENTITIES)
+            .map(|_| {
+                let at = random.below(SWITCHES);
+                Entity { identity: w.attached("entity", at), at, serial: 0 }
+            })
+            .collect();
+        let mut cards = vec![w.card.clone()];
+        cards.resize_with(NAMES, || w.another_name());
+        for step in 0..80 {
+            // Names of even index are topics, the others services.
+            let index = random.below(NAMES);
+            w.card = cards[index].clone();
+            let [writer, reader] = match index % 2 {
+                0 => [NameRole::Publisher, NameRole::Subscriber],
+                _ => [NameRole::Server, NameRole::Caller],
+            };
+            let names: BTreeSet<Name> = entities.iter().map(|entity| entity.identity.name()).collect();
+            let Entity { identity, at, serial } = &mut entities[random.below(ENTITIES)];
+            *serial += 1;
+            w.serial += 1;
+            match random.below(12) {
+                0..=2 => drop(w.state(identity, *at, *serial, writer)),
+                3..=5 => drop(w.state(identity, *at, *serial, reader)),
+                6 => {
+                    let request = Parts::withdraw(&w, identity, *at, *serial);
+                    w.ask(identity, *at, request);
+                }
+                7 => {
+                    *at = random.below(SWITCHES);
+                    w.attach(identity, *at);
+                }
+                8 => {
+                    let toggled = LOOSE[random.below(LOOSE.len())];
+                    match w.links.iter().position(|link| *link == toggled) {
+                        Some(i) => drop(w.links.remove(i)),
+                        None => w.links.push(toggled),
+                    }
+                    w.report(toggled.0, None);
+                    w.report(toggled.1, None);
+                }
+                9 => {
+                    let readers: Vec<Name> = names.into_iter().collect();
+                    let name = w.card.name();
+                    w.boxes(identity, *at, name, step, &readers);
+                    // A counterpart's inbox, if it is one.
+                    let inbox = readers[random.below(ENTITIES)];
+                    w.boxes(identity, *at, inbox, step, &[inbox]);
+                }
+                10 => {
+                    let (records, _) = w.rib.records(w.now, None, usize::MAX);
+                    let of_name = records.iter().filter(|record| record.name == w.card.name());
+                    let serials =
+                        of_name.flat_map(|record| record.credential.serials().unwrap()).map(|(_, serial)| serial);
+                    let serials: BTreeSet<u64> = serials.collect();
+                    let revoked: Vec<u64> = serials.into_iter().filter(|_| random.below(3) == 0).collect();
+                    w.revoke(u64::from(step) + 1, 0, &revoked);
+                    let (records, _) = w.rib.records(w.now, None, usize::MAX);
+                    let held = w.rib.revocations.claims(w.card.name().as_bytes());
+                    assert!(
+                        records.iter().filter(|r| r.name == w.card.name()).all(|r| r.verify(held, w.now.unix).is_ok())
+                    );
+                }
+                _ if step % 4 == 0 => restart(&mut w, &entities, round * 100 + u64::from(step) + 2),
+                _ => {}
+            }
+            if random.below(3) == 0 {
+                check(&mut w);
+            }
+        }
+        check(&mut w);
+        for Entity { identity, at, .. } in &entities {
+            w.detach(identity, *at);
+        }
+        w.settle();
+        assert!(w.held.values().all(|held| held.routes.is_empty()), "names are left over");
+        assert_eq!(w.rib.name_count(), 0);
+    }
+}
+
+fn check(w: &mut World) {
+    w.tell_all();
+    w.settle();
+    w.check_model();
+    w.check_delivery();
+    w.check_told();
+}
+
+/// The RIB forgets everything; switches report, and entities attach again and state nothing until they next do.
+fn restart(w: &mut World, entities: &[Entity], id: u64) {
+    w.rib = Rib::new(w.switch(0), Run { id, settling: Duration::ZERO }, Limits::default());
+    (0..SWITCHES).for_each(|i| {
+        let here: Vec<Name> = entities.iter().filter(|e| e.at == i).map(|e| e.identity.name()).collect();
+        w.report(i, Some(&here));
+    });
+    let mut told: Vec<(Name, Name)> = w.detaches();
+    let mut expected: Vec<_> = entities.iter().map(|e| (w.switch(e.at), e.identity.name())).collect();
+    told.sort();
+    expected.sort();
+    assert_eq!(told, expected, "whom the RIB does not know is to attach again");
+    for Entity { identity, at, .. } in entities {
+        w.attach(identity, *at);
+    }
+    (0..SWITCHES).for_each(|i| {
+        w.report(i, Some(&entities.iter().filter(|e| e.at == i).map(|e| e.identity.name()).collect::<Vec<_>>()))
+    });
+}
