@@ -16,7 +16,8 @@ use zerocopy::IntoBytes;
 use super::frame_size::FrameSize;
 use super::receiver::Command;
 use super::shared_entry::SharedEntry;
-use super::state::{self, State, Status};
+use super::outlet::Status;
+use super::state::{self, State};
 use super::{LinkTarget, NodeError, Stated};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
@@ -50,8 +51,6 @@ const SETTLING: Duration = Duration::from_secs(3);
 pub enum Event {
     /// A publisher or subscription was dropped.
     Withdraw { name: Name, stated: Stated },
-    /// Frames for this name arrive from a source that is not known as its writer.
-    UnknownWriter { name: Name },
 }
 
 /// The link as publishers use it.
@@ -175,7 +174,7 @@ impl Supervisor {
             loop {
                 match self.attempt(None).await {
                     Err(error) if worth_another_attempt(&error) => {
-                        self.state.set_status(Status::Down(error.to_string()));
+                        self.state.outlet.set_status(Status::Down(error.to_string()));
                         backoff.wait().await;
                     }
                     result => return result,
@@ -195,13 +194,16 @@ impl Supervisor {
         mut events: mpsc::UnboundedReceiver<Event>,
         mut stop: watch::Receiver<bool>,
     ) {
+        let state = self.state.clone();
         tokio::select! {
             () = self.supervise(first, &mut events) => {}
+            () = state.keep() => {}
             _ = stop.wait_for(|stop| *stop) => {}
         }
         // In this order: the thread is woken through the link.
         self.state.command(Command::Stop);
-        self.state.set_status(Status::Closed);
+        self.state.outlet.stop();
+        self.state.outlet.set_status(Status::Closed);
         if let Some(port) = &self.port {
             port.close("the node was closed").await;
         }
@@ -213,11 +215,11 @@ impl Supervisor {
             let reason = self.serve(attachment.clone(), events).await;
             tracing::warn!(switch = %self.target, %reason, "lost the link to the switch");
             attachment = if attachment.link.fell_silent() {
-                self.state.set_status(Status::Held(attachment.clone(), reason));
+                self.state.outlet.set_status(Status::Held(attachment.clone(), reason));
                 let held = Held { attachment, until: Instant::now() + HOLD };
                 self.reconnect_while_held(&held).await
             } else {
-                self.state.set_status(Status::Down(reason));
+                self.state.outlet.set_status(Status::Down(reason));
                 self.reconnect(None).await
             };
             tracing::info!(switch = %attachment.link.peer().name, "the link to the switch is back");
@@ -293,7 +295,7 @@ impl Supervisor {
         };
         self.state.attach(&attachment).await?;
         self.state.counters.links.add(1);
-        self.state.set_status(Status::Up(attachment.clone()));
+        self.state.outlet.set_status(Status::Up(attachment.clone()));
         Ok(attachment)
     }
 
@@ -445,11 +447,6 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
                     error => tracing::warn!(%name, %error, "could not be withdrawn; trying again"),
                 }
                 backoff.wait().await;
-            }
-        }
-        Event::UnknownWriter { name } => {
-            if let Err(error) = state.learn_writers(&attachment, name).await {
-                tracing::debug!(%name, %error, "its writers could not be asked for");
             }
         }
     }
