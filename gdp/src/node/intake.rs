@@ -22,11 +22,22 @@ use crate::transport::{Arrival, Inbound, InboundCounters, InboundOptions, Positi
 #[derive(Debug)]
 pub enum Change {
     /// This writer's right was verified.
-    Authorise { writer: Name, key: VerifyKey },
-    Revoke { writer: Name },
+    Authorise {
+        writer: Name,
+        key: VerifyKey,
+    },
+    Revoke {
+        writer: Name,
+    },
     /// What it seals with.
-    Key { writer: Name, opened: Opened },
-    DropKey { writer: Name, epoch: u32 },
+    Key {
+        writer: Name,
+        opened: Opened,
+    },
+    DropKey {
+        writer: Name,
+        epoch: u32,
+    },
 }
 
 /// What became of a payload.
@@ -196,14 +207,7 @@ impl Intake {
     }
 
     /// Takes a frame's payload from a writer it knows. `marked`: the frame met congestion.
-    pub fn push(
-        &mut self,
-        now: Moment,
-        source: Name,
-        payload: &[u8],
-        marked: bool,
-        counters: &Counters,
-    ) -> Verdict {
+    pub fn push(&mut self, now: Moment, source: Name, payload: &[u8], marked: bool, counters: &Counters) -> Verdict {
         let Some(writer) = self.writers.get_mut(&source) else { return Verdict::Done };
         let steady = now.steady_ns;
         if let Some(Session { id, inbound, .. }) = &mut writer.session {

@@ -78,11 +78,7 @@ pub struct Batch {
 
 impl Batch {
     pub fn new() -> Self {
-        Self {
-            transmits: Vec::with_capacity(BATCH),
-            headers: Box::new([Header::default(); BATCH]),
-            joined: Vec::new(),
-        }
+        Self { transmits: Vec::with_capacity(BATCH), headers: Box::new([Header::default(); BATCH]), joined: Vec::new() }
     }
 }
 

@@ -76,12 +76,7 @@ pub enum Pushed {
 }
 
 impl Publication {
-    pub fn new(
-        name: Name,
-        identity: &Identity,
-        options: &PublishOptions,
-        outlet: &Outlet,
-    ) -> Result<Self, NodeError> {
+    pub fn new(name: Name, identity: &Identity, options: &PublishOptions, outlet: &Outlet) -> Result<Self, NodeError> {
         let mut writer = Writer::new(name, identity.name(), identity.key().clone(), Backend::default())?;
         let ring = KeyRing::new(name, identity, options.rotation, unix_nanos())?;
         let (epoch, key) = ring.current();

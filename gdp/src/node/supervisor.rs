@@ -14,9 +14,9 @@ use tokio::time::{Instant, sleep, sleep_until, timeout_at};
 use zerocopy::IntoBytes;
 
 use super::frame_size::FrameSize;
+use super::outlet::Status;
 use super::receiver::Command;
 use super::shared_entry::SharedEntry;
-use super::outlet::Status;
 use super::state::{self, State};
 use super::{LinkTarget, NodeError, Stated};
 use crate::control::{Refusal, RefusalCode, Request, Response};

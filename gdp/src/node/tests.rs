@@ -28,7 +28,7 @@ async fn messages_arrive_by_name() {
     let (sent, received) = (robot.counters(), cloud.counters());
     assert_eq!((sent.messages_sent, sent.links, sent.messages_unsent), (5, 1, 0));
     assert_eq!(received.messages_received, 5);
-        assert!(received.drops.is_empty(), "{received:?}");
+    assert!(received.drops.is_empty(), "{received:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

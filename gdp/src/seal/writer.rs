@@ -112,7 +112,19 @@ impl Writer {
     ) -> Result<Self, SealError> {
         let signer = key.signer(backend)?;
         let (used_cuts, scratch) = (UsedCuts::default(), Scratch::default());
-        Ok(Self { name, writer, session, epoch: None, before: VecDeque::new(), signer, backend, next: 1, used_cuts, heartbeats: 0, scratch })
+        Ok(Self {
+            name,
+            writer,
+            session,
+            epoch: None,
+            before: VecDeque::new(),
+            signer,
+            backend,
+            next: 1,
+            used_cuts,
+            heartbeats: 0,
+            scratch,
+        })
     }
 
     /// From now on everything is sealed under this key. Numbers only rise, so that no key comes back.
@@ -214,24 +226,12 @@ impl Writer {
 
     /// Seals again what this session sealed in the last 16 epochs, for frame payloads of another size:
     /// `sealed` are the segments of whole messages, one after another. As [`Self::reseal`] for each of them.
-    pub fn recut(
-        &mut self,
-        sealed: &[u8],
-        cut: u16,
-        max_payload: usize,
-        out: &mut Segments,
-    ) -> Result<(), SealError> {
+    pub fn recut(&mut self, sealed: &[u8], cut: u16, max_payload: usize, out: &mut Segments) -> Result<(), SealError> {
         out.clear();
         self.recut_into(sealed, cut, max_payload, out).inspect_err(|_| out.clear())
     }
 
-    fn recut_into(
-        &mut self,
-        sealed: &[u8],
-        cut: u16,
-        max_payload: usize,
-        out: &mut Segments,
-    ) -> Result<(), SealError> {
+    fn recut_into(&mut self, sealed: &[u8], cut: u16, max_payload: usize, out: &mut Segments) -> Result<(), SealError> {
         let (mut rest, mut plaintext) = (sealed, Vec::new());
         while let Ok((segment, behind)) = Segment::split(rest) {
             rest = behind;
@@ -260,13 +260,7 @@ impl Writer {
 
     /// Says that all messages before `next` have gone, for readers that may have missed the last of them, and that those
     /// before `oldest` cannot be had again. One segment, small enough for any link; each costs a signature.
-    pub fn heartbeat(
-        &mut self,
-        now_unix_ns: u64,
-        next: u64,
-        oldest: u64,
-        out: &mut Segments,
-    ) -> Result<(), SealError> {
+    pub fn heartbeat(&mut self, now_unix_ns: u64, next: u64, oldest: u64, out: &mut Segments) -> Result<(), SealError> {
         out.clear();
         let next = next.clamp(1, self.next);
         let epoch = self.spend_segments(1)?;
