@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Mode, ReadGrant, Revocation, RtCert, issue};
 use gdp::control::{EntityRequest, NameRole, Peers, RefusalCode, Request, Response};
 use gdp::keys::KeyBox;
-use gdp::link::{Link, LinkIds, RekeySchedule};
+use gdp::link::{Link, RekeySchedule};
 use gdp::peers::{Counterparts, PeerEvent};
 use gdp::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
 use gdp::{Identity, NameCard, SigningKey};

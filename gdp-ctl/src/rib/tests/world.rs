@@ -36,6 +36,9 @@ pub struct World {
     pub entities: BTreeMap<Name, Name>,
     /// What entities hold of their counterparts: by entity, name and role.
     pub nodes: BTreeMap<(Name, Name, NameRole), Counterparts>,
+    /// Of so many messages to entities one is lost, and of as many the answer; 0: none.
+    pub loss: usize,
+    random: Random,
     /// Key boxes that readers were given: name, writer, reader, epoch.
     pub given: BTreeSet<(Name, Name, Name, u32)>,
 }
@@ -71,6 +74,8 @@ impl World {
             held: BTreeMap::new(),
             entities: BTreeMap::new(),
             nodes: BTreeMap::new(),
+            loss: 0,
+            random: Random(3),
             given: BTreeSet::new(),
         };
         (0..length).for_each(|i| world.report(i, Some(&[])));
@@ -268,8 +273,10 @@ impl World {
     fn arrive(&mut self, push: &PeersPush) {
         control::encode(&Request::Peers(push.clone())).expect("fits a message");
         assert_eq!(self.entities[&push.entity], push.switch, "told where it is attached");
-        let arrived = self.take(push.entity, push.name, push.role, &push.peers);
-        self.rib.told(self.now, Told::from(push), arrived);
+        let mut is_lost = || self.loss > 0 && self.random.below(self.loss) == 0;
+        let (lost, answer_lost) = (is_lost(), is_lost());
+        let arrived = !lost && self.take(push.entity, push.name, push.role, &push.peers);
+        self.rib.told(self.now, Told::from(push), arrived && !answer_lost);
     }
 
     /// What the SDK of an entity does with what it is told. Whether it follows.
