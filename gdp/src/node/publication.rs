@@ -205,8 +205,8 @@ impl Publication {
                 PeerEvent::Refused(error) => {
                     tracing::warn!(name = %self.name, %error, "the RIB told of a reader that does not verify");
                 }
-                // Those for requests are the servers'.
-                PeerEvent::KeyBox(_) => {}
+                // Boxes for requests are the servers'; a RIB that is behind is the supervisor's business.
+                PeerEvent::KeyBox(_) | PeerEvent::RibIsBehind(_) => {}
             }
         }
         self.sweep(outlet, readers, now_unix);

@@ -54,8 +54,8 @@ impl Reading {
                 PeerEvent::Refused(error) => {
                     tracing::warn!(name = %self.name, %error, "the RIB told of a writer that does not verify");
                 }
-                // A writer is believed as long as its right holds.
-                PeerEvent::Left(_) => {}
+                // A writer is believed as long as its right holds; a RIB that is behind is the supervisor's business.
+                PeerEvent::Left(_) | PeerEvent::RibIsBehind(_) => {}
             }
         }
         effects.extend(self.expire(now));

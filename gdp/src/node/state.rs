@@ -50,7 +50,7 @@ pub struct State {
     /// The highest serial used. Held while a statement is on its way, so that they arrive in their order.
     serial: tokio::sync::Mutex<u64>,
     commands: std::sync::mpsc::Sender<Command>,
-    events: mpsc::UnboundedSender<Event>,
+    pub events: mpsc::UnboundedSender<Event>,
 }
 
 /// The right to a name, as it is shown to the RIB.
@@ -277,6 +277,16 @@ impl State {
             Response::Records { records, truncated } => Ok((records, truncated)),
             _ => Err(NodeError::Protocol("to a query")),
         }
+    }
+
+    /// Gives the RIB a revocation that it does not know.
+    pub async fn pass_on(
+        &self,
+        attachment: &Attachment,
+        proof: NameProof,
+        revocation: Signed<Revocation>,
+    ) -> Result<(), NodeError> {
+        ask(attachment, EntityRequest::Revoke { proof, revocation }).await.map(drop)
     }
 
     /// Asks with a statement of this entity, under the next serial; and once more under a higher one if something else spoke

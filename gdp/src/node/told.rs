@@ -12,7 +12,7 @@ use super::publication::Publication;
 use super::reading::Effect;
 use super::receiver::Command;
 use super::state::{State, ask, lock};
-use super::supervisor::Attachment;
+use super::supervisor::{Attachment, Event};
 use crate::cert::CertError;
 use crate::control::{EntityRequest, NameRole, Peers, Response};
 use crate::peers::{OutOfStep, PeerEvent};
@@ -24,9 +24,16 @@ impl State {
     /// Takes what the RIB told of the counterparts in a name; `None` if this node has no such part in it.
     pub fn take_peers(&self, name: Name, role: NameRole, peers: &Peers) -> Option<Result<(), OutOfStep>> {
         // Held throughout, so that what follows comes in the order in which it was told.
-        let mut counterparts = lock(&self.counterparts);
-        match counterparts.get_mut(&(name, role))?.take(unix_now(), peers) {
+        let mut all = lock(&self.counterparts);
+        let counterparts = all.get_mut(&(name, role))?;
+        match counterparts.take(unix_now(), peers) {
             Ok(events) => {
+                for event in &events {
+                    if let PeerEvent::RibIsBehind(revocation) = event {
+                        let (proof, revocation) = (*counterparts.proof(), revocation.clone());
+                        let _ = self.events.send(Event::Revoke { proof, revocation });
+                    }
+                }
                 self.act(name, role, events);
                 Some(Ok(()))
             }
