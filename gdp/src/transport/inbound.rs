@@ -17,6 +17,10 @@ const LEAST_PATIENCE: u64 = 2 * MS;
 const FASTEST_REPORT: u64 = 10 * MS;
 const SLOWEST_REPORT: u64 = 100 * MS;
 
+/// So many bytes are worth a report sooner, on short ways: half a round trip after the last, and this at least.
+const MANY_BYTES: u64 = 64 << 10;
+const FASTEST_OF_MANY: u64 = 2 * MS;
+
 /// What was asked for in vain is asked for again, in the end so seldom.
 const SLOWEST_ASKING: u64 = 1_000 * MS;
 
@@ -115,6 +119,7 @@ pub struct Inbound<M> {
     report_at: u64,
     reported_at: Option<u64>,
     segments: u64,
+    reported_bytes: u64,
     segment_bytes: u64,
     ce: u32,
     /// The last new segment since the last report, and when it came.
@@ -145,6 +150,7 @@ impl<M> Inbound<M> {
             report_at: u64::MAX,
             reported_at: None,
             segments: 0,
+            reported_bytes: 0,
             segment_bytes: 0,
             ce: 0,
             echo: None,
@@ -474,13 +480,17 @@ impl<M> Inbound<M> {
     }
 
     fn plan_report(&mut self, now: u64) {
-        let at = self.reported_at.map_or(now, |last| (last + self.report_interval()).max(now));
+        let many = self.segment_bytes - self.reported_bytes >= MANY_BYTES;
+        let interval =
+            if many { (self.rtt / 2).clamp(FASTEST_OF_MANY, SLOWEST_REPORT) } else { self.report_interval() };
+        let at = self.reported_at.map_or(now, |last| (last + interval).max(now));
         self.report_at = self.report_at.min(at);
     }
 
     fn report(&mut self, now: u64) -> Feedback {
         self.report_at = u64::MAX;
         self.reported_at = Some(now);
+        self.reported_bytes = self.segment_bytes;
         let (echo, came_at) = self.echo.take().unwrap_or((Position { sequence: 0, index: 0 }, now));
         Feedback::Report {
             name: self.name,

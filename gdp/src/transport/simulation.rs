@@ -216,7 +216,6 @@ impl Simulation {
         self.poll_writer(writer);
     }
 
-    pub fn debug(&mut self, topic: usize) -> String { let t = &self.topics[topic]; let (w, id) = (t.writer, t.id); self.uplinks.get_mut(&(w,0)).unwrap().debug(id) }
     pub fn now(&self) -> u64 {
         self.net.now()
     }
@@ -276,6 +275,11 @@ impl Simulation {
                 }
             }
         }
+    }
+
+    /// Whether all that goes on is a heartbeat now and then.
+    pub fn is_quiet(&self) -> bool {
+        self.next_wake() > self.net.now() + 10 * MS
     }
 
     fn next_wake(&self) -> u64 {
