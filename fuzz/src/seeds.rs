@@ -56,7 +56,10 @@ fn payloads() -> Seeds {
     [
         ("a message in one frame", vec![send(255, 255, 100), arrive(0)]),
         ("a batch", vec![send(7, 255, 200), arrive(0), arrive(0)]),
-        ("a large message", vec![send(255, 10, 1000), arrive(3), arrive(2), arrive(0), arrive(0), arrive(0)]),
+        (
+            "a large message",
+            vec![send(255, 10, 1000), arrive(3), arrive(2), arrive(0), arrive(0), arrive(0), arrive(0)],
+        ),
         ("two cuts", vec![send(255, 40, 700), send(1, 10, 0), arrive(0), arrive(3), arrive(2), arrive(1), arrive(0)]),
         ("a heartbeat", vec![send(255, 255, 9), step(WRITER, &[0, 0]), arrive(1), arrive(0)]),
         ("another epoch", vec![step(EPOCHS, &[1]), send(255, 255, 100), arrive(0), step(EPOCHS, &[4]), arrive(0)]),
@@ -74,7 +77,7 @@ fn payloads() -> Seeds {
                 heartbeat
             })],
         ),
-        ("what nobody sealed", vec![step(PAYLOAD, &body)]),
+        ("what nobody sealed", vec![step(PAYLOAD, &[&body[..], &[0; 16]].concat())]),
     ]
     .map(|(name, steps)| (name.to_owned(), steps.concat()))
     .to_vec()
