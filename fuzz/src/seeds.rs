@@ -6,10 +6,11 @@ use gdp::cert::{
     Revocation, RtCert, Signed, issue,
 };
 use gdp::control::{
-    Credential, EntityRequest, Extent, FibPush, Record, Refusal, RefusalCode, Request, Response, Route, WritersPush,
-    encode,
+    Credential, EntityRequest, Extent, FibPush, NameRole, Peers, PeersExtent, PeersPush, Record, Refusal, RefusalCode,
+    Request, Response, Route, encode,
 };
 use gdp::feedback_wire::{Feedback, Missing};
+use gdp::keys::KeyBox;
 use gdp::{Identity, NameCard, SigningKey};
 use gdp_wire::{Counter, Name};
 use serde::Serialize;
@@ -211,7 +212,17 @@ impl Papers {
             set: vec![route],
             remove: vec![name],
         };
-        let neighbours = vec![(switch, 3)];
+        let key = KeyBox { name, writer: entity, reader: entity, epoch: 5, sealed: vec![0; 113] };
+        let peers = Peers {
+            run: 1,
+            generation: 7,
+            extent: PeersExtent::Whole { part: 0, last: false },
+            records: vec![record.clone()],
+            gone: vec![entity],
+            revocation: Some(self.revocation.clone()),
+            boxes: vec![issue(self.robot.key(), &key).expect("a box")],
+        };
+        let (neighbours, role) = (vec![(switch, 3)], NameRole::Subscriber);
         let from_entity = Request::Entity;
         vec![
             seed("attach", &from_entity(EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: true })),
@@ -230,7 +241,9 @@ impl Papers {
             seed("detach", &Request::Detach { switch, entity }),
             seed("ready", &Request::Ready),
             seed("fib push", &Request::Fib(push)),
-            seed("writers", &Request::Writers(WritersPush { switch, entity, name, records: vec![record.clone()] })),
+            seed("key boxes", &from_entity(EntityRequest::KeyBoxes { boxes: peers.boxes.clone() })),
+            seed("peers push", &Request::Peers(PeersPush { switch, entity, name, role, peers: peers.clone() })),
+            seed("peers", &Response::Peers(peers)),
             seed("ratcheted", &Request::Ratcheted { generation: u64::MAX }),
             seed("done", &Response::Done),
             seed("attached", &Response::Attached { serial: 9 }),

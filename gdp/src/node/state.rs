@@ -14,7 +14,7 @@ use super::intake::Writer as KnownWriter;
 use super::receiver::Command;
 use super::supervisor::{Attachment, Event};
 use super::{NodeError, Stated};
-use crate::cert::{AdCert, Advert, AdvertOp, Issued, Reading, RtCert, Signed, issue};
+use crate::cert::{AdCert, Advert, AdvertOp, Issued, Reading, Revocation, RtCert, Signed, issue};
 use crate::control::{EntityRequest, NameRole, Peers, Record, RecordPlace, RefusalCode, Request, Response};
 use crate::identity::Identity;
 use crate::name::{NamePrefix, NameProof};
@@ -255,6 +255,16 @@ impl State {
         }
     }
 
+    /// Gives the RIB a revocation that it does not know.
+    pub async fn pass_on(
+        &self,
+        attachment: &Attachment,
+        proof: NameProof,
+        revocation: Signed<Revocation>,
+    ) -> Result<(), NodeError> {
+        ask(attachment, EntityRequest::Revoke { proof, revocation }).await.map(drop)
+    }
+
     /// Asks the RIB who writes a name: its writers come first, so those that fit an answer.
     pub async fn learn_writers(&self, attachment: &Attachment, name: Name) -> Result<(), NodeError> {
         let (records, _) = self.query(attachment, name.into(), None).await?;
@@ -270,7 +280,11 @@ impl State {
 
     /// Takes what the RIB told of the counterparts in a name; `None` if this node has no such part in it.
     pub fn take_peers(&self, name: Name, role: NameRole, peers: &Peers) -> Option<Result<(), OutOfStep>> {
-        let taken = lock(&self.counterparts).get_mut(&(name, role))?.take(unix_now(), peers);
+        let (proof, taken) = {
+            let mut all = lock(&self.counterparts);
+            let counterparts = all.get_mut(&(name, role))?;
+            (*counterparts.proof(), counterparts.take(unix_now(), peers))
+        };
         let events = match taken {
             Ok(events) => events,
             Err(error) => return Some(Err(error)),
@@ -280,6 +294,7 @@ impl State {
             match event {
                 PeerEvent::Joined(counterpart) => joined.push(counterpart),
                 PeerEvent::Refused(error) => tracing::warn!(%name, %error, "the RIB told what does not verify"),
+                PeerEvent::RibIsBehind(revocation) => _ = self.events.send(Event::Revoke { proof, revocation }),
                 // A writer is believed as long as its right holds: forgetting it would forget what was delivered of it.
                 PeerEvent::Left(_) | PeerEvent::Revoked(_) | PeerEvent::KeyBox(_) => {}
             }

@@ -18,10 +18,12 @@ use super::receiver::Command;
 use super::shared_entry::SharedEntry;
 use super::state::{self, State, Status};
 use super::{LinkTarget, NodeError, Stated};
+use crate::cert::{Revocation, Signed};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
 use crate::link::liveness::{Liveness, Pace, Step};
 use crate::link::{HOLD, Link, LinkError, LinkKeys, RekeySchedule, Responder, Role};
+use crate::name::NameProof;
 use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, SMALLEST_PATH};
 
 /// How long a switch may take to answer discovery.
@@ -50,6 +52,8 @@ const SETTLING: Duration = Duration::from_secs(3);
 pub enum Event {
     /// A publisher or subscription was dropped.
     Withdraw { name: Name, stated: Stated },
+    /// The RIB does not know this revocation.
+    Revoke { proof: NameProof, revocation: Signed<Revocation> },
     /// Frames for this name arrive from a source that is not known as its writer.
     UnknownWriter { name: Name },
 }
@@ -445,6 +449,11 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
                     error => tracing::warn!(%name, %error, "could not be withdrawn; trying again"),
                 }
                 backoff.wait().await;
+            }
+        }
+        Event::Revoke { proof, revocation } => {
+            if let Err(error) = state.pass_on(&attachment, proof, revocation).await {
+                tracing::warn!(%error, "the RIB does not know a revocation, and does not take it");
             }
         }
         Event::UnknownWriter { name } => {
