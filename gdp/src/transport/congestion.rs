@@ -7,8 +7,8 @@ use super::{FRAME_HEADER, MS};
 /// A full frame, for what is counted in frames.
 const FRAME: u64 = 1400 + FRAME_HEADER;
 
-/// Bytes that may go before anything is known, as in RFC 6928.
-pub const INITIAL_WINDOW: u64 = 10 * FRAME;
+/// Bytes that may go before anything is known. RFC 6928 says 10 frames; large senders use as many as this today.
+pub const INITIAL_WINDOW: u64 = 32 * FRAME;
 /// A path is never held below this.
 pub const MIN_WINDOW: u64 = 4 * FRAME;
 
@@ -122,13 +122,22 @@ impl Path {
         self.silent = true;
     }
 
-    pub fn on_report(&mut self, now: u64, sample: &Sample) {
+    pub fn is_silent(&self) -> bool {
+        self.silent
+    }
+
+    /// Returns whether it takes this for congestion. What went before then is to be blamed once.
+    pub fn on_report(&mut self, now: u64, sample: &Sample) -> bool {
         if let Some(last) = self.last_report {
             let interval = (now - last).min(100 * MS);
             self.report_interval = (7 * self.report_interval + interval) / 8;
         }
         self.last_report = Some(now);
-        self.silent = false;
+        if self.silent {
+            // The path may be another one now.
+            *self = Self { smoothed_rtt: self.smoothed_rtt, last_report: Some(now), round_ends: sample.sent, ..Self::new() };
+            return false;
+        }
         if let Some(rtt) = sample.rtt {
             self.measure_rtt(now, rtt.max(1));
         }
@@ -141,12 +150,14 @@ impl Path {
                 self.rates.add(self.round, rate);
             }
         }
+        let mut congested = false;
         if sample.acknowledged >= self.round_ends {
-            self.end_round(sample.paused);
+            congested = self.end_round(sample.paused);
             self.round += 1;
             self.round_ends = sample.sent;
         }
         self.advance(now, sample.sent.saturating_sub(sample.acknowledged));
+        congested
     }
 
     /// Bytes per second at which frames may go.
@@ -161,6 +172,7 @@ impl Path {
         (self.bandwidth() * gain / 100).max(least)
     }
 
+    pub fn phase_(&self) -> String { format!("{:?} {:?}", self.phase, self.ceiling) }
     /// Bytes that may be under way.
     pub fn window(&self) -> u64 {
         if self.rates.get() == 0 || self.silent {
@@ -185,10 +197,11 @@ impl Path {
     }
 
     fn bandwidth(&self) -> u64 {
-        match self.rates.get() {
-            0 => bytes_per_second(INITIAL_WINDOW, self.rtt()),
-            rate => rate.min(self.ceiling.unwrap_or(u64::MAX)),
+        let rate = self.rates.get();
+        if self.phase == Phase::Startup {
+            return rate.max(bytes_per_second(INITIAL_WINDOW, self.rtt() + self.report_interval));
         }
+        rate.min(self.ceiling.unwrap_or(u64::MAX))
     }
 
     /// Bytes under way when the path is full and has no queue. What a reader has not reported yet is among them.
@@ -206,10 +219,11 @@ impl Path {
         }
     }
 
-    fn end_round(&mut self, paused: bool) {
+    fn end_round(&mut self, paused: bool) -> bool {
         let seen = self.round_delivered + self.round_lost;
         let lossy = self.round_lost > 4 * FRAME && self.round_lost * 100 > seen * LOSS_LIMIT;
-        if self.round_marks > 0 || lossy {
+        let congested = self.round_marks > 0 || lossy;
+        if congested {
             self.ceiling = Some(self.bandwidth() * BACK_OFF / 100);
             if self.phase == Phase::Startup {
                 self.phase = Phase::Drain;
@@ -226,6 +240,7 @@ impl Path {
                 self.phase = Phase::Drain;
             }
         }
+        congested
     }
 
     fn advance(&mut self, now: u64, under_way: u64) {

@@ -47,6 +47,8 @@ pub struct Peer {
     lagging: bool,
     lagging_until: u64,
     lags: u32,
+    /// Since when a publisher waits for it, on and off.
+    waited_since: Option<u64>,
     /// Looks since it last reported.
     silent: u32,
     /// The latest that it told of what had gone.
@@ -59,6 +61,8 @@ pub struct Peer {
     /// When `arrived` last moved.
     progress_at: u64,
     repairs: Meter,
+    /// What was lost before this is dealt with, or says nothing of the path as it is.
+    heard_since: u64,
     lost: u64,
 }
 
@@ -71,6 +75,7 @@ impl Peer {
             lagging: false,
             lagging_until: 0,
             lags: 0,
+            waited_since: None,
             silent: 0,
             echo: None,
             reported_at: now,
@@ -79,6 +84,7 @@ impl Peer {
             arrived: sent,
             progress_at: now,
             repairs: Meter::new(now),
+            heard_since: now,
             lost: 0,
         }
     }
@@ -122,10 +128,15 @@ impl Peer {
     }
 
     pub fn on_report(&mut self, now: u64, report: &Report, log: &SentLog, outbox: &Outbox, sent: u64) {
+        if self.path.is_silent() {
+            self.heard_since = now;
+        }
         self.silent = 0;
         self.acknowledged = self.acknowledged.max(report.acknowledged.min(outbox.last()));
-        if self.lagging && now >= self.lagging_until && self.acknowledged + 1 >= outbox.oldest() {
-            self.lagging = outbox.last().saturating_sub(self.acknowledged) > (outbox.last() + 1 - outbox.oldest()) / 2;
+        let half = outbox.oldest().midpoint(outbox.last());
+        if self.acknowledged >= half {
+            self.waited_since = None;
+            self.lagging &= now < self.lagging_until;
         }
         let Some(echo) = report.echo.and_then(|position| log.find(position)) else { return };
         let repeated = report.echo.and_then(|position| outbox.repeated(position));
@@ -149,7 +160,9 @@ impl Peer {
             acknowledged: self.arrived,
             sent,
         };
-        self.path.on_report(now, &sample);
+        if self.path.on_report(now, &sample) {
+            self.heard_since = now;
+        }
         self.reported_at = now;
         (self.received_bytes, self.ce) = (report.received_bytes, report.ce);
         if self.echo.is_none_or(|before| echo.total > before.total) {
@@ -165,8 +178,11 @@ impl Peer {
         allowed
     }
 
-    pub fn on_lost(&mut self, bytes: u64) {
-        self.lost += bytes;
+    /// It asked for so many bytes that had gone at this time.
+    pub fn on_lost(&mut self, bytes: u64, sent_at: u64) {
+        if sent_at >= self.heard_since {
+            self.lost += bytes;
+        }
     }
 }
 
@@ -214,9 +230,15 @@ impl Peers {
         self.0.values_mut().filter(|peer| peer.is_live())
     }
 
-    /// The last sequence that all who are waited for have.
+    /// The last sequence that all who are waited for have; of readers that all lag, the first of them is waited for.
     pub fn acknowledged(&self) -> u64 {
-        self.0.values().filter(|peer| peer.is_waited_for()).map(Peer::acknowledged).min().unwrap_or(u64::MAX)
+        let waited_for = self.0.values().filter(|peer| peer.is_waited_for()).map(Peer::acknowledged).min();
+        waited_for.unwrap_or_else(|| self.first_acknowledged())
+    }
+
+    /// The last sequence that any live reader has.
+    pub fn first_acknowledged(&self) -> u64 {
+        self.0.values().filter(|peer| peer.is_live()).map(Peer::acknowledged).max().unwrap_or(u64::MAX)
     }
 
     /// Whether any reader, live or not, lacks a message up to this sequence.
@@ -224,18 +246,31 @@ impl Peers {
         self.0.values().any(|peer| peer.acknowledged < sequence)
     }
 
-    /// Who lacks this sequence is not waited for any more, for longer each time.
-    pub fn lag(&mut self, now: u64, sequence: u64) {
+    /// A publisher waits because some of those that are waited for lack this sequence. Those for which one has waited too long are
+    /// not waited for any more, for longer each time. Returns when that will be so of the next.
+    pub fn wait(&mut self, now: u64, sequence: u64) -> u64 {
+        // If nobody has it, it is no single reader that is slow.
+        if self.first_acknowledged() < sequence {
+            return u64::MAX;
+        }
+        let mut next = u64::MAX;
         for peer in self.0.values_mut().filter(|peer| peer.is_waited_for() && peer.acknowledged < sequence) {
-            peer.lagging = true;
+            let since = *peer.waited_since.get_or_insert(now);
+            let until = since.saturating_add(2 * peer.path.patience());
+            if until > now {
+                next = next.min(until);
+                continue;
+            }
+            (peer.lagging, peer.waited_since) = (true, None);
             peer.lagging_until = now + (LAG << peer.lags.min(6));
             peer.lags += 1;
         }
+        next
     }
 
-    /// How long those that are waited for may take at most.
-    pub fn patience(&self) -> u64 {
-        self.0.values().filter(|peer| peer.is_waited_for()).map(|peer| 2 * peer.path.patience()).max().unwrap_or(0)
+    /// The last sequence that all live readers have.
+    pub fn acknowledged_by_all(&self) -> u64 {
+        self.0.values().filter(|peer| peer.is_live()).map(Peer::acknowledged).min().unwrap_or(u64::MAX)
     }
 
     /// One look for those that fell silent, while something went.

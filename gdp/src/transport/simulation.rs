@@ -216,6 +216,7 @@ impl Simulation {
         self.poll_writer(writer);
     }
 
+    pub fn debug(&mut self, topic: usize) -> String { let t = &self.topics[topic]; let (w, id) = (t.writer, t.id); self.uplinks.get_mut(&(w,0)).unwrap().debug(id) }
     pub fn now(&self) -> u64 {
         self.net.now()
     }
@@ -482,6 +483,13 @@ impl Simulation {
             Content::ToReader(reader, _) => (vec![*reader], 0),
             Content::FromReader(..) => (vec![topic.writer], 0),
         };
+        // A reader with two ways back uses both.
+        if matches!(packet.content, Content::FromReader(..)) && from.is_none() && topic.options.doubled {
+            for (_, cable) in self.cables[&node].clone() {
+                self.net.send(node, cable, packet.clone(), bytes + FRAME_HEADER as usize);
+            }
+            return;
+        }
         let mut hops: Vec<(usize, Cable)> = to.iter().filter_map(|to| self.hop(node, *to, which)).collect();
         hops.sort_unstable();
         hops.dedup();

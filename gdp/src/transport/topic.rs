@@ -80,9 +80,10 @@ pub struct TopicState {
 /// A publisher waits for room.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
-    since: u64,
     /// For a message of so many bytes.
     bytes: usize,
+    /// When a reader that is waited for will have been for too long.
+    again_at: u64,
 }
 
 /// What a topic's timers bring.
@@ -116,12 +117,11 @@ impl TopicState {
         }
     }
 
+    pub fn debug(&mut self) -> String { let s = self.sent; format!("sent {} at {} leader {:?} nobody {} peers {:?}", s, self.sent_at/MS, self.leader.map(|l| l.1), self.nobody.under_way(s), self.peers.live().map(|p| (p.under_way(s), p.path().window(), p.path().rate(), p.path().rtt()/1000, p.overdue_at(self.sent_at)/MS, p.acknowledged(), p.path().phase_())).collect::<Vec<_>>()) }
     pub fn push(&mut self, now: u64, message: Sealed) -> Result<(), Sealed> {
-        let result = self.outbox.push(now, message, self.peers.acknowledged());
-        self.waiting = match &result {
-            Ok(()) => None,
-            Err(message) => Some(Waiting { since: now, bytes: message.total_bytes() }),
-        };
+        let result = self.outbox.push(now, message, self.peers.acknowledged(), self.peers.acknowledged_by_all());
+        self.waiting = result.as_ref().err().map(|message| Waiting { bytes: message.total_bytes(), again_at: u64::MAX });
+        self.wait(now);
         if self.peers.is_empty() {
             self.outbox.skip_all();
         }
@@ -145,7 +145,7 @@ impl TopicState {
 
     /// When it may send, or has to do something else.
     pub fn turn(&mut self, now: u64, max_payload: usize) -> Turn {
-        let timers = self.heartbeat_at.min(self.look_at).min(self.room_at());
+        let timers = self.heartbeat_at.min(self.look_at).min(self.waiting.map_or(u64::MAX, |waiting| waiting.again_at));
         if self.outbox.choose(now, max_payload).is_none() {
             if !self.paused {
                 (self.paused, self.pauses) = (true, self.pauses + 1);
@@ -216,13 +216,8 @@ impl TopicState {
                 self.heartbeat_at = u64::MAX;
             }
         }
-        if self.room_at() <= now {
-            if let Some(last) = self.outbox.evict() {
-                self.peers.lag(now, last);
-                due.room = self.waiting.take().is_some();
-            }
-        }
-        due.room |= self.take_room();
+        self.wait(now);
+        due.room = self.take_room();
         if self.find_leader().is_none() {
             let (sent, last) = (self.sent, self.sent_at);
             let blocked = self.peers.live().chain([&mut self.nobody]);
@@ -245,6 +240,7 @@ impl TopicState {
                     Report { acknowledged: *acknowledged, received_bytes: *received_bytes, ce: *ce, echo, delay };
                 peer.on_report(now, &report, &self.log, &self.outbox, self.sent);
                 self.leader = None;
+                self.wait(now);
                 (None, self.take_room())
             }
             Feedback::Nack { session, missing, .. } if *session == self.session => {
@@ -260,7 +256,8 @@ impl TopicState {
         let too_early = now.saturating_sub(peer.path().rtt() * 3 / 4);
         for range in missing.iter().take(MAX_MISSING) {
             let queued = self.outbox.ask(range, too_early, |bytes| peer.pay(now, bytes, rate));
-            peer.on_lost(queued);
+            let first = Position { sequence: range.sequence, index: range.first };
+            peer.on_lost(queued, self.log.find(first).map_or(0, |sent| sent.at));
         }
         let oldest = self.outbox.oldest();
         let gone = missing.first().is_some_and(|range| range.sequence < oldest);
@@ -277,11 +274,13 @@ impl TopicState {
         room
     }
 
-    /// When a publisher has waited long enough for readers that lack the oldest message.
-    fn room_at(&self) -> u64 {
-        match self.waiting {
-            Some(Waiting { since, .. }) if self.outbox.oldest_is_sent() => since.saturating_add(self.peers.patience()),
-            _ => u64::MAX,
+    /// If a publisher waits, looks for whom.
+    fn wait(&mut self, now: u64) {
+        if let Some(waiting) = &mut self.waiting {
+            waiting.again_at = match self.outbox.oldest_sent() {
+                Some(last) => self.peers.wait(now, last),
+                None => u64::MAX,
+            };
         }
     }
 

@@ -254,6 +254,7 @@ impl Uplink {
         queue.push_back(transmit);
     }
 
+    pub fn debug(&mut self, topic: Topic) -> String { self.topic(topic).unwrap().debug() }
     /// Copies that found no room.
     pub fn copies_dropped(&self) -> u64 {
         self.copies_dropped
