@@ -211,7 +211,7 @@ impl Unit {
     pub fn number(self, value: f64) -> String {
         match self {
             Self::FramesPerSecond | Self::NamesPerSecond => format!("{:.3}", value / 1e6),
-            Self::MessagesPerSecond => format!("{:.1}", value / 1e3),
+            Self::MessagesPerSecond => format!("{:.2}", value / 1e3),
             Self::BytesPerSecond => format!("{:.1}", value / 1e6),
             Self::Nanoseconds => format!("{value:.1}"),
             Self::Milliseconds | Self::SecondsPerGigabyte => format!("{value:.2}"),
