@@ -14,7 +14,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
 use gdp::link::{Link, LinkIds};
-use gdp::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
+use gdp::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
 use gdp_ctl::plane::kernel::KernelPlane;
 use gdp_ctl::plane::pins::Pins;
 use gdp_ctl::plane::{PinPlace, PlaneConfig, PlaneRoute, Planes, Wanted};
@@ -496,7 +496,7 @@ impl Site {
         wait_for("a frame", SOON, || {
             data.wait_readable(Duration::from_millis(10))?;
             let received = data.try_recv_batch(&mut batch)?;
-            let Some((frame, _)) = batch.frames().next() else { return Ok(None) };
+            let Some(InFrame { bytes: frame, .. }) = batch.frames().next() else { return Ok(None) };
             let (header, body) =
                 Header::read_from_prefix(frame).map_err(|_| anyhow::anyhow!("{} bytes", frame.len()))?;
             let accepted = forward::accept(&header, frame.len(), &entry, &*end.window);

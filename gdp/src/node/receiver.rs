@@ -17,7 +17,7 @@ use super::held::Held;
 use super::intake::{Intake, Writer};
 use super::shared_entry::SharedEntry;
 use super::supervisor::{Attachment, Event};
-use crate::port::{DataSocket, RecvBatch};
+use crate::port::{DataSocket, InFrame, RecvBatch};
 use crate::seal::DropReason;
 
 /// How long the thread sleeps without a frame: messages that cannot complete any more are given up at this pace.
@@ -249,8 +249,8 @@ impl Intakes {
         let now = self.start.elapsed().as_nanos() as u64;
         counters.frames_received.add(batch.len() as u64);
         let mut any_dropped = false;
-        for (frame, _) in batch.frames() {
-            let Ok((header, rest)) = Header::ref_from_prefix(frame) else {
+        for InFrame { bytes: frame, .. } in batch.frames() {
+            let Ok((ref header, rest)) = Header::read_from_prefix(frame) else {
                 counters.refused[Counter::Truncated as usize].add(1);
                 continue;
             };
