@@ -9,7 +9,7 @@
 //! - [`replication`]: what a copy costs
 //! - [`updates`]: frames per second while routes change
 //! - [`flood`]: frames to known names while others ask for unknown ones
-//! - [`senders`]: what the first switch costs a program that sends by a socket
+//! - [`senders`]: what the first switch costs a program that sends by a socket (other ways to send: [`rings`])
 //!
 //! They are made from [`path`] and [`star`] (what forwards; on [`switch`]), [`traffic`] (generators and sink), [`cpu`] (where),
 //! [`rounds`] (in turn), [`figure`] (results);
@@ -28,6 +28,7 @@ mod lookups;
 mod path;
 mod plot;
 mod replication;
+mod rings;
 mod rounds;
 mod senders;
 #[path = "../../tests/star/mod.rs"]
