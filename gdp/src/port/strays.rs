@@ -10,12 +10,13 @@ use std::task::{Context, Waker};
 
 use quinn::udp::RecvMeta;
 
-use super::LinkAddr;
 use super::batch::RecvBatch;
 use super::sys::Event;
+use super::{LinkAddr, UDP_MTU};
 
-/// How many wait.
+/// How many wait of a kind, and how long each may be: no link takes more.
 const QUEUE: usize = 1024;
+const LONGEST: usize = UDP_MTU as usize;
 
 /// Data frames that quinn's task found.
 pub struct Frames {
@@ -47,7 +48,7 @@ impl Frames {
 
     pub fn put(&self, from: LinkAddr, frame: &[u8]) {
         let mut queue = lock(&self.queue);
-        if queue.len() >= QUEUE {
+        if queue.len() >= QUEUE || frame.len() > LONGEST {
             self.dropped.fetch_add(1, Ordering::Relaxed);
             return;
         }
@@ -83,7 +84,7 @@ struct Waiting {
 impl Packets {
     pub fn put(&self, from: SocketAddr, packet: &[u8]) {
         let mut waiting = lock(&self.0);
-        if waiting.packets.len() < QUEUE {
+        if waiting.packets.len() < QUEUE && packet.len() <= LONGEST {
             waiting.packets.push_back((from, packet.to_vec()));
             waiting.waker.iter().for_each(Waker::wake_by_ref);
         }
@@ -97,7 +98,6 @@ impl Packets {
         while count < bufs.len().min(meta.len())
             && let Some((addr, packet)) = waiting.packets.pop_front()
         {
-            // QUIC reads no longer packets than it has room for.
             let Some(room) = bufs[count].get_mut(..packet.len()) else { continue };
             room.copy_from_slice(&packet);
             meta[count] = RecvMeta { addr, len: packet.len(), stride: packet.len(), ecn: None, dst_ip: None };

@@ -85,12 +85,19 @@ async fn whatever_lengths_a_sender_makes_up_others_are_not_harmed() {
     hostile.send(&junk, Some(65_000 / 2), 0, receiver.addr());
     hostile.send(&junk, None, 0, receiver.addr());
     hostile.send(&[], None, 0, receiver.addr());
+    // Of the other kind, but nothing that a peer would send: not kept.
+    hostile.send(&[&[QUIC; 2000][..], &junk[..2000]].concat(), Some(2000), 0, receiver.addr());
     let frames = frames(&[1400; 3]);
     honest.send(&frames, receiver.addr());
     let mut all = receiver.receive(64 + 64 + 2 + 1 + 3);
     assert_eq!(all.split_off(all.len() - 3), frames);
     let count = |length| all.iter().filter(|frame| frame.len() == length).count();
     assert_eq!([count(1), count(95), count(32_500), count(65_000)], [65, 63, 2, 1]);
+    assert_eq!(receiver.receive_packets(1).await.len(), 1);
+    assert_eq!(
+        (receiver.data.try_recv_batch(&mut RecvBatch::new(1500)).unwrap(), receiver.data.receive_drops()),
+        (0, 1)
+    );
 }
 
 #[tokio::test]
