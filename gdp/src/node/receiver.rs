@@ -18,7 +18,7 @@ use super::intake::{Intake, Writer};
 use super::shared_entry::SharedEntry;
 use super::supervisor::{Attachment, Event};
 use crate::link::KeyedEntry;
-use crate::port::{DataSocket, RecvBatch};
+use crate::port::{DataSocket, InFrame, RecvBatch};
 use crate::seal::{DropReason, Moment};
 
 /// How long the thread sleeps without a frame: messages that cannot complete any more are given up at this pace.
@@ -255,8 +255,8 @@ impl Intakes {
         let now = self.now();
         counters.frames_received.add(batch.len() as u64);
         let mut any_dropped = false;
-        for (frame, _) in batch.frames() {
-            let Ok((header, rest)) = Header::ref_from_prefix(frame) else {
+        for InFrame { bytes: frame, .. } in batch.frames() {
+            let Ok((ref header, rest)) = Header::read_from_prefix(frame) else {
                 counters.refused[Counter::Truncated as usize].add(1);
                 continue;
             };
