@@ -30,8 +30,9 @@ use crate::transport::{Output, Topic, Transmit, Uplink, UplinkOptions};
 /// Batches that a publisher sends itself; the rest of a large message is the sending thread's.
 const OWN_BATCHES: usize = 4;
 
-/// Bits of [`Header::flags`]: the traffic class begins there, and the two lowest say that congestion was met.
+/// Bits of [`Header::flags`]: the traffic class begins there, and the two lowest say that a mark is understood (ECT(0), RFC 3168).
 const CLASS_SHIFT: u8 = 2;
+const UNDERSTANDS_MARKS: u8 = 0b10;
 
 pub struct Outlet {
     pub clock: Clock,
@@ -283,7 +284,7 @@ impl Outlet {
         for (header, transmit) in headers.iter_mut().zip(&*transmits) {
             // Payloads are within the link's MTU, which 16 bits can express.
             *header = Header::data(transmit.name, self.name, transmit.payload_len() as u16);
-            header.flags |= transmit.class << CLASS_SHIFT;
+            header.flags |= transmit.class << CLASS_SHIFT | UNDERSTANDS_MARKS;
             forward::stamp(header, &entry, attachment.next_count());
             if transmit.payloads().nth(1).is_some() {
                 transmit.payloads().for_each(|payload| joined.extend_from_slice(payload));

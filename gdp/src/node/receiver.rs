@@ -23,7 +23,7 @@ use super::supervisor::Attachment;
 use crate::feedback_wire::Feedback;
 use crate::keys::PairError;
 use crate::link::KeyedEntry;
-use crate::port::{DataSocket, RecvBatch};
+use crate::port::{DataSocket, InFrame, RecvBatch};
 use crate::seal::DropReason;
 
 /// How long the thread sleeps at most.
@@ -298,8 +298,8 @@ impl Intakes {
         let now = self.outlet.clock.moment();
         let counters = self.outlet.counters.clone();
         counters.frames_received.add(batch.len() as u64);
-        for (frame, _) in batch.frames() {
-            let Ok((header, rest)) = Header::ref_from_prefix(frame) else {
+        for InFrame { bytes: frame, congested, .. } in batch.frames() {
+            let Ok((ref header, rest)) = Header::read_from_prefix(frame) else {
                 counters.refused[Counter::Truncated as usize].add(1);
                 continue;
             };
@@ -316,7 +316,8 @@ impl Intakes {
                 continue;
             }
             let (name, source) = (header.destination, header.source);
-            let (payload, marked) = (&rest[..header.payload_len().into()], header.flags & ECN == CONGESTED);
+            let payload = &rest[..header.payload_len().into()];
+            let marked = congested || header.flags & ECN == CONGESTED;
             if name == self.outlet.name() {
                 self.hear(source, payload, &counters);
                 continue;

@@ -167,7 +167,7 @@ impl Reader {
         }
     }
 
-    /// What an authorised writer seals with in an epoch. Of more than [`super::source::MAX_EPOCHS`] the lowest goes.
+    /// What an authorised writer seals with in an epoch. Of more than four epochs the lowest goes.
     pub fn set_key(&mut self, writer: &Name, epoch: u32, key: EpochKey) -> Result<(), DropReason> {
         self.source(writer).map(|source| source.set_key(epoch, key))
     }

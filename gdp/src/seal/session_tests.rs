@@ -176,8 +176,7 @@ fn a_message_that_is_cut_anew_is_delivered_once() {
         let (winner, loser) = (cuts[first], cuts[1 - first]);
         let mut out = Received::default();
         push_into(&mut reader, f.writer_name(), &loser[1..], &mut out);
-        let mut arrivals = winner.iter().peekable();
-        while let Some(frame) = arrivals.next() {
+        for frame in winner {
             assert!(out.messages.is_empty());
             push_into(&mut reader, f.writer_name(), [frame], &mut out);
         }

@@ -11,7 +11,7 @@ use super::wire::{self, HeartbeatBody, Kind, Proof, SegmentHeader};
 use super::{DropReason, EpochKey};
 use crate::crypto::{CryptoError, Verifier};
 use crate::name::Name;
-use bytes::Bytes;
+use bytes::{Buf, Bytes};
 use std::borrow::Cow;
 
 /// Incomplete messages of one session; when there are more, the oldest is given up.
@@ -367,10 +367,12 @@ impl Source {
         }
         check_age(push, preamble.timestamp_ns)?;
         self.accept(push.shared, at, header.sequence)?;
-        let plaintext = match plaintext {
+        let mut body = match plaintext {
             Cow::Owned(plaintext) => Bytes::from(plaintext),
             Cow::Borrowed(plaintext) => Bytes::copy_from_slice(plaintext),
         };
+        let origin = body.slice(preamble.origin);
+        body.advance(preamble.body_at);
         push.out.messages.push(Message {
             name: push.shared.name,
             writer: self.name,
@@ -379,8 +381,8 @@ impl Source {
             timestamp_ns: preamble.timestamp_ns,
             encoding: preamble.encoding,
             in_reply_to: preamble.in_reply_to,
-            origin: plaintext.slice(preamble.origin),
-            body: plaintext.slice(preamble.body_at..),
+            origin,
+            body,
         });
         Ok(())
     }

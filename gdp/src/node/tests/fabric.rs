@@ -82,7 +82,7 @@ impl Fabric {
             while !stopped.load(Ordering::Relaxed) {
                 data.wait_readable(Duration::from_millis(20)).unwrap();
                 while data.try_recv_batch(&mut batch).unwrap() > 0 {
-                    batch.frames().for_each(|(frame, _)| forward_frame(frame, &mut lock(&rib), &data));
+                    batch.frames().for_each(|frame| forward_frame(frame.bytes, &mut lock(&rib), &data));
                 }
             }
         });
@@ -408,15 +408,15 @@ impl Rib {
     }
 }
 
-fn forward_frame(frame: &mut [u8], rib: &mut Rib, data: &crate::port::DataSocket) {
+fn forward_frame(frame: &[u8], rib: &mut Rib, data: &crate::port::DataSocket) {
     let available = frame.len();
-    let Ok((header, payload)) = Header::mut_from_prefix(frame) else { return };
+    let Ok((mut header, payload)) = Header::read_from_prefix(frame) else { return };
     let Some((ingress, _)) = rib.entry(header.link_id()) else { return };
     let window = rib.windows.entry(ingress.id).or_insert_with(replay::empty);
-    if forward::accept(header, available, &ingress, window).is_err() {
+    if forward::accept(&header, available, &ingress, window).is_err() {
         return;
     }
-    if rib.fate.as_mut().is_some_and(|fate| !fate(header, payload)) {
+    if rib.fate.as_mut().is_some_and(|fate| !fate(&header, payload)) {
         return;
     }
     let readers = rib.of(header.destination, NameRole::Subscriber).iter().map(|record| record.entity.name().unwrap());
@@ -426,7 +426,7 @@ fn forward_frame(frame: &mut [u8], rib: &mut Rib, data: &crate::port::DataSocket
         let (egress, to) = (link.entry(PORT_USERSPACE), link.addr());
         let count = rib.counts.entry(egress.id).or_default();
         *count += 1;
-        forward::stamp(header, &egress, *count);
+        forward::stamp(&mut header, &egress, *count);
         data.send_batch([OutFrame { to, head: header.as_bytes(), body: payload }]);
     }
 }
