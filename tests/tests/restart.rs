@@ -8,7 +8,7 @@
 //!                edge           transit        edge, RIB
 //! ```
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -17,8 +17,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use gdp::cert::{Issued, Reading};
 use gdp::link::IDLE_TIMEOUT;
-use gdp::node::SubscribeOptions;
-use gdp::seal::{Encoding, EpochKey};
+use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp::seal::Encoding;
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
@@ -246,13 +246,12 @@ impl Traffic {
     fn start(fabric: &Fabric) -> Result<Self> {
         let shared = Arc::new(Shared::default());
         let mut traffic = Self { shared, threads: Vec::new() };
-        traffic.spawn(fabric.chain.cloud(), fabric.folder(), |shared, folder| async move {
-            let node = connect(&folder.join("cloud.pem"), "l0").await?;
-            let (card, key) =
-                (NameCard::load(&folder.join("chatter.card"))?, EpochKey::load(&folder.join("chatter.key"))?);
-            let grant = Reading::from_pem(&std::fs::read_to_string(folder.join("chatter.grant"))?)?;
-            let options = SubscribeOptions { queue: 1 << 16, ..Default::default() };
-            let mut subscription = node.subscribe(card.proof(), grant, &key, options).await?;
+        traffic.spawn(fabric.chain.cloud(), fabric.folder_of("cloud"), |shared, folder| async move {
+            let node = connect(&folder.join("key.pem"), "l0").await?;
+            let card = NameCard::load(&folder.join("chatter.card"))?;
+            let grant = Reading::from_pem(&std::fs::read_to_string(folder.join("chatter.cert"))?)?;
+            let options = SubscribeOptions { queue: 1 << 16, ..SubscribeOptions::best_effort() };
+            let mut subscription = node.subscribe(card.proof(), grant, options).await?;
             shared.nodes()[1] = Some(node);
             while !shared.stop.load(Ordering::Relaxed) {
                 if let Ok(Some(message)) = tokio::time::timeout(Duration::from_millis(50), subscription.recv()).await {
@@ -266,12 +265,11 @@ impl Traffic {
             traffic.check()?;
             Ok(traffic.shared.nodes()[1].is_some().then_some(()))
         })?;
-        traffic.spawn(fabric.chain.robot(), fabric.folder(), |shared, folder| async move {
-            let node = connect(&folder.join("robot.pem"), "r0").await?;
-            let (card, key) =
-                (NameCard::load(&folder.join("chatter.card"))?, EpochKey::load(&folder.join("chatter.key"))?);
-            let cert = Issued::from_pem(&std::fs::read_to_string(folder.join("chatter.ad"))?)?;
-            let mut publisher = node.publish(card.proof(), cert, &key).await?;
+        traffic.spawn(fabric.chain.robot(), fabric.folder_of("robot"), |shared, folder| async move {
+            let node = connect(&folder.join("key.pem"), "r0").await?;
+            let card = NameCard::load(&folder.join("chatter.card"))?;
+            let cert = Issued::from_pem(&std::fs::read_to_string(folder.join("chatter.cert"))?)?;
+            let mut publisher = node.publish(card.proof(), cert, PublishOptions::best_effort()).await?;
             shared.nodes()[0] = Some(node);
             let mut pace = tokio::time::interval(PACE);
             while !shared.stop_sending.load(Ordering::Relaxed) {
@@ -294,10 +292,10 @@ impl Traffic {
     fn spawn<F: Future<Output = Result<()>>>(
         &mut self,
         at: &Namespace,
-        folder: &Path,
-        run: impl FnOnce(Arc<Shared>, std::path::PathBuf) -> F + Send + 'static,
+        folder: PathBuf,
+        run: impl FnOnce(Arc<Shared>, PathBuf) -> F + Send + 'static,
     ) -> Result<()> {
-        let (shared, folder, door) = (self.shared.clone(), folder.to_owned(), at.door()?);
+        let (shared, door) = (self.shared.clone(), at.door()?);
         self.threads.push(std::thread::spawn(move || {
             let ended = door.enter().and_then(|_inside| {
                 let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
