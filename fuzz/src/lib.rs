@@ -6,6 +6,7 @@ mod cert;
 mod control;
 mod decide;
 mod seeds;
+mod segments;
 
 use gdp_tests::frames;
 #[path = "../../gdp-wire/tests/tables/mod.rs"]
@@ -15,12 +16,14 @@ pub use cert::cert;
 pub use control::control;
 pub use decide::decide;
 pub use seeds::seeds;
+pub use segments::segments;
 
 /// What is fuzzed: a function that panics at what must not be.
 pub type Target = fn(&[u8]);
 
 /// All targets, by the names of their executables and corpora.
-pub const TARGETS: [(&str, Target); 3] = [("decide", decide), ("control", control), ("cert", cert)];
+pub const TARGETS: [(&str, Target); 4] =
+    [("decide", decide), ("control", control), ("cert", cert), ("segments", segments)];
 
 /// Names the folder that [`write_seeds`] writes to.
 pub const SEED_FOLDER: &str = "GDP_FUZZ_SEEDS";

@@ -21,6 +21,7 @@ pub fn seeds(target: &str) -> Seeds {
         "decide" => frames(),
         "control" => Papers::new().messages(),
         "cert" => Papers::new().certificates(),
+        "segments" => payloads(),
         _ => Vec::new(),
     }
 }
@@ -33,6 +34,53 @@ fn frames() -> Seeds {
         (case.name, input(TWICE | tagged, case.frame.bytes()))
     });
     cases.filter(|(_, input)| input.len() < 1000).collect()
+}
+
+/// What goes well between a writer and a reader, and what another reader may try.
+fn payloads() -> Seeds {
+    use crate::segments::{ARRIVE, EPOCHS, INSIDER, PAYLOAD, TIME, VOUCH, WRITER};
+    let step = |kind: u8, bytes: &[u8]| [&[kind][..], &(bytes.len() as u16).to_be_bytes(), bytes].concat();
+    let send = |what: u8, size: u8, length: usize| step(WRITER, &[&[what, size][..], &vec![what; length]].concat());
+    let arrive = |which: u8| step(ARRIVE, &[which, 0]);
+    // The header of a body segment that is a whole message, in the writer's session.
+    let header = |flags: u8, plaintext: u16, index: u32, count: u32, size: u32| {
+        let mut header = vec![2, flags];
+        header.extend((plaintext + 16).to_be_bytes());
+        header.extend(index.to_be_bytes());
+        header.extend([0, 0, 0, 0, 0, 1, 0, 0]);
+        header.extend([0; 16]);
+        [count, size, 1].iter().for_each(|word| header.extend(word.to_be_bytes()));
+        [header, vec![0; plaintext.into()]].concat()
+    };
+    let (body, proof) = (header(0, 20, 0, 1, 20), header(1, 68, 1, 1, 20));
+    [
+        ("a message in one frame", vec![send(255, 255, 100), arrive(0)]),
+        ("a batch", vec![send(7, 255, 200), arrive(0), arrive(0)]),
+        (
+            "a large message",
+            vec![send(255, 10, 1000), arrive(3), arrive(2), arrive(0), arrive(0), arrive(0), arrive(0)],
+        ),
+        ("two cuts", vec![send(255, 40, 700), send(1, 10, 0), arrive(0), arrive(3), arrive(2), arrive(1), arrive(0)]),
+        ("a heartbeat", vec![send(255, 255, 9), step(WRITER, &[0, 0]), arrive(1), arrive(0)]),
+        ("another epoch", vec![step(EPOCHS, &[1]), send(255, 255, 100), arrive(0), step(EPOCHS, &[4]), arrive(0)]),
+        ("too late", vec![send(255, 10, 1000), arrive(0), step(TIME, &[255, 255]), arrive(0)]),
+        ("damage", vec![send(255, 255, 100), step(ARRIVE, &[0, 1, 0, 60, 4]), arrive(0)]),
+        ("another session", vec![step(VOUCH, &[5; 20]), send(255, 255, 100), arrive(0)]),
+        ("a forged message", vec![step(INSIDER, &[&body[..], &proof].concat()), send(255, 255, 100), arrive(0)]),
+        ("a forged proof first", vec![step(INSIDER, &proof), step(INSIDER, &body)]),
+        ("half a large message", vec![step(INSIDER, &header(0, 20, 1, 100, 20))]),
+        (
+            "a forged heartbeat",
+            vec![step(INSIDER, &{
+                let mut heartbeat = header(2, 80, 7, 0, 0);
+                heartbeat[14..16].fill(255);
+                heartbeat
+            })],
+        ),
+        ("what nobody sealed", vec![step(PAYLOAD, &[&body[..], &[0; 16]].concat())]),
+    ]
+    .map(|(name, steps)| (name.to_owned(), steps.concat()))
+    .to_vec()
 }
 
 /// One of each.

@@ -52,6 +52,9 @@ pub use publisher::Publisher;
 pub use subscription::{SubscribeOptions, Subscription};
 pub use target::{LinkTarget, LinkTargetError};
 
+/// All writers of a name seal with the one key that they were given, for good.
+const EPOCH: u32 = 0;
+
 /// How a node finds its switch.
 #[derive(Clone, Debug)]
 pub struct NodeConfig {
@@ -167,7 +170,8 @@ impl Node {
         let claims = ad_cert.verify(&proof.verify_key().map_err(CertError::from)?, unix_now())?;
         state.check_own(name, claims.name, claims.entity)?;
         let entity = state.identity.name();
-        let writer = Writer::new(name, entity, key, state.identity.key().clone(), Backend::default())?;
+        let mut writer = Writer::new(name, entity, state.identity.key().clone(), Backend::default())?;
+        writer.set_epoch(EPOCH, key)?;
         state.begin(name, Stated::Published, Statement::Publish { proof, ad_cert })?;
         let publisher = Publisher::new(self.0.clone(), name, writer, state.feedback.of(name));
         // From here on, dropping the publisher ends the statement.
@@ -190,9 +194,10 @@ impl Node {
         state.check_own(name, claims.name, claims.entity)?;
         state.begin(name, Stated::Subscribed, Statement::Subscribe { proof, grant })?;
         let (sender, queue) = mpsc::channel(options.queue.max(1));
-        let reader = Reader::new(name, key, Backend::default(), options.limits);
+        let mut reader = Reader::new(name, Backend::default(), options.limits);
+        reader.vouch_on_sight();
         let queued_bytes = Arc::default();
-        let intake = Intake::new(reader, sender, Arc::clone(&queued_bytes), options.queue_bytes, options.max_age);
+        let intake = Intake::new(reader, key, sender, Arc::clone(&queued_bytes), options.queue_bytes);
         state.command(Command::Subscribe { name, intake: Box::new(intake) });
         let subscription = Subscription::new(self.0.clone(), name, queue, queued_bytes);
         let attachment = state.attached().await?;

@@ -2,7 +2,7 @@
 //! allocation of the process.
 
 use gdp::crypto::Backend;
-use gdp::seal::{Encoding, EpochKey, Limits, Reader, Segments, Writer};
+use gdp::seal::{Draft, Encoding, EpochKey, Limits, Moment, Reader, Received, Segments, Writer};
 use gdp::{Identity, Name};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -41,27 +41,41 @@ static ALLOCATOR: Counting = Counting;
 fn frames_cost_no_allocation() {
     let entity = Identity::generate("proxy").unwrap();
     let (name, epoch_key) = (Name::from_bytes([1; 32]), EpochKey::generate().unwrap());
-    let mut writer = Writer::new(name, entity.name(), &epoch_key, entity.key().clone(), Backend::AwsLc).unwrap();
-    let mut reader = Reader::new(name, &epoch_key, Backend::AwsLc, Limits::default());
+    let mut writer = Writer::new(name, entity.name(), entity.key().clone(), Backend::AwsLc).unwrap();
+    writer.set_epoch(1, &epoch_key).unwrap();
+    let mut reader = Reader::new(name, Backend::AwsLc, Limits::default());
     reader.authorise(entity.name(), entity.key().verify_key()).unwrap();
-    let (mut segments, mut messages) = (Segments::new(), Vec::with_capacity(16));
+    reader.set_key(&entity.name(), 1, epoch_key).unwrap();
+    reader.vouch(&entity.name(), writer.session(), 1).unwrap();
+    let (mut segments, mut received) = (Segments::new(), Received::default());
     let body = vec![7u8; 200_000];
 
     // Once to let the buffers grow.
     writer.seal(0, Encoding::Bytes, &body, 1400, &mut segments).unwrap();
-    push(&mut reader, entity.name(), &segments, &mut messages);
+    push(&mut reader, entity.name(), &segments, &mut received);
     let sealing = allocations(|| writer.seal(0, Encoding::Bytes, &body, 1400, &mut segments).unwrap());
     assert!(segments.len() > 140);
-    let opening = allocations(|| push(&mut reader, entity.name(), &segments, &mut messages));
-    assert_eq!(messages.len(), 2);
+    let opening = allocations(|| push(&mut reader, entity.name(), &segments, &mut received));
+    assert_eq!(received.messages.len(), 1);
     // What is left: the signature (inside the library), and per message its body and bookkeeping.
     assert!(sealing <= 4, "sealing {} frames: {sealing} allocations", segments.len());
     assert!(opening <= 10, "opening {} frames: {opening} allocations", segments.len());
+
+    // Small messages have their bytes, and those whose proof is in the next frame some bookkeeping.
+    let batch = [Draft::new(Encoding::Bytes, &body[..64]); 256];
+    writer.seal_batch(0, &batch, 1400, &mut segments).unwrap();
+    push(&mut reader, entity.name(), &segments, &mut received);
+    let sealing = allocations(|| writer.seal_batch(0, &batch, 1400, &mut segments).unwrap());
+    let opening = allocations(|| push(&mut reader, entity.name(), &segments, &mut received));
+    assert_eq!(received.messages.len(), batch.len());
+    assert!(sealing <= 4, "sealing {} messages: {sealing} allocations", batch.len());
+    assert!(opening <= 3 * batch.len(), "opening {} messages: {opening} allocations", batch.len());
 }
 
-fn push(reader: &mut Reader, source: Name, segments: &Segments, messages: &mut Vec<gdp::seal::Message>) {
+fn push(reader: &mut Reader, source: Name, segments: &Segments, received: &mut Received) {
+    received.clear();
     for payload in segments.iter() {
-        reader.push(0, source, payload, messages).unwrap();
+        reader.push(Moment::default(), source, payload, received).unwrap();
     }
 }
 

@@ -3,7 +3,7 @@
 
 use gdp::cert::{self, AdCert, Advert, AdvertOp, CertError, Mode, ReadGrant, Signed, Speaker};
 use gdp::crypto::Backend;
-use gdp::seal::{Encoding, EpochKey, Limits, Reader, Segments, Writer};
+use gdp::seal::{Encoding, EpochKey, Limits, Moment, Reader, Received, Segments, Writer};
 use gdp::{Identity, Name, NameCard, SigningKey};
 
 const NOW: u64 = 1_800_000_000;
@@ -31,17 +31,21 @@ fn a_message_crosses_from_an_authorised_writer_to_a_reader() -> anyhow::Result<(
     assert!(matches!(refused, Err(CertError::WrongEntity { .. })), "{refused:?}");
 
     let epoch_key = EpochKey::generate()?;
-    let mut sealing = Writer::new(name, writer.name(), &epoch_key, writer.key().clone(), Backend::default())?;
-    let mut opening = Reader::new(name, &epoch_key, Backend::default(), Limits::default());
+    let mut sealing = Writer::new(name, writer.name(), writer.key().clone(), Backend::default())?;
+    sealing.set_epoch(1, &epoch_key)?;
+    let mut opening = Reader::new(name, Backend::default(), Limits::default());
     opening.authorise(writer.name(), writer.key().verify_key())?;
-    let (mut segments, mut messages) = (Segments::new(), Vec::new());
+    opening.set_key(&writer.name(), 1, epoch_key)?;
+    opening.vouch(&writer.name(), sealing.session(), 1)?;
+    let (mut segments, mut received) = (Segments::new(), Received::default());
+    let now = Moment { steady_ns: 0, unix_ns: NOW * 1_000_000_000 };
     let image = vec![0xab; 1 << 20];
     for body in [b"hello".as_slice(), &image] {
         sealing.seal(NOW * 1_000_000_000, Encoding::Cdr, body, 1400, &mut segments)?;
         for payload in segments.iter() {
-            opening.push(0, writer.name(), payload, &mut messages).map_err(|drop| anyhow::anyhow!(drop))?;
+            opening.push(now, writer.name(), payload, &mut received)?;
         }
-        assert_eq!(messages.pop().map(|message| message.body), Some(body.to_vec().into()));
+        assert_eq!(received.messages.pop().map(|message| message.body), Some(body.to_vec().into()));
     }
     Ok(())
 }

@@ -13,11 +13,32 @@ use aws_lc_rs::{
 use zeroize::Zeroizing;
 
 pub fn sha256(parts: &[&[u8]]) -> [u8; 32] {
-    let mut context = digest::Context::new(&digest::SHA256);
-    parts.iter().for_each(|part| context.update(part));
+    // Hashing at once is several times faster for a few blocks: a context is a structure on the library's heap.
+    let mut gathered = [0u8; 512];
+    let digest = match parts {
+        [all] => digest::digest(&digest::SHA256, all),
+        _ => match gather(parts, &mut gathered) {
+            Some(all) => digest::digest(&digest::SHA256, all),
+            None => {
+                let mut context = digest::Context::new(&digest::SHA256);
+                parts.iter().for_each(|part| context.update(part));
+                context.finish()
+            }
+        },
+    };
     let mut out = [0u8; 32];
-    out.copy_from_slice(context.finish().as_ref());
+    out.copy_from_slice(digest.as_ref());
     out
+}
+
+/// The parts one behind the other, if there is room for them.
+fn gather<'a>(parts: &[&[u8]], place: &'a mut [u8]) -> Option<&'a [u8]> {
+    let mut at = 0;
+    for part in parts {
+        place.get_mut(at..at + part.len())?.copy_from_slice(part);
+        at += part.len();
+    }
+    Some(&place[..at])
 }
 
 pub fn hkdf_sha256(salt: &[u8], ikm: &[u8], info: &[&[u8]]) -> Result<Zeroizing<[u8; 32]>, CryptoError> {

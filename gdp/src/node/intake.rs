@@ -3,14 +3,14 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use gdp_wire::Name;
 use tokio::sync::mpsc;
 
 use super::counters::Counters;
 use crate::identity::VerifyKey;
-use crate::seal::{DropReason, Message, Reader};
+use crate::seal::{DropReason, EpochKey, Message, Moment, Reader, Received};
 
 /// Writers of one name that are believed at once.
 const MAX_WRITERS: usize = 256;
@@ -26,34 +26,34 @@ pub struct Writer {
 /// The thread's side of a subscription.
 pub struct Intake {
     reader: Reader,
+    /// What every writer of the name seals with.
+    key: EpochKey,
     queue: mpsc::Sender<Message>,
     queued_bytes: Arc<AtomicUsize>,
     max_queued_bytes: usize,
-    /// What a writer signed this long before it became known here is taken for a recording.
-    max_age: Duration,
     /// Those the reader believes, and until when (Unix seconds).
     writers: HashMap<Name, u64>,
     /// Empty between calls; keeps its capacity.
-    complete: Vec<Message>,
+    received: Received,
     seen_drops: [u64; DropReason::COUNT],
 }
 
 impl Intake {
     pub fn new(
         reader: Reader,
+        key: &EpochKey,
         queue: mpsc::Sender<Message>,
         queued_bytes: Arc<AtomicUsize>,
         max_queued_bytes: usize,
-        max_age: Duration,
     ) -> Self {
         Self {
             reader,
+            key: key.clone(),
             queue,
             queued_bytes,
             max_queued_bytes,
-            max_age,
             writers: HashMap::new(),
-            complete: Vec::new(),
+            received: Received::default(),
             seen_drops: [0; DropReason::COUNT],
         }
     }
@@ -66,10 +66,10 @@ impl Intake {
         if self.reader.authorise(writer.entity, writer.key).is_err() {
             return;
         }
-        // A writer that comes back keeps the floor and the replay windows it had.
+        // A writer that comes back keeps the replay windows it had.
         if self.writers.insert(writer.entity, writer.not_after).is_none() {
-            let floor = unix_time().saturating_sub(self.max_age);
-            self.reader.refuse_before(&writer.entity, floor.as_nanos() as u64);
+            // It is authorised, so the reader takes its key.
+            let _ = self.reader.set_key(&writer.entity, super::EPOCH, self.key.clone());
         }
     }
 
@@ -78,18 +78,19 @@ impl Intake {
     }
 
     /// Takes a frame's payload; what it completes is delivered.
-    pub fn push(&mut self, now: u64, source: Name, payload: &[u8], counters: &Counters) -> Result<(), DropReason> {
-        let result = self.reader.push(now, source, payload, &mut self.complete);
-        let mut complete = std::mem::take(&mut self.complete);
-        complete.drain(..).for_each(|message| self.deliver(message, counters));
-        self.complete = complete;
+    pub fn push(&mut self, now: Moment, source: Name, payload: &[u8], counters: &Counters) -> Result<(), DropReason> {
+        let result = self.reader.push(now, source, payload, &mut self.received);
+        let mut received = std::mem::take(&mut self.received);
+        received.messages.drain(..).for_each(|message| self.deliver(message, counters));
+        received.clear();
+        self.received = received;
         result
     }
 
     /// A writer is believed as long as its certificate holds, not as long as it is attached: forgetting it would forget
     /// which of its messages were delivered.
-    pub fn expire(&mut self, now: u64) {
-        let unix = unix_time().as_secs();
+    pub fn expire(&mut self, now: Moment) {
+        let unix = Duration::from_nanos(now.unix_ns).as_secs();
         let reader = &mut self.reader;
         self.writers.retain(|writer, not_after| {
             let holds = unix <= *not_after;
@@ -98,8 +99,8 @@ impl Intake {
             }
             holds
         });
-        if reader.next_deadline().is_some_and(|deadline| deadline < now) {
-            reader.expire(now);
+        if reader.next_deadline().is_some_and(|deadline| deadline < now.steady_ns) {
+            reader.expire(now.steady_ns);
         }
     }
 
@@ -128,8 +129,4 @@ impl Intake {
             }
         }
     }
-}
-
-fn unix_time() -> Duration {
-    SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default()
 }

@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 use std::sync::mpsc;
 use std::sync::{Arc, Weak};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use gdp_wire::replay::{self, Window};
 use gdp_wire::{Counter, ErrorCode, FrameType, Header, LinkEntry, Name, forward};
@@ -18,7 +18,7 @@ use super::intake::{Intake, Writer};
 use super::shared_entry::SharedEntry;
 use super::supervisor::{Attachment, Event};
 use crate::port::{DataSocket, RecvBatch};
-use crate::seal::DropReason;
+use crate::seal::{DropReason, Moment};
 
 /// How long the thread sleeps without a frame: messages that cannot complete any more are given up at this pace.
 const TICK: Duration = Duration::from_millis(100);
@@ -227,10 +227,15 @@ struct Intakes {
 }
 
 impl Intakes {
+    fn now(&self) -> Moment {
+        let unix = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        Moment { steady_ns: self.start.elapsed().as_nanos() as u64, unix_ns: unix.as_nanos() as u64 }
+    }
+
     fn authorise(&mut self, name: &Name, writers: Vec<Writer>, counters: &Counters) {
+        let now = self.now();
         let Some(intake) = self.intakes.get_mut(name) else { return };
         writers.into_iter().for_each(|writer| intake.authorise(writer));
-        let now = self.start.elapsed().as_nanos() as u64;
         for frame in self.held.release(name, |source| intake.knows(source)) {
             // Counted by the reader.
             let _ = intake.push(now, frame.source, &frame.payload, counters);
@@ -246,7 +251,7 @@ impl Intakes {
         feedback: &Feedbacks,
         events: &async_mpsc::UnboundedSender<Event>,
     ) {
-        let now = self.start.elapsed().as_nanos() as u64;
+        let now = self.now();
         counters.frames_received.add(batch.len() as u64);
         let mut any_dropped = false;
         for (frame, _) in batch.frames() {
@@ -286,7 +291,7 @@ impl Intakes {
     }
 
     fn tick(&mut self, counters: &Counters) {
-        let now = self.start.elapsed().as_nanos() as u64;
+        let now = self.now();
         for intake in self.intakes.values_mut() {
             intake.expire(now);
             intake.count_drops(counters);
@@ -415,8 +420,9 @@ mod tests {
     }
 
     fn subscribed() -> Intakes {
-        let reader = Reader::new(NAME, &EpochKey::from_bytes([2; 32]), Backend::default(), Limits::default());
-        let intake = Intake::new(reader, async_mpsc::channel(1).0, Arc::default(), 1, Duration::ZERO);
+        let reader = Reader::new(NAME, Backend::default(), Limits::default());
+        let key = EpochKey::from_bytes([2; 32]);
+        let intake = Intake::new(reader, &key, async_mpsc::channel(1).0, Arc::default(), 1);
         Intakes {
             intakes: HashMap::from([(NAME, Box::new(intake))]),
             held: Held::default(),

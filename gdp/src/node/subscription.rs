@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Duration;
 
 use gdp_wire::Name;
 use tokio::sync::mpsc;
@@ -13,20 +12,17 @@ use crate::seal::{Limits, Message};
 /// How much a subscription may hold, and what it refuses.
 #[derive(Clone, Copy, Debug)]
 pub struct SubscribeOptions {
-    /// For messages that are not complete yet.
+    /// For messages that are not complete yet, and for how old they may be.
     pub limits: Limits,
     /// Complete messages that wait for [`Subscription::recv`]; more are dropped and counted.
     pub queue: usize,
     /// Bytes of their bodies.
     pub queue_bytes: usize,
-    /// A message signed this long before its writer became known here is taken for a recording and dropped. Clocks of
-    /// writers and readers must not differ by more.
-    pub max_age: Duration,
 }
 
 impl Default for SubscribeOptions {
     fn default() -> Self {
-        Self { limits: Limits::default(), queue: 256, queue_bytes: 64 << 20, max_age: Duration::from_secs(300) }
+        Self { limits: Limits::default(), queue: 256, queue_bytes: 64 << 20 }
     }
 }
 

@@ -45,13 +45,10 @@ async fn only_writers_with_the_owners_certificate_are_believed() {
         Err(NodeError::Cert(CertError::WrongKey { .. }))
     ));
     fabric.lie(card.name(), &rogue, card.proof(), forged);
-    let mut forger = Publisher::new(
-        rogue.0.clone(),
-        card.name(),
-        Writer::new(card.name(), rogue.name(), owner.key(), rogue.0.state.identity.key().clone(), Backend::default())
-            .unwrap(),
-        Arc::default(),
-    );
+    let key = rogue.0.state.identity.key().clone();
+    let mut writer = Writer::new(card.name(), rogue.name(), key, Backend::default()).unwrap();
+    writer.set_epoch(EPOCH, owner.key()).unwrap();
+    let mut forger = Publisher::new(rogue.0.clone(), card.name(), writer, Arc::default());
     forger.send(Encoding::Bytes, b"forged").await.unwrap();
     eventually("the forger's frame is dropped", || cloud.counters().drops.contains_key("seal_unknown_writer")).await;
 

@@ -2,15 +2,16 @@
 //! whether the writer signed the whole is the reader's last check.
 
 use super::DropReason;
-use super::wire::{MESSAGE_HEADER_LEN, SegmentHeader};
+use super::message::MAX_PREAMBLE;
+use super::wire::{Kind, SegmentHeader};
 
 /// What an assembly costs besides its segments: itself, its place in the map, the proof.
 const FIXED_COST: usize = 1024;
 
 #[derive(Debug)]
 pub struct Assembly {
-    count: u32,
-    size: u32,
+    /// Of any of its segments.
+    header: SegmentHeader,
     /// `count` slots of `size` bytes.
     buffer: Vec<u8>,
     digests: Vec<[u8; 32]>,
@@ -27,7 +28,7 @@ impl Assembly {
     pub fn cost(header: &SegmentHeader, max_message: usize) -> Result<usize, DropReason> {
         let (count, size) = (header.count as usize, header.size as usize);
         let least = (count - 1).checked_mul(size).and_then(|n| n.checked_add(1)).ok_or(DropReason::TooLarge)?;
-        if least > max_message.saturating_add(MESSAGE_HEADER_LEN) {
+        if least > max_message.saturating_add(MAX_PREAMBLE) {
             return Err(DropReason::TooLarge);
         }
         let per_segment = size + 32 + 1;
@@ -37,8 +38,7 @@ impl Assembly {
     pub fn new(header: &SegmentHeader, deadline: u64, cost: usize) -> Self {
         let count = header.count as usize;
         Self {
-            count: header.count,
-            size: header.size,
+            header: *header,
             // Zeroed by the kernel as it is touched: a message that stays incomplete costs what arrived of it.
             buffer: vec![0; count * header.size as usize],
             digests: vec![[0; 32]; count],
@@ -52,16 +52,16 @@ impl Assembly {
     }
 
     pub fn fits(&self, header: &SegmentHeader) -> bool {
-        self.count == header.count && self.size == header.size
+        self.header.is_beside(header)
     }
 
     pub fn has(&self, header: &SegmentHeader) -> bool {
-        if header.proof { self.proof.is_some() } else { self.received[word(header)] & bit(header) != 0 }
+        if header.kind == Kind::Proof { self.proof.is_some() } else { self.received[word(header)] & bit(header) != 0 }
     }
 
     /// Where a body segment that has not arrived yet belongs; its content there does not count until [`Self::mark`].
     pub fn slot(&mut self, header: &SegmentHeader, len: usize) -> &mut [u8] {
-        &mut self.buffer[header.index as usize * self.size as usize..][..len]
+        &mut self.buffer[header.index as usize * self.header.size as usize..][..len]
     }
 
     /// Notes that the slot of this body segment is filled, and what its ciphertext hashes to.
@@ -69,7 +69,7 @@ impl Assembly {
         self.received[word(header)] |= bit(header);
         self.digests[header.index as usize] = digest;
         self.missing -= 1;
-        if header.index + 1 == self.count {
+        if header.index + 1 == self.header.count {
             self.last_len = len;
         }
     }
@@ -84,7 +84,7 @@ impl Assembly {
 
     /// Of a complete message: plaintext, digests of the segments, proof.
     pub fn into_parts(mut self) -> (Vec<u8>, Vec<[u8; 32]>, Vec<u8>) {
-        let len = (self.count as usize - 1) * self.size as usize + self.last_len;
+        let len = (self.header.count as usize - 1) * self.header.size as usize + self.last_len;
         self.buffer.truncate(len);
         (self.buffer, self.digests, self.proof.unwrap_or_default())
     }

@@ -30,9 +30,13 @@ reasons! {
     TooLarge = "too_large",
     /// No writer of this name, or not any more.
     UnknownWriter = "unknown_writer",
+    /// Sealed in an epoch of the writer whose key is not here, not yet or not any more.
+    NoKey = "no_key",
     /// Did not open under the session's key: changed, made up, or sealed for another name, writer, session or epoch.
     Forged = "forged",
-    /// So far behind that nobody remembers whether it was delivered.
+    /// Of a session that the writer has not vouched for to this reader: it may be a recording.
+    Unvouched = "unvouched",
+    /// So far behind that nobody remembers whether it was delivered, or signed longer ago than the reader accepts.
     TooOld = "too_old",
     /// This segment is here already, or its message was delivered.
     Duplicate = "duplicate",
@@ -48,7 +52,7 @@ reasons! {
     BadMessage = "bad_message",
     /// The writer did not sign this message.
     BadSignature = "bad_signature",
-    /// Signed before what the reader accepts from this writer.
+    /// From before the sequence that the writer has vouched for its session from.
     Stale = "stale",
     /// The cryptographic library failed.
     Internal = "internal",

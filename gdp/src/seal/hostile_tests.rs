@@ -1,7 +1,7 @@
 //! What must not work, and what it is counted as.
 
-use super::tests::{Fixture, Random, limits, only, push_all};
-use super::wire::{self, HEADER_LEN, OVERHEAD, Proof, SegmentHeader};
+use super::tests::{EPOCH, Fixture, Random, at, only, push_all};
+use super::wire::{self, HEADER_LEN, OVERHEAD, Proof, SegmentHeader, VERSION};
 use super::*;
 use crate::crypto::{Backend, TAG_LEN};
 use crate::identity::{Identity, SigningKey};
@@ -17,9 +17,9 @@ fn no_flipped_bit_is_delivered_or_costs_memory() {
         let mut changed = frame.clone();
         changed[bit / 8] ^= 1 << (bit % 8);
         let mut reader = f.reader();
-        let mut out = vec![];
-        let error = reader.push(0, f.writer_name(), &changed, &mut out).unwrap_err();
-        assert!(out.is_empty(), "bit {bit}");
+        let mut out = Received::default();
+        let error = reader.push(at(0), f.writer_name(), &changed, &mut out).unwrap_err();
+        assert!(out.messages.is_empty(), "bit {bit}");
         assert!(reader.drops()[error as usize] > 0);
         // The segment that was not touched may wait for the other.
         assert!(reader.memory() < 2000, "bit {bit}");
@@ -27,9 +27,9 @@ fn no_flipped_bit_is_delivered_or_costs_memory() {
             assert_eq!(error, DropReason::Forged, "bit {bit}");
         }
         // The true frame is still accepted afterwards.
-        let mut out = vec![];
-        let _ = reader.push(0, f.writer_name(), &frame, &mut out);
-        assert_eq!(only(out).body, "attack at dawn");
+        let mut out = Received::default();
+        let _ = reader.push(at(0), f.writer_name(), &frame, &mut out);
+        assert_eq!(only(out.messages).body, "attack at dawn");
     }
 }
 
@@ -42,7 +42,7 @@ fn a_forged_segment_costs_no_memory_and_no_session() {
     for _ in 0..1000 {
         let mut frame = frames[0].clone();
         frame[16..32].copy_from_slice(&random.bytes(16));
-        assert_eq!(reader.push(0, f.writer_name(), &frame, &mut vec![]), Err(DropReason::Forged));
+        assert_eq!(reader.push(at(0), f.writer_name(), &frame, &mut Received::default()), Err(DropReason::Forged));
     }
     assert_eq!((reader.memory(), reader.next_deadline()), (0, None));
     assert_eq!(reader.drops()[DropReason::Forged as usize], 1000);
@@ -53,16 +53,16 @@ fn a_forged_segment_in_a_known_message_does_not_spoil_it() {
     let f = Fixture::new();
     let mut reader = f.reader();
     let frames = f.seal(&mut f.writer(), &[7; 5000], 1400);
-    let mut out = vec![];
+    let mut out = Received::default();
     for frame in &frames {
         let mut forged = frame.clone();
         *forged.last_mut().unwrap() ^= 1;
         forged[HEADER_LEN] ^= 1;
-        let _ = reader.push(0, f.writer_name(), &forged, &mut out);
-        reader.push(0, f.writer_name(), frame, &mut out).unwrap();
-        let _ = reader.push(0, f.writer_name(), &forged, &mut out);
+        let _ = reader.push(at(0), f.writer_name(), &forged, &mut out);
+        reader.push(at(0), f.writer_name(), frame, &mut out).unwrap();
+        let _ = reader.push(at(0), f.writer_name(), &forged, &mut out);
     }
-    assert_eq!(only(out).body, [7; 5000][..]);
+    assert_eq!(only(out.messages).body, [7; 5000][..]);
 }
 
 #[test]
@@ -72,13 +72,13 @@ fn truncated_frames_are_refused_at_every_length() {
     for frame in &frames {
         for len in 0..frame.len() {
             let mut reader = f.reader();
-            let mut out = vec![];
-            let result = reader.push(0, f.writer_name(), &frame[..len], &mut out);
+            let mut out = Received::default();
+            let result = reader.push(at(0), f.writer_name(), &frame[..len], &mut out);
             // A cut between two segments leaves a whole one.
             let whole = len > 0 && split_ends(frame).contains(&len);
             assert_eq!(result.is_ok(), whole, "length {len}");
             assert!(result.is_ok() || result == Err(DropReason::Truncated), "length {len}: {result:?}");
-            assert!(out.is_empty());
+            assert!(out.messages.is_empty());
         }
     }
 }
@@ -92,16 +92,17 @@ fn random_bytes_and_random_headers_never_panic() {
         let len = random.below(300) as usize;
         let mut payload = random.bytes(len);
         if len >= HEADER_LEN && random.below(2) == 0 {
-            payload[0] = 1;
-            payload[1] &= 1;
+            payload[0] = VERSION;
+            payload[1] &= 3;
             payload[2..4].copy_from_slice(&((len - HEADER_LEN) as u16).to_be_bytes());
             if random.below(2) == 0 {
+                payload[40..44].copy_from_slice(&EPOCH.to_be_bytes());
                 payload[4..8].copy_from_slice(&[0; 4]);
                 payload[32..36].copy_from_slice(&[0, 0, 0, random.below(3) as u8]);
                 payload[36..40].copy_from_slice(&[0, 0, 1, 0]);
             }
         }
-        assert!(reader.push(0, f.writer_name(), &payload, &mut vec![]).is_err());
+        assert!(reader.push(at(0), f.writer_name(), &payload, &mut Received::default()).is_err());
     }
     assert_eq!(reader.memory(), 0);
     assert_eq!(reader.drops().iter().sum::<u64>(), 20_000);
@@ -115,12 +116,12 @@ fn replays_are_refused_however_they_come() {
     for frame in &history {
         assert_eq!(push_all(&mut reader, f.writer_name(), [frame]).len(), 1);
     }
-    let mut out = vec![];
+    let mut out = Received::default();
     for (i, frame) in history.iter().enumerate() {
         let expected = if i < 1500 - 1024 { DropReason::TooOld } else { DropReason::Duplicate };
-        assert_eq!(reader.push(0, f.writer_name(), frame, &mut out), Err(expected), "message {i}");
+        assert_eq!(reader.push(at(0), f.writer_name(), frame, &mut out), Err(expected), "message {i}");
     }
-    assert!(out.is_empty());
+    assert!(out.messages.is_empty());
     assert_eq!(reader.memory(), 0);
 }
 
@@ -136,9 +137,9 @@ fn a_message_that_completes_behind_the_window_is_too_old() {
         for _ in 0..1024 {
             push_all(&mut reader, f.writer_name(), f.seal(&mut writer, b"", 1400));
         }
-        let mut out = vec![];
-        assert_eq!(reader.push(0, f.writer_name(), &slow[last], &mut out), Err(DropReason::TooOld));
-        assert!(out.is_empty());
+        let mut out = Received::default();
+        assert_eq!(reader.push(at(0), f.writer_name(), &slow[last], &mut out), Err(DropReason::TooOld));
+        assert!(out.messages.is_empty());
         assert_eq!(reader.memory(), 0);
     }
 }
@@ -147,7 +148,7 @@ fn a_message_that_completes_behind_the_window_is_too_old() {
 fn frames_of_another_name_writer_session_or_epoch_do_not_open() {
     let f = Fixture::new();
     let frame = |f: &Fixture| f.seal(&mut f.writer(), b"x", 1400).remove(0);
-    let refused = |frame: &[u8]| f.reader().push(0, f.writer_name(), frame, &mut vec![]).unwrap_err();
+    let refused = |frame: &[u8]| f.reader().push(at(0), f.writer_name(), frame, &mut Received::default()).unwrap_err();
 
     assert_eq!(refused(&frame(&Fixture { name: Name::from_bytes([9; 32]), ..Fixture::new() })), DropReason::Forged);
     assert_eq!(
@@ -157,19 +158,19 @@ fn frames_of_another_name_writer_session_or_epoch_do_not_open() {
 
     // Another entity's frame under this writer's name, and this writer's under another's.
     let mut reader = f.reader();
-    reader.authorise(f.other.name(), f.other.key().verify_key()).unwrap();
+    f.introduce(&mut reader, &f.other);
     let of_other = f.seal(&mut f.writer_of(&f.other), b"x", 1400).remove(0);
-    assert_eq!(reader.push(0, f.writer_name(), &of_other, &mut vec![]), Err(DropReason::Forged));
-    assert_eq!(reader.push(0, f.other.name(), &frame(&f), &mut vec![]), Err(DropReason::Forged));
+    assert_eq!(reader.push(at(0), f.writer_name(), &of_other, &mut Received::default()), Err(DropReason::Forged));
+    assert_eq!(reader.push(at(0), f.other.name(), &frame(&f), &mut Received::default()), Err(DropReason::Forged));
     let nobody = Name::from_bytes([1; 32]);
-    assert_eq!(reader.push(0, nobody, &frame(&f), &mut vec![]), Err(DropReason::UnknownWriter));
+    assert_eq!(reader.push(at(0), nobody, &frame(&f), &mut Received::default()), Err(DropReason::UnknownWriter));
 
     // A segment that claims to be of another session of the same writer.
     let (a, b) = (f.writer(), f.writer());
     let mut reader = f.reader();
     let mut moved = f.seal(&mut { a }, b"x", 1400).remove(0);
     moved[16..32].copy_from_slice(&b.session());
-    assert_eq!(reader.push(0, f.writer_name(), &moved, &mut vec![]), Err(DropReason::Forged));
+    assert_eq!(reader.push(at(0), f.writer_name(), &moved, &mut Received::default()), Err(DropReason::Forged));
 }
 
 /// A reader knows the epoch key, so it can seal; it cannot sign.
@@ -177,16 +178,15 @@ fn frames_of_another_name_writer_session_or_epoch_do_not_open() {
 fn another_reader_cannot_write() {
     let f = Fixture::new();
     let insider = Identity::new(SigningKey::for_test(66), "proxy");
-    let mut forger =
-        Writer::new(f.name, f.writer_name(), &f.epoch_key, insider.key().clone(), Backend::default()).unwrap();
+    let mut forger = f.writer_in([6; 16], insider.key());
     let mut reader = f.reader();
-    let mut out = vec![];
+    let mut out = Received::default();
     for _ in 0..100 {
         for frame in f.seal(&mut forger, &[6; 3000], 1400) {
-            let _ = reader.push(0, f.writer_name(), &frame, &mut out);
+            let _ = reader.push(at(0), f.writer_name(), &frame, &mut out);
         }
     }
-    assert!(out.is_empty());
+    assert!(out.messages.is_empty());
     assert_eq!(reader.drops()[DropReason::BadSignature as usize], 100);
     assert_eq!(reader.memory(), 0);
     // It did not move anything either.
@@ -199,12 +199,10 @@ fn an_insider_cannot_move_an_honest_window() {
     let f = Fixture::new();
     let insider = SigningKey::for_test(66);
     let (mut writer, mut reader) = (f.writer(), f.reader());
-    let mut forger =
-        Writer::with_session(f.name, f.writer_name(), &f.epoch_key, &insider, Backend::default(), writer.session())
-            .unwrap();
+    let mut forger = f.writer_in(writer.session(), &insider);
     for _ in 0..3000 {
         let frame = f.seal(&mut forger, b"x", 1400).remove(0);
-        let result = reader.push(0, f.writer_name(), &frame, &mut vec![]);
+        let result = reader.push(at(0), f.writer_name(), &frame, &mut Received::default());
         assert_eq!(result, Err(DropReason::BadSignature));
     }
     assert_eq!(push_all(&mut reader, f.writer_name(), f.seal(&mut writer, b"honest", 1400)).len(), 1);
@@ -223,14 +221,14 @@ fn impossible_sizes_are_refused_before_anything_else() {
         changed
     };
     for (what, frame, expected) in [
-        ("most segments", with(u32::MAX, 1344, 0), DropReason::TooLarge),
-        ("one segment too many", with(150, 1344, 0), DropReason::TooLarge),
-        ("no segments", with(0, 1344, 0), DropReason::BadHeader),
-        ("index past the end", with(4, 1344, 4), DropReason::BadHeader),
+        ("most segments", with(u32::MAX, 1340, 0), DropReason::TooLarge),
+        ("one segment too many", with(151, 1340, 0), DropReason::TooLarge),
+        ("no segments", with(0, 1340, 0), DropReason::BadHeader),
+        ("index past the end", with(4, 1340, 4), DropReason::BadHeader),
         ("size of 4 GB", with(1, u32::MAX, 0), DropReason::BadHeader),
         ("other size", with(4, 1343, 0), DropReason::BadHeader),
     ] {
-        assert_eq!(reader.push(0, f.writer_name(), &frame, &mut vec![]), Err(expected), "{what}");
+        assert_eq!(reader.push(at(0), f.writer_name(), &frame, &mut Received::default()), Err(expected), "{what}");
     }
     assert_eq!(reader.memory(), 0);
 }
@@ -240,12 +238,12 @@ fn impossible_sizes_are_refused_before_anything_else() {
 fn authentic_but_endless_messages_stay_within_the_limits() {
     let f = Fixture::new();
     let mut reader = f.reader();
-    let mut out = vec![];
+    let mut out = Received::default();
     for session in 0..40 {
         let mut writer = f.writer();
         for _ in 0..20 {
             let frames = f.seal(&mut writer, &[1; 100_000], 1400);
-            let _ = reader.push(session, f.writer_name(), &frames[0], &mut out);
+            let _ = reader.push(at(session), f.writer_name(), &frames[0], &mut out);
             assert!(reader.memory() <= f.limits.max_memory_per_source);
         }
     }
@@ -255,10 +253,10 @@ fn authentic_but_endless_messages_stay_within_the_limits() {
     for _ in 0..2000 {
         let frame = f.seal(&mut writer, b"tiny", 1400).remove(0);
         let body_only = &frame[..OVERHEAD + 20];
-        let _ = reader.push(50, f.writer_name(), body_only, &mut out);
+        let _ = reader.push(at(50), f.writer_name(), body_only, &mut out);
     }
     assert!(reader.memory() <= f.limits.max_memory_per_source);
-    assert!(out.is_empty());
+    assert!(out.messages.is_empty());
     // An honest message still comes through.
     assert_eq!(push_all(&mut reader, f.writer_name(), f.seal(&mut f.writer(), &[5; 4000], 1400)).len(), 1);
 }
@@ -267,46 +265,13 @@ fn authentic_but_endless_messages_stay_within_the_limits() {
 fn segments_of_one_message_agree_on_its_shape() {
     let f = Fixture::new();
     let mut reader = f.reader();
-    let session = [5; 16];
-    let writer = || {
-        Writer::with_session(f.name, f.writer_name(), &f.epoch_key, f.entity.key(), Backend::default(), session)
-            .unwrap()
-    };
+    let writer = || f.writer_in([5; 16], f.entity.key());
     let (wide, narrow) = (f.seal(&mut writer(), &[1; 3000], 1400), f.seal(&mut writer(), &[1; 3000], 1000));
-    reader.push(0, f.writer_name(), &wide[0], &mut vec![]).unwrap();
-    assert_eq!(reader.push(0, f.writer_name(), &narrow[1], &mut vec![]), Err(DropReason::Inconsistent));
-}
-
-/// After the window of a session is forgotten, its recordings are still refused.
-#[test]
-fn a_forgotten_session_cannot_be_replayed() {
-    let f = Fixture { limits: Limits { max_sessions: 3, ..limits() }, ..Fixture::new() };
-    let mut reader = f.reader();
-    let mut segments = Segments::new();
-    let mut recordings = vec![];
-    for timestamp in 1..=10u64 {
-        let mut writer = f.writer();
-        writer.seal(timestamp * 1000, Encoding::Bytes, b"once", 1400, &mut segments).unwrap();
-        recordings.push(segments.iter().next().unwrap().to_vec());
-        assert_eq!(push_all(&mut reader, f.writer_name(), segments.iter()).len(), 1, "session {timestamp}");
-    }
-    let mut out = vec![];
-    for (i, recording) in recordings.iter().enumerate() {
-        let expected = if i < 7 { DropReason::Stale } else { DropReason::Duplicate };
-        assert_eq!(reader.push(0, f.writer_name(), recording, &mut out), Err(expected), "session {i}");
-    }
-    assert!(out.is_empty());
-}
-
-#[test]
-fn a_reader_that_just_started_can_refuse_older_recordings() {
-    let f = Fixture::new();
-    let mut writer = f.writer();
-    let (old, new) = (f.seal(&mut writer, b"old", 1400), f.seal(&mut writer, b"new", 1400));
-    let mut reader = f.reader();
-    reader.refuse_before(&f.writer_name(), 1);
-    assert_eq!(reader.push(0, f.writer_name(), &old[0], &mut vec![]), Err(DropReason::Stale));
-    assert_eq!(only(push_all(&mut reader, f.writer_name(), &new)).body, "new");
+    reader.push(at(0), f.writer_name(), &wide[0], &mut Received::default()).unwrap();
+    assert_eq!(
+        reader.push(at(0), f.writer_name(), &narrow[1], &mut Received::default()),
+        Err(DropReason::Inconsistent)
+    );
 }
 
 /// A proof is bound to its message: one from the same batch does not vouch for another message.
@@ -314,11 +279,11 @@ fn a_reader_that_just_started_can_refuse_older_recordings() {
 fn proofs_cannot_be_exchanged_within_a_batch() {
     let f = Fixture::new();
     let session = [5; 16];
-    let mut writer =
-        Writer::with_session(f.name, f.writer_name(), &f.epoch_key, f.entity.key(), Backend::default(), session)
-            .unwrap();
+    let mut writer = f.writer_in(session, f.entity.key());
     let mut segments = Segments::new();
-    writer.seal_batch(0, &[(Encoding::Bytes, b"one"), (Encoding::Bytes, b"two")], 1400, &mut segments).unwrap();
+    writer
+        .seal_batch(0, &[Draft::new(Encoding::Bytes, b"one"), Draft::new(Encoding::Bytes, b"two")], 1400, &mut segments)
+        .unwrap();
     let payload = segments.iter().next().unwrap().to_vec();
     let ends = split_ends(&payload);
     let (first_body, first_proof, second_proof) =
@@ -344,10 +309,10 @@ fn proofs_cannot_be_exchanged_within_a_batch() {
     forged.extend(&tag);
 
     let mut reader = f.reader();
-    let mut out = vec![];
-    reader.push(0, f.writer_name(), first_body, &mut out).unwrap();
-    assert_eq!(reader.push(0, f.writer_name(), &forged, &mut out), Err(DropReason::BadSignature));
-    assert!(out.is_empty());
+    let mut out = Received::default();
+    reader.push(at(0), f.writer_name(), first_body, &mut out).unwrap();
+    assert_eq!(reader.push(at(0), f.writer_name(), &forged, &mut out), Err(DropReason::BadSignature));
+    assert!(out.messages.is_empty());
     assert_eq!(push_all(&mut reader, f.writer_name(), [&payload]).len(), 2);
     assert_eq!(wire::proof_len(1), stolen.len());
 }

@@ -9,21 +9,32 @@ mod assembly;
 mod drop_reason;
 mod epoch_key;
 mod merkle;
+mod message;
 mod reader;
+mod segment;
 mod segments;
+mod session;
+mod source;
+mod used_cuts;
 mod window;
 mod wire;
 mod writer;
 
 pub use drop_reason::DropReason;
 pub use epoch_key::EpochKey;
-pub use reader::{Limits, Message, Reader};
+pub use message::{Draft, Encoding, MAX_ORIGIN, Message, MessageId};
+pub use reader::{Heartbeat, Limits, Moment, Reader, Received};
+pub use segment::SegmentId;
 pub use segments::Segments;
-pub use wire::{Encoding, MAX_BATCH, MIN_PAYLOAD};
-pub use writer::{SealError, Writer};
+pub use wire::{MAX_BATCH, MAX_CUT, MIN_PAYLOAD};
+pub use writer::{MAX_SEGMENTS, SealError, Writer};
 
 #[cfg(test)]
 mod hostile_tests;
+#[cfg(test)]
+mod property_tests;
+#[cfg(test)]
+mod session_tests;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

@@ -1,5 +1,7 @@
 //! The frame payloads that a message became, in one buffer that is reused from message to message.
 
+use super::segment::{Segment, SegmentId};
+
 /// Sealed segments, packed into frame payloads of a given size. Reused, it stops allocating after the largest message.
 #[derive(Clone, Debug, Default)]
 pub struct Segments {
@@ -20,6 +22,18 @@ impl Segments {
             let payload = &self.buffer[start..end];
             start = end;
             payload
+        })
+    }
+
+    /// The sealed segments, each with its bytes, in the order in which they are in the payloads: for a history from which
+    /// single ones are sent again.
+    pub fn segments(&self) -> impl Iterator<Item = (SegmentId, &[u8])> {
+        let mut rest = &self.buffer[..];
+        std::iter::from_fn(move || {
+            let (segment, behind) = Segment::split(rest).ok()?;
+            let (bytes, _) = rest.split_at(rest.len() - behind.len());
+            rest = behind;
+            Some((segment.id(), bytes))
         })
     }
 

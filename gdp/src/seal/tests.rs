@@ -13,7 +13,7 @@ fn messages_of_any_size_cross_between_all_back_ends() {
             let f = Fixture { writing, reading, ..Fixture::new() };
             let (mut writer, mut reader) = (f.writer(), f.reader());
             let mut segments = Segments::new();
-            for (i, len) in [0, 1, 64, 1268, 1269, 5_000, 100_000].into_iter().enumerate() {
+            for (i, len) in [0, 1, 64, 1196, 1197, 1324, 1325, 5_000, 100_000].into_iter().enumerate() {
                 let body = Random(len as u64 + 1).bytes(len);
                 writer.seal(1000 + i as u64, Encoding::Cdr, &body, 1400, &mut segments).unwrap();
                 assert!(segments.iter().all(|payload| payload.len() <= 1400));
@@ -36,12 +36,12 @@ fn a_small_message_is_one_frame_and_a_full_tail_shares_one_with_the_proof() {
     let mut segments = Segments::new();
     writer.seal(0, Encoding::Bytes, &[0; 64], 1400, &mut segments).unwrap();
     assert_eq!(segments.len(), 1);
-    assert_eq!(segments.total_bytes(), 40 + 16 + 64 + 16 + MIN_PAYLOAD);
+    assert_eq!(segments.total_bytes(), 44 + 16 + 64 + 16 + MIN_PAYLOAD);
     // One full segment, and a tail that shares its payload with the proof.
-    writer.seal(0, Encoding::Bytes, &[0; 1344 - 16 + 100], 1400, &mut segments).unwrap();
-    assert_eq!(segments.iter().map(<[u8]>::len).collect::<Vec<_>>(), [1400, 56 + 100 + MIN_PAYLOAD]);
+    writer.seal(0, Encoding::Bytes, &[0; 1340 - 16 + 100], 1400, &mut segments).unwrap();
+    assert_eq!(segments.iter().map(<[u8]>::len).collect::<Vec<_>>(), [1400, 60 + 100 + MIN_PAYLOAD]);
     // A tail that leaves no room.
-    writer.seal(0, Encoding::Bytes, &[0; 2 * 1344 - 16], 1400, &mut segments).unwrap();
+    writer.seal(0, Encoding::Bytes, &[0; 2 * 1340 - 16], 1400, &mut segments).unwrap();
     assert_eq!(segments.iter().map(<[u8]>::len).collect::<Vec<_>>(), [1400, 1400, MIN_PAYLOAD]);
     // The buffer is reused, not added to.
     writer.seal(0, Encoding::Bytes, b"", 1400, &mut segments).unwrap();
@@ -65,14 +65,15 @@ fn order_does_not_matter_and_duplicates_do_no_harm() {
         let duplicates = copies.len();
         frames.extend(copies);
         random.shuffle(&mut frames);
-        let (mut messages, mut refused) = (vec![], 0);
+        let (mut messages, mut refused) = (Received::default(), 0);
         for frame in &frames {
-            match reader.push(0, f.writer_name(), frame, &mut messages) {
+            match reader.push(at(0), f.writer_name(), frame, &mut messages) {
                 Ok(()) => {}
                 Err(DropReason::Duplicate) => refused += 1,
                 Err(other) => panic!("{other}"),
             }
         }
+        let mut messages = messages.messages;
         messages.sort_by_key(|message| message.sequence);
         assert_eq!(messages.iter().map(|message| &message.body[..]).collect::<Vec<_>>(), bodies, "seed {seed}");
         assert_eq!(refused, duplicates);
@@ -85,7 +86,7 @@ fn a_batch_has_one_signature_and_each_message_stands_alone() {
     let f = Fixture::new();
     for count in [1, 2, 3, 5, 8, 40] {
         let bodies: Vec<Vec<u8>> = (0..count).map(|i| vec![i as u8; 50 * i]).collect();
-        let items: Vec<(Encoding, &[u8])> = bodies.iter().map(|body| (Encoding::Json, &body[..])).collect();
+        let items: Vec<_> = bodies.iter().map(|body| Draft::new(Encoding::Json, body)).collect();
         let mut segments = Segments::new();
         f.writer().seal_batch(5, &items, 1400, &mut segments).unwrap();
         assert!(segments.iter().all(|payload| payload.len() <= 1400));
@@ -107,8 +108,8 @@ fn a_batch_has_one_signature_and_each_message_stands_alone() {
 fn small_messages_of_a_batch_share_frames() {
     let f = Fixture::new();
     let mut segments = Segments::new();
-    f.writer().seal_batch(0, &[(Encoding::Bytes, &[1u8; 10][..]); 8], 1400, &mut segments).unwrap();
-    // (56 + 26) + (124 + 3 × 32) bytes each, four to a frame.
+    f.writer().seal_batch(0, &[Draft::new(Encoding::Bytes, &[1; 10]); 8], 1400, &mut segments).unwrap();
+    // (60 + 26) + (128 + 3 × 32) bytes each, four to a frame.
     assert_eq!(segments.len(), 2);
 }
 
@@ -123,7 +124,7 @@ fn a_restarted_writer_is_a_new_session_and_both_are_read() {
         assert_eq!(only(push_all(&mut reader, f.writer_name(), &frames)).sequence, 1);
     }
     // The same plaintext never looks the same.
-    assert_ne!(f.seal(&mut first, b"x", 1400)[0][40..60], f.seal(&mut second, b"x", 1400)[0][40..60]);
+    assert_ne!(f.seal(&mut first, b"x", 1400)[0][44..60], f.seal(&mut second, b"x", 1400)[0][44..60]);
 }
 
 #[test]
@@ -132,11 +133,11 @@ fn what_misses_its_deadline_is_dropped_whole_and_newer_messages_pass() {
     let (mut writer, mut reader) = (f.writer(), f.reader());
     let slow = f.seal(&mut writer, &[1; 5000], 1400);
     let quick = f.seal(&mut writer, b"quick", 1400);
-    let mut messages = vec![];
-    reader.push(0, f.writer_name(), &slow[0], &mut messages).unwrap();
+    let mut messages = Received::default();
+    reader.push(at(0), f.writer_name(), &slow[0], &mut messages).unwrap();
     assert_eq!(reader.next_deadline(), Some(DEADLINE));
-    reader.push(1, f.writer_name(), &quick[0], &mut messages).unwrap();
-    assert_eq!(only(std::mem::take(&mut messages)).body, "quick");
+    reader.push(at(1), f.writer_name(), &quick[0], &mut messages).unwrap();
+    assert_eq!(only(std::mem::take(&mut messages.messages)).body, "quick");
 
     assert_eq!(reader.expire(DEADLINE), 0);
     assert_eq!(reader.expire(DEADLINE + 1), 1);
@@ -144,13 +145,13 @@ fn what_misses_its_deadline_is_dropped_whole_and_newer_messages_pass() {
     assert_eq!(reader.drops()[DropReason::Deadline as usize], 1);
     // The rest alone does not complete it, and `push` expires by itself.
     for frame in &slow[1..] {
-        reader.push(DEADLINE + 2, f.writer_name(), frame, &mut messages).unwrap();
+        reader.push(at(DEADLINE + 2), f.writer_name(), frame, &mut messages).unwrap();
     }
-    assert!(messages.is_empty());
+    assert!(messages.messages.is_empty());
     let frames = f.seal(&mut writer, b"later", 1400);
-    reader.push(10 * DEADLINE, f.writer_name(), &frames[0], &mut messages).unwrap();
+    reader.push(at(10 * DEADLINE), f.writer_name(), &frames[0], &mut messages).unwrap();
     assert_eq!(reader.drops()[DropReason::Deadline as usize], 2);
-    assert_eq!(messages.len(), 1);
+    assert_eq!(messages.messages.len(), 1);
 }
 
 #[test]
@@ -158,18 +159,18 @@ fn when_memory_is_short_the_writers_own_oldest_message_gives_way() {
     let f = Fixture { limits: Limits { max_memory_per_source: 40_000, ..limits() }, ..Fixture::new() };
     let (mut writer, mut reader) = (f.writer(), f.reader());
     let messages: Vec<_> = (0..3).map(|_| f.seal(&mut writer, &[1; 15_000], 1400)).collect();
-    let mut out = vec![];
+    let mut out = Received::default();
     for (now, frames) in messages.iter().enumerate() {
-        reader.push(now as u64, f.writer_name(), &frames[0], &mut out).unwrap();
+        reader.push(at(now as u64), f.writer_name(), &frames[0], &mut out).unwrap();
         assert!(reader.memory() <= 40_000);
     }
     assert_eq!(reader.drops()[DropReason::Evicted as usize], 1);
     // The oldest does not come back at the cost of newer ones, which complete.
-    assert_eq!(reader.push(9, f.writer_name(), &messages[0][1], &mut out), Err(DropReason::MemoryFull));
+    assert_eq!(reader.push(at(9), f.writer_name(), &messages[0][1], &mut out), Err(DropReason::MemoryFull));
     for frame in messages[1][1..].iter().chain(&messages[2][1..]) {
-        reader.push(9, f.writer_name(), frame, &mut out).unwrap();
+        reader.push(at(9), f.writer_name(), frame, &mut out).unwrap();
     }
-    assert_eq!(out.iter().map(|message| message.sequence).collect::<Vec<_>>(), [2, 3]);
+    assert_eq!(out.messages.iter().map(|message| message.sequence).collect::<Vec<_>>(), [2, 3]);
     assert_eq!(reader.memory(), 0);
 }
 
@@ -178,19 +179,19 @@ fn one_writer_cannot_use_up_another_ones_memory() {
     let limits = Limits { max_memory: 50_000, max_memory_per_source: 30_000, ..limits() };
     let f = Fixture { limits, ..Fixture::new() };
     let mut reader = f.reader();
-    let mut out = vec![];
+    let mut out = Received::default();
     let mut other = f.writer_of(&f.other);
-    reader.authorise(f.other.name(), f.other.key().verify_key()).unwrap();
+    f.introduce(&mut reader, &f.other);
     let honest = f.seal(&mut other, &[2; 10_000], 1400);
-    reader.push(0, f.other.name(), &honest[0], &mut out).unwrap();
+    reader.push(at(0), f.other.name(), &honest[0], &mut out).unwrap();
     let mut greedy = f.writer();
     for _ in 0..100 {
         let frames = f.seal(&mut greedy, &[1; 15_000], 1400);
-        reader.push(0, f.writer_name(), &frames[0], &mut out).unwrap();
+        reader.push(at(0), f.writer_name(), &frames[0], &mut out).unwrap();
     }
     assert!(reader.memory() <= 50_000);
     push_into(&mut reader, f.other.name(), &honest[1..], &mut out);
-    assert_eq!(only(out).writer, f.other.name());
+    assert_eq!(only(out.messages).writer, f.other.name());
 }
 
 #[test]
@@ -198,16 +199,24 @@ fn revoking_a_writer_silences_it_and_frees_its_memory() {
     let f = Fixture::new();
     let (mut writer, mut reader) = (f.writer(), f.reader());
     let frames = f.seal(&mut writer, &[1; 5000], 1400);
-    let mut out = vec![];
-    reader.push(0, f.writer_name(), &frames[0], &mut out).unwrap();
+    let mut out = Received::default();
+    reader.push(at(0), f.writer_name(), &frames[0], &mut out).unwrap();
     assert!(reader.memory() > 5000);
     reader.revoke(&f.writer_name());
     assert_eq!(reader.memory(), 0);
-    assert_eq!(reader.push(0, f.writer_name(), &frames[1], &mut out), Err(DropReason::UnknownWriter));
+    assert_eq!(reader.push(at(0), f.writer_name(), &frames[1], &mut out), Err(DropReason::UnknownWriter));
     assert_eq!(reader.writers().count(), 0);
 }
 
 pub const DEADLINE: u64 = 1_000_000_000;
+
+/// The epoch of the fixture's key.
+pub const EPOCH: u32 = 5;
+
+/// On both clocks.
+pub fn at(ns: u64) -> Moment {
+    Moment { steady_ns: ns, unix_ns: ns }
+}
 
 pub fn limits() -> Limits {
     Limits { max_message: 200_000, max_memory_per_source: 1 << 20, max_memory: 4 << 20, ..Limits::default() }
@@ -246,13 +255,36 @@ impl Fixture {
     }
 
     pub fn writer_of(&self, entity: &Identity) -> Writer {
-        Writer::new(self.name, entity.name(), &self.epoch_key, entity.key().clone(), self.writing).unwrap()
+        self.with_epoch(Writer::new(self.name, entity.name(), entity.key().clone(), self.writing).unwrap())
     }
 
+    /// A writer in the name of the entity, in a session of the caller's choice, that signs with any key.
+    pub fn writer_in(&self, session: [u8; 16], key: &SigningKey) -> Writer {
+        self.with_epoch(Writer::with_session(self.name, self.writer_name(), key, self.writing, session).unwrap())
+    }
+
+    fn with_epoch(&self, mut writer: Writer) -> Writer {
+        writer.set_epoch(EPOCH, &self.epoch_key).unwrap();
+        writer
+    }
+
+    /// Knows the entity and its key, and takes its sessions as they come.
     pub fn reader(&self) -> Reader {
-        let mut reader = Reader::new(self.name, &self.epoch_key, self.reading, self.limits);
-        reader.authorise(self.writer_name(), self.entity.key().verify_key()).unwrap();
+        let mut reader = self.strict_reader();
+        reader.vouch_on_sight();
         reader
+    }
+
+    /// Wants to hear of each session from its writer.
+    pub fn strict_reader(&self) -> Reader {
+        let mut reader = Reader::new(self.name, self.reading, self.limits);
+        self.introduce(&mut reader, &self.entity);
+        reader
+    }
+
+    pub fn introduce(&self, reader: &mut Reader, entity: &Identity) {
+        reader.authorise(entity.name(), entity.key().verify_key()).unwrap();
+        reader.set_key(&entity.name(), EPOCH, self.epoch_key.clone()).unwrap();
     }
 
     /// The frame payloads of one message, timestamped with its sequence.
@@ -264,19 +296,14 @@ impl Fixture {
 }
 
 pub fn push_all(reader: &mut Reader, source: Name, frames: impl IntoIterator<Item: AsRef<[u8]>>) -> Vec<Message> {
-    let mut out = vec![];
+    let mut out = Received::default();
     push_into(reader, source, frames, &mut out);
-    out
+    out.messages
 }
 
-pub fn push_into(
-    reader: &mut Reader,
-    source: Name,
-    frames: impl IntoIterator<Item: AsRef<[u8]>>,
-    out: &mut Vec<Message>,
-) {
+pub fn push_into(reader: &mut Reader, source: Name, frames: impl IntoIterator<Item: AsRef<[u8]>>, out: &mut Received) {
     for frame in frames {
-        reader.push(0, source, frame.as_ref(), out).unwrap();
+        reader.push(at(0), source, frame.as_ref(), out).unwrap();
     }
 }
 

@@ -59,44 +59,87 @@ fn vectors_of_segments() {
     let writer_name = Name::from_bytes([0x22; 32]);
     let (epoch_key, session) = ([0x33; 32], [0x44; 16]);
     let key = SigningKey::for_test(1);
-    type Messages<'a> = &'a [(Encoding, &'a [u8])];
-    let cases: [(&str, usize, Messages<'_>); 4] = [
-        ("a message that shares one frame payload with its proof", 1400, &[(Encoding::Cdr, b"hello")]),
-        ("an empty message", 1400, &[(Encoding::Bytes, b"")]),
+    let (epoch, request) = (1_700_000_000, MessageId { session: [0x66; 16], sequence: 7 });
+    let plain = |encoding, body| Draft::new(encoding, body);
+    let cases: [(&str, usize, &[Draft<'_>]); 5] = [
+        ("a message that shares one frame payload with its proof", 1400, &[plain(Encoding::Cdr, b"hello")]),
+        ("an empty message", 1400, &[plain(Encoding::Bytes, b"")]),
         (
             "a message of three segments; the last shares a payload with the proof",
             200,
-            &[(Encoding::Json, &[0x5a; 290])],
+            &[plain(Encoding::Json, &[0x5a; 290])],
         ),
         (
             "a batch of three under one signature",
             1400,
-            &[(Encoding::Ros1, b"one"), (Encoding::Ros1, b"two"), (Encoding::Ros1, b"three")],
+            &[plain(Encoding::Ros1, b"one"), plain(Encoding::Ros1, b"two"), plain(Encoding::Ros1, b"three")],
+        ),
+        (
+            "a reply that says where it comes from",
+            1400,
+            &[Draft { in_reply_to: Some(request), origin: b"origin", ..plain(Encoding::Cdr, b"sum") }],
         ),
     ];
-    let vectors = cases.map(|(description, max_payload, messages)| {
-        let epoch_key = EpochKey::from_bytes(epoch_key);
-        let new_writer = |backend| Writer::with_session(name, writer_name, &epoch_key, &key, backend, session).unwrap();
-        let mut segments = Segments::new();
-        new_writer(Backend::RustCrypto)
-            .seal_batch(1_700_000_000_123_456_789, messages, max_payload, &mut segments)
-            .unwrap();
-        for backend in Backend::ALL {
-            let mut reader = Reader::new(name, &epoch_key, backend, Limits::default());
+    let new_writer = || {
+        let mut writer = Writer::with_session(name, writer_name, &key, Backend::RustCrypto, session).unwrap();
+        writer.set_epoch(epoch, &EpochKey::from_bytes(epoch_key)).unwrap();
+        writer
+    };
+    // What readers with either back end make of payloads.
+    let read = |segments: &Segments| {
+        Backend::ALL.map(|backend| {
+            let mut reader = Reader::new(name, backend, Limits::default());
             reader.authorise(writer_name, key.verify_key()).unwrap();
-            assert_eq!(tests::push_all(&mut reader, writer_name, segments.iter()).len(), messages.len());
-        }
+            reader.set_key(&writer_name, epoch, EpochKey::from_bytes(epoch_key)).unwrap();
+            reader.vouch(&writer_name, session, 1).unwrap();
+            let mut received = Received::default();
+            tests::push_into(&mut reader, writer_name, segments.iter(), &mut received);
+            received
+        })
+    };
+    let payloads = |segments: &Segments| segments.iter().map(hex::encode).collect::<Vec<_>>();
+    let timestamp = 1_700_000_000_123_456_789;
+    let mut segments = Segments::new();
+    let vectors = cases.map(|(description, max_payload, messages)| {
+        new_writer().seal_batch(timestamp, messages, max_payload, &mut segments).unwrap();
+        assert!(read(&segments).iter().all(|received| received.messages.len() == messages.len()));
         json!({
             "description": description,
             "max_payload": max_payload,
             "first_sequence": 1,
-            "timestamp_ns": "1700000000123456789",
-            "messages": messages.iter().map(|(encoding, body)| json!({
-                "encoding": u16::from(*encoding),
-                "body": hex::encode(body),
+            "timestamp_ns": timestamp.to_string(),
+            "messages": messages.iter().map(|message| json!({
+                "encoding": u16::from(message.encoding),
+                "in_reply_to": message.in_reply_to.map(|request| json!({
+                    "session": hex::encode(request.session),
+                    "sequence": request.sequence,
+                })),
+                "origin": hex::encode(message.origin),
+                "body": hex::encode(message.body),
             })).collect::<Vec<_>>(),
-            "payloads": segments.iter().map(hex::encode).collect::<Vec<_>>(),
+            "payloads": payloads(&segments),
         })
+    });
+
+    let mut writer = new_writer();
+    let hello = Draft::new(Encoding::Cdr, b"hello");
+    writer.seal_batch(timestamp, &[hello], 1400, &mut segments).unwrap();
+    writer.reseal(1, 1, timestamp, hello, MIN_PAYLOAD, &mut segments).unwrap();
+    assert!(read(&segments).iter().all(|received| received.messages.len() == 1));
+    let cut_anew = json!({
+        "description": "the first message again, under cut 1 for the smallest payloads",
+        "max_payload": MIN_PAYLOAD,
+        "payloads": payloads(&segments),
+    });
+    writer.heartbeat(timestamp, 1, &mut segments).unwrap();
+    assert!(read(&segments).iter().all(|received| received.heartbeats.len() == 1));
+    let heartbeat = json!({
+        "description": "the first heartbeat, after one message, which can be had again",
+        "number": 1,
+        "next": 2,
+        "oldest": 1,
+        "timestamp_ns": timestamp.to_string(),
+        "payloads": payloads(&segments),
     });
     check(
         "segment.json",
@@ -105,6 +148,7 @@ fn vectors_of_segments() {
             "name": name,
             "writer": writer_name,
             "session": hex::encode(session),
+            "epoch": epoch,
             "epoch_key": hex::encode(epoch_key),
             "session_key": hex::encode(*Backend::default().hkdf_sha256(
                 &session,
@@ -113,6 +157,8 @@ fn vectors_of_segments() {
             ).unwrap()),
             "verify_key": key.verify_key(),
             "vectors": vectors,
+            "cut_anew": cut_anew,
+            "heartbeat": heartbeat,
         }),
     );
 }

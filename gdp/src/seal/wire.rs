@@ -1,5 +1,5 @@
-//! The layouts of `docs/wire-format.md`, "Sealed segments": segment header, message header, proof, and the hashes that
-//! bind them. Encoding and bounds only; nothing here keeps state. All integers are big-endian.
+//! The layouts of `docs/wire-format.md`, "Sealed segments": segment header, proof, heartbeat, and the hashes that bind
+//! them. Encoding and bounds only; nothing here keeps state. All integers are big-endian.
 
 use crate::crypto::{Backend, NONCE_LEN, SIGNATURE_LEN, TAG_LEN};
 use crate::name::Name;
@@ -7,14 +7,23 @@ use crate::name::Name;
 pub const SESSION_CONTEXT: &[u8] = b"gdp/session/1";
 const MESSAGE_CONTEXT: &[u8] = b"gdp/message/1";
 const BATCH_CONTEXT: &[u8] = b"gdp/batch/1";
+const HEARTBEAT_CONTEXT: &[u8] = b"gdp/heartbeat/1";
 
-pub const VERSION: u8 = 1;
-pub const FLAG_PROOF: u8 = 1;
-pub const HEADER_LEN: usize = 40;
+pub const VERSION: u8 = 2;
+const FLAG_PROOF: u8 = 1;
+const FLAG_HEARTBEAT: u8 = 2;
+pub const HEADER_LEN: usize = 44;
 /// What a segment costs besides its plaintext.
 pub const OVERHEAD: usize = HEADER_LEN + TAG_LEN;
 /// The largest plaintext of a segment: its length with the tag is 16 bits.
 pub const MAX_PLAINTEXT: usize = u16::MAX as usize - TAG_LEN;
+
+/// The last sequence of a session: they have 48 bits.
+pub const MAX_SEQUENCE: u64 = (1 << 48) - 1;
+/// The last cut of a message.
+pub const MAX_CUT: u16 = u16::MAX - 1;
+/// What heartbeats have in the place of the cut, so that no nonce of theirs is one of a message.
+const HEARTBEAT_CUT: u16 = u16::MAX;
 
 pub const MAX_DEPTH: usize = 16;
 /// The most messages that one signature may cover.
@@ -23,48 +32,93 @@ pub const MAX_BATCH: usize = 1 << MAX_DEPTH;
 /// The smallest frame payload a message can be cut for: one that holds the proof of a message signed alone.
 pub const MIN_PAYLOAD: usize = OVERHEAD + proof_len(0);
 
+/// What a segment carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A part of a message.
+    Body,
+    /// Where the message is in a signed tree.
+    Proof,
+    /// How far the session is.
+    Heartbeat,
+}
+
 /// The clear header in front of every segment's ciphertext; all of it is authenticated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SegmentHeader {
-    pub proof: bool,
+    pub kind: Kind,
     /// Of the ciphertext with its tag.
     pub sealed_len: u16,
+    /// Of a heartbeat, its number in the session.
     pub index: u32,
+    /// Of a heartbeat, the sequence of the next message. 48 bits.
     pub sequence: u64,
+    /// How often the message was cut anew before. Heartbeats have one of their own.
+    pub cut: u16,
     pub session: [u8; 16],
     /// Body segments of the message, without the proof.
     pub count: u32,
     /// Plaintext bytes of every body segment but the last, which may have fewer.
     pub size: u32,
+    /// Of the writer's keys, the one that this is sealed under.
+    pub epoch: u32,
 }
 
 impl SegmentHeader {
+    /// Of the `number`th heartbeat of a session.
+    pub fn heartbeat(session: [u8; 16], number: u32, next: u64, epoch: u32) -> Self {
+        Self {
+            kind: Kind::Heartbeat,
+            sealed_len: (HEARTBEAT_LEN + TAG_LEN) as u16,
+            index: number,
+            sequence: next,
+            cut: HEARTBEAT_CUT,
+            session,
+            count: 0,
+            size: 0,
+            epoch,
+        }
+    }
+
     pub fn to_bytes(self) -> [u8; HEADER_LEN] {
         let mut bytes = [0u8; HEADER_LEN];
         bytes[0] = VERSION;
-        bytes[1] = if self.proof { FLAG_PROOF } else { 0 };
+        bytes[1] = match self.kind {
+            Kind::Body => 0,
+            Kind::Proof => FLAG_PROOF,
+            Kind::Heartbeat => FLAG_HEARTBEAT,
+        };
         bytes[2..4].copy_from_slice(&self.sealed_len.to_be_bytes());
         bytes[4..8].copy_from_slice(&self.index.to_be_bytes());
-        bytes[8..16].copy_from_slice(&self.sequence.to_be_bytes());
+        bytes[8..16].copy_from_slice(&self.sequence_and_cut());
         bytes[16..32].copy_from_slice(&self.session);
         bytes[32..36].copy_from_slice(&self.count.to_be_bytes());
         bytes[36..40].copy_from_slice(&self.size.to_be_bytes());
+        bytes[40..44].copy_from_slice(&self.epoch.to_be_bytes());
         bytes
     }
 
     /// `None` for another version or unknown flags.
     pub fn parse(bytes: &[u8; HEADER_LEN]) -> Option<Self> {
-        let at = |from: usize| -> [u8; 4] { [bytes[from], bytes[from + 1], bytes[from + 2], bytes[from + 3]] };
+        let word = |at: usize| u32::from_be_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+        let kind = match (bytes[0], bytes[1]) {
+            (VERSION, 0) => Kind::Body,
+            (VERSION, FLAG_PROOF) => Kind::Proof,
+            (VERSION, FLAG_HEARTBEAT) => Kind::Heartbeat,
+            _ => return None,
+        };
         let mut session = [0u8; 16];
         session.copy_from_slice(&bytes[16..32]);
-        (bytes[0] == VERSION && bytes[1] & !FLAG_PROOF == 0).then(|| Self {
-            proof: bytes[1] == FLAG_PROOF,
+        Some(Self {
+            kind,
             sealed_len: u16::from_be_bytes([bytes[2], bytes[3]]),
-            index: u32::from_be_bytes(at(4)),
-            sequence: u64::from(u32::from_be_bytes(at(8))) << 32 | u64::from(u32::from_be_bytes(at(12))),
+            index: word(4),
+            sequence: u64::from(word(8)) << 16 | u64::from(word(12)) >> 16,
+            cut: word(12) as u16,
             session,
-            count: u32::from_be_bytes(at(32)),
-            size: u32::from_be_bytes(at(36)),
+            count: word(32),
+            size: word(36),
+            epoch: word(40),
         })
     }
 
@@ -72,92 +126,34 @@ impl SegmentHeader {
     pub fn plaintext_len(&self) -> Option<usize> {
         let len = usize::from(self.sealed_len).checked_sub(TAG_LEN)?;
         let size = self.size as usize;
-        let fits = if self.proof {
-            self.index == self.count && is_proof_len(len)
-        } else if self.index.checked_add(1)? == self.count {
-            (1..=size).contains(&len)
-        } else {
-            self.index < self.count && len == size
+        let of_message = self.cut <= MAX_CUT && self.count > 0 && (1..=MAX_PLAINTEXT).contains(&size);
+        let fits = match self.kind {
+            Kind::Body if self.index.checked_add(1)? == self.count => of_message && (1..=size).contains(&len),
+            Kind::Body => of_message && self.index < self.count && len == size,
+            Kind::Proof => of_message && self.index == self.count && is_proof_len(len),
+            Kind::Heartbeat => {
+                self.cut == HEARTBEAT_CUT && self.count == 0 && size == 0 && self.index > 0 && len == HEARTBEAT_LEN
+            }
         };
-        let sane = self.count > 0 && self.sequence > 0 && (1..=MAX_PLAINTEXT).contains(&size);
-        (fits && sane).then_some(len)
+        (fits && self.sequence > 0).then_some(len)
+    }
+
+    /// Whether `other` is a segment of the same message, cut the same way and sealed under the same key.
+    pub fn is_beside(&self, other: &Self) -> bool {
+        let message =
+            |header: &Self| (header.session, header.sequence, header.cut, header.count, header.size, header.epoch);
+        message(self) == message(other)
     }
 
     pub fn nonce(&self) -> [u8; NONCE_LEN] {
         let mut nonce = [0u8; NONCE_LEN];
-        nonce[..8].copy_from_slice(&self.sequence.to_be_bytes());
+        nonce[..8].copy_from_slice(&self.sequence_and_cut());
         nonce[8..].copy_from_slice(&self.index.to_be_bytes());
         nonce
     }
-}
 
-pub const MESSAGE_HEADER_LEN: usize = 16;
-
-/// The plaintext of a message begins with this, then extensions, then the body.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct MessageHeader {
-    pub timestamp_ns: u64,
-    pub encoding: Encoding,
-    /// Bytes between this header and the body. This version writes none and skips those of later ones.
-    pub extensions_len: u16,
-}
-
-impl MessageHeader {
-    pub fn to_bytes(self) -> [u8; MESSAGE_HEADER_LEN] {
-        let mut bytes = [0u8; MESSAGE_HEADER_LEN];
-        bytes[..8].copy_from_slice(&self.timestamp_ns.to_be_bytes());
-        bytes[8..10].copy_from_slice(&u16::from(self.encoding).to_be_bytes());
-        bytes[10..12].copy_from_slice(&self.extensions_len.to_be_bytes());
-        bytes
-    }
-
-    /// The header, and where in `plaintext` the body begins.
-    pub fn parse(plaintext: &[u8]) -> Option<(Self, usize)> {
-        let (bytes, rest) = plaintext.split_first_chunk::<MESSAGE_HEADER_LEN>()?;
-        let [t0, t1, t2, t3, t4, t5, t6, t7, e0, e1, x0, x1, reserved @ ..] = *bytes;
-        let header = Self {
-            timestamp_ns: u64::from_be_bytes([t0, t1, t2, t3, t4, t5, t6, t7]),
-            encoding: u16::from_be_bytes([e0, e1]).into(),
-            extensions_len: u16::from_be_bytes([x0, x1]),
-        };
-        let fits = reserved == [0; 4] && usize::from(header.extensions_len) <= rest.len();
-        fits.then(|| (header, MESSAGE_HEADER_LEN + usize::from(header.extensions_len)))
-    }
-}
-
-/// How the body of a message is encoded (DESIGN §10).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Encoding {
-    /// Bytes that only the application understands.
-    Bytes,
-    Json,
-    Cdr,
-    Ros1,
-    /// Of a later version, or private use.
-    Other(u16),
-}
-
-impl From<Encoding> for u16 {
-    fn from(encoding: Encoding) -> Self {
-        match encoding {
-            Encoding::Bytes => 0,
-            Encoding::Json => 1,
-            Encoding::Cdr => 2,
-            Encoding::Ros1 => 3,
-            Encoding::Other(code) => code,
-        }
-    }
-}
-
-impl From<u16> for Encoding {
-    fn from(code: u16) -> Self {
-        match code {
-            0 => Self::Bytes,
-            1 => Self::Json,
-            2 => Self::Cdr,
-            3 => Self::Ros1,
-            code => Self::Other(code),
-        }
+    fn sequence_and_cut(&self) -> [u8; 8] {
+        (self.sequence << 16 | u64::from(self.cut)).to_be_bytes()
     }
 }
 
@@ -209,17 +205,9 @@ impl<'a> Proof<'a> {
 
 /// What a message is in the signed tree. `digests` are the SHA-256 of each body segment's ciphertext with its tag, in order.
 pub fn leaf(backend: Backend, name: &Name, writer: &Name, header: &SegmentHeader, digests: &[[u8; 32]]) -> [u8; 32] {
-    backend.sha256(&[
-        &[0],
-        MESSAGE_CONTEXT,
-        name.as_bytes(),
-        writer.as_bytes(),
-        &header.session,
-        &header.sequence.to_be_bytes(),
-        &header.count.to_be_bytes(),
-        &header.size.to_be_bytes(),
-        digests.as_flattened(),
-    ])
+    // Sequence, cut, session, count, size and epoch.
+    let message = &header.to_bytes()[8..];
+    backend.sha256(&[&[0], MESSAGE_CONTEXT, name.as_bytes(), writer.as_bytes(), message, digests.as_flattened()])
 }
 
 /// What is signed for the tree with this root.
@@ -230,25 +218,86 @@ pub fn batch_statement(root: &[u8; 32]) -> [u8; BATCH_CONTEXT.len() + 32] {
     statement
 }
 
+/// Plaintext bytes of a heartbeat.
+pub const HEARTBEAT_LEN: usize = HEARTBEAT_CLAIMS + SIGNATURE_LEN;
+const HEARTBEAT_CLAIMS: usize = 16;
+const HEARTBEAT_STATEMENT: usize = HEARTBEAT_CONTEXT.len() + 64 + 28 + HEARTBEAT_CLAIMS;
+
+/// What a heartbeat says beside its header.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HeartbeatBody {
+    pub timestamp_ns: u64,
+    /// The sequence of the oldest message that the writer can still send again.
+    pub oldest: u64,
+}
+
+impl HeartbeatBody {
+    /// The plaintext, when `signature` is one of the [statement](Self::statement).
+    pub fn to_bytes(self, signature: &[u8; SIGNATURE_LEN]) -> [u8; HEARTBEAT_LEN] {
+        let mut bytes = [0u8; HEARTBEAT_LEN];
+        bytes[..HEARTBEAT_CLAIMS].copy_from_slice(&self.claims());
+        bytes[HEARTBEAT_CLAIMS..].copy_from_slice(signature);
+        bytes
+    }
+
+    pub fn parse(plaintext: &[u8]) -> Option<(Self, &[u8; SIGNATURE_LEN])> {
+        let (&[t0, t1, t2, t3, t4, t5, t6, t7, o0, o1, o2, o3, o4, o5, o6, o7], signature) =
+            plaintext.split_first_chunk::<HEARTBEAT_CLAIMS>()?;
+        let timestamp_ns = u64::from_be_bytes([t0, t1, t2, t3, t4, t5, t6, t7]);
+        let oldest = u64::from_be_bytes([o0, o1, o2, o3, o4, o5, o6, o7]);
+        Some((Self { timestamp_ns, oldest }, signature.try_into().ok()?))
+    }
+
+    /// What the writer signs.
+    pub fn statement(&self, name: &Name, writer: &Name, header: &SegmentHeader) -> [u8; HEARTBEAT_STATEMENT] {
+        let mut statement = [0u8; HEARTBEAT_STATEMENT];
+        let mut rest = &mut statement[..];
+        // Number, next sequence and session, of the header.
+        let parts: [&[u8]; 5] =
+            [HEARTBEAT_CONTEXT, name.as_bytes(), writer.as_bytes(), &header.to_bytes()[4..32], &self.claims()];
+        for part in parts {
+            let (place, behind) = rest.split_at_mut(part.len());
+            place.copy_from_slice(part);
+            rest = behind;
+        }
+        statement
+    }
+
+    fn claims(&self) -> [u8; HEARTBEAT_CLAIMS] {
+        let mut claims = [0u8; HEARTBEAT_CLAIMS];
+        claims[..8].copy_from_slice(&self.timestamp_ns.to_be_bytes());
+        claims[8..].copy_from_slice(&self.oldest.to_be_bytes());
+        claims
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     const HEADER: SegmentHeader = SegmentHeader {
-        proof: false,
+        kind: Kind::Body,
         sealed_len: 116,
         index: 2,
-        sequence: 0x0102_0304_0506_0708,
+        sequence: 0x0102_0304_0506,
+        cut: 0x0708,
         session: [7; 16],
         count: 4,
         size: 100,
+        epoch: 0x090a_0b0c,
     };
 
     #[test]
     fn headers_round_trip_and_other_versions_are_unknown() {
+        for header in
+            [HEADER, SegmentHeader { kind: Kind::Proof, ..HEADER }, SegmentHeader::heartbeat([7; 16], 1, 2, 3)]
+        {
+            assert_eq!(SegmentHeader::parse(&header.to_bytes()), Some(header));
+        }
         let bytes = HEADER.to_bytes();
-        assert_eq!(SegmentHeader::parse(&bytes), Some(HEADER));
-        for (at, value) in [(0, 0), (0, 2), (1, 2), (1, 0x81)] {
+        assert_eq!(bytes[8..16], [1, 2, 3, 4, 5, 6, 7, 8]);
+        assert_eq!(HEADER.nonce(), [1, 2, 3, 4, 5, 6, 7, 8, 0, 0, 0, 2]);
+        for (at, value) in [(0, 0), (0, 1), (0, 3), (1, 3), (1, 4), (1, 0x81)] {
             let mut other = bytes;
             other[at] = value;
             assert_eq!(SegmentHeader::parse(&other), None, "byte {at} = {value}");
@@ -259,8 +308,10 @@ mod tests {
     fn only_headers_whose_fields_fit_each_other_have_a_length() {
         assert_eq!(HEADER.plaintext_len(), Some(100));
         assert_eq!(SegmentHeader { index: 3, sealed_len: 17, ..HEADER }.plaintext_len(), Some(1));
-        let proof = SegmentHeader { proof: true, index: 4, sealed_len: 84, ..HEADER };
+        let proof = SegmentHeader { kind: Kind::Proof, index: 4, sealed_len: 84, ..HEADER };
         assert_eq!(proof.plaintext_len(), Some(68));
+        let heartbeat = SegmentHeader::heartbeat([7; 16], 1, 1, 0);
+        assert_eq!(heartbeat.plaintext_len(), Some(80));
         for (what, header) in [
             ("short segment in the middle", SegmentHeader { sealed_len: 115, ..HEADER }),
             ("long segment", SegmentHeader { index: 3, sealed_len: 117, ..HEADER }),
@@ -272,6 +323,14 @@ mod tests {
             ("size 0", SegmentHeader { size: 0, sealed_len: 16, ..HEADER }),
             ("size over 16 bits", SegmentHeader { index: 3, size: MAX_PLAINTEXT as u32 + 1, ..HEADER }),
             ("sequence 0", SegmentHeader { sequence: 0, ..HEADER }),
+            ("the cut of heartbeats", SegmentHeader { cut: HEARTBEAT_CUT, ..HEADER }),
+            ("a proof with the cut of heartbeats", SegmentHeader { cut: HEARTBEAT_CUT, ..proof }),
+            ("a heartbeat with the cut of messages", SegmentHeader { cut: MAX_CUT, ..heartbeat }),
+            ("a heartbeat with segments", SegmentHeader { count: 1, ..heartbeat }),
+            ("a heartbeat with a size", SegmentHeader { size: 1, ..heartbeat }),
+            ("heartbeat 0", SegmentHeader { index: 0, ..heartbeat }),
+            ("a heartbeat of another length", SegmentHeader { sealed_len: 97, ..heartbeat }),
+            ("a heartbeat before sequence 0", SegmentHeader { sequence: 0, ..heartbeat }),
             ("proof before the end", SegmentHeader { index: 3, ..proof }),
             ("proof of another length", SegmentHeader { sealed_len: 85, ..proof }),
             ("proof with too long a path", SegmentHeader { sealed_len: 84 + 17 * 32, ..proof }),
@@ -296,13 +355,24 @@ mod tests {
     }
 
     #[test]
-    fn extensions_of_later_versions_are_skipped() {
-        let header = MessageHeader { timestamp_ns: 9, encoding: Encoding::Other(77), extensions_len: 3 };
-        let mut plaintext = header.to_bytes().to_vec();
-        plaintext.extend(b"extbody");
-        assert_eq!(MessageHeader::parse(&plaintext), Some((header, 19)));
-        assert_eq!(MessageHeader::parse(&plaintext[..18]), None);
-        plaintext[15] = 1;
-        assert_eq!(MessageHeader::parse(&plaintext), None, "reserved bytes");
+    fn heartbeats_round_trip_and_their_statement_binds_all_they_say() {
+        let body = HeartbeatBody { timestamp_ns: 5, oldest: 6 };
+        let bytes = body.to_bytes(&[7; 64]);
+        assert_eq!(HeartbeatBody::parse(&bytes), Some((body, &[7; 64])));
+        assert!((0..bytes.len()).all(|len| HeartbeatBody::parse(&bytes[..len]).is_none()));
+        let (name, writer) = (Name::from_bytes([1; 32]), Name::from_bytes([2; 32]));
+        let header = SegmentHeader::heartbeat([7; 16], 1, 2, 3);
+        let statement = body.statement(&name, &writer, &header);
+        for (what, other) in [
+            ("name", body.statement(&writer, &writer, &header)),
+            ("writer", body.statement(&name, &name, &header)),
+            ("session", body.statement(&name, &writer, &SegmentHeader { session: [8; 16], ..header })),
+            ("number", body.statement(&name, &writer, &SegmentHeader { index: 2, ..header })),
+            ("next", body.statement(&name, &writer, &SegmentHeader { sequence: 3, ..header })),
+            ("timestamp", HeartbeatBody { timestamp_ns: 6, ..body }.statement(&name, &writer, &header)),
+            ("oldest", HeartbeatBody { oldest: 7, ..body }.statement(&name, &writer, &header)),
+        ] {
+            assert_ne!(other, statement, "{what}");
+        }
     }
 }

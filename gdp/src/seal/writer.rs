@@ -2,13 +2,18 @@
 //! have grown, nothing per message.
 
 use super::merkle::{self, Tree};
+use super::message::{Draft, Encoding, MAX_ORIGIN};
 use super::segments::Segments;
-use super::wire::{self, Encoding, MESSAGE_HEADER_LEN, MessageHeader, OVERHEAD, Proof, SegmentHeader};
+use super::used_cuts::UsedCuts;
+use super::wire::{self, HeartbeatBody, Kind, OVERHEAD, Proof, SegmentHeader};
 use super::{EpochKey, MAX_BATCH};
 use crate::crypto::{self, Aead, Backend, CryptoError, Signer, TAG_LEN};
 use crate::identity::SigningKey;
 use crate::name::Name;
 use std::fmt;
+
+/// Segments that may be sealed under the key of a session and an epoch.
+pub const MAX_SEGMENTS: u64 = 1 << 32;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SealError {
@@ -18,24 +23,45 @@ pub enum SealError {
     MessageTooLarge { len: usize, size: usize },
     #[error("a batch of {0} messages where at most {MAX_BATCH} may share a signature")]
     BatchTooLarge(usize),
+    #[error("an origin of {0} bytes where at most {MAX_ORIGIN} are allowed")]
+    OriginTooLong(usize),
     #[error("this session has used all its sequence numbers; start a new one")]
     SequenceExhausted,
+    #[error("there is no key to seal with yet; set that of an epoch")]
+    NoEpoch,
+    #[error("epoch {epoch} does not follow epoch {current}; the numbers of epochs only rise")]
+    EpochGoesBack { epoch: u32, current: u32 },
+    #[error("the key of epoch {0} has sealed as much as it may; begin another epoch")]
+    EpochExhausted(u32),
+    #[error("message {sequence} cannot be sealed under cut {cut}: {why}")]
+    Cut { sequence: u64, cut: u16, why: &'static str },
     #[error(transparent)]
     Crypto(#[from] CryptoError),
 }
 
 /// One session of one writer of a name. Every `Writer` is a new session under a random identifier of 128 bits, so a
-/// restarted or a second writer never seals twice under one key and nonce.
+/// restarted or a second writer never seals twice under one key and nonce. The session goes on from epoch to epoch.
 pub struct Writer {
     name: Name,
     writer: Name,
     session: [u8; 16],
-    aead: Aead,
+    epoch: Option<Epoch>,
     signer: Signer,
     backend: Backend,
     /// The sequence number of the next message; they begin at 1.
     next: u64,
+    used_cuts: UsedCuts,
+    /// The number of the last heartbeat.
+    heartbeats: u32,
     scratch: Scratch,
+}
+
+/// What is sealed under.
+struct Epoch {
+    number: u32,
+    aead: Aead,
+    /// Segments sealed.
+    used: u64,
 }
 
 /// Buffers that keep their capacity from message to message.
@@ -48,6 +74,14 @@ struct Scratch {
     path: Vec<[u8; 32]>,
 }
 
+/// What messages that are sealed together have in common; their sequences follow one another.
+struct Run {
+    epoch: u32,
+    first: u64,
+    cut: u16,
+    timestamp_ns: u64,
+}
+
 /// A proof segment whose place is reserved, to be filled in when the root is signed.
 struct PendingProof {
     at: usize,
@@ -55,29 +89,35 @@ struct PendingProof {
 }
 
 impl Writer {
-    /// A new session of `writer` (the entity that `key` belongs to) for messages to `name`.
-    pub fn new(
-        name: Name,
-        writer: Name,
-        epoch_key: &EpochKey,
-        key: SigningKey,
-        backend: Backend,
-    ) -> Result<Self, SealError> {
-        Self::with_session(name, writer, epoch_key, &key, backend, crypto::random()?)
+    /// A new session of `writer` (the entity that `key` belongs to) for messages to `name`. It needs the key of an epoch
+    /// before it can seal: [`Self::set_epoch`].
+    pub fn new(name: Name, writer: Name, key: SigningKey, backend: Backend) -> Result<Self, SealError> {
+        Self::with_session(name, writer, &key, backend, crypto::random()?)
     }
 
     /// For test vectors only: a session identifier that is used twice gives the plaintext away.
     pub(super) fn with_session(
         name: Name,
         writer: Name,
-        epoch_key: &EpochKey,
         key: &SigningKey,
         backend: Backend,
         session: [u8; 16],
     ) -> Result<Self, SealError> {
-        let aead = epoch_key.session_aead(backend, &name, &writer, &session)?;
         let signer = key.signer(backend)?;
-        Ok(Self { name, writer, session, aead, signer, backend, next: 1, scratch: Scratch::default() })
+        let (used_cuts, scratch) = (UsedCuts::default(), Scratch::default());
+        Ok(Self { name, writer, session, epoch: None, signer, backend, next: 1, used_cuts, heartbeats: 0, scratch })
+    }
+
+    /// From now on everything is sealed under this key. Numbers only rise, so that no key comes back.
+    pub fn set_epoch(&mut self, epoch: u32, key: &EpochKey) -> Result<(), SealError> {
+        if let Some(Epoch { number: current, .. }) = self.epoch
+            && epoch <= current
+        {
+            return Err(SealError::EpochGoesBack { epoch, current });
+        }
+        let aead = key.session_aead(self.backend, &self.name, &self.writer, &self.session)?;
+        self.epoch = Some(Epoch { number: epoch, aead, used: 0 });
+        Ok(())
     }
 
     pub fn name(&self) -> Name {
@@ -103,14 +143,14 @@ impl Writer {
         max_payload: usize,
         out: &mut Segments,
     ) -> Result<(), SealError> {
-        self.seal_batch(now_unix_ns, &[(encoding, body)], max_payload, out)
+        self.seal_batch(now_unix_ns, &[Draft::new(encoding, body)], max_payload, out)
     }
 
     /// Seals several messages under one signature; small ones share frames.
     pub fn seal_batch(
         &mut self,
         now_unix_ns: u64,
-        messages: &[(Encoding, &[u8])],
+        messages: &[Draft<'_>],
         max_payload: usize,
         out: &mut Segments,
     ) -> Result<(), SealError> {
@@ -121,44 +161,108 @@ impl Writer {
         if messages.len() > MAX_BATCH {
             return Err(SealError::BatchTooLarge(messages.len()));
         }
-        let depth = merkle::depth(messages.len());
-        for (_, body) in messages {
-            Cut::new(body.len(), max_payload, depth)?;
-        }
         let first = self.next;
-        // Taken before anything is sealed: whatever fails below, no nonce is used again.
-        self.next = first.checked_add(messages.len() as u64).ok_or(SealError::SequenceExhausted)?;
-        let result = self.seal_from(first, now_unix_ns, messages, max_payload, depth, out);
-        if result.is_err() {
-            out.clear();
+        let next = first + messages.len() as u64;
+        if next > wire::MAX_SEQUENCE {
+            return Err(SealError::SequenceExhausted);
         }
-        result
+        let epoch = self.spend(messages, max_payload)?;
+        // Taken before anything is sealed: whatever fails below, no nonce is used again.
+        self.next = next;
+        let run = Run { epoch, first, cut: 0, timestamp_ns: now_unix_ns };
+        self.seal_run(run, messages, max_payload, out).inspect_err(|_| out.clear())
     }
 
-    fn seal_from(
+    /// Seals a message of this session again, for smaller or larger frames or under a newer key: the same `message` and
+    /// `timestamp_ns` as the first time, under a `cut` that is higher than those before (the first is 0). Readers take
+    /// whichever cut they have whole first.
+    pub fn reseal(
         &mut self,
-        first: u64,
+        sequence: u64,
+        cut: u16,
         timestamp_ns: u64,
-        messages: &[(Encoding, &[u8])],
+        message: Draft<'_>,
         max_payload: usize,
-        depth: usize,
         out: &mut Segments,
     ) -> Result<(), SealError> {
+        out.clear();
+        let refused = |why| SealError::Cut { sequence, cut, why };
+        if sequence == 0 || sequence >= self.next {
+            return Err(refused("this session has not sealed it yet"));
+        }
+        let messages = [message];
+        let epoch = self.spend(&messages, max_payload)?;
+        self.used_cuts.take(sequence, cut).map_err(refused)?;
+        let run = Run { epoch, first: sequence, cut, timestamp_ns };
+        self.seal_run(run, &messages, max_payload, out).inspect_err(|_| out.clear())
+    }
+
+    /// Says how far the session is, for readers that may have missed the last messages, and that messages before `oldest`
+    /// cannot be had again. One segment, small enough for any link; each costs a signature.
+    pub fn heartbeat(&mut self, now_unix_ns: u64, oldest: u64, out: &mut Segments) -> Result<(), SealError> {
+        out.clear();
+        let epoch = self.spend_segments(1)?;
+        // There are fewer of an epoch, but epochs come and go.
+        self.heartbeats = self.heartbeats.checked_add(1).ok_or(SealError::SequenceExhausted)?;
+        let header = SegmentHeader::heartbeat(self.session, self.heartbeats, self.next, epoch);
+        let body = HeartbeatBody { timestamp_ns: now_unix_ns, oldest };
+        let signature = self.signer.sign(&body.statement(&self.name, &self.writer, &header))?;
+        let mut plaintext = body.to_bytes(&signature);
+        let clear = header.to_bytes();
+        let tag = self.aead()?.seal(&header.nonce(), &clear, &mut plaintext)?;
+        out.begin(wire::HEADER_LEN + usize::from(header.sealed_len), usize::MAX);
+        [&clear[..], &plaintext, &tag].iter().for_each(|part| out.buffer().extend_from_slice(part));
+        Ok(())
+    }
+
+    /// Checks that the messages can be sealed, and counts their segments. Returns the epoch.
+    fn spend(&mut self, messages: &[Draft<'_>], max_payload: usize) -> Result<u32, SealError> {
+        let depth = merkle::depth(messages.len());
+        let mut segments = 0;
+        for message in messages {
+            segments += u64::from(Cut::new(message, max_payload, depth)?.count) + 1;
+        }
+        self.spend_segments(segments)
+    }
+
+    fn spend_segments(&mut self, segments: u64) -> Result<u32, SealError> {
+        let epoch = self.epoch.as_mut().ok_or(SealError::NoEpoch)?;
+        if epoch.used + segments > MAX_SEGMENTS {
+            return Err(SealError::EpochExhausted(epoch.number));
+        }
+        epoch.used += segments;
+        Ok(epoch.number)
+    }
+
+    fn aead(&self) -> Result<&Aead, SealError> {
+        self.epoch.as_ref().map(|epoch| &epoch.aead).ok_or(SealError::NoEpoch)
+    }
+
+    fn seal_run(
+        &mut self,
+        Run { epoch, first, cut, timestamp_ns }: Run,
+        messages: &[Draft<'_>],
+        max_payload: usize,
+        out: &mut Segments,
+    ) -> Result<(), SealError> {
+        let depth = merkle::depth(messages.len());
         self.scratch.leaves.clear();
         self.scratch.pending.clear();
-        for (sequence, &(encoding, body)) in (first..self.next).zip(messages) {
-            let cut = Cut::new(body.len(), max_payload, depth)?;
+        for (sequence, message) in (first..).zip(messages) {
+            let Cut { count, size } = Cut::new(message, max_payload, depth)?;
             let header = SegmentHeader {
-                proof: false,
+                kind: Kind::Body,
                 sealed_len: 0,
                 index: 0,
                 sequence,
+                cut,
                 session: self.session,
-                count: cut.count,
-                size: cut.size,
+                count,
+                size,
+                epoch,
             };
-            let message_header = MessageHeader { timestamp_ns, encoding, extensions_len: 0 };
-            self.seal_body(header, &message_header.to_bytes(), body, max_payload, out)?;
+            let preamble = &message.preamble(timestamp_ns)[..message.preamble_len()];
+            self.seal_body(header, preamble, message.body, max_payload, out)?;
             self.scratch.leaves.push(wire::leaf(
                 self.backend,
                 &self.name,
@@ -175,13 +279,13 @@ impl Writer {
     fn seal_body(
         &mut self,
         mut header: SegmentHeader,
-        message_header: &[u8; MESSAGE_HEADER_LEN],
+        preamble: &[u8],
         body: &[u8],
         max_payload: usize,
         out: &mut Segments,
     ) -> Result<(), SealError> {
         self.scratch.digests.clear();
-        let (mut head, mut rest) = (message_header.as_slice(), body);
+        let (mut head, mut rest) = (preamble, body);
         for index in 0..header.count {
             let from_head = split_off_front(&mut head, header.size as usize);
             let from_body = split_off_front(&mut rest, header.size as usize - from_head.len());
@@ -196,7 +300,7 @@ impl Writer {
             buffer.extend_from_slice(from_head);
             buffer.extend_from_slice(from_body);
             let sealed = at + wire::HEADER_LEN;
-            let tag = self.aead.seal(&header.nonce(), &clear, &mut buffer[sealed..])?;
+            let tag = self.aead()?.seal(&header.nonce(), &clear, &mut buffer[sealed..])?;
             buffer.extend_from_slice(&tag);
             self.scratch.digests.push(self.backend.sha256(&[&buffer[sealed..]]));
         }
@@ -205,7 +309,8 @@ impl Writer {
 
     fn reserve_proof(&mut self, header: SegmentHeader, depth: usize, max_payload: usize, out: &mut Segments) {
         let len = wire::proof_len(depth);
-        let header = SegmentHeader { proof: true, index: header.count, sealed_len: (len + TAG_LEN) as u16, ..header };
+        let header =
+            SegmentHeader { kind: Kind::Proof, index: header.count, sealed_len: (len + TAG_LEN) as u16, ..header };
         let at = out.begin(len + OVERHEAD, max_payload);
         out.buffer().resize(at + len + OVERHEAD, 0);
         self.scratch.pending.push(PendingProof { at, header });
@@ -215,6 +320,7 @@ impl Writer {
         let Scratch { leaves, pending, tree, path, .. } = &mut self.scratch;
         tree.build(self.backend, leaves);
         let signature = self.signer.sign(&wire::batch_statement(&tree.root()))?;
+        let aead = self.epoch.as_ref().map(|epoch| &epoch.aead).ok_or(SealError::NoEpoch)?;
         for (position, PendingProof { at, header }) in pending.iter().enumerate() {
             tree.path(position, path);
             let clear = header.to_bytes();
@@ -223,7 +329,7 @@ impl Writer {
             let (plaintext, tag_place) = sealed.split_at_mut(wire::proof_len(path.len()));
             clear_place.copy_from_slice(&clear);
             Proof { position: position as u16, path, signature: &signature }.write(plaintext);
-            tag_place.copy_from_slice(&self.aead.seal(&header.nonce(), &clear, plaintext)?);
+            tag_place.copy_from_slice(&aead.seal(&header.nonce(), &clear, plaintext)?);
         }
         Ok(())
     }
@@ -254,14 +360,21 @@ struct Cut {
 }
 
 impl Cut {
-    fn new(body_len: usize, max_payload: usize, depth: usize) -> Result<Self, SealError> {
+    fn new(message: &Draft<'_>, max_payload: usize, depth: usize) -> Result<Self, SealError> {
+        if message.origin.len() > MAX_ORIGIN {
+            return Err(SealError::OriginTooLong(message.origin.len()));
+        }
+        Self::of_len(message.body.len(), message.preamble_len(), max_payload, depth)
+    }
+
+    fn of_len(body_len: usize, preamble_len: usize, max_payload: usize, depth: usize) -> Result<Self, SealError> {
         let need = OVERHEAD + wire::proof_len(depth);
         if max_payload < need {
             return Err(SealError::PayloadTooSmall { max_payload, need });
         }
         let capacity = (max_payload - OVERHEAD).min(wire::MAX_PLAINTEXT);
         let too_large = SealError::MessageTooLarge { len: body_len, size: capacity };
-        let len = body_len.checked_add(MESSAGE_HEADER_LEN).ok_or(too_large)?;
+        let len = body_len.checked_add(preamble_len).ok_or(too_large)?;
         let size = capacity.min(len);
         let count = u32::try_from(len.div_ceil(size)).map_err(|_| too_large)?;
         Ok(Self { count, size: size as u32 })
@@ -275,7 +388,7 @@ mod tests {
     #[test]
     fn messages_are_cut_into_the_fewest_segments() {
         let cap = 1000 - OVERHEAD;
-        let cut = |len, max| Cut::new(len, max, 0);
+        let cut = |len, max| Cut::of_len(len, 16, max, 0);
         assert_eq!(cut(0, 1000), Ok(Cut { count: 1, size: 16 }));
         assert_eq!(cut(cap - 16, 1000), Ok(Cut { count: 1, size: cap as u32 }));
         assert_eq!(cut(cap - 15, 1000), Ok(Cut { count: 2, size: cap as u32 }));
@@ -286,25 +399,81 @@ mod tests {
 
     #[test]
     fn what_cannot_be_cut_is_refused() {
+        let cut = |len, max, depth| Cut::of_len(len, 16, max, depth);
         let small = |max_payload, need| Err(SealError::PayloadTooSmall { max_payload, need });
-        assert_eq!(Cut::new(1, wire::MIN_PAYLOAD - 1, 0), small(123, 124));
-        assert_eq!(Cut::new(1, 0, 0), small(0, 124));
-        assert_eq!(Cut::new(1, 200, 16), small(200, 636));
-        assert!(matches!(Cut::new(usize::MAX, 1000, 0), Err(SealError::MessageTooLarge { .. })));
+        assert_eq!(cut(1, wire::MIN_PAYLOAD - 1, 0), small(127, 128));
+        assert_eq!(cut(1, 0, 0), small(0, 128));
+        assert_eq!(cut(1, 200, 16), small(200, 640));
+        assert!(matches!(cut(usize::MAX, 1000, 0), Err(SealError::MessageTooLarge { .. })));
         let most = (u32::MAX as usize) * 68;
-        assert_eq!(Cut::new(most - 16, wire::MIN_PAYLOAD, 0), Ok(Cut { count: u32::MAX, size: 68 }));
-        assert!(matches!(Cut::new(most - 15, wire::MIN_PAYLOAD, 0), Err(SealError::MessageTooLarge { .. })));
+        assert_eq!(cut(most - 16, wire::MIN_PAYLOAD, 0), Ok(Cut { count: u32::MAX, size: 68 }));
+        assert!(matches!(cut(most - 15, wire::MIN_PAYLOAD, 0), Err(SealError::MessageTooLarge { .. })));
+        let draft = Draft { origin: &[0; 65], ..Draft::new(Encoding::Bytes, b"") };
+        assert_eq!(Cut::new(&draft, 1000, 0), Err(SealError::OriginTooLong(65)));
     }
 
     #[test]
     fn a_session_ends_before_its_sequence_wraps() {
-        let key = SigningKey::for_test(1);
-        let name = Name::from_bytes([1; 32]);
-        let mut writer = Writer::new(name, name, &EpochKey::from_bytes([1; 32]), key, Backend::default()).unwrap();
-        let mut out = Segments::new();
-        writer.next = u64::MAX - 1;
+        let (mut writer, mut out) = (writer(), Segments::new());
+        writer.next = wire::MAX_SEQUENCE - 1;
         writer.seal(0, Encoding::Bytes, b"last", 1000, &mut out).unwrap();
         assert_eq!(writer.seal(0, Encoding::Bytes, b"x", 1000, &mut out), Err(SealError::SequenceExhausted));
         assert!(out.is_empty());
+        writer.heartbeat(0, 1, &mut out).unwrap();
+        writer.heartbeats = u32::MAX;
+        assert_eq!(writer.heartbeat(0, 1, &mut out), Err(SealError::SequenceExhausted));
+        assert!(out.is_empty());
+    }
+
+    #[test]
+    fn an_epoch_ends_before_its_key_has_sealed_too_much() {
+        let (mut writer, mut out) = (writer(), Segments::new());
+        writer.epoch.as_mut().unwrap().used = MAX_SEGMENTS - 4;
+        let batch = [Draft::new(Encoding::Bytes, b"x"); 3];
+        assert_eq!(writer.seal_batch(0, &batch, 1000, &mut out), Err(SealError::EpochExhausted(7)));
+        // What was refused used up nothing.
+        assert_eq!(writer.next_sequence(), 1);
+        writer.seal_batch(0, &batch[..1], 1000, &mut out).unwrap();
+        writer.reseal(1, 1, 0, batch[0], 1000, &mut out).unwrap();
+        assert_eq!(writer.heartbeat(0, 1, &mut out), Err(SealError::EpochExhausted(7)));
+        writer.set_epoch(8, &EpochKey::from_bytes([2; 32])).unwrap();
+        writer.heartbeat(0, 1, &mut out).unwrap();
+    }
+
+    #[test]
+    fn nothing_is_sealed_without_a_key_and_no_key_comes_back() {
+        let (name, mut out) = (Name::from_bytes([1; 32]), Segments::new());
+        let mut bare = Writer::new(name, name, SigningKey::for_test(1), Backend::default()).unwrap();
+        assert_eq!(bare.seal(0, Encoding::Bytes, b"x", 1000, &mut out), Err(SealError::NoEpoch));
+        assert_eq!(bare.heartbeat(0, 1, &mut out), Err(SealError::NoEpoch));
+        let mut writer = writer();
+        for epoch in [0, 6, 7] {
+            let refused = Err(SealError::EpochGoesBack { epoch, current: 7 });
+            assert_eq!(writer.set_epoch(epoch, &EpochKey::from_bytes([2; 32])), refused);
+        }
+    }
+
+    #[test]
+    fn a_cut_is_used_once_and_only_for_what_was_sealed() {
+        let (mut writer, mut out) = (writer(), Segments::new());
+        writer.seal(0, Encoding::Bytes, b"x", 1000, &mut out).unwrap();
+        let mut reseal = |sequence, cut| {
+            let result = writer.reseal(sequence, cut, 0, Draft::new(Encoding::Bytes, b"x"), 1000, &mut out);
+            assert_eq!(result.is_ok(), !out.is_empty());
+            result.is_ok()
+        };
+        let taken = [(0, 1), (1, 0), (1, 2), (1, 2), (1, 1), (1, 3), (1, u16::MAX), (2, 1)];
+        assert_eq!(
+            taken.map(|(sequence, cut)| reseal(sequence, cut)),
+            [false, false, true, false, false, true, false, false]
+        );
+    }
+
+    /// In epoch 7.
+    fn writer() -> Writer {
+        let name = Name::from_bytes([1; 32]);
+        let mut writer = Writer::new(name, name, SigningKey::for_test(1), Backend::default()).unwrap();
+        writer.set_epoch(7, &EpochKey::from_bytes([1; 32])).unwrap();
+        writer
     }
 }
