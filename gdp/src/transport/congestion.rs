@@ -212,7 +212,7 @@ impl Path {
     }
 
     /// Bytes per second that the path was seen to take.
-    pub fn bandwidth(&self) -> u64 {
+    fn bandwidth(&self) -> u64 {
         let rate = self.rates.get();
         if self.phase == Phase::Startup {
             return rate.max(bytes_per_second(INITIAL_WINDOW, self.rtt() + self.report_interval));

@@ -243,9 +243,12 @@ impl<M> Inbound<M> {
         }
     }
 
-    /// The writer says, signed, that the next message will be this one.
-    pub fn heartbeat(&mut self, now: u64, next: u64) {
+    /// The writer says, signed, that the next message will be `next`, and what comes before `oldest` cannot be repaired.
+    pub fn heartbeat(&mut self, now: u64, next: u64, oldest: u64) {
         let next = next.min(MAX_SEQUENCE);
+        if self.options.order == Order::Every {
+            self.is_gone(oldest.min(next));
+        }
         self.exists = self.exists.max(next);
         if self.options.order == Order::Every && next > self.next {
             self.slot_for(now, next - 1);
@@ -260,10 +263,8 @@ impl<M> Inbound<M> {
     pub fn feedback(&mut self, now: u64, feedback: &Feedback) {
         if let Feedback::Gone { session, oldest, .. } = feedback
             && *session == self.session
-            && *oldest > self.next
         {
-            self.deal_with(oldest - 1, Given::Up);
-            self.deliver();
+            self.is_gone((*oldest).min(MAX_SEQUENCE));
             self.plan_report(now);
         }
     }
@@ -326,6 +327,13 @@ impl<M> Inbound<M> {
     /// Bytes of what waits, and of what is known of incomplete messages.
     pub fn memory(&self) -> usize {
         self.bytes
+    }
+
+    fn is_gone(&mut self, oldest: u64) {
+        if oldest > self.next {
+            self.deal_with(oldest - 1, Given::Up);
+            self.deliver();
+        }
     }
 
     fn patience(&self) -> u64 {

@@ -367,8 +367,8 @@ impl Uplink {
     fn on_timer(&mut self, now: u64, topic: Topic) {
         let Some(state) = self.topic(topic) else { return };
         let due = state.on_timer(now);
-        if let Some(next) = due.heartbeat {
-            self.outputs.push_back(Output::Heartbeat { topic, next });
+        if let Some((next, oldest)) = due.heartbeat {
+            self.outputs.push_back(Output::Heartbeat { topic, next, oldest });
         }
         if due.room {
             self.outputs.push_back(Output::Room { topic });
