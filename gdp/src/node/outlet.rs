@@ -11,7 +11,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use gdp_wire::{Header, Name, forward};
-use tokio::sync::watch;
+use tokio::sync::{Notify, watch};
 use zerocopy::IntoBytes;
 
 use super::NodeError;
@@ -44,6 +44,8 @@ pub struct Outlet {
     /// What frames carried when there was a link last, in bytes.
     max_payload: AtomicUsize,
     publications: Mutex<HashMap<Topic, Arc<Publication>>>,
+    /// There may be key boxes for the RIB, or latched messages for a reader.
+    pub upkeep: Notify,
     pump: Mutex<Pump>,
     turn: Condvar,
 }
@@ -96,6 +98,7 @@ impl Outlet {
             status: watch::Sender::new(Status::Down("connecting".into())),
             max_payload: AtomicUsize::new(max_payload),
             publications: Mutex::default(),
+            upkeep: Notify::new(),
             pump: Mutex::default(),
             turn: Condvar::new(),
         }
@@ -331,10 +334,10 @@ impl Outlet {
                     None => uplink.abandon(self.clock.now(), topic, &message),
                 }
             }
-            Output::Heartbeat { topic, next } => {
+            Output::Heartbeat { topic, next, oldest } => {
                 let (Some(publication), Ok(attachment)) = (of(&topic), self.sending_on()) else { return };
                 let mut payload = Vec::new();
-                match publication.heartbeat(next, &mut payload) {
+                match publication.heartbeat(next, oldest, &mut payload) {
                     Ok(()) => self.send_one(&attachment, publication.name, &payload),
                     Err(error) => tracing::warn!(name = %publication.name, %error, "a heartbeat could not be sealed"),
                 }

@@ -374,6 +374,40 @@ async fn a_reader_that_takes_its_time_holds_the_publisher_and_loses_nothing() {
     assert_eq!(sending.await.unwrap().counters().evicted, 0);
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn whoever_comes_later_gets_the_latched_messages_and_nobody_twice() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/map");
+    let (robot, first, late) = (fabric.node("proxy").await, fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut early = owner.subscribe(&first).await.unwrap();
+    let options = PublishOptions { latched: 2, ..PublishOptions::reliable() };
+    let mut publisher = owner.publish_as(&robot, options).await.unwrap();
+    let bodies = [vec![1; 10], vec![2; 50_000], vec![3; 10]];
+    let mut times = Vec::new();
+    for body in &bodies {
+        publisher.send(Encoding::Bytes, body).await.unwrap();
+        let message = recv(&mut early).await;
+        assert_eq!((&message.body[..], message.latched), (&body[..], None));
+        times.push(message.timestamp_ns);
+    }
+    let mut subscription = owner.subscribe(&late).await.unwrap();
+    // The second comes while the same samples are not due again yet.
+    let latest = fabric.node("proxy").await;
+    let mut another = owner.subscribe(&latest).await.unwrap();
+    for subscription in [&mut subscription, &mut another] {
+        for (body, time) in bodies.iter().zip(&times).skip(1) {
+            let message = recv(subscription).await;
+            assert_eq!((&message.body[..], message.timestamp_ns), (&body[..], *time));
+            assert!(message.latched.is_some());
+        }
+    }
+    publisher.send(Encoding::Bytes, b"new").await.unwrap();
+    for subscription in [&mut early, &mut subscription, &mut another] {
+        assert_eq!(&recv(subscription).await.body[..], b"new");
+    }
+    eventually("those that came again are known here", || early.repeats() >= 2).await;
+}
+
 async fn recv(subscription: &mut Subscription) -> crate::seal::Message {
     tokio::time::timeout(Duration::from_secs(5), subscription.recv()).await.expect("a message in time").unwrap()
 }
