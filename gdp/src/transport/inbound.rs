@@ -8,6 +8,7 @@ use gdp_wire::Name;
 use super::slot::{Body, Slot};
 use super::{MS, Position};
 use crate::feedback_wire::{Feedback, MAX_MISSING, MAX_SEQUENCE};
+use crate::seal::SegmentId;
 
 /// Segments that overtake others by less than this are waited for, at least. With more than a few milliseconds to the writer and
 /// back, an eighth of that; so gaps are asked for when they are between one and two of these times old.
@@ -65,6 +66,14 @@ pub struct Segment {
     pub total: u32,
     /// In the frame, its header included.
     pub bytes: usize,
+}
+
+impl From<&SegmentId> for Segment {
+    fn from(id: &SegmentId) -> Self {
+        let position = Position { sequence: id.sequence, index: id.index };
+        // No message has as many segments; if one does, its last is refused.
+        Self { position, cut: id.cut, total: id.count.saturating_add(1), bytes: id.len }
+    }
 }
 
 /// What comes of it.

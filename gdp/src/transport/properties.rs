@@ -16,7 +16,7 @@ fn random_worlds() {
         for pair in switches.windows(2) {
             sim.join(pair[0], pair[1], faults(&mut random), faults(&mut random));
         }
-        let mut attach = |sim: &mut Simulation, random: &mut Random| {
+        let attach = |sim: &mut Simulation, random: &mut Random| {
             let node = sim.node();
             let switch = switches[random.up_to(switches.len() as u64 - 1) as usize];
             sim.join(node, switch, faults(random), faults(random));

@@ -126,6 +126,149 @@ impl Simulation {
     }
 
     pub fn join(&mut self, a: usize, b: usize, there: Faults, back: Faults) -> Cable {
+        let cable = self.net.join([a, b], there, back);
+        self.cables.entry(a).or_default().push((b, cable));
+        self.cables.entry(b).or_default().push((a, cable));
+        cable
+    }
+
+    /// A writer, a switch and readers; the faults are those of the way from the writer to the switch, the delays those of a round trip.
+    pub fn star(seed: u64, there: Faults, readers: usize) -> (Self, usize, Vec<usize>) {
+        let mut sim = Self::new(seed);
+        let (writer, switch) = (sim.node(), sim.node());
+        let back = Faults::delay(there.delay);
+        sim.join(writer, switch, there, back);
+        let readers = (0..readers)
+            .map(|_| {
+                let reader = sim.node();
+                sim.join(switch, reader, Faults::default(), Faults::default());
+                reader
+            })
+            .collect();
+        (sim, writer, readers)
+    }
+
+    pub fn publish(&mut self, writer: usize, options: TopicOptions, app: App) -> usize {
+        let index = self.topics.len();
+        let name = Name::from_bytes([index as u8 + 1; 32]);
+        let now = self.net.now();
+        let id = self.uplink(writer, None).open(now, name, session(index), options);
+        self.topics.push(TopicSim {
+            writer,
+            name,
+            id,
+            options,
+            app,
+            next_at: app.from.max(now),
+            next_sequence: 1,
+            waiting: None,
+            pushed: vec![0],
+            frames: HashMap::new(),
+            readers: BTreeMap::new(),
+            left: Vec::new(),
+            sent_bytes: 0,
+            repeated_bytes: 0,
+            heartbeats: 0,
+        });
+        index
+    }
+
+    /// The first uplink of a writer; given a budget if it is not there yet.
+    pub fn uplink(&mut self, writer: usize, budget: Option<u64>) -> &mut Uplink {
+        let options = UplinkOptions { max_payload: self.max_payload, budget };
+        let now = self.net.now();
+        self.uplinks.entry((writer, 0)).or_insert_with(|| Uplink::new(now, options))
+    }
+
+    /// A second uplink for doubled topics.
+    pub fn second_uplink(&mut self, writer: usize, budget: u64) -> &mut Uplink {
+        let options = UplinkOptions { max_payload: self.max_payload, budget: Some(budget) };
+        let now = self.net.now();
+        self.uplinks.entry((writer, 1)).or_insert_with(|| Uplink::new(now, options))
+    }
+
+    pub fn subscribe(&mut self, reader: usize, topic: usize, rtt: u64, options: InboundOptions) {
+        let now = self.net.now();
+        let (writer, id) = (self.topics[topic].writer, self.topics[topic].id);
+        let from = self.uplink(writer, None).join(now, id, name_of(reader)).unwrap();
+        let topic_sim = &mut self.topics[topic];
+        let reading = Reading {
+            inbound: Inbound::new(topic_sim.name, session(topic), from, rtt, options),
+            options,
+            open: HashMap::new(),
+            from,
+            delivered: Vec::new(),
+            reports: 0,
+            nacks: 0,
+            feedback_bytes: 0,
+            most_memory: 0,
+        };
+        let before = topic_sim.readers.insert(reader, reading);
+        topic_sim.left.extend(before);
+    }
+
+    pub fn unsubscribe(&mut self, reader: usize, topic: usize) {
+        let now = self.net.now();
+        let (writer, id) = (self.topics[topic].writer, self.topics[topic].id);
+        self.uplink(writer, None).leave(now, id, &name_of(reader));
+        let left = self.topics[topic].readers.remove(&reader);
+        self.topics[topic].left.extend(left);
+        self.poll_writer(writer);
+    }
+
+    pub fn now(&self) -> u64 {
+        self.net.now()
+    }
+
+    pub fn counts(&self, from: usize, cable: Cable) -> gdp_faults::Counts {
+        self.net.counts(from, cable)
+    }
+
+    pub fn topic_counters(&self, topic: usize) -> TopicCounters {
+        let topic = &self.topics[topic];
+        self.uplinks[&(topic.writer, 0)].counters(topic.id).unwrap()
+    }
+
+    /// From the time of pushing to the time of delivery, ascending.
+    pub fn latencies(&self, topic: usize, reader: usize) -> Vec<u64> {
+        let topic = &self.topics[topic];
+        let mut all: Vec<u64> = topic.readers[&reader]
+            .delivered
+            .iter()
+            .map(|(sequence, at)| at - topic.pushed[*sequence as usize])
+            .collect();
+        all.sort_unstable();
+        all
+    }
+
+    pub fn set_max_payload(&mut self, max_payload: usize) {
+        self.max_payload = max_payload;
+        let now = self.net.now();
+        self.uplinks.values_mut().for_each(|uplink| uplink.set_max_payload(now, max_payload));
+        let writers: Vec<usize> = self.uplinks.keys().map(|(writer, _)| *writer).collect();
+        writers.into_iter().for_each(|writer| self.poll_writer(writer));
+    }
+
+    pub fn run(&mut self, until: u64) {
+        loop {
+            self.events += 1;
+            assert!(self.events < 50_000_000, "a livelock at {}", self.net.now());
+            let wake = self.next_wake().min(until);
+            match self.net.arrival(wake) {
+                Some(arrival) => self.arrived(arrival.to, arrival.from, arrival.delivery),
+                None => {
+                    let now = self.net.now();
+                    self.applications(now);
+                    let due = |uplink: &Uplink| uplink.next_wake().is_some_and(|at| at <= now);
+                    let writers: Vec<usize> =
+                        self.uplinks.iter().filter(|(_, uplink)| due(uplink)).map(|((writer, _), _)| *writer).collect();
+                    writers.into_iter().for_each(|writer| self.poll_writer(writer));
+                    for topic in 0..self.topics.len() {
+                        let due = |reading: &Reading| reading.inbound.next_wake().is_some_and(|at| at <= now);
+                        let readers = self.topics[topic].readers.iter().filter(|(_, reading)| due(reading));
+                        let readers: Vec<usize> = readers.map(|(reader, _)| *reader).collect();
+                        readers.into_iter().for_each(|reader| self.poll_reader(reader, topic));
+                    }
                     if now >= until && self.next_wake() > now {
                         return;
                     }
@@ -391,6 +534,29 @@ impl Simulation {
 }
 
 impl TopicSim {
+    /// A message of the publisher's size: body segments, a frame each, and the proof with the last.
+    fn seal(&mut self, sequence: u64, cut: u16, max_payload: usize) -> Sealed {
+        let all = self.app.size + OVERHEAD;
+        let count = all.div_ceil(max_payload).max(1);
+        let mut frames = Vec::new();
+        let mut described: Vec<Rc<[Segment]>> = Vec::new();
+        for index in 0..count {
+            let bytes = (all - index * max_payload).min(max_payload);
+            let end = (index * max_payload) + bytes;
+            let index = index as u32;
+            frames.push(Frame { first: Position { sequence, index }, end });
+            let total = count as u32 + 1;
+            let segment = |index, bytes| Segment { position: Position { sequence, index }, cut, total, bytes };
+            described.push(if index + 1 == count as u32 {
+                Rc::new([segment(index, bytes - 1), segment(index + 1, 1)])
+            } else {
+                Rc::new([segment(index, bytes)])
+            });
+        }
+        self.frames.insert((sequence, cut), described);
+        Sealed::without_bytes(frames, sequence, cut)
+    }
+
     fn segments(&self, part: &Chosen) -> Rc<[Segment]> {
         self.frames[&(part.message.first(), part.message.cut())][part.frame].clone()
     }

@@ -57,10 +57,12 @@ pub enum Output {
         topic: Topic,
         message: Arc<Sealed>,
     },
-    /// Tell all readers, signed, that `next` is the sequence of the next message.
+    /// Tell all readers, signed, that `next` is the sequence of the next message, and what comes before `oldest` cannot be
+    /// repaired.
     Heartbeat {
         topic: Topic,
         next: u64,
+        oldest: u64,
     },
     /// Tell this reader that what comes before `oldest` cannot be repaired.
     Gone {
