@@ -25,8 +25,8 @@ pub struct Simulation {
     uplinks: BTreeMap<(usize, usize), Uplink>,
     pub topics: Vec<TopicSim>,
     pub max_payload: usize,
-    /// Messages are sealed again only so long after it was asked for.
-    pub events: u64,
+    /// Steps so far; there is an end to them.
+    events: u64,
 }
 
 /// A topic, its publisher and its readers.
@@ -218,10 +218,6 @@ impl Simulation {
 
     pub fn now(&self) -> u64 {
         self.net.now()
-    }
-
-    pub fn counts(&self, from: usize, cable: Cable) -> gdp_faults::Counts {
-        self.net.counts(from, cable)
     }
 
     pub fn topic_counters(&self, topic: usize) -> TopicCounters {
