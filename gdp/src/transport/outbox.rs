@@ -215,10 +215,10 @@ impl Outbox {
             self.expire(now, lifetime);
         }
         let fresh = self.fresh(max_payload);
-        if self.repair_next || fresh.is_none() {
-            if let Some(repair) = self.repair(max_payload) {
-                return Some(repair);
-            }
+        if (self.repair_next || fresh.is_none())
+            && let Some(repair) = self.repair(max_payload)
+        {
+            return Some(repair);
         }
         fresh
     }
