@@ -37,7 +37,7 @@ impl Segments {
         })
     }
 
-    /// All payloads, one after another.
+    /// The bytes of all frame payloads, one after another.
     pub fn into_bytes(self) -> Vec<u8> {
         self.buffer
     }

@@ -110,7 +110,7 @@ pub struct Inbound<M> {
     next: u64,
     /// From `next` on, as far as messages are known.
     slots: VecDeque<Slot<M>>,
-    /// The writer said that all before this exist.
+    /// All before this exist: what is signed says so.
     exists: u64,
     /// The last segment that came, in the order of sending.
     highest: Position,
@@ -186,8 +186,6 @@ impl<M> Inbound<M> {
             self.plan_report(now);
             return false;
         }
-        self.exists = self.exists.max(position.sequence + 1);
-        self.overtake(position.sequence);
         if self.slot_for(now, position.sequence).is_none() || !self.make_room(position.sequence, total) {
             self.counters.beyond += 1;
             self.plan_report(now);
@@ -220,11 +218,27 @@ impl<M> Inbound<M> {
         true
     }
 
-    /// A message is complete and verified. `bytes`: of its body.
+    /// A message is complete and verified: it alone moves on what is dealt with, as holders of the session's key can make up
+    /// segments. `bytes`: of its body.
     pub fn complete(&mut self, now: u64, sequence: u64, bytes: usize, message: M) {
-        let index = sequence.wrapping_sub(self.next);
-        let Some(slot) = usize::try_from(index).ok().and_then(|index| self.slots.get_mut(index)) else { return };
+        if sequence < self.next || sequence > MAX_SEQUENCE {
+            return;
+        }
+        self.exists = self.exists.max(sequence + 1);
+        if self.options.order == Order::Newest && sequence - self.next >= self.options.messages.max(1) as u64 {
+            self.deal_with(sequence - 1, Given::Overtaken);
+        }
+        if self.slot_for(now, sequence).is_none() {
+            return;
+        }
+        let late = self.options.deadline;
+        let slot = &mut self.slots[(sequence - self.next) as usize];
         if !slot.is_open() {
+            return;
+        }
+        if self.options.order == Order::Newest && slot.known_at.saturating_add(late) <= now {
+            self.deal_with(sequence, Given::Late);
+            self.plan_report(now);
             return;
         }
         slot.body = Body::Held(message, bytes);
@@ -365,7 +379,8 @@ impl<M> Inbound<M> {
 
     /// When the first message that is not dealt with is given up.
     fn deadline(&self) -> Option<u64> {
-        let slot = self.slots.front().filter(|slot| slot.is_open())?;
+        // What only unverified segments tell of may not exist.
+        let slot = self.slots.front().filter(|slot| slot.is_open() && self.next < self.exists)?;
         Some(slot.known_at.saturating_add(self.options.deadline))
     }
 
@@ -387,14 +402,6 @@ impl<M> Inbound<M> {
             self.bytes += Slot::<M>::cost(0);
         }
         (index < most).then_some(())
-    }
-
-    /// Best effort: so that the newest has a place, the oldest go.
-    fn overtake(&mut self, sequence: u64) {
-        let most = self.options.messages.max(1) as u64;
-        if self.options.order == Order::Newest && sequence - self.next >= most {
-            self.deal_with(sequence - most, Given::Overtaken);
-        }
     }
 
     /// Whether what has to be known of a message of so many segments finds room.
@@ -458,7 +465,7 @@ impl<M> Inbound<M> {
             if missing.len() == MAX_MISSING {
                 break;
             }
-            if slot.is_open() {
+            if slot.is_open() && slot.known_at.saturating_add(self.options.deadline) > now {
                 if slot.ask_again_at(wait, SLOWEST_ASKING).is_some_and(|at| at <= now) {
                     slot.forget_asked();
                 }
@@ -482,7 +489,8 @@ impl<M> Inbound<M> {
     /// When something is to be asked for, not before `from`.
     fn plan_ask(&mut self, from: u64) {
         let (wait, due) = (self.repair_time + self.repair_time / 4, self.due);
-        let open = (self.next..=due.sequence).zip(&self.slots).filter(|(_, slot)| slot.is_open());
+        let fresh = |slot: &Slot<M>| slot.is_open() && slot.known_at.saturating_add(self.options.deadline) > from;
+        let open = (self.next..=due.sequence).zip(&self.slots).filter(|(_, slot)| fresh(slot));
         let times = open.filter_map(|(sequence, slot)| {
             let end = if sequence == due.sequence { due.index } else { u32::MAX };
             if slot.has_wanted(end) {

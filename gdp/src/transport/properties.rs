@@ -86,6 +86,32 @@ fn a_reader_that_lies_is_only_a_nuisance() {
     assert!(repeated_bytes < fresh / 4 + 4 * (256 << 10) + (1 << 20), "{repeated_bytes} of {sent_bytes}");
 }
 
+/// Who holds the key can make up segments, but no message: those that the writer signs are delivered all the same.
+#[test]
+fn made_up_segments_move_nothing() {
+    for options in [InboundOptions::newest(), InboundOptions::every()] {
+        let mut inbound = Inbound::new(name_of(0), [0; 16], 1, 10 * MS, options);
+        let mut delivered = Vec::new();
+        for sequence in 1..=500 {
+            let now = sequence * 33 * MS;
+            for made_up in [sequence + 1, sequence + 40, sequence + 5000, 1 << 47] {
+                let position = Position { sequence: made_up, index: 0 };
+                inbound.segment(now, &Segment { position, cut: 0, total: 700, bytes: 1400 });
+            }
+            inbound.complete(now, sequence, 1000, sequence);
+            while let Some(arrival) = inbound.poll(now) {
+                if let Arrival::Message(sequence) = arrival {
+                    delivered.push(sequence);
+                }
+            }
+            assert!(inbound.memory() < 1 << 20);
+        }
+        let late = 500 - delivered.len();
+        assert!(delivered.is_sorted() && (late == 0 || options.order == Order::Newest), "{late} {options:?}");
+        assert!(inbound.next_sequence() == 501 && inbound.counters().overtaken + inbound.counters().given_up == 0);
+    }
+}
+
 /// A large message that is asked for again does not hold up another topic of the same link.
 #[test]
 fn no_topic_waits_for_the_gap_of_another() {
