@@ -37,6 +37,11 @@ impl Segments {
         })
     }
 
+    /// The bytes of all frame payloads, one after another.
+    pub fn into_bytes(self) -> Vec<u8> {
+        self.buffer
+    }
+
     /// Number of frame payloads.
     pub fn len(&self) -> usize {
         self.ends.len()

@@ -16,14 +16,13 @@ fn reliable_1_mb_at_10_hz_over_1_percent_loss_and_50_ms() {
     for seed in 0..2 {
         let faults = Faults { rate: Some(RATE), queue: Some(2 << 20), loss: 0.01, ..Faults::delay(RTT / 2) };
         let (mut sim, writer, readers) = Simulation::star(seed, faults, 1);
-        let topic = sim.publish(writer, TopicOptions::reliable(), App::new(1_000_000, 10, 21 * SECOND));
+        let topic = sim.publish(writer, TopicOptions::reliable(), App::new(1_000_000, 10, 15 * SECOND));
         sim.subscribe(readers[0], topic, RTT, InboundOptions::every());
-        sim.run(23 * SECOND);
+        sim.run(17 * SECOND);
         let reading = &sim.topics[topic].readers[&readers[0]];
-        assert_eq!(reading.delivered.len(), 210);
+        assert_eq!(reading.delivered.len(), 150);
         let serialization = 1_070_000 * 8 * SECOND / RATE;
         let p99 = percentile(&sim.latencies(topic, readers[0]), 99);
-        println!("p99 {} ms, p50 {} ms", p99 / MS, percentile(&sim.latencies(topic, readers[0]), 50) / MS);
         assert!(p99 <= 4 * RTT + serialization, "{} ms", p99 / MS);
         assert!(reading.feedback_bytes * 100 < sim.topics[topic].sent_bytes, "{} bytes", reading.feedback_bytes);
     }
@@ -39,14 +38,6 @@ fn reliable_64_b_at_1_khz_over_10_percent_loss_reordering_and_duplication() {
         sim.subscribe(readers[0], topic, RTT, InboundOptions::every());
         sim.run(9 * SECOND);
         let reading = &sim.topics[topic].readers[&readers[0]];
-        println!(
-            "{:?} {:?} reports {} nacks {}",
-            reading.counters(),
-            sim.topic_counters(topic),
-            reading.reports,
-            reading.nacks
-        );
-        println!("p99 {} ms", percentile(&sim.latencies(topic, readers[0]), 99) / MS);
         let delivered: Vec<u64> = reading.delivered.iter().map(|(sequence, _)| *sequence).collect();
         assert_eq!(delivered, (1..=5000).collect::<Vec<_>>(), "every message once, in order");
     }
@@ -54,66 +45,68 @@ fn reliable_64_b_at_1_khz_over_10_percent_loss_reordering_and_duplication() {
 
 #[test]
 fn best_effort_1_mb_at_30_hz_over_2_percent_loss() {
-    const LIFETIME: u64 = 200 * MS;
+    let lifetime = 200 * MS;
     for seed in 0..2 {
         let faults = Faults { rate: Some(1000 * MBIT), queue: Some(4 << 20), loss: 0.02, ..Faults::delay(RTT / 2) };
         let (mut sim, writer, readers) = Simulation::star(seed, faults, 1);
-        let topic = sim.publish(writer, TopicOptions::best_effort(), App::new(1_000_000, 30, 5 * SECOND));
+        let topic = sim.publish(writer, TopicOptions::best_effort(), App::new(1_000_000, 30, 4 * SECOND));
         sim.subscribe(readers[0], topic, RTT, InboundOptions::newest());
-        sim.run(6 * SECOND);
+        sim.run(5 * SECOND);
         let reading = &sim.topics[topic].readers[&readers[0]];
         let counters = reading.counters();
-        println!("{counters:?} {:?}", sim.topic_counters(topic));
         let latencies = sim.latencies(topic, readers[0]);
-        println!(
-            "p50 {} p99 {} max {}",
-            percentile(&latencies, 50) / MS,
-            percentile(&latencies, 99) / MS,
-            latencies.last().unwrap() / MS
-        );
-        assert!(*latencies.last().unwrap() <= LIFETIME + RTT / 2 + MS, "none later than its deadline");
+        assert!(*latencies.last().unwrap() <= lifetime + RTT / 2 + MS, "none later than its deadline");
         let times: Vec<u64> = reading.delivered.iter().map(|(_, at)| *at).collect();
         let stall = times.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap();
         assert!(stall < 500 * MS, "no stall: {} ms", stall / MS);
-        assert!(counters.delivered > 100, "{counters:?}");
+        assert!(counters.delivered > 80, "{counters:?}");
         // Each message is counted once, here or there.
         let dealt = counters.delivered + counters.overtaken + counters.expired + counters.given_up;
         assert_eq!(dealt, reading.next() - 1);
-        assert!(dealt >= 150 - 1, "{dealt}");
+        assert!(dealt >= 120 - 1, "{dealt}");
     }
 }
 
-/// With the link's rate as the uplink's budget, and without.
+/// With the link's rate as the uplink's budget, and without: then the large topic's path is all that keeps the queue short. Frames of
+/// 9000 bytes, so that ten seconds do not take long.
 #[test]
 fn small_10_mb_at_10_hz_and_64_b_at_100_hz_on_one_500_mbit_link() {
     const RATE: u64 = 500 * MBIT;
-    let mtu = (PAYLOAD as u64 + FRAME_HEADER) * 8 * SECOND / RATE;
-    for delay in [MS, 10 * MS] {
-        let small_p99 = |seed, large: bool, budget: Option<u64>| {
+    const LARGE_PAYLOAD: usize = 8900;
+    let mtu = (LARGE_PAYLOAD as u64 + FRAME_HEADER) * 8 * SECOND / RATE;
+    for (delay, budget) in [(MS, Some(RATE / 8)), (MS, None)] {
+        let small_p99 = |seed, with_large: bool| {
             let faults = Faults { rate: Some(RATE), queue: Some(4 << 20), ..Faults::delay(delay) };
             let (mut sim, writer, readers) = Simulation::star(seed, faults, 1);
+            sim.max_payload = LARGE_PAYLOAD;
             sim.uplink(writer, budget);
             let options = TopicOptions { class: 6, ..TopicOptions::reliable() };
-            let small = sim.publish(writer, options, App::new(64, 100, 4 * SECOND));
+            let small = sim.publish(writer, options, App::new(64, 100, 10 * SECOND));
             sim.subscribe(readers[0], small, 2 * delay, InboundOptions::every());
-            if large {
-                let large = sim.publish(writer, TopicOptions::best_effort(), App::new(10_000_000, 10, 4 * SECOND));
-                sim.subscribe(readers[0], large, 2 * delay, InboundOptions::newest());
+            if with_large {
+                let large = sim.publish(writer, large_options(), App::new(10_000_000, 10, 10 * SECOND));
+                let options = InboundOptions { deadline: LIFETIME, ..InboundOptions::newest() };
+                sim.subscribe(readers[0], large, 2 * delay, options);
+                sim.run(11 * SECOND);
+                // The link takes not quite six of them a second, so about every second one goes.
+                let counters = sim.topics[large].readers[&readers[0]].counters();
+                assert!(counters.delivered >= 50, "{counters:?}");
             }
-            sim.run(5 * SECOND);
-            if large {
-                println!("large: {:?} {:?}", sim.topics[1].readers[&readers[0]].counters(), sim.topic_counters(1));
-            }
-            assert_eq!(sim.topics[small].readers[&readers[0]].delivered.len(), 400);
+            sim.run(11 * SECOND);
+            assert_eq!(sim.topics[small].readers[&readers[0]].delivered.len(), 1000);
             percentile(&sim.latencies(small, readers[0]), 99)
         };
-        let idle = small_p99(1, false, None);
-        for budget in [Some(RATE / 8), None] {
-            let beside = small_p99(2, true, budget);
-            println!("idle {idle} beside {beside} {budget:?}");
-            assert!(beside <= 2 * idle + mtu, "{beside} ns beside, {idle} ns idle, budget {budget:?}");
-        }
+        let (idle, beside) = (small_p99(1, false), small_p99(2, true));
+        assert!(beside <= 2 * idle + mtu, "{beside} ns beside, {idle} ns idle, budget {budget:?}");
     }
+}
+
+/// How long the large ones are of use: each takes 171 ms of the link.
+const LIFETIME: u64 = 400 * MS;
+
+fn large_options() -> TopicOptions {
+    let history = History { messages: 1, bytes: 64 << 20 };
+    TopicOptions { reliability: Reliability::BestEffort { lifetime: LIFETIME }, history, ..TopicOptions::best_effort() }
 }
 
 #[test]
@@ -136,8 +129,6 @@ fn link_down_3_s_and_back() {
         assert_eq!(reading(covered).delivered.len(), 800, "{:?}", sim.topic_counters(covered));
         assert_eq!(sim.topic_counters(covered).evicted, 0);
         let counters = reading(short).counters();
-        println!("{counters:?} {:?}", sim.topic_counters(short));
-        println!("last {}", reading(covered).delivered.iter().find(|d| d.0 > 500).unwrap().1 / MS);
         assert_eq!(counters.delivered + counters.given_up, 800);
         assert!((150..260).contains(&counters.given_up), "{counters:?}");
         assert!(sim.topic_counters(short).evicted >= counters.given_up);
@@ -171,7 +162,7 @@ fn two_bulk_flows_on_one_bottleneck() {
             sim.join(left, right, bottleneck, Faults::delay(delay));
             sim.join(right, c, perfect(), perfect());
             sim.join(right, d, perfect(), perfect());
-            let until = 13 * SECOND;
+            let until = 10 * SECOND;
             let history = History { messages: 16, bytes: 64 << 20 };
             let options = TopicOptions { history, ..TopicOptions::reliable() };
             let first = sim.publish(a, options, App::new(100_000, 200, until));
@@ -184,9 +175,8 @@ fn two_bulk_flows_on_one_bottleneck() {
                 sim.topics[topic].readers[&reader].delivered.iter().filter(|(_, at)| *at > since).count()
             };
             let (one, two) = (got(first, c), got(second, d));
-            println!("{delay} {queue} {mark_above:?} {second_from}: {one} {two} {} Mb/s", (one + two) / 10);
             assert!(3 * one >= one + two && 3 * two >= one + two, "{one} and {two}");
-            assert!((one + two) as u64 * 800_000 / 8 >= 30 * MBIT, "the link is used: {one} + {two}");
+            assert!((one + two) as u64 * 800_000 / 5 >= 30 * MBIT, "the link is used: {one} + {two}");
         }
     }
 }
@@ -210,17 +200,12 @@ fn a_slow_subscriber_never_slows_the_others() {
         sim.run(11 * SECOND);
         if with_slow {
             let reading = &sim.topics[topic].readers[&slow];
-            println!("slow {:?} {:?}", reading.counters(), sim.topic_counters(topic));
-            assert!(reading.counters().delivered > 20);
+            assert!(
+                reading.counters().given_up > 0 && sim.topic_counters(topic).evicted >= reading.counters().given_up
+            );
+            assert!(sim.topics[topic].repeated_bytes * 4 < sim.topics[topic].sent_bytes, "nor takes the others' room");
         }
         let latencies = sim.latencies(topic, fast);
-        println!(
-            "fast {} p50 {} p99 {} max {}",
-            latencies.len(),
-            percentile(&latencies, 50) / MS,
-            percentile(&latencies, 99) / MS,
-            latencies.last().unwrap() / MS
-        );
         assert_eq!(sim.topics[topic].readers[&fast].counters().given_up, 0);
         (latencies.len(), percentile(&latencies, 90))
     };
@@ -251,7 +236,6 @@ fn a_reader_that_dies_slows_nobody_for_long() {
     sim.subscribe(dies, topic, 20 * MS, InboundOptions::every());
     sim.run(11 * SECOND);
     let reading = &sim.topics[topic].readers[&lives];
-    println!("{:?}", sim.topic_counters(topic));
     assert!(reading.counters().delivered >= 900, "{:?}", reading.counters());
     assert_eq!(reading.counters().given_up, 0);
 }
@@ -281,9 +265,9 @@ fn churn_of_readers_and_topics_leaves_memory_flat() {
     for n in 0..10_000_u64 {
         let id = uplink.open(now, name_of(99), [1; 16], TopicOptions::best_effort());
         uplink.join(now, id, name_of(1)).unwrap();
-        let message =
-            Sealed::new(vec![0; 10], vec![sealed::Frame { first: Position { sequence: 1, index: 0 }, end: 10 }], 1, 0);
-        uplink.push(now, id, message.unwrap()).unwrap();
+        let first = Position { sequence: 1, index: 0 };
+        let message = Sealed::without_bytes(vec![sealed::Frame { first, end: 10 }], 1, 0);
+        uplink.push(now, id, message).unwrap();
         if n % 2 == 0 {
             assert!(matches!(uplink.poll(now), Some(Output::Send(_))));
         }
@@ -323,7 +307,6 @@ fn two_uplinks_at_once_lose_nothing_when_one_fails() {
     sim.subscribe(reader, topic, 10 * MS, InboundOptions::every());
     sim.run(7 * SECOND);
     let reading = &sim.topics[topic].readers[&reader];
-    println!("{:?} {:?}", reading.counters(), sim.topic_counters(topic));
     assert_eq!(reading.delivered.len(), 300);
     assert!(reading.counters().duplicates > 100);
     assert!(*sim.latencies(topic, reader).last().unwrap() < 400 * MS);
@@ -356,16 +339,5 @@ fn bursts_of_loss_are_repaired() {
         for reader in &readers {
             assert_eq!(sim.topics[topic].readers[reader].delivered.len(), 150, "{:?}", sim.topic_counters(topic));
         }
-    }
-}
-#[test]
-fn zz_trace_1mb() {
-    let faults = Faults { rate: Some(200 * MBIT), queue: Some(2 << 20), loss: 0.01, ..Faults::delay(25 * MS) };
-    let (mut sim, writer, readers) = Simulation::star(0, faults, 1);
-    let topic = sim.publish(writer, TopicOptions::reliable(), App::new(1_000_000, 10, 13 * SECOND));
-    sim.subscribe(readers[0], topic, 50 * MS, InboundOptions::every());
-    for t in 1..110 {
-        sim.run(t * 50 * MS);
-        println!("{} n={} {:?} {:?} {} nacks {}", sim.now() / MS, sim.topics[topic].readers[&readers[0]].delivered.len(), sim.topic_counters(topic).repeated, sim.topics[topic].readers[&readers[0]].next(), sim.debug(topic), sim.topics[topic].readers[&readers[0]].nacks);
     }
 }

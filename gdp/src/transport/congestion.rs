@@ -22,6 +22,7 @@ const DRY_TIME: u64 = 200 * MS;
 const STARTUP_GAIN: u64 = 289;
 /// What the rate is multiplied with in the phases of steady state, in percent.
 const CYCLE: [u64; 8] = [125, 75, 100, 100, 100, 100, 100, 100];
+const SHORTEST_ATTEMPT: u64 = 2 * MS;
 /// Rounds that a measured rate counts for.
 const RATE_ROUNDS: u64 = 10;
 /// Startup ends when as many rounds brought less than a quarter more.
@@ -87,6 +88,8 @@ pub struct Path {
     round_delivered: u64,
     round_lost: u64,
     round_marks: u64,
+    /// The shortest of the round.
+    round_rtt: u64,
     full_rate: u64,
     full_rounds: u32,
     /// The rate is held below this after congestion, until the next attempt at more.
@@ -110,6 +113,7 @@ impl Path {
             round_delivered: 0,
             round_lost: 0,
             round_marks: 0,
+            round_rtt: u64::MAX,
             full_rate: 0,
             full_rounds: 0,
             ceiling: None,
@@ -135,7 +139,12 @@ impl Path {
         self.last_report = Some(now);
         if self.silent {
             // The path may be another one now.
-            *self = Self { smoothed_rtt: self.smoothed_rtt, last_report: Some(now), round_ends: sample.sent, ..Self::new() };
+            *self = Self {
+                smoothed_rtt: self.smoothed_rtt,
+                last_report: Some(now),
+                round_ends: sample.sent,
+                ..Self::new()
+            };
             return false;
         }
         if let Some(rtt) = sample.rtt {
@@ -161,8 +170,10 @@ impl Path {
     }
 
     /// Bytes per second at which frames may go.
-    pub fn rate(&self) -> u64 {
+    pub fn rate(&self, now: u64) -> u64 {
         let gain = match self.phase {
+            // An attempt at more makes a queue, so it ends on time, even if the next report is late.
+            Phase::Steady { step: 0, since } if now - since > self.min_rtt.unwrap_or(0).max(SHORTEST_ATTEMPT) => 100,
             Phase::Startup => STARTUP_GAIN,
             Phase::Drain => 50,
             Phase::Steady { step, .. } => CYCLE[step],
@@ -172,7 +183,6 @@ impl Path {
         (self.bandwidth() * gain / 100).max(least)
     }
 
-    pub fn phase_(&self) -> String { format!("{:?} {:?}", self.phase, self.ceiling) }
     /// Bytes that may be under way.
     pub fn window(&self) -> u64 {
         if self.rates.get() == 0 || self.silent {
@@ -191,11 +201,17 @@ impl Path {
         self.smoothed_rtt.unwrap_or(INITIAL_RTT)
     }
 
+    /// How long repairing something takes at most, if the path does not grow slower than it was.
+    pub fn repair_time(&self) -> u64 {
+        (4 * self.min_rtt.unwrap_or(INITIAL_RTT) + 4 * self.report_interval).clamp(200 * MS, 1_000 * MS)
+    }
+
     /// By when a report about what went now is overdue.
     pub fn patience(&self) -> u64 {
         (2 * self.rtt() + 3 * self.report_interval).max(100 * MS)
     }
 
+    /// Bytes per second that the path was seen to take.
     fn bandwidth(&self) -> u64 {
         let rate = self.rates.get();
         if self.phase == Phase::Startup {
@@ -204,12 +220,18 @@ impl Path {
         rate.min(self.ceiling.unwrap_or(u64::MAX))
     }
 
-    /// Bytes under way when the path is full and has no queue. What a reader has not reported yet is among them.
+    /// Bytes that are not reported when the path is full and has no queue.
     fn in_flight(&self, rtt: u64) -> u64 {
-        (u128::from(self.bandwidth()) * u128::from(rtt + self.report_interval) / 1_000_000_000) as u64 + 2 * FRAME
+        bytes_in(self.bandwidth(), rtt + self.report_interval) + 2 * FRAME
+    }
+
+    /// The same when a report has just come.
+    fn queueless(&self, rtt: u64) -> u64 {
+        bytes_in(self.bandwidth(), rtt + rtt / 8) + 2 * FRAME
     }
 
     fn measure_rtt(&mut self, now: u64, rtt: u64) {
+        self.round_rtt = self.round_rtt.min(rtt);
         self.smoothed_rtt = Some(self.smoothed_rtt.map_or(rtt, |smoothed| (7 * smoothed + rtt) / 8));
         let dry = matches!(self.phase, Phase::Dry { .. });
         let expired = dry && now.saturating_sub(self.min_rtt_at) > RTT_WINDOW;
@@ -236,20 +258,25 @@ impl Path {
             } else {
                 self.full_rounds += 1;
             }
+            // A queue that stood for all of the round says the same.
+            let empty = self.min_rtt.unwrap_or(INITIAL_RTT);
+            let stands = self.round_rtt < u64::MAX && self.round_rtt > empty + empty / 2 + 2 * MS;
+            self.full_rounds += u32::from(stands);
             if self.full_rounds >= FULL_ROUNDS {
                 self.phase = Phase::Drain;
             }
         }
+        self.round_rtt = u64::MAX;
         congested
     }
 
     fn advance(&mut self, now: u64, under_way: u64) {
         let rtt = self.min_rtt.unwrap_or(INITIAL_RTT);
         match self.phase {
-            Phase::Drain if under_way <= self.in_flight(rtt) => self.begin_steady(now),
+            Phase::Drain if under_way <= self.queueless(rtt) => self.begin_steady(now),
             Phase::Steady { step, since } if now - since >= rtt.max(self.report_interval) => {
                 // The queue that an attempt at more has made goes first.
-                if CYCLE[step] >= 100 || under_way <= self.in_flight(rtt) {
+                if CYCLE[step] >= 100 || under_way <= self.queueless(rtt) {
                     let step = (step + 1) % CYCLE.len();
                     if CYCLE[step] > 100 {
                         self.ceiling = None;
@@ -301,6 +328,10 @@ impl MaxRate {
     fn get(&self) -> u64 {
         self.buckets.iter().map(|(_, rate)| *rate).max().unwrap_or(0)
     }
+}
+
+fn bytes_in(rate: u64, nanoseconds: u64) -> u64 {
+    (u128::from(rate) * u128::from(nanoseconds) / 1_000_000_000) as u64
 }
 
 fn bytes_per_second(bytes: u64, nanoseconds: u64) -> u64 {

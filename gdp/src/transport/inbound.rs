@@ -8,6 +8,7 @@ use gdp_wire::Name;
 use super::slot::{Body, Slot};
 use super::{MS, Position};
 use crate::feedback_wire::{Feedback, MAX_MISSING, MAX_SEQUENCE};
+use crate::seal::SegmentId;
 
 /// Segments that overtake others by less than this are waited for, at least. With more than a few milliseconds to the writer and
 /// back, an eighth of that; so gaps are asked for when they are between one and two of these times old.
@@ -16,6 +17,10 @@ const LEAST_PATIENCE: u64 = 2 * MS;
 /// Between reports while something comes: half a round trip, within these.
 const FASTEST_REPORT: u64 = 10 * MS;
 const SLOWEST_REPORT: u64 = 100 * MS;
+
+/// So many bytes are worth a report sooner, on short ways: half a round trip after the last, and this at least.
+const MANY_BYTES: u64 = 64 << 10;
+const FASTEST_OF_MANY: u64 = 2 * MS;
 
 /// What was asked for in vain is asked for again, in the end so seldom.
 const SLOWEST_ASKING: u64 = 1_000 * MS;
@@ -61,6 +66,14 @@ pub struct Segment {
     pub total: u32,
     /// In the frame, its header included.
     pub bytes: usize,
+}
+
+impl From<&SegmentId> for Segment {
+    fn from(id: &SegmentId) -> Self {
+        let position = Position { sequence: id.sequence, index: id.index };
+        // No message has as many segments; if one does, its last is refused.
+        Self { position, cut: id.cut, total: id.count.saturating_add(1), bytes: id.len }
+    }
 }
 
 /// What comes of it.
@@ -115,6 +128,7 @@ pub struct Inbound<M> {
     report_at: u64,
     reported_at: Option<u64>,
     segments: u64,
+    reported_bytes: u64,
     segment_bytes: u64,
     ce: u32,
     /// The last new segment since the last report, and when it came.
@@ -145,6 +159,7 @@ impl<M> Inbound<M> {
             report_at: u64::MAX,
             reported_at: None,
             segments: 0,
+            reported_bytes: 0,
             segment_bytes: 0,
             ce: 0,
             echo: None,
@@ -237,9 +252,12 @@ impl<M> Inbound<M> {
         }
     }
 
-    /// The writer says, signed, that the next message will be this one.
-    pub fn heartbeat(&mut self, now: u64, next: u64) {
+    /// The writer says, signed, that the next message will be `next`, and what comes before `oldest` cannot be repaired.
+    pub fn heartbeat(&mut self, now: u64, next: u64, oldest: u64) {
         let next = next.min(MAX_SEQUENCE);
+        if self.options.order == Order::Every {
+            self.is_gone(oldest.min(next));
+        }
         self.exists = self.exists.max(next);
         if self.options.order == Order::Every && next > self.next {
             self.slot_for(now, next - 1);
@@ -254,10 +272,8 @@ impl<M> Inbound<M> {
     pub fn feedback(&mut self, now: u64, feedback: &Feedback) {
         if let Feedback::Gone { session, oldest, .. } = feedback
             && *session == self.session
-            && *oldest > self.next
         {
-            self.deal_with(oldest - 1, Given::Up);
-            self.deliver();
+            self.is_gone((*oldest).min(MAX_SEQUENCE));
             self.plan_report(now);
         }
     }
@@ -320,6 +336,13 @@ impl<M> Inbound<M> {
     /// Bytes of what waits, and of what is known of incomplete messages.
     pub fn memory(&self) -> usize {
         self.bytes
+    }
+
+    fn is_gone(&mut self, oldest: u64) {
+        if oldest > self.next {
+            self.deal_with(oldest - 1, Given::Up);
+            self.deliver();
+        }
     }
 
     fn patience(&self) -> u64 {
@@ -474,13 +497,17 @@ impl<M> Inbound<M> {
     }
 
     fn plan_report(&mut self, now: u64) {
-        let at = self.reported_at.map_or(now, |last| (last + self.report_interval()).max(now));
+        let many = self.segment_bytes - self.reported_bytes >= MANY_BYTES;
+        let interval =
+            if many { (self.rtt / 2).clamp(FASTEST_OF_MANY, SLOWEST_REPORT) } else { self.report_interval() };
+        let at = self.reported_at.map_or(now, |last| (last + interval).max(now));
         self.report_at = self.report_at.min(at);
     }
 
     fn report(&mut self, now: u64) -> Feedback {
         self.report_at = u64::MAX;
         self.reported_at = Some(now);
+        self.reported_bytes = self.segment_bytes;
         let (echo, came_at) = self.echo.take().unwrap_or((Position { sequence: 0, index: 0 }, now));
         Feedback::Report {
             name: self.name,

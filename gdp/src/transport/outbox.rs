@@ -130,10 +130,6 @@ impl Outbox {
         &self.counters
     }
 
-    pub fn bytes(&self) -> usize {
-        self.bytes
-    }
-
     pub fn is_reliable(&self) -> bool {
         matches!(self.reliability, Reliability::Reliable { .. })
     }

@@ -20,9 +20,9 @@ const SILENT: u32 = 6;
 /// A reader that fell behind a full history is not waited for this long; twice as long the next time.
 const LAG: u64 = 4_000 * MS;
 
-/// A reader may have its repairs at half the topic's speed, but at this many bytes a second at least, and so many nanoseconds' worth
-/// of them at once.
-const LEAST_REPAIR_RATE: u64 = 128 << 10;
+/// A reader may have its repairs at a quarter of the speed at which the topic sends what is new, one that lags at a sixteenth, but at this many bytes a second at
+/// least, and so many nanoseconds' worth of them at once.
+const LEAST_REPAIR_RATE: u64 = 256 << 10;
 const REPAIR_BURST: u64 = 500 * MS;
 
 /// What is looked at for a range of a Nack costs, too.
@@ -170,11 +170,12 @@ impl Peer {
         }
     }
 
-    /// Whether so many bytes of repairs are within its budget; the topic sends at `rate`.
+    /// Whether so many bytes of repairs are within its budget; `rate`: of what the topic sends for the first time.
     pub fn pay(&mut self, now: u64, bytes: u64, rate: u64) -> bool {
         let allowed = self.repairs.ready_at(REPAIR_BURST) <= now;
         let cost = if allowed { bytes + LOOK } else { LOOK };
-        self.repairs.take(now, cost, (rate / 2).max(LEAST_REPAIR_RATE));
+        let share = if self.lagging { rate / 16 } else { rate / 4 };
+        self.repairs.take(now, cost, share.max(LEAST_REPAIR_RATE));
         allowed
     }
 
@@ -217,9 +218,9 @@ impl Peers {
     }
 
     /// Of the live ones with room under way, the one with the fastest path.
-    pub fn leader(&self, sent: u64) -> Option<(Name, u64)> {
+    pub fn leader(&self, now: u64, sent: u64) -> Option<Name> {
         let open = self.0.iter().filter(|(_, peer)| peer.is_live() && peer.has_room(sent));
-        open.map(|(name, peer)| (*name, peer.path.rate())).max_by_key(|(_, rate)| *rate)
+        open.max_by_key(|(_, peer)| peer.path.rate(now)).map(|(name, _)| *name)
     }
 
     pub fn any_live(&self) -> bool {
@@ -256,7 +257,7 @@ impl Peers {
         let mut next = u64::MAX;
         for peer in self.0.values_mut().filter(|peer| peer.is_waited_for() && peer.acknowledged < sequence) {
             let since = *peer.waited_since.get_or_insert(now);
-            let until = since.saturating_add(2 * peer.path.patience());
+            let until = since.saturating_add(peer.path.repair_time());
             if until > now {
                 next = next.min(until);
                 continue;

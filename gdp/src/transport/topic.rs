@@ -2,7 +2,7 @@
 
 use gdp_wire::Name;
 
-use super::meter::{Meter, nanoseconds};
+use super::meter::{Meter, Speed, nanoseconds};
 use super::outbox::{Chosen, History, Outbox, Overflow, Reliability};
 use super::peers::{Peer, Peers, Report, SILENCE_STEP};
 use super::sent_log::{Sent, SentLog};
@@ -69,8 +69,10 @@ pub struct TopicState {
     pauses: u64,
     paused: bool,
     pace: Meter,
-    /// Whose path sets the pace, and its rate.
-    leader: Option<(Name, u64)>,
+    /// Of what goes for the first time.
+    fresh: Speed,
+    /// Whose path sets the pace.
+    leader: Option<Name>,
     heartbeat_at: u64,
     heartbeat_interval: u64,
     look_at: u64,
@@ -89,8 +91,8 @@ struct Waiting {
 /// What a topic's timers bring.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Due {
-    /// The sequence that the next message will have.
-    pub heartbeat: Option<u64>,
+    /// The sequence that the next message will have, and the oldest that can be repaired.
+    pub heartbeat: Option<(u64, u64)>,
     pub room: bool,
 }
 
@@ -109,6 +111,7 @@ impl TopicState {
             pauses: 0,
             paused: true,
             pace: Meter::new(now),
+            fresh: Speed::new(now),
             leader: None,
             heartbeat_at: u64::MAX,
             heartbeat_interval: FIRST_HEARTBEAT,
@@ -117,10 +120,10 @@ impl TopicState {
         }
     }
 
-    pub fn debug(&mut self) -> String { let s = self.sent; format!("sent {} at {} leader {:?} nobody {} peers {:?}", s, self.sent_at/MS, self.leader.map(|l| l.1), self.nobody.under_way(s), self.peers.live().map(|p| (p.under_way(s), p.path().window(), p.path().rate(), p.path().rtt()/1000, p.overdue_at(self.sent_at)/MS, p.acknowledged(), p.path().phase_())).collect::<Vec<_>>()) }
     pub fn push(&mut self, now: u64, message: Sealed) -> Result<(), Sealed> {
         let result = self.outbox.push(now, message, self.peers.acknowledged(), self.peers.acknowledged_by_all());
-        self.waiting = result.as_ref().err().map(|message| Waiting { bytes: message.total_bytes(), again_at: u64::MAX });
+        self.waiting =
+            result.as_ref().err().map(|message| Waiting { bytes: message.total_bytes(), again_at: u64::MAX });
         self.wait(now);
         if self.peers.is_empty() {
             self.outbox.skip_all();
@@ -152,7 +155,7 @@ impl TopicState {
             }
             return Turn { may_send: false, at: timers };
         }
-        let Some((_, rate)) = self.find_leader() else {
+        let Some(rate) = self.find_rate(now) else {
             return Turn { may_send: false, at: timers.min(self.overdue_at()) };
         };
         let paced = self.pace.ready_at(BURST.max(nanoseconds(BURST_BYTES, rate)));
@@ -162,7 +165,7 @@ impl TopicState {
 
     /// The frame payload that goes next, if it has at most `room` bytes. `waited`: since it could go.
     pub fn take(&mut self, now: u64, max_payload: usize, room: usize, waited: u64) -> Option<Chosen> {
-        let (_, rate) = self.find_leader()?;
+        let rate = self.find_rate(now)?;
         let chosen = self.outbox.choose(now, max_payload)?;
         let bytes = chosen.message.len(chosen.frame);
         if bytes > room {
@@ -176,12 +179,9 @@ impl TopicState {
         self.paused = false;
         self.pace.take(now, bytes as u64, rate);
         if !chosen.repair {
+            self.fresh.add(now, bytes as u64);
             let position = chosen.message.position(chosen.frame);
-            let under_way = self
-                .leader
-                .and_then(|(leader, _)| self.peers.get(&leader))
-                .unwrap_or(&self.nobody)
-                .under_way(self.sent);
+            let under_way = self.leader().unwrap_or(&self.nobody).under_way(self.sent);
             self.log.add(Sent { position, at: now, total: self.sent, pauses: self.pauses }, under_way);
         }
         self.outbox.take(now, &chosen, self.sent);
@@ -206,7 +206,7 @@ impl TopicState {
         if self.heartbeat_at <= now {
             let through = self.outbox.sent_through();
             if self.peers.lacks(through) {
-                due.heartbeat = Some(through + 1);
+                due.heartbeat = Some((through + 1, self.outbox.oldest()));
                 self.heartbeat_interval = (2 * self.heartbeat_interval).min(SLOWEST_HEARTBEAT);
                 self.heartbeat_at = now + self.heartbeat_interval;
                 if self.look_at == u64::MAX {
@@ -218,7 +218,7 @@ impl TopicState {
         }
         self.wait(now);
         due.room = self.take_room();
-        if self.find_leader().is_none() {
+        if self.find_rate(now).is_none() {
             let (sent, last) = (self.sent, self.sent_at);
             let blocked = self.peers.live().chain([&mut self.nobody]);
             blocked.filter(|peer| peer.overdue_at(last) <= now).for_each(|peer| peer.forget_under_way(now, sent));
@@ -251,7 +251,7 @@ impl TopicState {
     }
 
     fn on_nack(&mut self, now: u64, reader: &Name, missing: &[Missing]) -> Option<u64> {
-        let rate = self.find_leader().map_or(0, |(_, rate)| rate);
+        let rate = self.fresh.get(now);
         let peer = self.peers.get_mut(reader)?;
         let too_early = now.saturating_sub(peer.path().rtt() * 3 / 4);
         for range in missing.iter().take(MAX_MISSING) {
@@ -289,19 +289,20 @@ impl TopicState {
         self.peers.live().map(|peer| peer.overdue_at(last)).min().unwrap_or_else(|| self.nobody.overdue_at(last))
     }
 
-    /// The fastest reader with room; when none is live, a little goes all the same.
-    fn find_leader(&mut self) -> Option<(Name, u64)> {
+    /// The rate to the fastest reader with room; when none is live, a little goes all the same.
+    fn find_rate(&mut self, now: u64) -> Option<u64> {
         let sent = self.sent;
-        if let Some((leader, rate)) = self.leader
-            && self.peers.get(&leader).is_some_and(|peer| peer.has_room(sent))
-        {
-            return Some((leader, rate));
+        if self.leader().is_none_or(|leader| !leader.has_room(sent)) {
+            self.leader = self.peers.leader(now, sent);
         }
-        self.leader = self.peers.leader(sent);
-        if self.leader.is_some() {
-            return self.leader;
+        match self.leader() {
+            Some(leader) => Some(leader.path().rate(now)),
+            None if self.peers.any_live() || !self.nobody.has_room(sent) => None,
+            None => Some(self.nobody.path().rate(now)),
         }
-        let alone = !self.peers.any_live() && self.nobody.has_room(sent);
-        alone.then(|| (self.name, self.nobody.path().rate()))
+    }
+
+    fn leader(&self) -> Option<&Peer> {
+        self.peers.get(&self.leader?)
     }
 }

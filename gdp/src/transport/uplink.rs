@@ -57,10 +57,12 @@ pub enum Output {
         topic: Topic,
         message: Arc<Sealed>,
     },
-    /// Tell all readers, signed, that `next` is the sequence of the next message.
+    /// Tell all readers, signed, that `next` is the sequence of the next message, and what comes before `oldest` cannot be
+    /// repaired.
     Heartbeat {
         topic: Topic,
         next: u64,
+        oldest: u64,
     },
     /// Tell this reader that what comes before `oldest` cannot be repaired.
     Gone {
@@ -254,7 +256,6 @@ impl Uplink {
         queue.push_back(transmit);
     }
 
-    pub fn debug(&mut self, topic: Topic) -> String { self.topic(topic).unwrap().debug() }
     /// Copies that found no room.
     pub fn copies_dropped(&self) -> u64 {
         self.copies_dropped
@@ -355,8 +356,8 @@ impl Uplink {
     fn on_timer(&mut self, now: u64, topic: Topic) {
         let Some(state) = self.topic(topic) else { return };
         let due = state.on_timer(now);
-        if let Some(next) = due.heartbeat {
-            self.outputs.push_back(Output::Heartbeat { topic, next });
+        if let Some((next, oldest)) = due.heartbeat {
+            self.outputs.push_back(Output::Heartbeat { topic, next, oldest });
         }
         if due.room {
             self.outputs.push_back(Output::Room { topic });
