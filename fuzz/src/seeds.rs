@@ -57,6 +57,7 @@ fn feedback() -> Seeds {
                 name,
                 session,
                 highest,
+                acknowledged: 6,
                 received_segments,
                 received_bytes,
                 ce,
@@ -66,6 +67,7 @@ fn feedback() -> Seeds {
             },
         ),
         ("nack", Feedback::Nack { name, session, missing: vec![Missing::whole(4), Missing::whole(6)] }),
+        ("gone", Feedback::Gone { name, session, oldest: 5 }),
     ];
     let encode = |feedback: &Feedback| {
         let mut bytes = Vec::new();

@@ -31,6 +31,13 @@ pub struct Counterpart {
     serials: Vec<(&'static str, u64)>,
 }
 
+impl Counterpart {
+    /// Whether its right holds under this revocation of the name.
+    pub fn holds(&self, revocation: &Revocation) -> bool {
+        self.serials.iter().all(|(what, serial)| revocation.check(what, *serial).is_ok())
+    }
+}
+
 /// What changes for the entity.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PeerEvent {
@@ -197,8 +204,7 @@ impl Counterparts {
                 return events.push(PeerEvent::RibIsBehind(newest.clone()));
             }
         }
-        let holds = |c: &Counterpart| c.serials.iter().all(|(what, serial)| claims.check(what, *serial).is_ok());
-        let gone: Vec<Name> = self.known().filter(|counterpart| !holds(counterpart)).map(|c| c.entity).collect();
+        let gone: Vec<Name> = self.known().filter(|c| !c.holds(&claims)).map(|c| c.entity).collect();
         self.revocation = Some((signed.clone(), claims.clone()));
         events.push(PeerEvent::Revoked(claims));
         self.leave(&gone, events);

@@ -47,6 +47,7 @@ fn vectors_of_keys_and_feedback() {
         name,
         session,
         highest: 7,
+        acknowledged: 6,
         received_segments: 40,
         received_bytes: 50_000,
         ce: 1,
@@ -72,6 +73,7 @@ fn vectors_of_keys_and_feedback() {
             "welcome": payload(&Feedback::Welcome { name, challenge, session, sequence: 9 }),
             "report": payload(&report),
             "nack": payload(&Feedback::Nack { name, session, missing }),
+            "gone": payload(&Feedback::Gone { name, session, oldest: 8 }),
         },
     });
     crate::vectors::check("keys.json", &vectors);

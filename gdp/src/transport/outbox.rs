@@ -261,6 +261,14 @@ impl Outbox {
         self.cursor = self.cursor.min(index);
     }
 
+    /// Messages that cannot be sealed again are lost.
+    pub fn abandon(&mut self, first: u64) {
+        if let Some(index) = self.find(first) {
+            self.counters.evicted += self.entries[index].messages();
+            self.remove(index);
+        }
+    }
+
     /// Queues what a reader lacks. `too_early`: what went again later than this is on its way to the reader already. `pay` is
     /// asked with the bytes of each frame whether the reader may have it. Returns the bytes queued for this reader.
     pub fn ask(&mut self, range: &Missing, too_early: u64, mut pay: impl FnMut(u64) -> bool) -> u64 {

@@ -74,6 +74,11 @@ impl Sealed {
         self.cut
     }
 
+    /// All payloads, one after another.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
     /// Number of frames: at least 1.
     pub fn frames(&self) -> usize {
         self.frames.len()
