@@ -6,7 +6,6 @@
 //! the other way round, and never both of these.
 
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -41,8 +40,6 @@ pub struct Outlet {
     pub pairs: Mutex<Pairs>,
     name: Name,
     status: watch::Sender<Status>,
-    /// What frames carried when there was a link last, in bytes.
-    max_payload: AtomicUsize,
     publications: Mutex<HashMap<Topic, Arc<Publication>>>,
     /// There may be key boxes for the RIB, or latched messages for a reader.
     pub upkeep: Notify,
@@ -96,7 +93,6 @@ impl Outlet {
             pairs: Mutex::new(Pairs::new(identity.clone())),
             name: identity.name(),
             status: watch::Sender::new(Status::Down("connecting".into())),
-            max_payload: AtomicUsize::new(max_payload),
             publications: Mutex::default(),
             upkeep: Notify::new(),
             pump: Mutex::default(),
@@ -152,12 +148,17 @@ impl Outlet {
         publication.close(self);
     }
 
-    /// Bytes that a message's frames may carry.
-    pub fn max_payload(&self) -> usize {
-        if let Ok(attachment) = self.sending_on() {
-            self.max_payload.store(attachment.max_payload(), Ordering::Relaxed);
+    /// Bytes that the frames of a topic's messages may carry.
+    pub fn max_payload_of(&self, topic: Topic) -> usize {
+        let of_link = self.sending_on().ok().map(|attachment| attachment.max_payload());
+        let now = self.clock.now();
+        let mut uplink = lock(&self.uplink);
+        if let Some(of_link) = of_link
+            && of_link != uplink.max_payload()
+        {
+            uplink.set_max_payload(now, of_link);
         }
-        self.max_payload.load(Ordering::Relaxed)
+        uplink.max_payload_of(now, topic)
     }
 
     /// Sends what may go now, and leaves the rest to the sending thread.
@@ -244,7 +245,6 @@ impl Outlet {
     fn drain(&self, batch: &mut Batch, batches: usize) -> Option<u64> {
         let attachment = self.sending_on().ok()?;
         let max_payload = attachment.max_payload();
-        self.max_payload.store(max_payload, Ordering::Relaxed);
         for _ in 0..batches {
             let (mut next, mut chores) = (Some(0), Vec::new());
             let mut uplink = lock(&self.uplink);
@@ -327,7 +327,7 @@ impl Outlet {
             Output::Send(_) => unreachable!("frames are sent where they are found"),
             Output::Reseal { topic, message } => {
                 let Some(publication) = of(&topic) else { return };
-                let recut = publication.recut(&message, self.max_payload());
+                let recut = publication.recut(&message, self.max_payload_of(topic));
                 let mut uplink = lock(&self.uplink);
                 match recut {
                     Some(smaller) => uplink.resealed(self.clock.now(), topic, smaller),

@@ -136,7 +136,7 @@ impl Publication {
         sealing.take_key()?;
         let Sealing { writer, ring, segments, latched, pending, .. } = sealing;
         let (first, now) = (writer.next_sequence(), unix_nanos());
-        writer.seal_batch(now, drafts, outlet.max_payload(), segments)?;
+        writer.seal_batch(now, drafts, outlet.max_payload_of(self.topic), segments)?;
         ring.used(drafts.len() as u64, segments.total_bytes() as u64);
         latched.keep(first, now, drafts);
         *pending = Sealed::new(std::mem::take(segments));
@@ -154,7 +154,7 @@ impl Publication {
             sealing.take_key()?;
             let Sealing { writer, ring, segments, latched, pending, .. } = sealing;
             let Some(sample) = latched.next_again() else { return Ok(Pushed::Taken) };
-            writer.seal_batch(unix_nanos(), &[sample.draft()], outlet.max_payload(), segments)?;
+            writer.seal_batch(unix_nanos(), &[sample.draft()], outlet.max_payload_of(self.topic), segments)?;
             ring.used(1, segments.total_bytes() as u64);
             *pending = Sealed::new(std::mem::take(segments));
         }

@@ -301,6 +301,13 @@ impl Outbox {
         queued
     }
 
+    /// Bytes of the frame payload with this segment, if it is here and went.
+    pub fn len_of(&self, position: Position) -> Option<usize> {
+        let entry = &self.entries[self.find(position.sequence)?];
+        let frame = entry.message.frame_of(position);
+        (frame < entry.sent).then(|| entry.message.len(frame))
+    }
+
     /// When the frame with this segment went again, if ever.
     pub fn repeated(&self, position: Position) -> Option<Repeated> {
         let entry = &self.entries[self.find(position.sequence)?];

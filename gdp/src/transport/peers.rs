@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use gdp_wire::Name;
 
+use super::black_hole::Suspicion;
 use super::congestion::{Path, Sample};
 use super::meter::Meter;
 use super::outbox::Outbox;
@@ -61,6 +62,7 @@ pub struct Peer {
     /// When `arrived` last moved.
     progress_at: u64,
     repairs: Meter,
+    pub suspicion: Suspicion,
     /// What was lost before this is dealt with, or says nothing of the path as it is.
     heard_since: u64,
     lost: u64,
@@ -84,6 +86,7 @@ impl Peer {
             arrived: sent,
             progress_at: now,
             repairs: Meter::new(now),
+            suspicion: Suspicion::default(),
             heard_since: now,
             lost: 0,
         }

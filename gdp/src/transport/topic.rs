@@ -2,6 +2,7 @@
 
 use gdp_wire::Name;
 
+use super::black_hole::FrameLimit;
 use super::meter::{Meter, Speed, nanoseconds};
 use super::outbox::{Chosen, History, Outbox, Overflow, Reliability};
 use super::peers::{Peer, Peers, Report, SILENCE_STEP};
@@ -77,6 +78,7 @@ pub struct TopicState {
     heartbeat_interval: u64,
     look_at: u64,
     waiting: Option<Waiting>,
+    limit: FrameLimit,
 }
 
 /// A publisher waits for room.
@@ -117,7 +119,13 @@ impl TopicState {
             heartbeat_interval: FIRST_HEARTBEAT,
             look_at: u64::MAX,
             waiting: None,
+            limit: FrameLimit::default(),
         }
+    }
+
+    /// What frames of this topic may carry, on a link that takes so much.
+    pub fn max_payload(&self, now: u64, of_link: usize) -> usize {
+        of_link.min(self.limit.max_payload(now))
     }
 
     pub fn push(&mut self, now: u64, message: Sealed) -> Result<(), Sealed> {
@@ -239,6 +247,7 @@ impl TopicState {
                 let report =
                     Report { acknowledged: *acknowledged, received_bytes: *received_bytes, ce: *ce, echo, delay };
                 peer.on_report(now, &report, &self.log, &self.outbox, self.sent);
+                echo.and_then(|echo| self.outbox.len_of(echo)).into_iter().for_each(|len| peer.suspicion.came(len));
                 self.leader = None;
                 self.wait(now);
                 (None, self.take_room())
@@ -258,6 +267,13 @@ impl TopicState {
             let queued = self.outbox.ask(range, too_early, |bytes| peer.pay(now, bytes, rate));
             let first = Position { sequence: range.sequence, index: range.first };
             peer.on_lost(queued, self.log.find(first).map_or(0, |sent| sent.at));
+        }
+        if let Some(first) = missing.first() {
+            let position = Position { sequence: first.sequence, index: first.first };
+            let held = self.outbox.len_of(position).is_some();
+            if held && peer.suspicion.asked(now, position, too_early) {
+                self.limit.set(now);
+            }
         }
         let oldest = self.outbox.oldest();
         let gone = missing.first().is_some_and(|range| range.sequence < oldest);
