@@ -5,6 +5,7 @@
 use gdp_wire::Header;
 
 use super::{MS, Position};
+use crate::feedback_wire::Missing;
 use crate::port::SMALLEST_PATH;
 
 /// What every way takes, in bytes of a frame's payload.
@@ -17,6 +18,9 @@ const ASKED: u32 = 5;
 const SMALL_TIME: u64 = 30_000 * MS;
 const LONGEST_SMALL_TIME: u64 = 600_000 * MS;
 
+/// What is not asked for again for so long has come, or was given up.
+const FORGOTTEN: u64 = 3_000 * MS;
+
 /// What one reader asks for again and again.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Suspicion {
@@ -26,13 +30,18 @@ pub struct Suspicion {
 }
 
 impl Suspicion {
-    /// The reader asks for this, the first that it lacks; what was repaired later than `too_early` may still be on its way. True if
-    /// that is once too often.
-    pub fn asked(&mut self, now: u64, missing: Position, too_early: u64) -> bool {
-        if self.missing != Some(missing) {
-            *self = Self { missing: Some(missing), times: 1, last: now };
-        } else if self.last <= too_early {
+    /// The reader asks for these; what was repaired later than `too_early` may still be on its way. True if something is asked for
+    /// once too often.
+    pub fn asked(&mut self, now: u64, missing: &[Missing], too_early: u64) -> bool {
+        let covers = |range: &Missing, at: Position| {
+            range.sequence == at.sequence && range.first <= at.index && range.last().is_none_or(|last| at.index <= last)
+        };
+        let again = self.missing.is_some_and(|at| missing.iter().any(|range| covers(range, at)));
+        if again && self.last <= too_early {
             (self.times, self.last) = (self.times + 1, now);
+        } else if !again && (self.missing.is_none() || now.saturating_sub(self.last) > FORGOTTEN) {
+            let first = missing.first().map(|range| Position { sequence: range.sequence, index: range.first });
+            *self = Self { missing: first, times: 1, last: now };
         }
         let found = self.times >= ASKED;
         if found {
@@ -74,20 +83,22 @@ impl FrameLimit {
 mod tests {
     use super::*;
 
-    const FIRST: Position = Position { sequence: 1, index: 0 };
-
     #[test]
     fn only_what_is_asked_for_in_vain_again_and_again_is_suspicious() {
         let mut suspicion = Suspicion::default();
-        let mut ask = |at: u64, sequence, rtt: u64| {
-            suspicion.asked(at * MS, Position { sequence, ..FIRST }, (at * MS).saturating_sub(rtt * MS))
+        let mut ask = |at: u64, sequences: &[u64], rtt: u64| {
+            let missing: Vec<_> = sequences.iter().map(|sequence| Missing::whole(*sequence)).collect();
+            suspicion.asked(at * MS, &missing, (at * MS).saturating_sub(rtt * MS))
         };
-        assert!((0..100).all(|at| !ask(at, at, 0)), "always another");
-        assert!((100..119).all(|at| !ask(at, 1, 20)), "within a round trip");
-        assert_eq!((12..20).map(|n| ask(n * 10, 1, 5)).position(|found| found), Some(3));
+        assert!((0..100).all(|at| !ask(at, &[at], 0)), "always another");
+        assert!((4000..4019).all(|at| !ask(at, &[1000], 20)), "within a round trip");
+        // It is among others, and not always.
+        let found = (4020..4060).map(|at| ask(at, if at % 2 == 0 { &[1000, 1001] } else { &[1002] }, 5));
+        assert_eq!(found.filter(|found| *found).count(), 1);
+
         let mut suspicion = Suspicion::default();
         for at in 0..100 {
-            assert!(!suspicion.asked(at, FIRST, at));
+            assert!(!suspicion.asked(at, &[Missing::whole(1)], at));
             if at % 3 == 0 {
                 suspicion.came(LEAST_PAYLOAD + 1);
             }

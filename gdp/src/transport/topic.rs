@@ -268,12 +268,8 @@ impl TopicState {
             let first = Position { sequence: range.sequence, index: range.first };
             peer.on_lost(queued, self.log.find(first).map_or(0, |sent| sent.at));
         }
-        if let Some(first) = missing.first() {
-            let position = Position { sequence: first.sequence, index: first.first };
-            let held = self.outbox.len_of(position).is_some();
-            if held && peer.suspicion.asked(now, position, too_early) {
-                self.limit.set(now);
-            }
+        if peer.suspicion.asked(now, missing, too_early) {
+            self.limit.set(now);
         }
         let oldest = self.outbox.oldest();
         let gone = missing.first().is_some_and(|range| range.sequence < oldest);
