@@ -104,6 +104,30 @@ fn a_listener_that_joins_late_gets_what_comes_then() -> Result<()> {
     Ok(())
 }
 
+/// The talker has gone by then: its proxy has the messages.
+#[test]
+fn the_last_messages_of_a_latched_topic_reach_who_comes_later() -> Result<()> {
+    let (transient_local, depth) = (true, 3);
+    let options = FabricOptions { transient_local, depth, ..Default::default() };
+    let mut fabric = Fabric::start(Tools::beside_this_test()?, options)?;
+    fabric.start_robot()?;
+    let traffic = Traffic { count: 10, transient_local, depth, ..Default::default() };
+    let folder = fabric.folder().to_owned();
+    let mut talker = peers::talker(&fabric.tools, fabric.chain.robot(), Vendor::Cyclone, &traffic, &folder)?;
+    wait_for("all messages to be written", PATIENCE, || Ok((sent(&fabric) == traffic.count).then_some(())))?;
+    talker.kill()?;
+    fabric.start_cloud()?;
+    let mut listener = peers::listener(&fabric.tools, fabric.chain.cloud(), Vendor::FastDds, &traffic, &folder)?;
+    let messages = listener
+        .wait_until("the last message", PATIENCE, |p| {
+            Some(peers::received(p)).filter(|all| all.len() >= depth as usize)
+        })
+        .with_context(|| fabric.report())?;
+    let numbers: Vec<i64> = messages.iter().map(|message| message.sequence).collect();
+    ensure!(numbers == [7, 8, 9] && messages.iter().all(|message| message.intact), "{messages:?}");
+    Ok(())
+}
+
 /// What each party has: its own key, the name card, its certificate. Nothing that only writer and readers may know.
 #[test]
 fn parties_share_no_secret_and_the_owners_key_stays_with_the_owner() -> Result<()> {
@@ -153,7 +177,7 @@ fn a_revoked_reader_gets_nothing_of_the_next_epoch_and_the_others_all() -> Resul
     let next = from_robot.receive(PATIENCE, |frame| is_topic(frame) && epoch(frame) != before)?;
     ensure!(epoch(&next) > before, "epoch {} after {before}", epoch(&next));
     let readers = fabric.ctl(0, &["query", &fabric.name])?["records"].clone();
-    let readers: Vec<_> = readers.as_array().into_iter().flatten().filter(|r| r["role"] == "reader").collect();
+    let readers: Vec<_> = readers.as_array().into_iter().flatten().filter(|r| r["role"] == "subscriber").collect();
     ensure!(readers.len() == 1 && readers[0]["entity"] != *cloud, "{revoked}: {readers:?}");
 
     // What was under way is there by the time the guest has read more.
