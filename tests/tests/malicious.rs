@@ -2,9 +2,13 @@
 //! and says what was delivered and what was counted under which reason. `docs/security.md` refers to the tests by their names.
 //! No root: see [`evil`].
 
-#![allow(dead_code)]
-
 mod evil;
+#[path = "malicious/reader.rs"]
+mod reader;
+#[path = "malicious/rib.rs"]
+mod rib;
+#[path = "malicious/switch.rs"]
+mod switch;
 
 use anyhow::Result;
 use gdp::Identity;

@@ -14,10 +14,12 @@
 
 mod owner;
 mod rogue;
+mod scene;
 mod switch;
 
-pub use owner::Owner;
-pub use rogue::Rogue;
+pub use owner::{Owner, serial};
+pub use rogue::{Rogue, frames};
+pub use scene::{Recording, Scene, drops};
 pub use switch::{Frame, Switch};
 
 use std::time::Duration;

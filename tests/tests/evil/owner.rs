@@ -5,8 +5,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Result;
 use gdp::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Reading, Revocation, Signed, issue};
-use gdp::node::{Node, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
-use gdp::{Name, NameCard, SigningKey};
+use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::{Name, NameCard, Node, SigningKey};
 
 /// The owner of one name, and all it gives out.
 pub struct Owner {
@@ -70,12 +70,4 @@ fn now() -> (u64, u64) {
 /// The serial of the first certificate in it.
 pub fn serial(serials: Result<Vec<(&'static str, u64)>, gdp::cert::CertError>) -> Result<u64> {
     Ok(serials?[0].1)
-}
-
-/// What a refusal was for.
-pub fn refusal(error: &anyhow::Error) -> Option<gdp::control::RefusalCode> {
-    match error.downcast_ref() {
-        Some(NodeError::Refused(refusal)) => Some(refusal.code),
-        _ => None,
-    }
 }

@@ -1,13 +1,13 @@
 //! Entities that do what no SDK does.
 
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use gdp::cert::{Advert, RtCert, Signed, issue};
 use gdp::control::{Credential, EntityRequest, NameRole, Peers, Record, Response};
-use gdp::crypto::Backend;
+use gdp::crypto::{self, Backend, TAG_LEN};
 use gdp::keys::{self, KeyBox};
-use gdp::seal::{EpochKey, Limits, Message, Moment, Reader, Received};
+use gdp::seal::{Encoding, EpochKey, Limits, Message, Moment, Reader, Received, Segments, Writer};
 use gdp::{Identity, Name};
 
 use super::{Frame, Owner, Switch};
@@ -23,9 +23,12 @@ pub struct Rogue {
 impl Rogue {
     /// Attached, with a key of its own and no rights.
     pub fn attach(switch: &Switch) -> Result<Self> {
-        let identity = Identity::generate("proxy")?;
+        Self::attach_as(switch, Identity::generate("proxy")?)
+    }
+
+    fn attach_as(switch: &Switch, identity: Identity) -> Result<Self> {
         switch.host(identity.name());
-        let claims = RtCert { entity: identity.name(), switch: switch.name(), not_after: unix_now() + 3600 };
+        let claims = RtCert { entity: identity.name(), switch: switch.name(), not_after: unix().as_secs() + 3600 };
         let rt_cert = issue(identity.key(), &claims)?;
         match switch.ask(Some(&identity.proof()), &EntityRequest::Attach { rt_cert, resumes: false }) {
             Response::Attached { serial } => Ok(Self { identity, serial, boxes: Vec::new() }),
@@ -119,16 +122,93 @@ impl Rogue {
             reader.set_key(&writer.name(), epoch, key)?;
         }
         let mut received = Received::default();
-        let unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let now = Moment { steady_ns: 0, unix_ns: unix.as_nanos() as u64 };
+        let now = Moment { steady_ns: 0, unix_ns: unix().as_nanos() as u64 };
         for frame in frames.iter().filter(|frame| frame.destination == name && frame.source == writer.name()) {
             // What does not open is what the test is about.
             let _ = reader.push(now, frame.source, &frame.payload, &mut received);
         }
         Ok(received.messages)
     }
+
+    /// Attached again, after the RIB or the switch forgot it.
+    pub fn again(&self, switch: &Switch) -> Result<Self> {
+        let mut again = Self::attach_as(switch, self.identity.clone())?;
+        again.serial = self.serial;
+        again.boxes = self.boxes.clone();
+        Ok(again)
+    }
+
+    /// A message that `writer` seals, in frames from `source`.
+    pub fn sealed(&self, writer: &mut Writer, source: Name, body: &[u8], to: Name) -> Result<Vec<Frame>> {
+        let mut segments = Segments::new();
+        writer.seal(unix().as_nanos() as u64, Encoding::Bytes, body, 1000, &mut segments)?;
+        Ok(frames(&segments, writer.name(), source, to))
+    }
+
+    /// A frame with one whole message as it would be with another body and `ahead` messages on: sealed with the key of its
+    /// epoch, which this entity holds, for the session that the frame shows. The signature stays what it was. Made by
+    /// docs/wire-format.md alone, as no SDK does this.
+    pub fn resealed(&self, honest: &Frame, (name, writer): (Name, &Identity), ahead: u64, to: Name) -> Result<Frame> {
+        let (backend, mut rest) = (Backend::default(), &honest.payload[..]);
+        let (session, epoch) = (&honest.payload[16..32], &honest.payload[40..44]);
+        let key = self.epoch_key(name, writer, epoch)?;
+        let of = writer.name();
+        let info: [&[u8]; 3] = [b"gdp/session/1", name.as_bytes(), of.as_bytes()];
+        let aead = backend.aead(&*backend.hkdf_sha256(session, &key, &info)?)?;
+        let mut payload = Vec::new();
+        while let Some((clear, behind)) = rest.split_first_chunk::<44>() {
+            let (sealed, behind) = behind.split_at(u16::from_be_bytes([clear[2], clear[3]]).into());
+            rest = behind;
+            let (ciphertext, tag) = sealed.split_last_chunk::<TAG_LEN>().context("no tag")?;
+            let mut plaintext = vec![0; ciphertext.len()];
+            aead.open(&nonce(clear), clear, ciphertext, tag, &mut plaintext)?;
+            let mut clear = *clear;
+            let mut sequence = [0; 8];
+            sequence[2..].copy_from_slice(&clear[8..14]);
+            clear[8..14].copy_from_slice(&(u64::from_be_bytes(sequence) + ahead).to_be_bytes()[2..]);
+            if clear[1] == 0 {
+                plaintext[16..].fill(b'!');
+            }
+            let tag = aead.seal(&nonce(&clear), &clear, &mut plaintext)?;
+            [&clear[..], &plaintext, &tag].iter().for_each(|part| payload.extend_from_slice(part));
+        }
+        Ok(Frame { payload, to: vec![to], ..honest.clone() })
+    }
+
+    /// The key itself, from the box of this epoch.
+    fn epoch_key(&self, name: Name, writer: &Identity, epoch: &[u8]) -> Result<Vec<u8>> {
+        let of_epoch = |claims: &KeyBox| {
+            (claims.name, claims.writer, claims.reader) == (name, writer.name(), self.name())
+                && claims.epoch.to_be_bytes() == epoch
+        };
+        let mut boxes = self.boxes.iter().filter_map(|signed| signed.claims_unverified().ok());
+        let claims = boxes.find(of_epoch).context("no box of this epoch")?;
+        let der = self.identity.key().pkcs8_der();
+        // RFC 5915: the private key is an octet string of 32 bytes behind the version.
+        let behind = der.windows(5).position(|window| window == [2, 1, 1, 4, 32]).context("not a P-256 key")? + 5;
+        let mut secret = [0; 32];
+        secret.copy_from_slice(&der[behind..behind + 32]);
+        let box_secret = Backend::default().hkdf_sha256(&[], &secret, &[b"gdp/box-key/1", &[0]])?;
+        let names = [name, writer.name(), self.name()].map(|name| *name.as_bytes());
+        let info = [b"gdp/key-box/1", names.as_flattened(), epoch].concat();
+        Ok(crypto::hpke_open(&box_secret, &info, &claims.sealed)?.to_vec())
+    }
 }
 
-fn unix_now() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_secs())
+/// The frames of what was sealed.
+pub fn frames(segments: &Segments, destination: Name, source: Name, to: Name) -> Vec<Frame> {
+    let frame = |payload: &[u8]| Frame { destination, source, flags: 0, payload: payload.to_vec(), to: vec![to] };
+    segments.iter().map(frame).collect()
+}
+
+/// Sequence and cut, then the index.
+fn nonce(clear: &[u8; 44]) -> [u8; 12] {
+    let mut nonce = [0; 12];
+    nonce[..8].copy_from_slice(&clear[8..16]);
+    nonce[8..].copy_from_slice(&clear[4..8]);
+    nonce
+}
+
+fn unix() -> Duration {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
 }
