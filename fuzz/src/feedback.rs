@@ -16,7 +16,7 @@ pub fn feedback(data: &[u8]) {
     feedback.encode(&mut again).expect("what was decoded");
     assert!(again == data && data.len() <= MAX_FEEDBACK);
     let mut sealed = Vec::new();
-    own.sealer().and_then(|mut sealer| Ok(sealer.seal(&feedback, &mut sealed))).expect("randomness").expect("bounded");
+    own.sealer().expect("randomness").seal(&feedback, &mut sealed).expect("what was decoded");
     assert_eq!(opener.open(&sealed), Ok(feedback));
     assert!(opener.open(&sealed).is_err(), "taken twice");
 }

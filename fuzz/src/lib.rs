@@ -8,6 +8,7 @@ mod decide;
 mod feedback;
 mod key_box;
 mod seeds;
+mod segments;
 
 use gdp_tests::frames;
 #[path = "../../gdp-wire/tests/tables/mod.rs"]
@@ -19,13 +20,20 @@ pub use decide::decide;
 pub use feedback::feedback;
 pub use key_box::key_box;
 pub use seeds::seeds;
+pub use segments::segments;
 
 /// What is fuzzed: a function that panics at what must not be.
 pub type Target = fn(&[u8]);
 
 /// All targets, by the names of their executables and corpora.
-pub const TARGETS: [(&str, Target); 5] =
-    [("decide", decide), ("control", control), ("cert", cert), ("feedback", feedback), ("key_box", key_box)];
+pub const TARGETS: [(&str, Target); 6] = [
+    ("decide", decide),
+    ("control", control),
+    ("cert", cert),
+    ("feedback", feedback),
+    ("key_box", key_box),
+    ("segments", segments),
+];
 
 /// Names the folder that [`write_seeds`] writes to.
 pub const SEED_FOLDER: &str = "GDP_FUZZ_SEEDS";

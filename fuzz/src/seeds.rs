@@ -6,10 +6,11 @@ use gdp::cert::{
     Revocation, RtCert, Signed, issue,
 };
 use gdp::control::{
-    Credential, EntityRequest, Extent, FibPush, Record, Refusal, RefusalCode, Request, Response, Route, WritersPush,
-    encode,
+    Credential, EntityRequest, Extent, FibPush, NameRole, Peers, PeersExtent, PeersPush, Record, Refusal, RefusalCode,
+    Request, Response, Route, encode,
 };
 use gdp::feedback_wire::{Feedback, Missing};
+use gdp::keys::KeyBox;
 use gdp::{Identity, NameCard, SigningKey};
 use gdp_wire::{Counter, Name};
 use serde::Serialize;
@@ -28,6 +29,7 @@ pub fn seeds(target: &str) -> Seeds {
         "cert" => Papers::new().certificates(),
         "feedback" => feedback(),
         "key_box" => key_box::seeds(),
+        "segments" => payloads(),
         _ => Vec::new(),
     }
 }
@@ -55,6 +57,7 @@ fn feedback() -> Seeds {
                 name,
                 session,
                 highest,
+                acknowledged: 6,
                 received_segments,
                 received_bytes,
                 ce,
@@ -64,6 +67,7 @@ fn feedback() -> Seeds {
             },
         ),
         ("nack", Feedback::Nack { name, session, missing: vec![Missing::whole(4), Missing::whole(6)] }),
+        ("gone", Feedback::Gone { name, session, oldest: 5 }),
     ];
     let encode = |feedback: &Feedback| {
         let mut bytes = Vec::new();
@@ -71,6 +75,53 @@ fn feedback() -> Seeds {
         bytes
     };
     seeds.iter().map(|(name, feedback)| ((*name).to_owned(), encode(feedback))).collect()
+}
+
+/// What goes well between a writer and a reader, and what another reader may try.
+fn payloads() -> Seeds {
+    use crate::segments::{ARRIVE, EPOCHS, INSIDER, PAYLOAD, TIME, VOUCH, WRITER};
+    let step = |kind: u8, bytes: &[u8]| [&[kind][..], &(bytes.len() as u16).to_be_bytes(), bytes].concat();
+    let send = |what: u8, size: u8, length: usize| step(WRITER, &[&[what, size][..], &vec![what; length]].concat());
+    let arrive = |which: u8| step(ARRIVE, &[which, 0]);
+    // The header of a body segment that is a whole message, in the writer's session.
+    let header = |flags: u8, plaintext: u16, index: u32, count: u32, size: u32| {
+        let mut header = vec![2, flags];
+        header.extend((plaintext + 16).to_be_bytes());
+        header.extend(index.to_be_bytes());
+        header.extend([0, 0, 0, 0, 0, 1, 0, 0]);
+        header.extend([0; 16]);
+        [count, size, 1].iter().for_each(|word| header.extend(word.to_be_bytes()));
+        [header, vec![0; plaintext.into()]].concat()
+    };
+    let (body, proof) = (header(0, 20, 0, 1, 20), header(1, 68, 1, 1, 20));
+    [
+        ("a message in one frame", vec![send(255, 255, 100), arrive(0)]),
+        ("a batch", vec![send(7, 255, 200), arrive(0), arrive(0)]),
+        (
+            "a large message",
+            vec![send(255, 10, 1000), arrive(3), arrive(2), arrive(0), arrive(0), arrive(0), arrive(0)],
+        ),
+        ("two cuts", vec![send(255, 40, 700), send(1, 10, 0), arrive(0), arrive(3), arrive(2), arrive(1), arrive(0)]),
+        ("a heartbeat", vec![send(255, 255, 9), step(WRITER, &[0, 0]), arrive(1), arrive(0)]),
+        ("another epoch", vec![step(EPOCHS, &[1]), send(255, 255, 100), arrive(0), step(EPOCHS, &[4]), arrive(0)]),
+        ("too late", vec![send(255, 10, 1000), arrive(0), step(TIME, &[255, 255]), arrive(0)]),
+        ("damage", vec![send(255, 255, 100), step(ARRIVE, &[0, 1, 0, 60, 4]), arrive(0)]),
+        ("another session", vec![step(VOUCH, &[5; 20]), send(255, 255, 100), arrive(0)]),
+        ("a forged message", vec![step(INSIDER, &[&body[..], &proof].concat()), send(255, 255, 100), arrive(0)]),
+        ("a forged proof first", vec![step(INSIDER, &proof), step(INSIDER, &body)]),
+        ("half a large message", vec![step(INSIDER, &header(0, 20, 1, 100, 20))]),
+        (
+            "a forged heartbeat",
+            vec![step(INSIDER, &{
+                let mut heartbeat = header(2, 80, 7, 0, 0);
+                heartbeat[14..16].fill(255);
+                heartbeat
+            })],
+        ),
+        ("what nobody sealed", vec![step(PAYLOAD, &[&body[..], &[0; 16]].concat())]),
+    ]
+    .map(|(name, steps)| (name.to_owned(), steps.concat()))
+    .to_vec()
 }
 
 /// One of each.
@@ -163,7 +214,17 @@ impl Papers {
             set: vec![route],
             remove: vec![name],
         };
-        let neighbours = vec![(switch, 3)];
+        let key = KeyBox { name, writer: entity, reader: entity, epoch: 5, sealed: vec![0; 113] };
+        let peers = Peers {
+            run: 1,
+            generation: 7,
+            extent: PeersExtent::Whole { part: 0, last: false },
+            records: vec![record.clone()],
+            gone: vec![entity],
+            revocation: Some(self.revocation.clone()),
+            boxes: vec![issue(self.robot.key(), &key).expect("a box")],
+        };
+        let (neighbours, role) = (vec![(switch, 3)], NameRole::Subscriber);
         let from_entity = Request::Entity;
         vec![
             seed("attach", &from_entity(EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: true })),
@@ -182,7 +243,9 @@ impl Papers {
             seed("detach", &Request::Detach { switch, entity }),
             seed("ready", &Request::Ready),
             seed("fib push", &Request::Fib(push)),
-            seed("writers", &Request::Writers(WritersPush { switch, entity, name, records: vec![record.clone()] })),
+            seed("key boxes", &from_entity(EntityRequest::KeyBoxes { boxes: peers.boxes.clone() })),
+            seed("peers push", &Request::Peers(PeersPush { switch, entity, name, role, peers: peers.clone() })),
+            seed("peers", &Response::Peers(peers)),
             seed("ratcheted", &Request::Ratcheted { generation: u64::MAX }),
             seed("done", &Response::Done),
             seed("attached", &Response::Attached { serial: 9 }),

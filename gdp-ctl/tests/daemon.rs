@@ -31,7 +31,8 @@ async fn two_applications_meet_at_one_switch() {
     let mut subscription = papers.subscribe(&reader).await;
     let writer = papers.writer(at).await;
     let mut publisher = papers.publish(&writer).await;
-    wait("a route", async || fib_names(&switch).await == 1).await;
+    // Of the name, and of both their inboxes.
+    wait("the routes", async || fib_names(&switch).await == 3).await;
     for i in 0..20u32 {
         publisher.send(Encoding::Bytes, &i.to_be_bytes()).await.unwrap();
         let message = next(&mut subscription).await;
@@ -109,7 +110,8 @@ async fn a_name_for_which_the_fib_has_no_room_is_refused_until_there_is_some() {
     let chain = Chain::new(folder.path());
     let switches = [
         start(chain.config(0)).await.unwrap(),
-        start(Config { fib_capacity: 1, ..chain.config(1) }).await.unwrap(),
+        // One name, the inbox of its writer here and that of its reader.
+        start(Config { fib_capacity: 3, ..chain.config(1) }).await.unwrap(),
         start(chain.config(2)).await.unwrap(),
     ];
     let (first, second) = (Papers::new(), Papers::new());
@@ -121,7 +123,7 @@ async fn a_name_for_which_the_fib_has_no_room_is_refused_until_there_is_some() {
     let mut subscription = second.subscribe(&nodes[1].0).await;
     let publisher = first.publish(&nodes[0].1).await;
     let error = second.try_publish(&nodes[1].1).await.err().expect("a refusal").to_string();
-    assert!(error.contains("the FIB is full (1 names)") && error.contains("fib_capacity"), "{error}");
+    assert!(error.contains("the FIB is full (3 names)") && error.contains("fib_capacity"), "{error}");
     assert!(error.contains(&chain.names[1].to_string()), "says where: {error}");
     wait("the refused name to be gone", async || switches[2].status().await["rib"]["names"] == 2).await;
     assert_eq!(switches[1].status().await["errors"], serde_json::json!([]));
@@ -158,7 +160,7 @@ async fn a_certificate_until_the_end_of_time_does_not_stop_the_clock() {
     let advert = issue(papers.robot.key(), &says).unwrap();
     let request = EntityRequest::Advertise { proof: card.proof(), ad_cert: papers.ad_cert(), advert };
     let done = link.request(&Request::Entity(request)).await.unwrap();
-    assert!(matches!(done, Response::Done), "{done:?}");
+    assert!(matches!(done, Response::Peers(_)), "{done:?}");
     assert_eq!(switch.status().await["rib"]["names"], 1);
     wait("the name to end by itself", async || switch.status().await["rib"]["names"] == 0).await;
 }

@@ -290,11 +290,13 @@ pub enum Extent {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Route {
     pub name: Name,
-    /// Egress switches that want the name; for switches with a writer of it. 0 elsewhere.
+    /// Egress switches that want the name; for switches with somebody who sends to it. 0 elsewhere.
     pub egress_bits: u64,
-    /// The local endpoints that take the name, at their egress switch; as many as a switch has links, at most.
+    /// The local endpoints that take the name, at their egress switch; as many as a switch has links, at most. An entity takes
+    /// its own.
     pub locals: Vec<Name>,
-    /// The local endpoints that may send to the name: those that publish it through this switch.
+    /// The local endpoints that may send to the name: those that publish or call it through this switch; to the name of an
+    /// entity, its counterparts.
     pub writers: Vec<Name>,
 }
 

@@ -12,39 +12,49 @@
 //! What the switch and its RIB say is verified here again before it is believed: who may write a name follows from
 //! certificates of the name's owner alone.
 
+mod clock;
 mod counters;
 mod feedback;
 mod frame_size;
+mod greeting;
 mod held;
 mod intake;
 mod options;
+mod outlet;
+mod pairs;
+mod publication;
 mod publisher;
+mod reading;
 mod receiver;
 mod shared_entry;
 mod state;
 mod subscription;
 mod supervisor;
 mod target;
+mod told;
 
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use gdp_wire::Name;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
+use self::clock::unix_now;
 use self::intake::Intake;
+use self::publication::Publication;
+use self::reading::Reading;
 use self::receiver::{Command, Receiver};
-use self::state::{State, Statement, lock, unix_now};
+use self::state::{State, Statement, lock};
 use self::supervisor::Supervisor;
-use crate::cert::{AdCert, CertError, Issued, Reading};
+use crate::cert::{AdCert, CertError, Issued, Reading as Grant};
 use crate::control::{NameRole, Record, RecordPlace, Refusal};
-use crate::crypto::Backend;
 use crate::identity::Identity;
+use crate::keys::RingError;
 use crate::link::{LinkError, RekeySchedule};
 use crate::name::{NamePrefix, NameProof};
 use crate::port::LinkAddr;
-use crate::seal::{EpochKey, Reader, SealError, Writer};
+use crate::seal::SealError;
 
 pub use counters::NodeCounters;
 pub use feedback::{Feedback, FrameError};
@@ -53,14 +63,6 @@ pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOpti
 pub use publisher::Publisher;
 pub use subscription::Subscription;
 pub use target::{LinkTarget, LinkTargetError};
-
-/// All writers of a name seal with the one key that they were given, for good.
-const EPOCH: u32 = 0;
-
-/// Until writers wrap keys to their readers.
-pub(crate) fn name_key(name: &Name) -> EpochKey {
-    EpochKey::from_bytes(name.to_bytes())
-}
 
 /// How a node finds its switch.
 #[derive(Clone, Debug)]
@@ -73,13 +75,15 @@ pub struct NodeConfig {
     pub connect_timeout: Duration,
     /// When the keys of data frames are replaced.
     pub rekey: RekeySchedule,
+    /// Bytes a second that its topics send at most, of frames with their header; `None`: what the ways to their readers take.
+    pub budget: Option<u64>,
 }
 
 impl NodeConfig {
     /// Any switch at `link`, waited for 10 s.
     pub fn new(identity: Identity, link: LinkTarget) -> Self {
         let (connect_timeout, rekey) = (Duration::from_secs(10), RekeySchedule::default());
-        Self { identity, link, switch: None, connect_timeout, rekey }
+        Self { identity, link, switch: None, connect_timeout, rekey, budget: None }
     }
 }
 
@@ -106,8 +110,8 @@ pub enum NodeError {
     Detached(String),
     #[error("{name:#} is {stated} by this node already; share the handle")]
     Already { name: Name, stated: Stated },
-    #[error("{lost} of the message's {of} frames found no room in the kernel's queue; send less at a time")]
-    NoRoom { lost: usize, of: usize },
+    #[error(transparent)]
+    Keys(#[from] RingError),
     #[error("the switch answered another question: {0}")]
     Protocol(&'static str),
     #[error("the node is closed")]
@@ -155,20 +159,15 @@ impl Node {
     pub async fn connect(config: NodeConfig) -> Result<Self, NodeError> {
         let (commands, command_queue) = std::sync::mpsc::channel();
         let (events, event_queue) = mpsc::unbounded_channel();
-        let state = Arc::new(State::new(config.identity, commands, events.clone()));
-        let receiver = Receiver {
-            commands: command_queue,
-            events,
-            counters: state.counters.clone(),
-            feedback: state.feedback.clone(),
-        };
-        std::thread::Builder::new()
-            .name("gdp-receive".into())
-            .spawn(move || receiver.run())
-            .map_err(|source| LinkError::Io { what: "receiving thread".into(), source })?;
+        let state = Arc::new(State::new(config.identity, config.budget, commands, events));
+        let (outlet, feedback) = (state.outlet.clone(), state.feedback.clone());
+        let receiver = Receiver { commands: command_queue, outlet, feedback };
+        spawn("gdp-receive", move || receiver.run())?;
 
         let mut supervisor = Supervisor::new(state.clone(), config.link, config.switch, config.rekey);
         let first = supervisor.connect(config.connect_timeout).await?;
+        let outlet = state.outlet.clone();
+        spawn("gdp-send", move || outlet.pump())?;
         let stop = watch::Sender::new(false);
         let task = tokio::spawn(supervisor.run(first, event_queue, stop.subscribe()));
         Ok(Self(Arc::new(Handle { state, stop, supervisor: Mutex::new(Some(task)) })))
@@ -179,7 +178,7 @@ impl Node {
         &self,
         proof: NameProof,
         ad_cert: Issued<AdCert>,
-        _options: PublishOptions,
+        options: PublishOptions,
     ) -> Result<Publisher, NodeError> {
         let state = &self.0.state;
         let (claims, entity) = (ad_cert.verify(&proof, None, unix_now())?, state.identity.name());
@@ -187,13 +186,23 @@ impl Node {
             return Err(CertError::WrongEntity { expected: entity, got: claims.entity }.into());
         }
         let name = claims.name;
-        let mut writer = Writer::new(name, entity, state.identity.key().clone(), Backend::default())?;
-        writer.set_epoch(EPOCH, &name_key(&name))?;
         state.begin(name, Stated::Published, Statement::Publish { proof, ad_cert })?;
-        let publisher = Publisher::new(self.0.clone(), name, writer, state.feedback.of(name));
+        let publication = match Publication::new(name, &state.identity, &options, &state.outlet) {
+            Ok(publication) => Arc::new(publication),
+            Err(error) => {
+                state.withdraw(name, Stated::Published);
+                return Err(error);
+            }
+        };
+        state.outlet.open(publication.clone());
+        lock(&state.publications).insert(name, publication.clone());
+        state.command(Command::Publish { publication: publication.clone() });
         // From here on, dropping the publisher ends the statement.
+        let publisher = Publisher::new(self.0.clone(), publication.clone(), state.feedback.of(name));
         let attachment = state.attached().await?;
         state.state(&attachment, name, Stated::Published).await?;
+        // So that readers which are there have the key before the first message.
+        state.store_boxes(&attachment, &publication).await;
         Ok(publisher)
     }
 
@@ -201,19 +210,19 @@ impl Node {
     pub async fn subscribe(
         &self,
         proof: NameProof,
-        grant: Reading,
+        grant: Grant,
         options: SubscribeOptions,
     ) -> Result<Subscription, NodeError> {
         let state = &self.0.state;
         let name = grant.verify(&proof, state.identity.name(), None, unix_now())?.name;
         state.begin(name, Stated::Subscribed, Statement::Subscribe { proof, grant })?;
         let (sender, queue) = mpsc::channel(options.queue.max(1));
-        let mut reader = Reader::new(name, Backend::default(), options.limits);
-        reader.vouch_on_sight();
-        let queued_bytes = Arc::default();
-        let intake = Intake::new(reader, &name_key(&name), sender, Arc::clone(&queued_bytes), options.queue_bytes);
+        let (shared, ended) = (Arc::<intake::Shared>::default(), Arc::<OnceLock<CertError>>::default());
+        lock(&state.readings).insert(name, Reading::new(name, &state.identity));
+        lock(&state.subscriptions).insert(name, ended.clone());
+        let intake = Intake::new(name, options, sender, shared.clone());
         state.command(Command::Subscribe { name, intake: Box::new(intake) });
-        let subscription = Subscription::new(self.0.clone(), name, queue, queued_bytes);
+        let subscription = Subscription::new(self.0.clone(), name, queue, shared, ended);
         let attachment = state.attached().await?;
         state.state(&attachment, name, Stated::Subscribed).await?;
         Ok(subscription)
@@ -252,7 +261,7 @@ impl Node {
     /// What became of frames and messages so far.
     pub fn counters(&self) -> NodeCounters {
         let state = &self.0.state;
-        let socket_drops = state.sending_on().map_or(0, |attachment| attachment.data.receive_drops());
+        let socket_drops = state.outlet.sending_on().map_or(0, |attachment| attachment.data.receive_drops());
         state.counters.snapshot(socket_drops)
     }
 
@@ -270,6 +279,11 @@ impl Drop for Handle {
     fn drop(&mut self) {
         self.stop.send_replace(true);
     }
+}
+
+fn spawn(name: &str, run: impl FnOnce() + Send + 'static) -> Result<(), LinkError> {
+    let spawned = std::thread::Builder::new().name(name.into()).spawn(run);
+    spawned.map(drop).map_err(|source| LinkError::Io { what: format!("thread {name}"), source })
 }
 
 #[cfg(test)]

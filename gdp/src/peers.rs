@@ -31,6 +31,13 @@ pub struct Counterpart {
     serials: Vec<(&'static str, u64)>,
 }
 
+impl Counterpart {
+    /// Whether its right holds under this revocation of the name.
+    pub fn holds(&self, revocation: &Revocation) -> bool {
+        self.serials.iter().all(|(what, serial)| revocation.check(what, *serial).is_ok())
+    }
+}
+
 /// What changes for the entity.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PeerEvent {
@@ -40,6 +47,8 @@ pub enum PeerEvent {
     Left(Name),
     /// The owner has revoked something. It may be the entity's own right.
     Revoked(Revocation),
+    /// The RIB does not know this revocation, as after it has lost its memory: give it to it, so that it enforces it again.
+    RibIsBehind(Signed<Revocation>),
     /// From a counterpart to the entity; to be verified by who opens it.
     KeyBox(Signed<KeyBox>),
     /// The RIB told something that does not verify.
@@ -60,7 +69,7 @@ pub struct Counterparts {
     name: Name,
     proof: NameProof,
     role: NameRole,
-    revocation: Option<Revocation>,
+    revocation: Option<(Signed<Revocation>, Revocation)>,
     known: BTreeMap<Name, Counterpart>,
     /// Run and generation of what came last.
     told: Option<(u64, u64)>,
@@ -85,19 +94,27 @@ impl Counterparts {
 
     /// The newest that came by.
     pub fn revocation(&self) -> Option<&Revocation> {
-        self.revocation.as_ref()
+        self.revocation.as_ref().map(|(_, claims)| claims)
+    }
+
+    /// How the name is derived.
+    pub fn proof(&self) -> &NameProof {
+        &self.proof
     }
 
     /// Takes what the RIB told at `now` (Unix seconds): in its answer, or pushed.
     pub fn take(&mut self, now: u64, peers: &Peers) -> Result<Vec<PeerEvent>, OutOfStep> {
         self.check_order(peers).ok_or(OutOfStep { run: peers.run, got: peers.generation })?;
         self.told = Some((peers.run, peers.generation));
-        if let PeersExtent::Whole { part: 0, .. } = peers.extent {
+        let begins = matches!(peers.extent, PeersExtent::Whole { part: 0, .. });
+        if begins {
             self.whole = Some((0, BTreeSet::new()));
         }
         let mut events = Vec::new();
-        if let Some(signed) = &peers.revocation {
-            self.revoke(now, signed, &mut events);
+        match (&peers.revocation, &self.revocation) {
+            (Some(signed), _) => self.revoke(now, signed, &mut events),
+            (None, Some((held, _))) if begins => events.push(PeerEvent::RibIsBehind(held.clone())),
+            (None, _) => {}
         }
         for record in &peers.records {
             match self.believe(now, record) {
@@ -140,7 +157,7 @@ impl Counterparts {
         if record.name != self.name {
             return Err(CertError::WrongName { expected: self.name, got: record.name });
         }
-        let verified = record.verify(self.revocation.as_ref(), now)?;
+        let verified = record.verify(self.revocation(), now)?;
         let role = self.role.counterpart();
         if verified.advert.op != role.op() {
             return Err(CertError::Malformed(format!("a statement to {} is not of a {role}", verified.advert.op)));
@@ -170,22 +187,25 @@ impl Counterparts {
 
     fn revoke(&mut self, now: u64, signed: &Signed<Revocation>, events: &mut Vec<PeerEvent>) {
         let verified = self.proof.verify_key().map_err(CertError::from).and_then(|key| signed.verify(&key, now));
-        let verified = verified.and_then(|claims| {
-            if claims.name != self.name {
-                return Err(CertError::WrongName { expected: self.name, got: claims.name });
-            }
-            claims.check_replaces(self.revocation.as_ref()).map(|()| claims)
+        let verified = verified.and_then(|claims| match claims.name == self.name {
+            true => Ok(claims),
+            false => Err(CertError::WrongName { expected: self.name, got: claims.name }),
         });
         let claims = match verified {
             Ok(claims) => claims,
             Err(error) => return events.push(PeerEvent::Refused(error)),
         };
-        if self.revocation.as_ref() == Some(&claims) {
-            return;
+        if let Some((newest, held)) = &self.revocation {
+            if *held == claims {
+                return;
+            }
+            if let Err(error) = claims.check_replaces(Some(held)) {
+                events.push(PeerEvent::Refused(error));
+                return events.push(PeerEvent::RibIsBehind(newest.clone()));
+            }
         }
-        let holds = |c: &Counterpart| c.serials.iter().all(|(what, serial)| claims.check(what, *serial).is_ok());
-        let gone: Vec<Name> = self.known().filter(|counterpart| !holds(counterpart)).map(|c| c.entity).collect();
-        self.revocation = Some(claims.clone());
+        let gone: Vec<Name> = self.known().filter(|c| !c.holds(&claims)).map(|c| c.entity).collect();
+        self.revocation = Some((signed.clone(), claims.clone()));
         events.push(PeerEvent::Revoked(claims));
         self.leave(&gone, events);
     }

@@ -5,12 +5,18 @@
 //! a [`Link`] once the peer's name is proven.
 
 mod addr;
+mod batch;
+mod control;
 mod data;
 mod discover;
 mod ethernet;
 mod host;
+mod send;
+mod strays;
 mod sys;
 mod udp;
+#[cfg(test)]
+mod udp_tests;
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
@@ -30,7 +36,8 @@ use crate::link::{
 };
 
 pub use addr::{DisplayMac, LinkAddr, parse_mac};
-pub use data::{BATCH, DataSocket, OutFrame, RecvBatch, Sent};
+pub use batch::{BATCH, InFrame, OutFrame, RecvBatch, Sent};
+pub use data::DataSocket;
 pub use ethernet::{Interface, Vlan};
 pub(crate) use host::CurrentPair;
 pub use host::HostPair;

@@ -61,7 +61,7 @@ fn frames_cost_no_allocation() {
     assert!(sealing <= 4, "sealing {} frames: {sealing} allocations", segments.len());
     assert!(opening <= 10, "opening {} frames: {opening} allocations", segments.len());
 
-    // Small messages have nothing but their bytes.
+    // Small messages have their bytes, and those whose proof is in the next frame some bookkeeping.
     let batch = [Draft::new(Encoding::Bytes, &body[..64]); 256];
     writer.seal_batch(0, &batch, 1400, &mut segments).unwrap();
     push(&mut reader, entity.name(), &segments, &mut received);

@@ -62,7 +62,7 @@ fn a_killed_publisher_is_forgotten_everywhere_and_welcome_again() -> Result<()> 
     let writers = |fabric: &Fabric| -> Result<usize> {
         let answer = fabric.ctl(last, &["query", &name])?;
         let records = answer["records"].as_array().into_iter().flatten();
-        Ok(records.filter(|record| record["role"] == "writer").count())
+        Ok(records.filter(|record| record["role"] == "publisher").count())
     };
     ensure!(writers(&fabric)? == 1);
     let mut robot = fabric.robot.take().expect("started");

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
 use gdp::link::Link;
-use gdp::port::{OutFrame, Port, PortConfig, RecvBatch};
+use gdp::port::{InFrame, OutFrame, Port, PortConfig, RecvBatch};
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
@@ -242,7 +242,7 @@ impl Stranger {
         } else {
             return Ok(Vec::new());
         }
-        let headers = self.received.frames().map(|(frame, _)| {
+        let headers = self.received.frames().map(|InFrame { bytes: frame, .. }| {
             let (header, _) = Header::read_from_prefix(frame).map_err(|_| anyhow::anyhow!("{frame:02x?}"))?;
             match forward::accept(&header, frame.len(), &entry, &*self.window) {
                 Ok(_) => Ok(header),

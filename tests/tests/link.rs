@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use gdp::Identity;
 use gdp::link::{Link, LinkError, LinkIds, Role};
-use gdp::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
+use gdp::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
 use gdp_tests::netns::{End, Namespace, veth};
 use gdp_wire::{Header, forward, replay};
 use zerocopy::{FromBytes, IntoBytes};
@@ -61,8 +61,8 @@ async fn what_is_not_for_this_station_is_not_received() -> Result<()> {
     let mut batch = RecvBatch::new(1500);
     assert!(switch.data().wait_readable(Duration::from_secs(5))?);
     assert_eq!(switch.data().try_recv_batch(&mut batch)?, 1);
-    let (data, from) = batch.frames().next().context("one frame")?;
-    assert_eq!(data, [0x10; 60]);
+    let InFrame { bytes, from, .. } = batch.frames().next().context("one frame")?;
+    assert_eq!(bytes, [0x10; 60]);
     assert!(matches!(from, LinkAddr::Ethernet { mac: [2, 0, 0, 0, 0, 1], .. }), "{from}");
     Ok(())
 }
@@ -162,9 +162,9 @@ fn exchange(from: &Port, out: &Link, to: &Port, input: &Link, payload: &[u8], co
         assert!(Instant::now() < deadline, "{received} of {count} frames");
         to.data().wait_readable(Duration::from_millis(100)).expect("a socket");
         to.data().try_recv_batch(&mut batch).expect("a socket");
-        for (frame, _) in batch.frames() {
-            let (header, rest) = Header::ref_from_prefix(frame).expect("a header");
-            assert_eq!(forward::accept(header, frame.len(), &ingress, &window), Ok(gdp_wire::FrameType::Data));
+        for InFrame { bytes: frame, .. } in batch.frames() {
+            let (header, rest) = Header::read_from_prefix(frame).expect("a header");
+            assert_eq!(forward::accept(&header, frame.len(), &ingress, &window), Ok(gdp_wire::FrameType::Data));
             assert_eq!((header.link_counter(), &rest[..payload.len()]), (received, payload));
             received += 1;
         }

@@ -19,11 +19,13 @@ use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
 use gdp_ctl::serve::{Running, start};
 use gdp_tests::Tools;
 use gdp_tests::chain::{Chain, ChainOptions};
-use gdp_tests::netns::Namespace;
 use gdp_tests::packet::is_gdp_data;
 use gdp_wire::Name;
 use serde_json::Value;
-use tokio::runtime::Runtime;
+
+use inside::{Inside, ROOT};
+
+mod inside;
 
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -89,8 +91,8 @@ impl Scene {
                 bpffs: None,
                 rekey: OFTEN,
             };
-            let inside = Inside::new(&chain.switches()[i])?;
-            let running = inside.run(async { Ok(start(config).await?) })?;
+            let inside = Inside::new(&chain.switches()[i], ROOT)?;
+            let running = inside.run(start(config))??;
             switches.push((running, inside));
         }
         let mut nodes = Vec::new();
@@ -99,8 +101,8 @@ impl Scene {
         {
             let mut config = NodeConfig::new(identity.clone(), format!("eth://{interface}").parse()?);
             (config.rekey, config.connect_timeout) = (OFTEN, PATIENCE);
-            let inside = Inside::new(namespace)?;
-            let node = inside.run(async { Ok(Node::connect(config).await?) })?;
+            let inside = Inside::new(namespace, ROOT)?;
+            let node = inside.run(Node::connect(config))??;
             nodes.push((node, inside));
         }
         let there = Way::open(&nodes[0], &nodes[1])?;
@@ -134,18 +136,19 @@ impl Scene {
         let deadline = Instant::now() + PATIENCE;
         let mut refused = 0;
         while refused < 20 {
-            ensure!(Instant::now() < deadline, "{refused} of 20 recorded frames were refused: {}", self.status(1)?);
-            refused = self.status(1)?["counters_by_plane"]["drop_bad_tag"][plane].as_u64().unwrap_or(0);
+            ensure!(Instant::now() < deadline, "{refused} of 20 recorded frames were refused: {}", self.status(1));
+            refused = self.status(1)["counters_by_plane"]["drop_bad_tag"][plane].as_u64().unwrap_or(0);
         }
         ensure!(refused == 20, "{refused}");
-        self.end()
+        self.end();
+        Ok(())
     }
 
     /// How often that key was replaced for which it was least often.
     fn fewest_changes(&self) -> Result<u64> {
         let mut fewest = u64::MAX;
         for i in 0..2 {
-            let status = self.status(i)?;
+            let status = self.status(i);
             let links = status["links"].as_array().context("links")?;
             ensure!(links.len() == 2, "{status}");
             for way in ["rx", "tx"] {
@@ -158,7 +161,7 @@ impl Scene {
 
     fn nothing_was_lost(&self, messages: u64) -> Result<()> {
         for i in 0..2 {
-            let status = self.status(i)?;
+            let status = self.status(i);
             let counters = status["counters"].as_object().context("counters")?;
             let dropped = counters.iter().filter(|(name, count)| name.starts_with("drop_") && **count != 0).count();
             ensure!(dropped == 0, "{status}");
@@ -172,25 +175,19 @@ impl Scene {
         Ok(())
     }
 
-    fn status(&self, i: usize) -> Result<Value> {
+    fn status(&self, i: usize) -> Value {
         let (running, inside) = &self.switches[i];
-        inside.run(async { Ok(running.status().await) })
+        inside.runtime.block_on(running.status())
     }
 
-    fn end(self) -> Result<()> {
+    fn end(self) {
         drop((self.there, self.back));
         for (node, inside) in self.nodes {
-            inside.run(async {
-                node.close().await;
-                Ok(())
-            })?;
+            inside.runtime.block_on(node.close());
         }
-        self.switches.into_iter().try_for_each(|(running, inside)| {
-            inside.run(async {
-                running.stop().await;
-                Ok(())
-            })
-        })
+        for (running, inside) in self.switches {
+            inside.runtime.block_on(running.stop());
+        }
     }
 }
 
@@ -207,8 +204,8 @@ impl Way {
         let cert = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial, not_before, not_after };
         let cert = issue(&owner, &cert)?.into();
         let options = SubscribeOptions::default();
-        let subscription = at_reader.run(async { Ok(reader.subscribe(card.proof(), grant, &key, options).await?) })?;
-        let publisher = at_writer.run(async { Ok(writer.publish(card.proof(), cert, &key).await?) })?;
+        let subscription = at_reader.runtime.block_on(reader.subscribe(card.proof(), grant, &key, options))?;
+        let publisher = at_writer.runtime.block_on(writer.publish(card.proof(), cert, &key))?;
         Ok(Self { publisher, subscription })
     }
 
@@ -216,7 +213,7 @@ impl Way {
     fn cross(&mut self, number: u32, inside: &Inside) -> Result<()> {
         let mut body = vec![7; BODY];
         body[..4].copy_from_slice(&number.to_be_bytes());
-        inside.run(async {
+        inside.runtime.block_on(async {
             self.publisher.send(Encoding::Bytes, &body).await?;
             let received = tokio::time::timeout(PATIENCE, self.subscription.recv()).await;
             let message =
@@ -224,24 +221,5 @@ impl Way {
             ensure!(message.body[..] == body[..], "another message");
             Ok(())
         })
-    }
-}
-
-/// A runtime whose threads are in a namespace.
-struct Inside {
-    runtime: Runtime,
-    door: gdp_tests::netns::Door,
-}
-
-impl Inside {
-    fn new(namespace: &Namespace) -> Result<Self> {
-        let _inside = namespace.enter()?;
-        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
-        Ok(Self { runtime, door: namespace.door()? })
-    }
-
-    fn run<T>(&self, task: impl Future<Output = Result<T>>) -> Result<T> {
-        let _inside = self.door.enter()?;
-        self.runtime.block_on(task)
     }
 }

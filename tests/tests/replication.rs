@@ -20,7 +20,7 @@ use gdp_wire::table::{MAX_COPIED_FRAME, MAX_COPIES};
 use gdp_wire::{Counter, LinkEntry, Name};
 
 use serde_json::{Value, json};
-use star::{Far, Leaf, OWN_BIT, SOON, Star, Switch, WRITER, check_copy, readers, xdp};
+use star::{Far, Leaf, OWN_BIT, Plane, SOON, Star, Switch, WRITER, check_copy, readers, xdp};
 
 const TOPIC: Name = Name::from_bytes([0xd0; 32]);
 const OTHER: Name = Name::from_bytes([0xe0; 32]);
@@ -423,12 +423,6 @@ fn onto(leaves: &[Leaf], bits: u64) -> Expected {
 /// The number that [`Far::next_frame`] gave a frame.
 fn number(frame: &[u8]) -> u64 {
     frame[110..118].iter().fold(0, |number, byte| number << 8 | u64::from(*byte))
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Plane {
-    Kernel,
-    Userspace,
 }
 
 struct Site {

@@ -36,7 +36,7 @@ use gdp_wire::table::ip_words;
 use gdp_wire::{Carrier, Counter, LinkEntry, Name};
 use tokio::runtime::Runtime;
 
-use star::{Far, Leaf, OWN_BIT, SOON, Star, Switch, WRITER, check_copy, xdp};
+use star::{Far, Leaf, OWN_BIT, Plane, SOON, Star, Switch, WRITER, check_copy, xdp};
 
 const TOPIC: Name = Name::from_bytes([0xd0; 32]);
 const OTHER: Name = Name::from_bytes([0xe0; 32]);
@@ -294,12 +294,6 @@ fn leaves(peers: &[Peer]) -> Vec<Leaf> {
 /// To readers.
 fn onto(peers: &[Peer]) -> Vec<(Peer, u64)> {
     peers.iter().map(|peer| (*peer, 0)).collect()
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Plane {
-    Kernel,
-    Userspace,
 }
 
 struct Site {

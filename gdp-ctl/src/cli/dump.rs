@@ -1,6 +1,7 @@
 //! `gdp-ctl fib dump` and `rib dump`: all that the data plane forwards by, all that the RIB knows. Fetched page by page.
 
 use clap::Subcommand;
+use gdp::cert::CertError;
 use gdp::control::Record;
 use gdp::name::NamePrefix;
 use serde_json::{Value, json};
@@ -112,8 +113,9 @@ fn keep(entries: &mut Vec<Value>, prefix: Option<&NamePrefix>) {
 
 fn describe(record: Value) -> Result<Value, ClientError> {
     let record: Record = serde_json::from_value(record).map_err(|e| ClientError::Malformed(e.to_string()))?;
-    let role = if record.is_writer() { "writer" } else { "reader" };
-    let entity = record.entity.name().map_err(|e| ClientError::Malformed(e.to_string()))?;
+    let malformed = |error: CertError| ClientError::Malformed(error.to_string());
+    let role = record.role().map_err(malformed)?.to_string();
+    let entity = record.entity.name().map_err(|error| malformed(error.into()))?;
     Ok(json!({
         "name": record.name, "role": role, "entity": entity, "switch": record.switch, "expires_in": record.expires_in,
     }))

@@ -8,7 +8,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use gdp::port::{BATCH, DataSocket, LinkAddr, OutFrame, RecvBatch};
+use gdp::port::{BATCH, DataSocket, InFrame, LinkAddr, OutFrame, RecvBatch};
 use gdp_wire::{Counter, Header};
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -161,8 +161,8 @@ impl Worker {
     fn decide(&mut self) {
         let mut counts = [0u64; Counter::COUNT];
         let tables = self.shared.tables.read().unwrap_or_else(PoisonError::into_inner);
-        for (index, (frame, _)) in self.batch.frames().enumerate() {
-            let arrived = Header::ref_from_prefix(frame).ok().map(|(header, _)| (header.link_id(), header.tag()));
+        for (index, InFrame { bytes: frame, .. }) in self.batch.frames().enumerate() {
+            let arrived = Header::read_from_prefix(frame).ok().map(|(header, _)| (header.link_id(), header.tag()));
             let outcome = handle(frame, &tables);
             let counter = match outcome {
                 Outcome::Send { to, length, counter, .. } => {
@@ -192,7 +192,7 @@ impl Worker {
             }
             if let Some((link, tag)) = arrived {
                 self.shared.tally.count_arrival(link, counter);
-                if let Ok((header, _)) = Header::ref_from_prefix(frame)
+                if let Ok((header, _)) = Header::read_from_prefix(frame)
                     && counter.is_onward()
                 {
                     self.shared.tally.sample(tag, &header.destination);

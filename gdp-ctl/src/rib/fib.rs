@@ -210,7 +210,7 @@ impl Room {
     }
 
     /// Makes room for a route, or for the name of one that is removed. An empty push takes any: a name has at most as many
-    /// readers at a switch as that has links, and as many writers as records of them fit a message.
+    /// readers at a switch as that has links, and 256 writers.
     fn takes(&mut self, route: Option<&Route>) -> bool {
         let size = ROUTE_SIZE + route.map_or(0, |route| (route.locals.len() + route.writers.len()) * ENDPOINT_SIZE);
         if self.names == 0 || (self.bytes < size && self.names < NAMES_PER_PUSH) {
@@ -328,7 +328,7 @@ mod tests {
     fn a_route_with_as_many_readers_as_a_switch_has_links_fits_a_message() {
         let mut fib = Fib::default();
         let readers: Vec<Name> = (0..gdp_wire::table::MAX_LINKS.into()).map(name).collect();
-        let writers = readers[..100].to_vec();
+        let writers = readers[..256].to_vec();
         for i in 0..3 {
             fib.set(&name(i), Some(Route { locals: readers.clone(), writers: writers.clone(), ..route(i, 1) }));
         }

@@ -354,18 +354,6 @@ impl Rib {
     }
 }
 
-/// What two tables say of one name, taken together.
-fn join(one: Option<Route>, other: Option<Route>) -> Option<Route> {
-    let (Some(mut one), Some(other)) = (one.clone(), other.clone()) else { return one.or(other) };
-    one.egress_bits |= other.egress_bits;
-    for (names, more) in [(&mut one.locals, other.locals), (&mut one.writers, other.writers)] {
-        names.extend(more);
-        names.sort_unstable();
-        names.dedup();
-    }
-    Some(one)
-}
-
 fn count_out(counts: &mut HashMap<Name, usize>, name: &Name, count: usize) {
     if let Some(held) = counts.get_mut(name) {
         *held -= count;

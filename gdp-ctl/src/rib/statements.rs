@@ -1,6 +1,7 @@
 //! What entities state: that they are attached, what they are to which names. Verified here, stored, and followed up: routes
 //! for the names, routes between counterparts, and who is to be told.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use gdp::cert::{Advert, CertError, Signed, Speaker, authorise_advertise, authorise_subscribe, authorise_withdraw};
@@ -12,7 +13,7 @@ use super::entities::Attachment;
 use super::inboxes::Place;
 use super::names::{Key, Registration};
 use super::telling::{Source, Stake};
-use super::{Now, Rib, Timer, join, limit_reached, refusal};
+use super::{Now, Rib, Timer, limit_reached, refusal};
 
 /// A statement that is verified, with what it rests on.
 struct Verified {
@@ -214,6 +215,7 @@ impl Rib {
         let was_bound_at = old.filter(|old| old.bound).map(|old| old.switch);
         let is_bound_at = bound.then_some(new.switch);
         self.revocations.enter(&key);
+        let is_new_name = !self.names.contains(&key);
         let old = self.names.insert(name, proof, entity, new);
         self.timers.insert((ends, Timer::Registration(stake)));
         self.entities.add_name(&entity, key);
@@ -230,6 +232,9 @@ impl Rib {
             self.follow_up(key, old.switch);
         }
         self.follow_up(key, place.switch);
+        if is_new_name {
+            self.reroute_inbox(&name);
+        }
         if !says_the_same {
             self.tell_counterparts(stake);
         }
@@ -254,6 +259,7 @@ impl Rib {
         self.follow_up(name, old.switch);
         self.tell_counterparts(stake);
         if self.names.sweep(&name) {
+            self.reroute_inbox(&Name::from_bytes(name));
             self.revocations.leave(&name, self.limits.idle_revocations);
         }
     }
@@ -265,30 +271,33 @@ impl Rib {
 
     /// Lets an entity at `switch` and its counterparts send to each other's inbox.
     fn join(&mut self, stake: Stake, switch: Name) {
-        let place = Place { entity: stake.entity, switch };
-        let others: Vec<Place> = self.counterparts(&stake.name, stake.role).collect();
-        for other in others.into_iter().filter(|other| other.entity != place.entity) {
-            for (inbox, sender) in [(place, other), (other, place)] {
-                let switches = self.inboxes.allow(inbox, sender);
-                self.reroute(inbox.entity.to_bytes(), switches);
-            }
+        let mut affected = BTreeSet::new();
+        for (inbox, sender) in self.pairs(stake, switch) {
+            let switches = self.inboxes.allow(inbox, sender);
+            affected.extend(switches.map(|switch| (inbox.entity, switch)));
         }
+        affected.into_iter().for_each(|(inbox, switch)| self.reroute(inbox.to_bytes(), [switch]));
     }
 
     /// The entity is no counterpart of these any more, as far as this name goes.
     fn part(&mut self, stake: Stake, switch: Name) {
         self.telling.end(&stake);
-        let place = Place { entity: stake.entity, switch };
-        let others: Vec<Place> = self.counterparts(&stake.name, stake.role).collect();
-        for other in others.into_iter().filter(|other| other.entity != place.entity) {
-            for (inbox, sender) in [(place, other), (other, place)] {
-                let (switches, ended) = self.inboxes.deny(inbox, sender);
-                if ended {
-                    self.boxes.forget(inbox.entity.as_bytes(), &sender.entity);
-                }
-                self.reroute(inbox.entity.to_bytes(), switches);
+        let mut affected = BTreeSet::new();
+        for (inbox, sender) in self.pairs(stake, switch) {
+            let (switches, ended) = self.inboxes.deny(inbox, sender);
+            if ended {
+                self.boxes.forget(inbox.entity.as_bytes(), &sender.entity);
             }
+            affected.extend(switches.map(|switch| (inbox.entity, switch)));
         }
+        affected.into_iter().for_each(|(inbox, switch)| self.reroute(inbox.to_bytes(), [switch]));
+    }
+
+    /// The inboxes that concern an entity at `switch` with this stake, each with who sends there for it.
+    fn pairs(&self, stake: Stake, switch: Name) -> Vec<(Place, Place)> {
+        let place = Place { entity: stake.entity, switch };
+        let others = self.counterparts(&stake.name, stake.role).filter(|other| other.entity != place.entity);
+        others.flat_map(|other| [(place, other), (other, place)]).collect()
     }
 
     fn tell_counterparts(&mut self, stake: Stake) {
@@ -305,10 +314,19 @@ impl Rib {
         self.reroute(name, switches);
     }
 
+    fn reroute_inbox(&mut self, entity: &Name) {
+        let switches: Vec<Name> = self.inboxes.routed(entity).copied().collect();
+        self.reroute(entity.to_bytes(), switches);
+    }
+
+    /// A name that an entity advertises for another, as only its key can allow, is not an inbox for as long.
     fn reroute(&mut self, name: Key, switches: impl IntoIterator<Item = Name>) {
+        let is_stated = self.names.contains(&name);
         for switch in switches {
-            let inbox = self.inboxes.route(&name, &switch, |switch| self.topology.bit(switch));
-            let route = join(self.names.route(&name, &switch), inbox);
+            let route = match is_stated {
+                true => self.names.route(&name, &switch),
+                false => self.inboxes.route(&name, &switch, |switch| self.topology.bit(switch)),
+            };
             if let Some(state) = self.switches.get_mut(&switch) {
                 state.fib.set(&Name::from_bytes(name), route);
             }

@@ -46,7 +46,7 @@ impl Claims for KeyBox {
 
 impl KeyBox {
     /// By which no box opens as one of another name, writer, reader or epoch.
-    fn info(&self) -> Vec<u8> {
+    pub(super) fn info(&self) -> Vec<u8> {
         let names = [self.name, self.writer, self.reader].map(|name| *name.as_bytes());
         [CONTEXT, names.as_flattened(), &self.epoch.to_be_bytes()].concat()
     }

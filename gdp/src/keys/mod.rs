@@ -17,3 +17,5 @@ pub use store::{KeyStore, MAX_WRITERS, Opened, StoreError};
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod vectors;

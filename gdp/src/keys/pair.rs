@@ -70,7 +70,11 @@ impl PairKey {
 
     /// A sealer of what goes to the peer.
     pub fn sealer(&self) -> Result<PairSealer, CryptoError> {
-        let session = crypto::random()?;
+        self.sealer_in(crypto::random()?)
+    }
+
+    /// A session that is used twice repeats nonces.
+    pub(super) fn sealer_in(&self, session: [u8; 8]) -> Result<PairSealer, CryptoError> {
         let aead = self.session_aead(session, &self.own, &self.peer)?;
         Ok(PairSealer { key: self.clone(), session, aead, next: 1 })
     }

@@ -12,7 +12,7 @@ use zerocopy::{FromBytes, IntoBytes};
 use super::*;
 use crate::control::{self, EntityRequest, RefusalCode};
 use crate::identity::Identity;
-use crate::port::{OutFrame, Port, PortConfig, RecvBatch};
+use crate::port::{InFrame, OutFrame, Port, PortConfig, RecvBatch};
 
 #[tokio::test]
 async fn both_sides_prove_their_names_and_share_keys() {
@@ -235,9 +235,9 @@ async fn data_frames_pass_beside_quic() {
         while count < 200 && Instant::now() < deadline {
             socket.wait_readable(Duration::from_millis(100)).unwrap();
             socket.try_recv_batch(&mut batch).unwrap();
-            for (frame, _) in batch.frames() {
-                let header = Header::ref_from_prefix(frame).expect("aligned").0;
-                assert_eq!(forward::accept(header, frame.len(), &input, &window), Ok(FrameType::Data));
+            for InFrame { bytes: frame, .. } in batch.frames() {
+                let header = Header::read_from_prefix(frame).expect("a header").0;
+                assert_eq!(forward::accept(&header, frame.len(), &input, &window), Ok(FrameType::Data));
                 assert_eq!(header.link_counter(), count);
                 assert_eq!(frame[Header::LEN..], payload);
                 count += 1;

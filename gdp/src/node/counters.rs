@@ -40,6 +40,16 @@ pub struct Counters {
     pub not_subscribed: Count,
     /// Messages the application did not take in time.
     pub queue_full: Count,
+    /// Frames of reliable names that there was no room for; they come again.
+    pub beyond: Count,
+    /// Told to counterparts, and what they told.
+    pub feedback_sent: Count,
+    pub feedback_received: Count,
+    /// Frames to this node's own name: from none of its counterparts; not sealed by it; received before; of no sense.
+    pub feedback_unknown: Count,
+    pub feedback_forged: Count,
+    pub feedback_replayed: Count,
+    pub feedback_malformed: Count,
     /// Segments and messages a reader dropped, by [`DropReason`].
     pub dropped: [Count; DropReason::COUNT],
 }
@@ -48,7 +58,7 @@ pub struct Counters {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct NodeCounters {
     pub messages_sent: u64,
-    /// Not sent, or not whole: no link, or no room in the kernel.
+    /// Refused at once: no link, or no right. What became of the others [`Publisher::counters`](super::Publisher::counters) say.
     pub messages_unsent: u64,
     pub messages_received: u64,
     pub frames_sent: u64,
@@ -61,6 +71,9 @@ pub struct NodeCounters {
     pub errors_received: BTreeMap<&'static str, u64>,
     /// Echoes of the switch that were answered.
     pub echoes_answered: u64,
+    /// What was told to readers and writers, and what they told: frames besides those of messages.
+    pub feedback_sent: u64,
+    pub feedback_received: u64,
     /// Frames, segments and messages that were dropped on arrival, by reason. Reasons without a drop are left out.
     pub drops: BTreeMap<&'static str, u64>,
 }
@@ -74,6 +87,11 @@ impl Counters {
             ("drop_not_subscribed", self.not_subscribed.get()),
             ("drop_queue_full", self.queue_full.get()),
             ("drop_socket_full", socket_drops),
+            ("drop_no_room", self.beyond.get()),
+            ("drop_feedback_unknown", self.feedback_unknown.get()),
+            ("drop_feedback_forged", self.feedback_forged.get()),
+            ("drop_feedback_replayed", self.feedback_replayed.get()),
+            ("drop_feedback_malformed", self.feedback_malformed.get()),
         ];
         NodeCounters {
             messages_sent: self.messages_sent.get(),
@@ -85,6 +103,8 @@ impl Counters {
             links: self.links.get(),
             errors_received: by_code(&self.errors),
             echoes_answered: self.echoes_answered.get(),
+            feedback_sent: self.feedback_sent.get(),
+            feedback_received: self.feedback_received.get(),
             drops: refused.chain(dropped).chain(own).filter(|(_, count)| *count > 0).collect(),
         }
     }

@@ -1,11 +1,14 @@
-//! Frames from a writer that is not known yet. A writer begins as soon as its switch lets it, which can be before its
-//! readers were told of it: what it sends until then waits here, for a moment and within a fixed amount of memory, and is
-//! looked into only once the writer's certificates were verified.
+//! Frames that came too early: from a writer that is not known yet, under a key that is not here yet, of a session that the writer
+//! has yet to vouch for. A writer begins as soon as its switch lets it, which can be before its readers were told of it: what it
+//! sends until then waits here, for a moment and within a fixed amount of memory.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use gdp_wire::Name;
+
+use super::counters::Counters;
+use crate::seal::DropReason;
 
 /// How long a frame waits.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -28,6 +31,9 @@ pub struct HeldFrame {
     name: Name,
     pub source: Name,
     pub payload: Vec<u8>,
+    pub marked: bool,
+    /// Why it waits, and for how many drops it counts if that was in vain.
+    why: (DropReason, u64),
 }
 
 impl HeldFrame {
@@ -37,60 +43,88 @@ impl HeldFrame {
 }
 
 impl Held {
-    /// Keeps a copy of the payload, if there is room.
-    pub fn hold(&mut self, name: Name, source: Name, payload: &[u8]) -> bool {
+    /// Keeps a copy of the payload, if there is room; otherwise it counts as dropped.
+    pub fn hold(
+        &mut self,
+        (name, source): (Name, Name),
+        payload: &[u8],
+        marked: bool,
+        why: (DropReason, u64),
+        counters: &Counters,
+    ) {
         if self.bytes + payload.len() + OVERHEAD > MAX_BYTES {
-            return false;
+            return count(why, counters);
         }
-        let frame = HeldFrame { since: Instant::now(), name, source, payload: payload.to_vec() };
+        let frame = HeldFrame { since: Instant::now(), name, source, payload: payload.to_vec(), marked, why };
         self.bytes += frame.cost();
         self.frames.push_back(frame);
-        true
     }
 
-    /// The frames for `name` from sources that are known by now, in the order of their arrival.
-    pub fn release(&mut self, name: &Name, known: impl Fn(&Name) -> bool) -> Vec<HeldFrame> {
+    /// One that was released, and is still too early, for another reason perhaps; as long as it has waited in all counts.
+    pub fn hold_again(&mut self, frame: HeldFrame, why: (DropReason, u64)) {
+        self.bytes += frame.cost();
+        let at = self.frames.partition_point(|other| other.since <= frame.since);
+        self.frames.insert(at, HeldFrame { why, ..frame });
+    }
+
+    /// The frames of a source for `name`, in the order of their arrival.
+    pub fn release(&mut self, name: &Name, source: &Name) -> Vec<HeldFrame> {
         let (released, kept): (Vec<_>, Vec<_>) =
-            self.frames.drain(..).partition(|frame| frame.name == *name && known(&frame.source));
+            self.frames.drain(..).partition(|frame| frame.name == *name && frame.source == *source);
         self.bytes -= released.iter().map(HeldFrame::cost).sum::<usize>();
         self.frames = kept.into();
         released
     }
 
-    /// Gives up frames that waited too long; returns how many.
-    pub fn expire(&mut self) -> u64 {
-        let mut expired = 0;
-        while self.frames.front().is_some_and(|frame| frame.since.elapsed() >= PATIENCE) {
-            self.bytes -= self.frames.pop_front().map_or(0, |frame| frame.cost());
-            expired += 1;
+    /// Gives up frames that waited too long.
+    pub fn expire(&mut self, counters: &Counters) {
+        while let Some(frame) = self.frames.pop_front_if(|frame| frame.since.elapsed() >= PATIENCE) {
+            self.bytes -= frame.cost();
+            count(frame.why, counters);
         }
-        expired
     }
+}
+
+fn count((reason, times): (DropReason, u64), counters: &Counters) {
+    counters.dropped[reason as usize].add(times);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    const WHY: (DropReason, u64) = (DropReason::NoKey, 1);
+
     #[test]
     fn frames_are_released_in_order_and_only_for_their_name_and_source() {
         let (name, other) = (Name::from_bytes([1; 32]), Name::from_bytes([2; 32]));
-        let mut held = Held::default();
+        let (mut held, counters) = (Held::default(), Counters::default());
         for i in 0..4 {
-            assert!(held.hold(name, name, &[i]) && held.hold(other, name, &[9]) && held.hold(name, other, &[9]));
+            for (name, source, byte) in [(name, name, i), (other, name, 9), (name, other, 9)] {
+                held.hold((name, source), &[byte], false, WHY, &counters);
+            }
         }
-        let released = held.release(&name, |source| *source == name);
+        let released = held.release(&name, &name);
         assert_eq!(released.iter().map(|frame| frame.payload[0]).collect::<Vec<_>>(), [0, 1, 2, 3]);
         assert_eq!((held.frames.len(), held.bytes), (8, 8 * (OVERHEAD + 1)));
-        assert_eq!(held.release(&name, |_| true).len() + held.release(&other, |_| true).len(), 8);
+        released.into_iter().rev().for_each(|frame| held.hold_again(frame, WHY));
+        assert!(held.frames.iter().is_sorted_by_key(|frame| frame.since));
+        let again = held.release(&name, &name);
+        assert_eq!(again.iter().map(|frame| frame.payload[0]).collect::<Vec<_>>(), [0, 1, 2, 3]);
+        assert_eq!(held.release(&name, &other).len() + held.release(&other, &name).len(), 8);
         assert_eq!((held.frames.len(), held.bytes), (0, 0));
     }
 
     #[test]
-    fn memory_is_bounded() {
-        let mut held = Held::default();
-        let count = (0..100_000).filter(|_| held.hold(Name::default(), Name::default(), &[])).count();
-        assert_eq!(count, MAX_BYTES / OVERHEAD);
-        assert_eq!(held.expire(), 0, "nothing waited for long");
+    fn memory_is_bounded_and_what_finds_no_room_is_counted() {
+        let (mut held, counters) = (Held::default(), Counters::default());
+        for _ in 0..100_000 {
+            held.hold((Name::default(), Name::default()), &[], false, WHY, &counters);
+        }
+        let most = MAX_BYTES / OVERHEAD;
+        assert_eq!((held.frames.len(), held.bytes), (most, most * OVERHEAD));
+        held.expire(&counters);
+        assert_eq!(held.frames.len(), most, "nothing waited for long");
+        assert_eq!(counters.dropped[DropReason::NoKey as usize].get(), 100_000 - most as u64);
     }
 }

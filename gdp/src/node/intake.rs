@@ -1,75 +1,150 @@
-//! A subscription as the receiving thread holds it: the reader, whom it believes, and the queue to the application.
+//! A subscription as the receiving thread has it: the reader, whom it believes, how far each writer's session is, and the queue to
+//! the application. What it has to say to writers comes out; the receiving thread sends it.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Duration;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 
 use gdp_wire::Name;
 use tokio::sync::mpsc;
 
 use super::counters::Counters;
+use super::greeting::Greeting;
+use super::options::SubscribeOptions;
+use crate::crypto::Backend;
+use crate::feedback_wire::Feedback;
 use crate::identity::VerifyKey;
-use crate::seal::{DropReason, EpochKey, Message, Moment, Reader, Received};
+use crate::keys::Opened;
+use crate::seal::{DropReason, Message, Moment, Reader, Received, segment_ids};
+use crate::transport::{Arrival, Inbound, InboundCounters, InboundOptions, Position, Segment};
 
-/// Writers of one name that are believed at once.
-const MAX_WRITERS: usize = 256;
+/// What a reader is to believe.
+#[derive(Debug)]
+pub enum Change {
+    /// This writer's right was verified.
+    Authorise {
+        writer: Name,
+        key: VerifyKey,
+    },
+    Revoke {
+        writer: Name,
+    },
+    /// What it seals with.
+    Key {
+        writer: Name,
+        opened: Opened,
+    },
+    DropKey {
+        writer: Name,
+        epoch: u32,
+    },
+}
 
-/// A writer whose right to a name was verified.
+/// What became of a payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Writer {
-    pub entity: Name,
-    pub key: VerifyKey,
-    pub not_after: u64,
+pub enum Verdict {
+    /// Used, or dropped and counted.
+    Done,
+    /// It may be of use later, for this reason and counting for so many drops otherwise.
+    Early(DropReason, u64),
+}
+
+/// What the application's handle shares with the thread.
+#[derive(Default)]
+pub struct Shared {
+    pub queued_bytes: AtomicUsize,
+    /// Messages of a reliable name wait for room in the queue.
+    pub stalled: AtomicBool,
+    pub counters: ReadCounters,
+}
+
+/// What became of a name's messages at this reader. Those that the writers began since each was welcomed are the sum of the first four
+/// and of what is not dealt with yet.
+#[derive(Default)]
+pub struct ReadCounters {
+    delivered: AtomicU64,
+    overtaken: AtomicU64,
+    expired: AtomicU64,
+    given_up: AtomicU64,
+    duplicates: AtomicU64,
+    beyond: AtomicU64,
+    pub queue_full: AtomicU64,
+}
+
+impl ReadCounters {
+    pub fn get(&self) -> InboundCounters {
+        let get = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        InboundCounters {
+            delivered: get(&self.delivered),
+            overtaken: get(&self.overtaken),
+            expired: get(&self.expired),
+            given_up: get(&self.given_up),
+            duplicates: get(&self.duplicates),
+            beyond: get(&self.beyond),
+        }
+    }
+
+    fn add(&self, now: &InboundCounters, seen: &mut InboundCounters) {
+        let all = [
+            (&self.delivered, now.delivered, seen.delivered),
+            (&self.overtaken, now.overtaken, seen.overtaken),
+            (&self.expired, now.expired, seen.expired),
+            (&self.given_up, now.given_up, seen.given_up),
+            (&self.duplicates, now.duplicates, seen.duplicates),
+            (&self.beyond, now.beyond, seen.beyond),
+        ];
+        for (count, now, seen) in all {
+            if now != seen {
+                count.fetch_add(now - seen, Ordering::Relaxed);
+            }
+        }
+        *seen = *now;
+    }
 }
 
 /// The thread's side of a subscription.
 pub struct Intake {
+    name: Name,
     reader: Reader,
-    /// What every writer of the name seals with.
-    key: EpochKey,
+    options: SubscribeOptions,
     queue: mpsc::Sender<Message>,
-    queued_bytes: Arc<AtomicUsize>,
-    max_queued_bytes: usize,
-    /// Those the reader believes, and until when (Unix seconds).
-    writers: HashMap<Name, u64>,
+    shared: Arc<Shared>,
+    writers: HashMap<Name, Writer>,
+    /// Of a reliable name, what the application has no room for yet.
+    stalled: VecDeque<Message>,
     /// Empty between calls; keeps its capacity.
     received: Received,
     seen_drops: [u64; DropReason::COUNT],
+    /// The intake's place among the thread's timers.
+    pub timer: Option<u64>,
+}
+
+#[derive(Default)]
+struct Writer {
+    greeting: Greeting,
+    session: Option<Session>,
+}
+
+/// The one session of a writer that it has vouched for last.
+struct Session {
+    id: [u8; 16],
+    inbound: Inbound<Message>,
+    seen: InboundCounters,
 }
 
 impl Intake {
-    pub fn new(
-        reader: Reader,
-        key: &EpochKey,
-        queue: mpsc::Sender<Message>,
-        queued_bytes: Arc<AtomicUsize>,
-        max_queued_bytes: usize,
-    ) -> Self {
+    pub fn new(name: Name, options: SubscribeOptions, queue: mpsc::Sender<Message>, shared: Arc<Shared>) -> Self {
         Self {
-            reader,
-            key: key.clone(),
+            name,
+            reader: Reader::new(name, Backend::default(), options.limits),
+            options,
             queue,
-            queued_bytes,
-            max_queued_bytes,
+            shared,
             writers: HashMap::new(),
+            stalled: VecDeque::new(),
             received: Received::default(),
             seen_drops: [0; DropReason::COUNT],
-        }
-    }
-
-    pub fn authorise(&mut self, writer: Writer) {
-        if self.writers.len() >= MAX_WRITERS && !self.writers.contains_key(&writer.entity) {
-            tracing::warn!(writer = %writer.entity, "more than {MAX_WRITERS} writers of one name; this one is not believed");
-            return;
-        }
-        if self.reader.authorise(writer.entity, writer.key).is_err() {
-            return;
-        }
-        // A writer that comes back keeps the replay windows it had.
-        if self.writers.insert(writer.entity, writer.not_after).is_none() {
-            // It is authorised, so the reader takes its key.
-            let _ = self.reader.set_key(&writer.entity, super::EPOCH, self.key.clone());
+            timer: None,
         }
     }
 
@@ -77,34 +152,180 @@ impl Intake {
         self.writers.contains_key(writer)
     }
 
-    /// Takes a frame's payload; what it completes is delivered.
-    pub fn push(&mut self, now: Moment, source: Name, payload: &[u8], counters: &Counters) -> Result<(), DropReason> {
-        let result = self.reader.push(now, source, payload, &mut self.received);
-        let mut received = std::mem::take(&mut self.received);
-        received.messages.drain(..).for_each(|message| self.deliver(message, counters));
-        received.clear();
-        self.received = received;
-        result
-    }
-
-    /// A writer is believed as long as its certificate holds, not as long as it is attached: forgetting it would forget
-    /// which of its messages were delivered.
-    pub fn expire(&mut self, now: Moment) {
-        let unix = Duration::from_nanos(now.unix_ns).as_secs();
-        let reader = &mut self.reader;
-        self.writers.retain(|writer, not_after| {
-            let holds = unix <= *not_after;
-            if !holds {
-                reader.revoke(writer);
+    /// Returns the writer whose early frames may be of use now.
+    pub fn change(&mut self, now: u64, change: Change) -> Option<Name> {
+        match change {
+            Change::Authorise { writer, key } => {
+                self.reader.authorise(writer, key).ok()?;
+                // It may have begun anew, also if it was known.
+                let begun = self.writers.entry(writer).or_default().greeting.begin(now);
+                if let Err(error) = begun {
+                    tracing::warn!(%error, "a writer could not be asked for its session");
+                }
+                Some(writer)
             }
-            holds
-        });
-        if reader.next_deadline().is_some_and(|deadline| deadline < now.steady_ns) {
-            reader.expire(now.steady_ns);
+            Change::Revoke { writer } => {
+                self.reader.revoke(&writer);
+                self.writers.remove(&writer);
+                None
+            }
+            Change::Key { writer, opened: Opened { epoch, key, dropped } } => {
+                dropped.into_iter().for_each(|epoch| self.reader.drop_key(&writer, epoch));
+                self.reader.set_key(&writer, epoch, key).ok()?;
+                Some(writer)
+            }
+            Change::DropKey { writer, epoch } => {
+                self.reader.drop_key(&writer, epoch);
+                None
+            }
         }
     }
 
-    pub fn count_drops(&mut self, counters: &Counters) {
+    /// What the writer says to this reader alone. Returns whether its early frames may be of use now.
+    pub fn hear(&mut self, now: u64, writer: &Name, feedback: &Feedback) -> bool {
+        let Some(known) = self.writers.get_mut(writer) else { return false };
+        match feedback {
+            Feedback::Welcome { challenge, session, sequence, .. } => {
+                let Some(rtt) = known.greeting.answered(now, challenge) else { return false };
+                if self.reader.vouch(writer, *session, *sequence).is_err() {
+                    return false;
+                }
+                if known.session.as_ref().is_none_or(|known| known.id != *session) {
+                    let options = InboundOptions::from(&self.options);
+                    let inbound = Inbound::new(self.name, *session, *sequence, rtt, options);
+                    known.session = Some(Session { id: *session, inbound, seen: InboundCounters::default() });
+                }
+                true
+            }
+            feedback => {
+                if let Some(session) = &mut known.session {
+                    session.inbound.feedback(now, feedback);
+                }
+                false
+            }
+        }
+    }
+
+    /// Takes a frame's payload from a writer it knows. `marked`: the frame met congestion.
+    pub fn push(&mut self, now: Moment, source: Name, payload: &[u8], marked: bool, counters: &Counters) -> Verdict {
+        let Some(writer) = self.writers.get_mut(&source) else { return Verdict::Done };
+        let steady = now.steady_ns;
+        if let Some(Session { id, inbound, .. }) = &mut writer.session {
+            if marked {
+                inbound.congested();
+            }
+            // What there is no room for comes again; opened, it would count as delivered.
+            let most = inbound.next_sequence().saturating_add(REACH);
+            let is_beyond = |id: [u8; 16], sequence| {
+                segment_ids(payload).any(|segment| segment.session == id && segment.sequence >= sequence)
+            };
+            if self.options.reliable && (!self.stalled.is_empty() || is_beyond(*id, most)) {
+                counters.beyond.add(1);
+                return Verdict::Done;
+            }
+        }
+        let before = *self.reader.drops();
+        let result = self.reader.push(now, source, payload, &mut self.received);
+        let mut verdict = Verdict::Done;
+        match result {
+            Err(reason @ (DropReason::Unvouched | DropReason::NoKey)) => {
+                if reason == DropReason::Unvouched {
+                    writer.ask(steady);
+                }
+                let times = self.reader.drops()[reason as usize] - before[reason as usize];
+                // Counted if it is of no use later.
+                self.seen_drops[reason as usize] += times;
+                verdict = Verdict::Early(reason, times);
+            }
+            Err(DropReason::Duplicate) => {
+                if let Some(Session { id, inbound, .. }) = &mut writer.session {
+                    // If a report was lost, the writer has to hear that this is here.
+                    segment_ids(payload).filter(|segment| segment.session == *id).for_each(|segment| {
+                        inbound.segment(steady, &as_segment(&segment));
+                    });
+                }
+            }
+            _ => {}
+        }
+        let received = &mut self.received;
+        let Some(Session { id, inbound, .. }) = &mut writer.session else {
+            received.clear();
+            return verdict;
+        };
+        for segment in received.segments.iter().filter(|segment| segment.session == *id) {
+            inbound.segment(steady, &as_segment(segment));
+        }
+        for lost in received.lost.iter().filter(|lost| lost.session == *id) {
+            if lost.again {
+                inbound.forget(steady, lost.sequence);
+            } else {
+                // Messages before it are older still.
+                let gone = Feedback::Gone { name: self.name, session: *id, oldest: lost.sequence + 1 };
+                inbound.feedback(steady, &gone);
+            }
+        }
+        for heartbeat in received.heartbeats.iter().filter(|heartbeat| heartbeat.session == *id) {
+            inbound.heartbeat(steady, heartbeat.next);
+        }
+        for message in received.messages.drain(..) {
+            if message.session == *id {
+                inbound.complete(steady, message.sequence, message.body.len(), message);
+            } else {
+                // Of a session that the writer has left.
+                counters.dropped[DropReason::Stale as usize].add(1);
+            }
+        }
+        received.clear();
+        verdict
+    }
+
+    /// What is due: messages to the application; what is to be said to writers comes out.
+    pub fn poll(&mut self, now: u64, counters: &Counters, mut tell: impl FnMut(&Name, &Feedback)) {
+        self.take_up(counters);
+        let Self { name, writers, options, queue, shared, stalled, .. } = self;
+        let mut out = Out { options, queue, shared, stalled };
+        for (writer, known) in writers.iter_mut() {
+            if let Some(challenge) = known.greeting.poll(now) {
+                tell(writer, &Feedback::Hello { name: *name, challenge });
+            }
+            let Some(Session { inbound, seen, .. }) = &mut known.session else { continue };
+            while let Some(arrival) = inbound.poll(now) {
+                match arrival {
+                    Arrival::Message(message) => out.deliver(message, counters),
+                    Arrival::Feedback(feedback) => tell(writer, &feedback),
+                }
+            }
+            out.shared.counters.add(inbound.counters(), seen);
+        }
+        if self.reader.next_deadline().is_some_and(|deadline| deadline < now) {
+            self.reader.expire(now);
+        }
+        self.count_drops(counters);
+    }
+
+    /// When [`Self::poll`] has something to do, if nothing else happens.
+    pub fn next_wake(&self) -> Option<u64> {
+        let of = |known: &Writer| {
+            let inbound = known.session.as_ref().and_then(|session| session.inbound.next_wake());
+            [known.greeting.next_wake(), inbound].into_iter().flatten().min()
+        };
+        let deadline = self.reader.next_deadline().map(|deadline| deadline.saturating_add(1));
+        self.writers.values().filter_map(of).chain(deadline).min()
+    }
+
+    /// Brings what waited for room to the application.
+    fn take_up(&mut self, counters: &Counters) {
+        while let Some(message) = self.stalled.pop_front() {
+            let Self { options, queue, shared, stalled, .. } = self;
+            if let Err(message) = (Out { options, queue, shared, stalled }).offer(message, counters) {
+                self.stalled.push_front(message);
+                return;
+            }
+        }
+        self.shared.stalled.store(false, Ordering::Relaxed);
+    }
+
+    fn count_drops(&mut self, counters: &Counters) {
         let drops = self.reader.drops();
         if *drops != self.seen_drops {
             for ((now, seen), count) in drops.iter().zip(&self.seen_drops).zip(&counters.dropped) {
@@ -113,20 +334,61 @@ impl Intake {
             self.seen_drops = *drops;
         }
     }
+}
 
-    fn deliver(&mut self, message: Message, counters: &Counters) {
-        let length = message.body.len();
-        let queued = self.queued_bytes.fetch_add(length, Ordering::Relaxed);
-        match self.queue.try_reserve() {
-            Ok(place) if queued.saturating_add(length) <= self.max_queued_bytes => {
-                // Counted first: who has the message may look.
-                counters.messages_received.add(1);
-                place.send(message);
-            }
-            _ => {
-                self.queued_bytes.fetch_sub(length, Ordering::Relaxed);
-                counters.queue_full.add(1);
-            }
+impl Writer {
+    fn ask(&mut self, now: u64) {
+        if let Err(error) = self.greeting.ask(now) {
+            tracing::warn!(%error, "a writer could not be asked for its session");
         }
     }
+}
+
+/// The way to the application.
+struct Out<'a> {
+    options: &'a SubscribeOptions,
+    queue: &'a mpsc::Sender<Message>,
+    shared: &'a Shared,
+    stalled: &'a mut VecDeque<Message>,
+}
+
+impl Out<'_> {
+    fn deliver(&mut self, message: Message, counters: &Counters) {
+        let refused = if self.stalled.is_empty() { self.offer(message, counters) } else { Err(message) };
+        let Err(message) = refused else { return };
+        if self.options.reliable {
+            self.stalled.push_back(message);
+            self.shared.stalled.store(true, Ordering::Relaxed);
+        } else {
+            counters.queue_full.add(1);
+            self.shared.counters.queue_full.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// A message that is larger than all there is room for is taken if nothing else is there.
+    fn offer(&self, message: Message, counters: &Counters) -> Result<(), Message> {
+        let length = message.body.len();
+        let queued = self.shared.queued_bytes.load(Ordering::Relaxed);
+        if queued > 0 && queued.saturating_add(length) > self.options.queue_bytes {
+            return Err(message);
+        }
+        match self.queue.try_reserve() {
+            Ok(place) => {
+                // Counted first: who has the message may look.
+                self.shared.queued_bytes.fetch_add(length, Ordering::Relaxed);
+                counters.messages_received.add(1);
+                place.send(message);
+                Ok(())
+            }
+            Err(_) => Err(message),
+        }
+    }
+}
+
+/// How far beyond the first message that is missing others are taken: as far as the reader's replay window remembers.
+const REACH: u64 = 1024;
+
+fn as_segment(id: &crate::seal::SegmentId) -> Segment {
+    let position = Position { sequence: id.sequence, index: id.index };
+    Segment { position, cut: id.cut, total: id.count.saturating_add(1), bytes: id.len }
 }

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 pub use crate::keys::Rotation;
 use crate::seal::Limits;
+use crate::transport::{self, History, InboundOptions, Order, TopicOptions};
 
 /// What a publisher promises its readers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,6 +61,22 @@ impl PublishOptions {
     }
 }
 
+impl From<PublishOptions> for TopicOptions {
+    fn from(options: PublishOptions) -> Self {
+        let reliability = match options.reliability {
+            Reliability::BestEffort { lifetime } => transport::Reliability::BestEffort { lifetime: nanos(lifetime) },
+            Reliability::Reliable { overflow: Overflow::Block } => {
+                transport::Reliability::Reliable { overflow: transport::Overflow::Block }
+            }
+            Reliability::Reliable { overflow: Overflow::DropOldest } => {
+                transport::Reliability::Reliable { overflow: transport::Overflow::DropOldest }
+            }
+        };
+        let history = History { messages: options.history, bytes: options.history_bytes };
+        Self { reliability, history, class: options.class, doubled: false }
+    }
+}
+
 /// How a name is read.
 #[derive(Clone, Copy, Debug)]
 pub struct SubscribeOptions {
@@ -85,6 +102,22 @@ impl SubscribeOptions {
         let limits = Limits { max_age: MAX_RELIABLE_AGE, deadline: MAX_RELIABLE_AGE, ..Limits::default() };
         Self { reliable: true, limits, ..Self::best_effort() }
     }
+}
+
+impl From<&SubscribeOptions> for InboundOptions {
+    fn from(options: &SubscribeOptions) -> Self {
+        match options.reliable {
+            true => Self::every(),
+            false => {
+                let Limits { deadline, max_memory_per_source, .. } = options.limits;
+                Self { order: Order::Newest, deadline: nanos(deadline), bytes: max_memory_per_source, ..Self::newest() }
+            }
+        }
+    }
+}
+
+fn nanos(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// Of topics, by default. The clocks of writers and readers must not differ by more.

@@ -1,33 +1,32 @@
 //! The application's sending end of a name.
 
+use std::pin::pin;
 use std::sync::Arc;
-use std::time::SystemTime;
 
-use gdp_wire::{Header, Name, forward};
-use zerocopy::IntoBytes;
+use gdp_wire::Name;
 
-use super::supervisor::Attachment;
+use super::outlet::{Batch, Outlet};
+use super::publication::{Publication, Pushed};
+use super::state::lock;
 use super::{Feedback, Handle, NodeError, Stated};
-use crate::port::{BATCH, OutFrame};
-use crate::seal::{Encoding, Segments, Writer};
+use crate::seal::{Draft, Encoding};
+use crate::transport::TopicCounters;
 
-/// Sends messages to a name. Dropping it withdraws the name.
+/// Sends messages to a name. Dropping it withdraws the name; what has not gone yet is lost.
 pub struct Publisher {
     node: Arc<Handle>,
-    name: Name,
-    writer: Writer,
+    publication: Arc<Publication>,
     feedback: Arc<Feedback>,
-    segments: Segments,
-    headers: Box<[Header; BATCH]>,
+    batch: Batch,
 }
 
 impl Publisher {
-    pub(super) fn new(node: Arc<Handle>, name: Name, writer: Writer, feedback: Arc<Feedback>) -> Self {
-        Self { node, name, writer, feedback, segments: Segments::new(), headers: Box::new([Header::default(); BATCH]) }
+    pub(super) fn new(node: Arc<Handle>, publication: Arc<Publication>, feedback: Arc<Feedback>) -> Self {
+        Self { node, publication, feedback, batch: Batch::new() }
     }
 
     pub fn name(&self) -> Name {
-        self.name
+        self.publication.name
     }
 
     /// What the switch says of this name's frames.
@@ -35,72 +34,72 @@ impl Publisher {
         &self.feedback
     }
 
-    /// Seals and sends one message, best effort: `Ok` says that the kernel took all its frames, not that they arrive.
-    /// Returns the sequence number. While the link to the switch is lost this fails at once, and nothing is kept; but to a
-    /// switch whose daemon fell silent frames are sent on, as long as its data plane answers ([`crate::link::HOLD`]).
+    /// Readers that are attached at the moment, as far as is known here. What is sent without any goes nowhere.
+    pub fn readers(&self) -> usize {
+        self.publication.readers()
+    }
+
+    /// What became of messages and frames so far.
+    pub fn counters(&self) -> TopicCounters {
+        lock(&self.node.state.outlet.uplink).counters(self.publication.topic).unwrap_or_default()
+    }
+
+    /// Seals one message and sends it as [`PublishOptions`](super::PublishOptions) say: `Ok` says that it is on its way or waits for
+    /// its turn. Returns the sequence number. Waits only if the name is reliable and the history full; a message that it was
+    /// cancelled in waiting for is sent all the same. While the link to the switch is lost, what is best effort fails at once, and
+    /// what is reliable is kept; but to a switch whose daemon fell silent frames are sent on, as long as its data plane answers
+    /// ([`crate::link::HOLD`]).
     pub async fn send(&mut self, encoding: Encoding, body: &[u8]) -> Result<u64, NodeError> {
-        let result = self.try_send(encoding, body).await;
-        let counters = &self.node.state.counters;
-        if result.is_ok() {
-            counters.messages_sent.add(1)
-        } else {
-            counters.messages_unsent.add(1)
-        }
+        self.send_batch(&[Draft::new(encoding, body)]).await
+    }
+
+    /// Several messages under one signature; small ones share frames. Returns the sequence number of the first.
+    pub async fn send_batch(&mut self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
+        let counters = self.node.state.counters.clone();
+        let result = self.try_send(messages).await;
+        let count = if result.is_ok() { &counters.messages_sent } else { &counters.messages_unsent };
+        count.add(messages.len() as u64);
         result
     }
 
-    async fn try_send(&mut self, encoding: Encoding, body: &[u8]) -> Result<u64, NodeError> {
-        let attachment = self.node.state.sending_on()?;
-        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        let sequence = self.writer.next_sequence();
-        self.writer.seal(now.as_nanos() as u64, encoding, body, attachment.max_payload(), &mut self.segments)?;
-
-        let source = self.node.state.identity.name();
-        let mut payloads = self.segments.iter();
-        let mut lost = 0;
-        while payloads.len() > 0 {
-            lost += send_batch(&attachment, &mut self.headers, self.name, source, &mut payloads, &self.node);
-            if payloads.len() > 0 {
-                // Rings of 256 frames lie behind the socket: let whoever empties them run.
-                tokio::task::yield_now().await;
-            }
+    async fn try_send(&mut self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
+        let Self { node, publication, batch, .. } = self;
+        let outlet = &node.state.outlet;
+        match outlet.sending_on() {
+            Err(NodeError::Detached(_)) if publication.waits_for_links() => {}
+            link => drop(link?),
         }
-        if lost > 0 { Err(NodeError::NoRoom { lost, of: self.segments.len() }) } else { Ok(sequence) }
+        loop {
+            // One that was cancelled may be waiting still.
+            until_taken(publication, outlet, batch).await?;
+            let Some((first, pushed)) = publication.push(outlet, messages)? else { continue };
+            outlet.send(batch);
+            if let Pushed::Waits = pushed {
+                until_taken(publication, outlet, batch).await?;
+            }
+            return Ok(first);
+        }
     }
 }
 
-/// Sends up to [`BATCH`] of the payloads; returns how many of them were lost.
-fn send_batch(
-    attachment: &Attachment,
-    headers: &mut [Header; BATCH],
-    destination: Name,
-    source: Name,
-    payloads: &mut dyn Iterator<Item = &[u8]>,
-    node: &Handle,
-) -> usize {
-    let entry = attachment.entry.get();
-    let mut bodies = [&[][..]; BATCH];
-    let mut count = 0;
-    for body in payloads.take(BATCH) {
-        let header = &mut headers[count];
-        // The writer keeps payloads within the link's MTU, which 16 bits can express.
-        *header = Header::data(destination, source, body.len() as u16);
-        forward::stamp(header, &entry, attachment.next_count());
-        bodies[count] = body;
-        count += 1;
+/// Returns once nothing waits for room any more.
+async fn until_taken(publication: &Publication, outlet: &Outlet, batch: &mut Batch) -> Result<(), NodeError> {
+    loop {
+        let mut room = pin!(publication.room.notified());
+        room.as_mut().enable();
+        if let Err(NodeError::Closed) = outlet.sending_on() {
+            return Err(NodeError::Closed);
+        }
+        if let Pushed::Taken = publication.push_waiting(outlet)? {
+            return Ok(());
+        }
+        outlet.send(batch);
+        room.await;
     }
-    let to = attachment.link.addr();
-    let frames =
-        headers.iter().zip(bodies).take(count).map(|(header, body)| OutFrame { to, head: header.as_bytes(), body });
-    let sent = attachment.data.send_batch(frames);
-    let counters = &node.state.counters;
-    counters.frames_sent.add(sent.sent as u64);
-    counters.frames_unsent.add(sent.lost as u64);
-    sent.lost
 }
 
 impl Drop for Publisher {
     fn drop(&mut self) {
-        self.node.state.withdraw(self.name, Stated::Published);
+        self.node.state.withdraw(self.publication.name, Stated::Published);
     }
 }

@@ -1,31 +1,37 @@
-//! The thread that takes data frames from the socket to the subscriptions: hop tag, destination, reader, queue. It alone
-//! owns the readers; others reach them by commands, which take effect before the next frame is looked at.
+//! The thread that takes data frames from the socket to the subscriptions: hop tag, destination, reader, queue; and what
+//! counterparts tell this node to those it concerns. It alone owns the readers; others reach them by commands, which take effect
+//! before the next frame is looked at.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::mpsc;
 use std::sync::{Arc, Weak};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use gdp_wire::replay::{self, Window};
 use gdp_wire::{Counter, ErrorCode, FrameType, Header, Name, forward};
-use tokio::sync::mpsc as async_mpsc;
 use zerocopy::FromBytes;
 
 use super::counters::Counters;
 use super::feedback::Feedbacks;
 use super::held::Held;
-use super::intake::{Intake, Writer};
+use super::intake::{Change, Intake, Verdict};
+use super::outlet::Outlet;
+use super::publication::Publication;
 use super::shared_entry::SharedEntry;
-use super::supervisor::{Attachment, Event};
+use super::state::lock;
+use super::supervisor::Attachment;
+use crate::feedback_wire::Feedback;
+use crate::keys::PairError;
 use crate::link::KeyedEntry;
-use crate::port::{DataSocket, RecvBatch};
-use crate::seal::{DropReason, Moment};
+use crate::port::{DataSocket, InFrame, RecvBatch};
+use crate::seal::DropReason;
 
-/// How long the thread sleeps without a frame: messages that cannot complete any more are given up at this pace.
+/// How long the thread sleeps at most.
 const TICK: Duration = Duration::from_millis(100);
 
-/// How often the RIB is asked who writes a name, while frames come from sources that are not known to.
-const ASK_AGAIN: Duration = Duration::from_millis(250);
+/// The bits of [`Header::flags`] that tell of congestion, and what they are if it was met (RFC 3168).
+const ECN: u8 = 0b11;
+const CONGESTED: u8 = 0b11;
 
 /// What the rest of the node tells the thread.
 pub enum Command {
@@ -42,10 +48,20 @@ pub enum Command {
     Unsubscribe {
         name: Name,
     },
-    /// These writers of the name are verified; each until the given Unix time.
-    Authorise {
+    /// What the reader of the name is to believe.
+    Change {
         name: Name,
-        writers: Vec<Writer>,
+        changes: Vec<Change>,
+    },
+    /// The application has made room.
+    Resume {
+        name: Name,
+    },
+    Publish {
+        publication: Arc<Publication>,
+    },
+    Unpublish {
+        name: Name,
     },
     /// The node is closed: end, and with it all subscriptions.
     Stop,
@@ -53,17 +69,14 @@ pub enum Command {
 
 pub struct Receiver {
     pub commands: mpsc::Receiver<Command>,
-    pub events: async_mpsc::UnboundedSender<Event>,
-    pub counters: Arc<Counters>,
+    pub outlet: Arc<Outlet>,
     pub feedback: Arc<Feedbacks>,
 }
 
 impl Receiver {
     /// Runs until it is told to stop, or nobody can tell it any more.
     pub fn run(self) {
-        let counters = &*self.counters;
-        let mut intakes =
-            Intakes { intakes: HashMap::new(), held: Held::default(), asked: HashMap::new(), start: Instant::now() };
+        let mut intakes = Intakes::new(self.outlet, self.feedback);
         let mut attached: Option<(Arc<DataSocket>, usize, Links)> = None;
         let mut batch = None;
         let mut next_tick = Instant::now() + TICK;
@@ -71,7 +84,10 @@ impl Receiver {
             loop {
                 let command = match &attached {
                     Some(_) => self.commands.try_recv(),
-                    None => self.commands.recv().map_err(|_| mpsc::TryRecvError::Disconnected),
+                    None => self.commands.recv_timeout(TICK).map_err(|error| match error {
+                        mpsc::RecvTimeoutError::Timeout => mpsc::TryRecvError::Empty,
+                        mpsc::RecvTimeoutError::Disconnected => mpsc::TryRecvError::Disconnected,
+                    }),
                 };
                 match command {
                     Ok(Command::Attach { attachment, held }) => {
@@ -81,12 +97,18 @@ impl Receiver {
                         attached = Some((attachment.data.clone(), attachment.largest, links));
                     }
                     Ok(Command::Subscribe { name, intake }) => drop(intakes.intakes.insert(name, intake)),
-                    Ok(Command::Unsubscribe { name }) => drop(intakes.intakes.remove(&name)),
-                    Ok(Command::Authorise { name, writers }) => intakes.authorise(&name, writers, counters),
+                    Ok(Command::Unsubscribe { name }) => intakes.remove(&name),
+                    Ok(Command::Change { name, changes }) => intakes.change(name, changes),
+                    Ok(Command::Resume { name }) => intakes.poll(&name),
+                    Ok(Command::Publish { publication }) => {
+                        intakes.publications.insert(publication.name, publication);
+                    }
+                    Ok(Command::Unpublish { name }) => drop(intakes.publications.remove(&name)),
                     Err(mpsc::TryRecvError::Empty) => break,
                     Ok(Command::Stop) | Err(mpsc::TryRecvError::Disconnected) => return,
                 }
             }
+            intakes.tick();
             let Some((data, largest, links)) = &mut attached else { continue };
             let batch = batch.get_or_insert_with(|| RecvBatch::new(*largest));
             if batch.largest() < *largest {
@@ -94,14 +116,14 @@ impl Receiver {
             }
             match data.try_recv_batch(batch) {
                 Ok(0) => {
-                    if data.wait_readable(TICK).is_err() {
+                    if data.wait_readable(intakes.idle()).is_err() {
                         attached = None;
                         continue;
                     }
                 }
                 Ok(_) => {
                     links.refresh();
-                    intakes.take(batch, links, counters, &self.feedback, &self.events);
+                    intakes.take(batch, links);
                 }
                 Err(error) => {
                     // The link is about to be lost as well; the next one brings its socket.
@@ -113,7 +135,6 @@ impl Receiver {
             if Instant::now() >= next_tick {
                 next_tick = Instant::now() + TICK;
                 links.held.retain(|(_, until)| Instant::now() < *until);
-                intakes.tick(counters);
             }
         }
     }
@@ -219,51 +240,73 @@ impl Ingress {
 }
 
 struct Intakes {
+    outlet: Arc<Outlet>,
+    feedback: Arc<Feedbacks>,
     intakes: HashMap<Name, Box<Intake>>,
-    /// Frames of sources that are being asked about.
+    publications: HashMap<Name, Arc<Publication>>,
+    /// Frames that came too early.
     held: Held,
-    /// When the writers of a subscribed name were last asked for.
-    asked: HashMap<Name, Instant>,
-    start: Instant,
+    /// When intakes have something to do.
+    timers: BTreeSet<(u64, Name)>,
+    /// Intakes that something came for in the batch at hand.
+    touched: Vec<Name>,
 }
 
 impl Intakes {
-    fn now(&self) -> Moment {
-        let unix = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        Moment { steady_ns: self.start.elapsed().as_nanos() as u64, unix_ns: unix.as_nanos() as u64 }
-    }
-
-    fn authorise(&mut self, name: &Name, writers: Vec<Writer>, counters: &Counters) {
-        let now = self.now();
-        let Some(intake) = self.intakes.get_mut(name) else { return };
-        writers.into_iter().for_each(|writer| intake.authorise(writer));
-        for frame in self.held.release(name, |source| intake.knows(source)) {
-            // Counted by the reader.
-            let _ = intake.push(now, frame.source, &frame.payload, counters);
+    fn new(outlet: Arc<Outlet>, feedback: Arc<Feedbacks>) -> Self {
+        Self {
+            outlet,
+            feedback,
+            intakes: HashMap::new(),
+            publications: HashMap::new(),
+            held: Held::default(),
+            timers: BTreeSet::new(),
+            touched: Vec::new(),
         }
-        intake.count_drops(counters);
     }
 
-    fn take(
-        &mut self,
-        batch: &mut RecvBatch,
-        links: &Links,
-        counters: &Counters,
-        feedback: &Feedbacks,
-        events: &async_mpsc::UnboundedSender<Event>,
-    ) {
-        let now = self.now();
+    fn remove(&mut self, name: &Name) {
+        if let Some(at) = self.intakes.remove(name).and_then(|intake| intake.timer) {
+            self.timers.remove(&(at, *name));
+        }
+    }
+
+    fn change(&mut self, name: Name, changes: Vec<Change>) {
+        let now = self.outlet.clock.now();
+        for change in changes {
+            let Some(intake) = self.intakes.get_mut(&name) else { return };
+            if let Some(writer) = intake.change(now, change) {
+                self.release(&name, &writer);
+            }
+        }
+        self.poll(&name);
+    }
+
+    /// Looks again at what came too early from a writer.
+    fn release(&mut self, name: &Name, writer: &Name) {
+        let now = self.outlet.clock.moment();
+        let Some(intake) = self.intakes.get_mut(name) else { return };
+        for frame in self.held.release(name, writer) {
+            match intake.push(now, frame.source, &frame.payload, frame.marked, &self.outlet.counters) {
+                Verdict::Done => {}
+                Verdict::Early(reason, times) => self.held.hold_again(frame, (reason, times)),
+            }
+        }
+    }
+
+    fn take(&mut self, batch: &mut RecvBatch, links: &Links) {
+        let now = self.outlet.clock.moment();
+        let counters = self.outlet.counters.clone();
         counters.frames_received.add(batch.len() as u64);
-        let mut any_dropped = false;
-        for (frame, _) in batch.frames() {
-            let Ok((header, rest)) = Header::ref_from_prefix(frame) else {
+        for InFrame { bytes: frame, congested, .. } in batch.frames() {
+            let Ok((ref header, rest)) = Header::read_from_prefix(frame) else {
                 counters.refused[Counter::Truncated as usize].add(1);
                 continue;
             };
             let link = links.of(header);
             let noticed = match forward::accept(header, frame.len(), &link.entry, &*link.window) {
                 Ok(FrameType::Data) => None,
-                Ok(other) => Some(link.notice(other, header, counters, feedback)),
+                Ok(other) => Some(link.notice(other, header, &counters, &self.feedback)),
                 Err(counter) => Some(Err(counter)),
             };
             if let Some(noticed) = noticed {
@@ -272,42 +315,93 @@ impl Intakes {
                 }
                 continue;
             }
-            let Some(intake) = self.intakes.get_mut(&header.destination) else {
+            let (name, source) = (header.destination, header.source);
+            let payload = &rest[..header.payload_len().into()];
+            let marked = congested || header.flags & ECN == CONGESTED;
+            if name == self.outlet.name() {
+                self.hear(source, payload, &counters);
+                continue;
+            }
+            let Some(intake) = self.intakes.get_mut(&name) else {
                 counters.not_subscribed.add(1);
                 continue;
             };
-            let payload = &rest[..header.payload_len().into()];
-            if intake.knows(&header.source) {
-                any_dropped |= intake.push(now, header.source, payload, counters).is_err();
-                continue;
+            let verdict = match intake.knows(&source) {
+                true => intake.push(now, source, payload, marked, &counters),
+                false => Verdict::Early(DropReason::UnknownWriter, 1),
+            };
+            if let Verdict::Early(reason, times) = verdict {
+                self.held.hold((name, source), payload, marked, (reason, times), &counters);
             }
-            ask_about(&mut self.asked, header.destination, events);
-            if !self.held.hold(header.destination, header.source, payload) {
-                counters.dropped[DropReason::UnknownWriter as usize].add(1);
+            if self.touched.last() != Some(&name) && !self.touched.contains(&name) {
+                self.touched.push(name);
             }
         }
-        if any_dropped {
-            self.intakes.values_mut().for_each(|intake| intake.count_drops(counters));
+        while let Some(name) = self.touched.pop() {
+            self.poll(&name);
         }
     }
 
-    fn tick(&mut self, counters: &Counters) {
-        let now = self.now();
-        for intake in self.intakes.values_mut() {
-            intake.expire(now);
-            intake.count_drops(counters);
+    /// Takes a frame to this node's own name: what a counterpart tells it alone.
+    fn hear(&mut self, source: Name, payload: &[u8], counters: &Counters) {
+        let feedback = match self.outlet.hear(&source, payload) {
+            Some(Ok(feedback)) => feedback,
+            None => return counters.feedback_unknown.add(1),
+            Some(Err(PairError::Forged | PairError::Crypto(_))) => return counters.feedback_forged.add(1),
+            Some(Err(PairError::Replayed)) => return counters.feedback_replayed.add(1),
+            Some(Err(_)) => return counters.feedback_malformed.add(1),
+        };
+        counters.feedback_received.add(1);
+        let (name, now) = (feedback.name(), self.outlet.clock.now());
+        match &feedback {
+            Feedback::Hello { challenge, .. } => {
+                let publication = self.publications.get(&name);
+                let welcome = publication.and_then(|it| it.welcome(&self.outlet, &source, *challenge));
+                if let Some(welcome) = welcome {
+                    self.outlet.tell(&source, &welcome);
+                }
+            }
+            Feedback::Report { .. } | Feedback::Nack { .. } => {
+                if let Some(publication) = self.publications.get(&name) {
+                    lock(&self.outlet.uplink).feedback(now, publication.topic, source, &feedback);
+                    self.outlet.settle();
+                }
+            }
+            Feedback::Welcome { .. } | Feedback::Gone { .. } => {
+                let Some(intake) = self.intakes.get_mut(&name) else { return };
+                if intake.hear(now, &source, &feedback) {
+                    self.release(&name, &source);
+                }
+                self.poll(&name);
+            }
         }
-        counters.dropped[DropReason::UnknownWriter as usize].add(self.held.expire());
-        self.asked.retain(|_, when| when.elapsed() < ASK_AGAIN);
     }
-}
 
-/// Has the supervisor find out who writes `name`. The answer is about all its writers, so that no number of made-up sources
-/// causes more than one question at a time.
-fn ask_about(asked: &mut HashMap<Name, Instant>, name: Name, events: &async_mpsc::UnboundedSender<Event>) {
-    let recently = asked.get(&name).is_some_and(|when| when.elapsed() < ASK_AGAIN);
-    if !recently && events.send(Event::UnknownWriter { name }).is_ok() {
-        asked.insert(name, Instant::now());
+    /// Has an intake do what is due, and notes when it wants to be asked again.
+    fn poll(&mut self, name: &Name) {
+        let Some(intake) = self.intakes.get_mut(name) else { return };
+        let outlet = &self.outlet;
+        intake.poll(outlet.clock.now(), &outlet.counters, |writer, feedback| outlet.tell(writer, feedback));
+        let next = intake.next_wake();
+        let before = std::mem::replace(&mut intake.timer, next);
+        if before != next {
+            before.map(|at| self.timers.remove(&(at, *name)));
+            next.map(|at| self.timers.insert((at, *name)));
+        }
+    }
+
+    fn tick(&mut self) {
+        let now = self.outlet.clock.now();
+        while let Some((_, name)) = self.timers.first().copied().filter(|(at, _)| *at <= now) {
+            self.poll(&name);
+        }
+        self.held.expire(&self.outlet.counters);
+    }
+
+    /// How long nothing is due.
+    fn idle(&self) -> Duration {
+        let next = self.timers.first().map_or(u64::MAX, |(at, _)| *at);
+        Duration::from_nanos(next.saturating_sub(self.outlet.clock.now())).min(TICK)
     }
 }
 
@@ -317,37 +411,44 @@ mod tests {
     use gdp_wire::LinkEntry;
     use std::collections::BTreeMap;
 
-    use crate::crypto::Backend;
+    use super::super::options::SubscribeOptions;
+    use crate::identity::Identity;
     use crate::port::LinkAddr;
-    use crate::seal::{EpochKey, Limits, Reader};
+    use tokio::sync::mpsc as async_mpsc;
     use zerocopy::IntoBytes;
 
     const NAME: Name = Name::from_bytes([1; 32]);
-    const NODE: Name = Name::from_bytes([8; 32]);
 
     #[test]
-    fn many_unknown_sources_cause_one_question() {
-        let (name, mut intakes) = (NAME, subscribed());
-        let (link, counters) = (links(), Counters::default());
-        let (events, mut asked) = async_mpsc::unbounded_channel();
+    fn frames_of_unknown_sources_wait_a_moment() {
+        let (mut intakes, link) = (subscribed(), links());
         let mut batch = RecvBatch::new(1500);
         for source in 0..50 {
-            let mut header = Header::data(name, Name::from_bytes([source; 32]), 0);
+            let mut header = Header::data(NAME, Name::from_bytes([source; 32]), 0);
             forward::stamp(&mut header, &link.current.entry, source.into());
             assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
         }
-        intakes.take(&mut batch, &link, &counters, &feedback(), &events);
-        assert!(matches!(asked.try_recv(), Ok(Event::UnknownWriter { name: about }) if about == name));
-        assert!(asked.try_recv().is_err());
-        assert!(counters.snapshot(0).drops.is_empty(), "the frames wait for the answer");
+        intakes.take(&mut batch, &link);
+        let counters = intakes.outlet.counters.snapshot(0);
+        assert_eq!((counters.frames_received, counters.drops), (50, BTreeMap::new()));
+    }
+
+    #[test]
+    fn what_strangers_tell_this_node_is_counted_and_no_more() {
+        let (mut intakes, link) = (subscribed(), links());
+        let mut batch = RecvBatch::new(1500);
+        let mut header = Header::data(intakes.outlet.name(), Name::from_bytes([9; 32]), 0);
+        forward::stamp(&mut header, &link.current.entry, 1);
+        assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
+        intakes.take(&mut batch, &link);
+        let drops = intakes.outlet.counters.snapshot(0).drops;
+        assert_eq!(drops, BTreeMap::from([("drop_feedback_unknown", 1)]));
     }
 
     #[test]
     fn a_frame_that_comes_again_on_its_link_is_refused() {
         let mut intakes = subscribed();
-        let (shared, counters) = (SharedEntry::new(keyed(0)), Counters::default());
-        let entry = shared.get();
-        let (events, _asked) = async_mpsc::unbounded_channel();
+        let entry = SharedEntry::new(keyed(0)).get();
         let mut take = |link: &Links, counts: &[u64]| {
             let mut batch = RecvBatch::new(1500);
             for count in counts {
@@ -355,8 +456,8 @@ mod tests {
                 forward::stamp(&mut header, &entry, *count);
                 assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
             }
-            intakes.take(&mut batch, link, &counters, &feedback(), &events);
-            counters.refused[Counter::Replayed as usize].get()
+            intakes.take(&mut batch, link);
+            intakes.outlet.counters.refused[Counter::Replayed as usize].get()
         };
         let link = links();
         assert_eq!(take(&link, &[1, 3, 2, 1]), 1);
@@ -366,10 +467,9 @@ mod tests {
 
     #[test]
     fn errors_are_told_to_the_publisher_of_their_name_and_to_no_other() {
-        let (counters, mut intakes, link) = (Counters::default(), subscribed(), links());
-        let (events, _asked) = async_mpsc::unbounded_channel();
-        let feedback = feedback();
-        let (told, other) = (feedback.of(NAME), feedback.of(Name::from_bytes([3; 32])));
+        let (mut intakes, link) = (subscribed(), links());
+        let (node, outlet) = (intakes.outlet.name(), intakes.outlet.clone());
+        let (told, other) = (intakes.feedback.of(NAME), intakes.feedback.of(Name::from_bytes([3; 32])));
         let mut take = |count: u32, source: Name, code: u8| {
             let mut header = Header::data(NAME, source, 0);
             header.set_link_counter(1000 + count);
@@ -378,15 +478,15 @@ mod tests {
             forward::stamp(&mut header, &link.current.entry, count.into());
             let mut batch = RecvBatch::new(1500);
             assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
-            intakes.take(&mut batch, &link, &counters, &feedback, &events);
+            intakes.take(&mut batch, &link);
         };
-        take(1, NODE, ErrorCode::TooBig as u8);
+        take(1, node, ErrorCode::TooBig as u8);
         take(2, Name::from_bytes([9; 32]), ErrorCode::TooBig as u8);
-        take(3, NODE, ErrorCode::NoRoute as u8);
-        take(4, NODE, 0);
-        take(5, NODE, ErrorCode::COUNT as u8 + 1);
+        take(3, node, ErrorCode::NoRoute as u8);
+        take(4, node, 0);
+        take(5, node, ErrorCode::COUNT as u8 + 1);
         let errors = |too_big| BTreeMap::from([("no_route", 1), ("too_big", too_big)]);
-        let counters = counters.snapshot(0);
+        let counters = outlet.counters.snapshot(0);
         assert_eq!((counters.errors_received, told.errors()), (errors(2), errors(1)), "one was not about this node");
         assert_eq!(counters.drops, BTreeMap::from([("drop_unknown", 2)]), "codes that nobody knows");
         let last = told.last().unwrap();
@@ -401,10 +501,6 @@ mod tests {
     /// A link whose two ends have the same keys.
     fn keyed(id: u32) -> LinkEntry {
         LinkEntry { id, peer_id: id, rx_keys: [[1, 2]; 2], tx_keys: [[1, 2]; 2], ..LinkEntry::default() }
-    }
-
-    fn feedback() -> Feedbacks {
-        Feedbacks::new(NODE)
     }
 
     #[test]
@@ -422,14 +518,11 @@ mod tests {
     }
 
     fn subscribed() -> Intakes {
-        let reader = Reader::new(NAME, Backend::default(), Limits::default());
-        let key = EpochKey::from_bytes([2; 32]);
-        let intake = Intake::new(reader, &key, async_mpsc::channel(1).0, Arc::default(), 1);
-        Intakes {
-            intakes: HashMap::from([(NAME, Box::new(intake))]),
-            held: Held::default(),
-            asked: HashMap::new(),
-            start: Instant::now(),
-        }
+        let node = Identity::generate("proxy").unwrap();
+        let outlet = Arc::new(Outlet::new(&node, Arc::default(), None));
+        let mut intakes = Intakes::new(outlet, Arc::new(Feedbacks::new(node.name())));
+        let intake = Intake::new(NAME, SubscribeOptions::best_effort(), async_mpsc::channel(1).0, Arc::default());
+        intakes.intakes.insert(NAME, Box::new(intake));
+        intakes
     }
 }

@@ -2,23 +2,26 @@
 //! tasks. Requests go out from here; when, is the supervisor's business.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard};
-use std::time::{Duration, SystemTime};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
+use std::time::Duration;
 
 use gdp_wire::Name;
-use tokio::sync::{Notify, mpsc, watch};
+use tokio::sync::{Notify, mpsc};
 
+use super::clock::unix_now;
 use super::counters::Counters;
 use super::feedback::Feedbacks;
-use super::intake::Writer as KnownWriter;
+use super::outlet::{Outlet, Status};
+use super::publication::Publication;
+use super::reading::Reading;
 use super::receiver::Command;
 use super::supervisor::{Attachment, Event};
 use super::{NodeError, Stated};
-use crate::cert::{AdCert, Advert, AdvertOp, Issued, Reading, RtCert, Signed, issue};
-use crate::control::{EntityRequest, NameRole, Peers, Record, RecordPlace, RefusalCode, Request, Response};
+use crate::cert::{AdCert, Advert, AdvertOp, CertError, Issued, Reading as Grant, Revocation, RtCert, Signed, issue};
+use crate::control::{EntityRequest, NameRole, Record, RecordPlace, RefusalCode, Request, Response};
 use crate::identity::Identity;
 use crate::name::{NamePrefix, NameProof};
-use crate::peers::{Counterpart, Counterparts, OutOfStep, PeerEvent};
+use crate::peers::Counterparts;
 
 /// Seconds that certificates for the switch and statements to the RIB hold; they are renewed long before.
 pub const LIFETIME: u32 = 24 * 3600;
@@ -31,34 +34,30 @@ pub struct State {
     pub identity: Identity,
     pub counters: Arc<Counters>,
     pub feedback: Arc<Feedbacks>,
-    status: watch::Sender<Status>,
+    pub outlet: Arc<Outlet>,
+    pub publications: Mutex<HashMap<Name, Arc<Publication>>>,
+    pub readings: Mutex<HashMap<Name, Reading>>,
+    /// Why subscriptions ended.
+    pub subscriptions: Mutex<HashMap<Name, Arc<OnceLock<CertError>>>>,
     /// Everything the RIB is to know, stated again after each reconnection; and whether it was, on the present link.
     statements: Mutex<HashMap<(Name, Stated), (Statement, bool)>>,
     /// Those on the other side of what is stated.
-    counterparts: Mutex<HashMap<(Name, NameRole), Counterparts>>,
+    pub counterparts: Mutex<HashMap<(Name, NameRole), Counterparts>>,
     /// Something that stands has to be stated again.
     pub unstated: Notify,
+    /// There may be key boxes for the RIB.
+    pub boxes_due: Notify,
     /// The highest serial used. Held while a statement is on its way, so that they arrive in their order.
     serial: tokio::sync::Mutex<u64>,
     commands: std::sync::mpsc::Sender<Command>,
-    events: mpsc::UnboundedSender<Event>,
-}
-
-#[derive(Clone)]
-pub enum Status {
-    Down(String),
-    /// The switch fell silent, for this reason. Its kernel may forward on, so frames still go out on the link; nothing can
-    /// be asked over it.
-    Held(Arc<Attachment>, String),
-    Up(Arc<Attachment>),
-    Closed,
+    pub events: mpsc::UnboundedSender<Event>,
 }
 
 /// The right to a name, as it is shown to the RIB.
 #[derive(Clone)]
 pub enum Statement {
     Publish { proof: NameProof, ad_cert: Issued<AdCert> },
-    Subscribe { proof: NameProof, grant: Reading },
+    Subscribe { proof: NameProof, grant: Grant },
 }
 
 impl Statement {
@@ -73,30 +72,32 @@ impl State {
     /// Not attached yet.
     pub fn new(
         identity: Identity,
+        budget: Option<u64>,
         commands: std::sync::mpsc::Sender<Command>,
         events: mpsc::UnboundedSender<Event>,
     ) -> Self {
+        let counters = Arc::<Counters>::default();
         Self {
             feedback: Arc::new(Feedbacks::new(identity.name())),
+            outlet: Arc::new(Outlet::new(&identity, counters.clone(), budget)),
             identity,
-            counters: Arc::default(),
-            status: watch::Sender::new(Status::Down("connecting".into())),
+            counters,
+            publications: Mutex::default(),
+            readings: Mutex::default(),
+            subscriptions: Mutex::default(),
             statements: Mutex::default(),
             counterparts: Mutex::default(),
             unstated: Notify::new(),
+            boxes_due: Notify::new(),
             serial: tokio::sync::Mutex::new(0),
             commands,
             events,
         }
     }
 
-    pub fn set_status(&self, status: Status) {
-        self.status.send_replace(status);
-    }
-
     /// Why there is still no link.
     pub fn still_lost(&self, why: String) {
-        self.status.send_modify(|status| {
+        self.outlet.change_status(|status| {
             if let Status::Down(reason) | Status::Held(_, reason) = status {
                 *reason = why;
             }
@@ -105,7 +106,7 @@ impl State {
 
     /// The link that fell silent is of no use any more.
     pub fn end_hold(&self) {
-        self.status.send_modify(|status| {
+        self.outlet.change_status(|status| {
             if let Status::Held(_, reason) = status {
                 *status = Status::Down(std::mem::take(reason));
             }
@@ -115,34 +116,42 @@ impl State {
     pub fn command(&self, command: Command) {
         // The thread ends only once this node is closed.
         let _ = self.commands.send(command);
-        if let Ok(attachment) = self.sending_on() {
+        if let Ok(attachment) = self.outlet.sending_on() {
             attachment.data.wake();
         }
     }
 
     /// The link, if it is up at this moment.
     pub fn attached_now(&self) -> Result<Arc<Attachment>, NodeError> {
-        match &*self.status.borrow() {
-            Status::Up(attachment) => Ok(attachment.clone()),
-            Status::Down(reason) | Status::Held(_, reason) => Err(NodeError::Detached(reason.clone())),
-            Status::Closed => Err(NodeError::Closed),
-        }
-    }
-
-    /// The link that frames go out on: the one that is up, or for a while the one that fell silent.
-    pub fn sending_on(&self) -> Result<Arc<Attachment>, NodeError> {
-        if let Status::Held(attachment, _) = &*self.status.borrow() {
-            return Ok(attachment.clone());
-        }
-        self.attached_now()
+        self.outlet.attached_now()
     }
 
     /// The link, waiting for it a while.
     pub async fn attached(&self) -> Result<Arc<Attachment>, NodeError> {
-        let mut status = self.status.subscribe();
+        let mut status = self.outlet.status();
         let settled = status.wait_for(|status| !matches!(status, Status::Down(_) | Status::Held(..)));
         let _ = tokio::time::timeout(LINK_PATIENCE, settled).await;
         self.attached_now()
+    }
+
+    /// Whether this node's own right in a name holds under a revocation of it.
+    pub fn check_own(&self, name: Name, role: NameRole, revocation: &Revocation) -> Result<(), CertError> {
+        let statements = lock(&self.statements);
+        let stated = |stated| statements.get(&(name, stated)).map(|(statement, _)| statement);
+        let now = unix_now();
+        match role {
+            NameRole::Publisher => match stated(Stated::Published) {
+                Some(Statement::Publish { proof, ad_cert }) => ad_cert.verify(proof, Some(revocation), now).map(drop),
+                _ => Ok(()),
+            },
+            NameRole::Subscriber => match stated(Stated::Subscribed) {
+                Some(Statement::Subscribe { proof, grant }) => {
+                    grant.verify(proof, self.identity.name(), Some(revocation), now).map(drop)
+                }
+                _ => Ok(()),
+            },
+            NameRole::Server | NameRole::Caller => Ok(()),
+        }
     }
 
     pub fn begin(&self, name: Name, stated: Stated, statement: Statement) -> Result<(), NodeError> {
@@ -162,8 +171,21 @@ impl State {
         lock(&self.statements).remove(&(name, stated));
         lock(&self.counterparts).remove(&(name, stated.role()));
         match stated {
-            Stated::Subscribed => self.command(Command::Unsubscribe { name }),
-            Stated::Published => self.feedback.forget(&name),
+            Stated::Subscribed => {
+                lock(&self.subscriptions).remove(&name);
+                if let Some(reading) = lock(&self.readings).remove(&name) {
+                    let mut pairs = lock(&self.outlet.pairs);
+                    reading.writers().for_each(|writer| pairs.part(writer));
+                }
+                self.command(Command::Unsubscribe { name });
+            }
+            Stated::Published => {
+                self.feedback.forget(&name);
+                if let Some(publication) = lock(&self.publications).remove(&name) {
+                    self.command(Command::Unpublish { name });
+                    self.outlet.close(&publication);
+                }
+            }
         }
         self.withdraw_later(name, stated);
     }
@@ -177,6 +199,7 @@ impl State {
     pub async fn attach(&self, attachment: &Attachment) -> Result<(), NodeError> {
         let mut serial = self.serial.lock().await;
         self.attach_locked(attachment, &mut serial).await?;
+        lock(&self.publications).values().for_each(|publication| publication.store_again());
         lock(&self.statements).values_mut().for_each(|(_, done)| *done = false);
         Ok(())
     }
@@ -209,6 +232,7 @@ impl State {
         if let Some((_, done)) = lock(&self.statements).get_mut(&(name, stated)) {
             *done = true;
         }
+        self.boxes_due.notify_one();
         Ok(())
     }
 
@@ -255,48 +279,14 @@ impl State {
         }
     }
 
-    /// Asks the RIB who writes a name: its writers come first, so those that fit an answer.
-    pub async fn learn_writers(&self, attachment: &Attachment, name: Name) -> Result<(), NodeError> {
-        let (records, _) = self.query(attachment, name.into(), None).await?;
-        let writers = lock(&self.counterparts).get(&(name, NameRole::Subscriber)).map(|counterparts| {
-            let believed = records.iter().filter(|r| r.is_writer()).map(|r| counterparts.believe(unix_now(), r));
-            believed
-                .filter_map(|c| c.inspect_err(|e| tracing::warn!(%name, error = %e, "a record does not verify")).ok())
-                .collect()
-        });
-        self.authorise(name, writers.unwrap_or_default());
-        Ok(())
-    }
-
-    /// Takes what the RIB told of the counterparts in a name; `None` if this node has no such part in it.
-    pub fn take_peers(&self, name: Name, role: NameRole, peers: &Peers) -> Option<Result<(), OutOfStep>> {
-        let taken = lock(&self.counterparts).get_mut(&(name, role))?.take(unix_now(), peers);
-        let events = match taken {
-            Ok(events) => events,
-            Err(error) => return Some(Err(error)),
-        };
-        let mut joined = Vec::new();
-        for event in events {
-            match event {
-                PeerEvent::Joined(counterpart) => joined.push(counterpart),
-                PeerEvent::Refused(error) => tracing::warn!(%name, %error, "the RIB told what does not verify"),
-                // A writer is believed as long as its right holds: forgetting it would forget what was delivered of it.
-                PeerEvent::Left(_) | PeerEvent::Revoked(_) | PeerEvent::KeyBox(_) => {}
-            }
-        }
-        if role == NameRole::Subscriber {
-            self.authorise(name, joined);
-        }
-        Some(Ok(()))
-    }
-
-    /// Has the reader of `name` believe these writers.
-    fn authorise(&self, name: Name, writers: Vec<Counterpart>) {
-        let known = |Counterpart { entity, key, not_after, .. }| KnownWriter { entity, key, not_after };
-        let writers: Vec<KnownWriter> = writers.into_iter().map(known).collect();
-        if !writers.is_empty() {
-            self.command(Command::Authorise { name, writers });
-        }
+    /// Gives the RIB a revocation that it does not know.
+    pub async fn pass_on(
+        &self,
+        attachment: &Attachment,
+        proof: NameProof,
+        revocation: Signed<Revocation>,
+    ) -> Result<(), NodeError> {
+        ask(attachment, EntityRequest::Revoke { proof, revocation }).await.map(drop)
     }
 
     /// Asks with a statement of this entity, under the next serial; and once more under a higher one if something else spoke
@@ -332,13 +322,8 @@ impl State {
     }
 }
 
-async fn ask(attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {
+pub async fn ask(attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {
     Ok(attachment.link.request(&Request::Entity(request)).await?.accepted()?)
-}
-
-/// Unix seconds.
-pub fn unix_now() -> u64 {
-    SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |time| time.as_secs())
 }
 
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

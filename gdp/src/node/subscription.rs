@@ -1,20 +1,25 @@
 //! The application's receiving end of a name.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, OnceLock};
 
 use gdp_wire::Name;
 use tokio::sync::mpsc;
 
+use super::intake::Shared;
+use super::receiver::Command;
 use super::{Handle, Stated};
+use crate::cert::CertError;
 use crate::seal::Message;
+use crate::transport::InboundCounters;
 
 /// Receives the verified messages of a name. Dropping it ends the subscription.
 pub struct Subscription {
     node: Arc<Handle>,
     name: Name,
     queue: mpsc::Receiver<Message>,
-    queued_bytes: Arc<AtomicUsize>,
+    shared: Arc<Shared>,
+    ended: Arc<OnceLock<CertError>>,
 }
 
 impl Subscription {
@@ -22,20 +27,39 @@ impl Subscription {
         node: Arc<Handle>,
         name: Name,
         queue: mpsc::Receiver<Message>,
-        queued_bytes: Arc<AtomicUsize>,
+        shared: Arc<Shared>,
+        ended: Arc<OnceLock<CertError>>,
     ) -> Self {
-        Self { node, name, queue, queued_bytes }
+        Self { node, name, queue, shared, ended }
     }
 
     pub fn name(&self) -> Name {
         self.name
     }
 
-    /// The next message; `None` once the node is closed. Safe to cancel.
+    /// The next message; `None` once the node is closed, or the grant holds no more ([`Self::ended`]). Safe to cancel.
     pub async fn recv(&mut self) -> Option<Message> {
         let message = self.queue.recv().await?;
-        self.queued_bytes.fetch_sub(message.body.len(), Ordering::Relaxed);
+        self.shared.queued_bytes.fetch_sub(message.body.len(), Ordering::Relaxed);
+        if self.shared.stalled.load(Ordering::Relaxed) && self.queue.len() <= self.queue.max_capacity() / 2 {
+            self.node.state.command(Command::Resume { name: self.name });
+        }
         Some(message)
+    }
+
+    /// Why nothing is received any more, if that is because the grant holds no more.
+    pub fn ended(&self) -> Option<&CertError> {
+        self.ended.get()
+    }
+
+    /// What became of messages and segments so far; `delivered` ones may still be dropped here, as [`Self::queue_full`] says.
+    pub fn counters(&self) -> InboundCounters {
+        self.shared.counters.get()
+    }
+
+    /// Messages that were dropped because the application did not take them in time; none of a reliable name.
+    pub fn queue_full(&self) -> u64 {
+        self.shared.counters.queue_full.load(Ordering::Relaxed)
     }
 }
 

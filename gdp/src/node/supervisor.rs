@@ -14,14 +14,17 @@ use tokio::time::{Instant, sleep, sleep_until, timeout_at};
 use zerocopy::IntoBytes;
 
 use super::frame_size::FrameSize;
+use super::outlet::Status;
 use super::receiver::Command;
 use super::shared_entry::SharedEntry;
-use super::state::{self, State, Status};
+use super::state::{self, State};
 use super::{LinkTarget, NodeError, Stated};
+use crate::cert::{Revocation, Signed};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
 use crate::link::liveness::{Liveness, Pace, Step};
 use crate::link::{HOLD, Link, LinkError, LinkKeys, RekeySchedule, Responder, Role};
+use crate::name::NameProof;
 use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, SMALLEST_PATH};
 
 /// How long a switch may take to answer discovery.
@@ -50,8 +53,8 @@ const SETTLING: Duration = Duration::from_secs(3);
 pub enum Event {
     /// A publisher or subscription was dropped.
     Withdraw { name: Name, stated: Stated },
-    /// Frames for this name arrive from a source that is not known as its writer.
-    UnknownWriter { name: Name },
+    /// The RIB does not know this revocation.
+    Revoke { proof: NameProof, revocation: Signed<Revocation> },
 }
 
 /// The link as publishers use it.
@@ -175,7 +178,7 @@ impl Supervisor {
             loop {
                 match self.attempt(None).await {
                     Err(error) if worth_another_attempt(&error) => {
-                        self.state.set_status(Status::Down(error.to_string()));
+                        self.state.outlet.set_status(Status::Down(error.to_string()));
                         backoff.wait().await;
                     }
                     result => return result,
@@ -195,13 +198,16 @@ impl Supervisor {
         mut events: mpsc::UnboundedReceiver<Event>,
         mut stop: watch::Receiver<bool>,
     ) {
+        let state = self.state.clone();
         tokio::select! {
             () = self.supervise(first, &mut events) => {}
+            () = state.keep() => {}
             _ = stop.wait_for(|stop| *stop) => {}
         }
         // In this order: the thread is woken through the link.
         self.state.command(Command::Stop);
-        self.state.set_status(Status::Closed);
+        self.state.outlet.stop();
+        self.state.outlet.set_status(Status::Closed);
         if let Some(port) = &self.port {
             port.close("the node was closed").await;
         }
@@ -213,11 +219,11 @@ impl Supervisor {
             let reason = self.serve(attachment.clone(), events).await;
             tracing::warn!(switch = %self.target, %reason, "lost the link to the switch");
             attachment = if attachment.link.fell_silent() {
-                self.state.set_status(Status::Held(attachment.clone(), reason));
+                self.state.outlet.set_status(Status::Held(attachment.clone(), reason));
                 let held = Held { attachment, until: Instant::now() + HOLD };
                 self.reconnect_while_held(&held).await
             } else {
-                self.state.set_status(Status::Down(reason));
+                self.state.outlet.set_status(Status::Down(reason));
                 self.reconnect(None).await
             };
             tracing::info!(switch = %attachment.link.peer().name, "the link to the switch is back");
@@ -293,7 +299,7 @@ impl Supervisor {
         };
         self.state.attach(&attachment).await?;
         self.state.counters.links.add(1);
-        self.state.set_status(Status::Up(attachment.clone()));
+        self.state.outlet.set_status(Status::Up(attachment.clone()));
         Ok(attachment)
     }
 
@@ -447,9 +453,9 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
                 backoff.wait().await;
             }
         }
-        Event::UnknownWriter { name } => {
-            if let Err(error) = state.learn_writers(&attachment, name).await {
-                tracing::debug!(%name, %error, "its writers could not be asked for");
+        Event::Revoke { proof, revocation } => {
+            if let Err(error) = state.pass_on(&attachment, proof, revocation).await {
+                tracing::warn!(%error, "the RIB does not know a revocation, and does not take it");
             }
         }
     }

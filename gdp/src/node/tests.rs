@@ -5,9 +5,12 @@ mod fabric;
 use std::time::Duration;
 
 use self::fabric::{Fabric, Owner, eventually};
+use super::clock::unix_nanos;
 use super::*;
 use crate::control::RefusalCode;
-use crate::seal::Encoding;
+use crate::crypto::Backend;
+use crate::seal::tests::Random;
+use crate::seal::{Encoding, EpochKey, Segments, Writer};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn messages_arrive_by_name() {
@@ -25,7 +28,6 @@ async fn messages_arrive_by_name() {
     let (sent, received) = (robot.counters(), cloud.counters());
     assert_eq!((sent.messages_sent, sent.links, sent.messages_unsent), (5, 1, 0));
     assert_eq!(received.messages_received, 5);
-    assert_eq!(received.frames_received, sent.frames_sent);
     assert!(received.drops.is_empty(), "{received:?}");
 }
 
@@ -37,7 +39,7 @@ async fn only_writers_with_the_owners_certificate_are_believed() {
     let mut subscription = owner.subscribe(&cloud).await.unwrap();
     let mut publisher = owner.publish(&robot).await.unwrap();
 
-    // The rogue has the epoch key, and a RIB that lies for it: a certificate that another key signed.
+    // The rogue has a RIB that lies for it: a certificate that another key signed.
     let card = owner.card();
     let forged = Owner::of_card(card.clone()).ad_cert(rogue.name());
     assert!(matches!(
@@ -45,11 +47,13 @@ async fn only_writers_with_the_owners_certificate_are_believed() {
         Err(NodeError::Cert(CertError::WrongKey { .. }))
     ));
     fabric.lie(card.name(), &rogue, card.proof(), forged);
-    let key = rogue.0.state.identity.key().clone();
+    let (key, mut segments) = (rogue.0.state.identity.key().clone(), Segments::new());
     let mut writer = Writer::new(card.name(), rogue.name(), key, Backend::default()).unwrap();
-    writer.set_epoch(EPOCH, &name_key(&card.name())).unwrap();
-    let mut forger = Publisher::new(rogue.0.clone(), card.name(), writer, Arc::default());
-    forger.send(Encoding::Bytes, b"forged").await.unwrap();
+    writer.set_epoch(1, &EpochKey::generate().unwrap()).unwrap();
+    writer.seal(unix_nanos(), Encoding::Bytes, b"forged", 1000, &mut segments).unwrap();
+    let attachment = rogue.0.state.attached_now().unwrap();
+    rogue.0.state.outlet.send_one(&attachment, card.name(), segments.iter().next().unwrap());
+    fabric.tell(card.name()).await;
     eventually("the forger's frame is dropped", || cloud.counters().drops.contains_key("seal_unknown_writer")).await;
 
     publisher.send(Encoding::Bytes, b"true").await.unwrap();
@@ -59,14 +63,17 @@ async fn only_writers_with_the_owners_certificate_are_believed() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_writer_that_comes_later_is_learnt() {
     let fabric = Fabric::start().await;
-    fabric.push_writers(false);
+    fabric.push_peers(false);
     let owner = Owner::new("/chatter");
     let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
     let mut subscription = owner.subscribe(&cloud).await.unwrap();
     let mut publisher = owner.publish(&robot).await.unwrap();
-    // Nobody told the subscriber: the first frame makes it ask, and waits for the answer.
+    // Nobody told the subscriber yet: what comes until then waits.
     publisher.send(Encoding::Bytes, &[1; 10_000]).await.unwrap();
     publisher.send(Encoding::Bytes, &[2; 10]).await.unwrap();
+    eventually("the frames are there", || cloud.counters().frames_received >= 9).await;
+    fabric.push_peers(true);
+    fabric.tell(owner.name()).await;
     for body in [vec![1; 10_000], vec![2; 10]] {
         let message = recv(&mut subscription).await;
         assert_eq!((&message.body[..], message.writer), (&body[..], robot.name()));
@@ -81,19 +88,22 @@ async fn everything_is_stated_again_after_the_link_was_lost() {
     let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
     let mut subscription = owner.subscribe(&cloud).await.unwrap();
     let mut publisher = owner.publish(&robot).await.unwrap();
+    let mut best_effort = Owner::new("/other").publish_as(&robot, PublishOptions::best_effort()).await.unwrap();
     publisher.send(Encoding::Bytes, b"before").await.unwrap();
     recv(&mut subscription).await;
 
     fabric.stop().await;
     eventually("the robot notices", || robot.switch().is_err()).await;
-    let error = publisher.send(Encoding::Bytes, b"lost").await.unwrap_err();
+    let error = best_effort.send(Encoding::Bytes, b"lost").await.unwrap_err();
     assert!(matches!(&error, NodeError::Detached(_)), "{error}");
+    publisher.send(Encoding::Bytes, b"meanwhile").await.unwrap();
     fabric.restart().await;
     eventually("both are back", || robot.counters().links == 2 && cloud.counters().links == 2).await;
     eventually("all is stated", || fabric.writers(owner.name()) == 1 && fabric.has_subscriber(owner.name())).await;
     // The RIB forgot the serials with all else; the nodes did not.
     assert!(fabric.serial(robot.name()) > 1);
     publisher.send(Encoding::Bytes, b"after").await.unwrap();
+    assert_eq!(&recv(&mut subscription).await.body[..], b"meanwhile");
     assert_eq!(&recv(&mut subscription).await.body[..], b"after");
 }
 
@@ -193,6 +203,175 @@ async fn connecting_fails_with_the_reason() {
     let config = NodeConfig::new(identity, "eth://gdpnone0".parse().unwrap());
     let error = Node::connect(config).await.err().unwrap().to_string();
     assert!(error.contains("gdpnone0"), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_lost_on_the_way_comes_again_and_in_order() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/chatter");
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut subscription = owner.subscribe(&cloud).await.unwrap();
+    let mut publisher = owner.publish(&robot).await.unwrap();
+    let mut random = Random(7);
+    fabric.set_fate(Some(Box::new(move |_, _| random.below(10) > 0)));
+    const COUNT: u32 = 300;
+    let sending = tokio::spawn(async move {
+        for i in 0..COUNT {
+            let body = i.to_be_bytes().repeat(if i % 50 == 0 { 50_000 } else { 16 });
+            publisher.send(Encoding::Bytes, &body).await.unwrap();
+        }
+        publisher
+    });
+    for i in 0..COUNT {
+        let message = recv(&mut subscription).await;
+        assert_eq!(message.body[..4], i.to_be_bytes(), "{:?}", cloud.counters());
+    }
+    let publisher = sending.await.unwrap();
+    let (sent, received) = (publisher.counters(), subscription.counters());
+    assert_eq!((sent.messages, sent.evicted, received.delivered), (COUNT.into(), 0, COUNT.into()));
+    assert!(sent.repeated > 0 && received.given_up == 0, "{sent:?} {received:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn of_best_effort_messages_each_is_accounted_for() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/chatter");
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut subscription = owner.subscribe_as(&cloud, SubscribeOptions::best_effort()).await.unwrap();
+    let mut publisher = owner.publish_as(&robot, PublishOptions::best_effort()).await.unwrap();
+    let mut random = Random(8);
+    publisher.send(Encoding::Bytes, b"first").await.unwrap();
+    assert_eq!(recv(&mut subscription).await.sequence, 1);
+    fabric.set_fate(Some(Box::new(move |_, _| random.below(10) > 0)));
+    for _ in 0..300 {
+        publisher.send(Encoding::Bytes, &[1; 3000]).await.unwrap();
+    }
+    fabric.set_fate(None);
+    // The last one is complete some day: then all before it are dealt with.
+    let mut last = 1;
+    while last < publisher.counters().messages {
+        publisher.send(Encoding::Bytes, b"last").await.unwrap();
+        while let Ok(message) = tokio::time::timeout(Duration::from_millis(200), subscription.recv()).await {
+            let sequence = message.unwrap().sequence;
+            assert!(sequence > last, "none twice, none late");
+            last = sequence;
+        }
+    }
+    let (sent, received) = (publisher.counters(), subscription.counters());
+    let dealt_with = received.delivered + received.overtaken + received.expired;
+    assert_eq!((dealt_with, received.given_up), (sent.messages, 0), "{sent:?} {received:?}");
+    assert_eq!(cloud.counters().messages_received, received.delivered);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn recorded_messages_of_yesterday_are_not_read_by_a_restarted_reader() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/cmd_vel");
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut subscription = owner.subscribe(&cloud).await.unwrap();
+    let mut publisher = owner.publish(&robot).await.unwrap();
+    let recorded = Arc::new(Mutex::new(Vec::new()));
+    let (tape, name) = (recorded.clone(), owner.name());
+    fabric.set_fate(Some(Box::new(move |header, payload| {
+        if header.destination == name {
+            lock(&tape).push(payload.to_vec());
+        }
+        true
+    })));
+    publisher.send(Encoding::Bytes, b"go").await.unwrap();
+    recv(&mut subscription).await;
+    drop(subscription);
+    eventually("unsubscribed", || !fabric.has_subscriber(name)).await;
+
+    // The reader's identity is the same, its memory is not.
+    let mut subscription = owner.subscribe(&cloud).await.unwrap();
+    fabric.tell(name).await;
+    publisher.send(Encoding::Bytes, b"stop").await.unwrap();
+    assert_eq!(&recv(&mut subscription).await.body[..], b"stop");
+    let attachment = robot.0.state.attached_now().unwrap();
+    let tape = lock(&recorded).clone();
+    tape.iter().for_each(|payload| robot.0.state.outlet.send_one(&attachment, name, payload));
+    eventually("all are refused", || {
+        let drops = cloud.counters().drops;
+        ["seal_stale", "seal_duplicate"].into_iter().filter_map(|reason| drops.get(reason)).sum::<u64>() >= 2
+    })
+    .await;
+    assert!(cloud.counters().drops.contains_key("seal_stale"), "{:?}", cloud.counters());
+    publisher.send(Encoding::Bytes, b"on").await.unwrap();
+    assert_eq!(&recv(&mut subscription).await.body[..], b"on");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_restarted_writer_is_believed_and_its_old_session_is_not() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/chatter");
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut subscription = owner.subscribe(&cloud).await.unwrap();
+    let mut sessions = Vec::new();
+    for _ in 0..3 {
+        let mut publisher = owner.publish(&robot).await.unwrap();
+        publisher.send(Encoding::Bytes, b"hello").await.unwrap();
+        sessions.push(recv(&mut subscription).await.session);
+        drop(publisher);
+        eventually("withdrawn", || fabric.writers(owner.name()) == 0).await;
+    }
+    sessions.dedup();
+    assert_eq!(sessions.len(), 3);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_revoked_reader_does_not_get_the_next_key() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/chatter");
+    let (robot, cloud, thief) = (fabric.node("proxy").await, fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut subscription = owner.subscribe(&cloud).await.unwrap();
+    let mut stolen = owner.subscribe_by(&thief, 7, SubscribeOptions::reliable()).await.unwrap();
+    let mut publisher = owner.publish(&robot).await.unwrap();
+    publisher.send(Encoding::Bytes, b"for both").await.unwrap();
+    recv(&mut subscription).await;
+    recv(&mut stolen).await;
+    let before = fabric.boxes(owner.name(), &thief);
+    fabric.revoke(owner.revocation(1, vec![7])).await;
+    let newest = |node: &Node| fabric.boxes(owner.name(), node).into_iter().map(|key_box| key_box.epoch).max();
+    eventually("a new epoch", || newest(&cloud) > newest(&thief)).await;
+    assert_eq!(fabric.boxes(owner.name(), &thief), before);
+    assert!(stolen.recv().await.is_none(), "it has been told");
+    assert!(matches!(stolen.ended(), Some(CertError::Revoked { serial: 7, .. })));
+    publisher.send(Encoding::Bytes, b"for one").await.unwrap();
+    assert_eq!(&recv(&mut subscription).await.body[..], b"for one");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_revoked_writer_is_not_believed_and_sends_no_more() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/chatter");
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let _subscription = owner.subscribe_by(&cloud, 2, SubscribeOptions::reliable()).await.unwrap();
+    let mut publisher = owner.publish(&robot).await.unwrap();
+    fabric.revoke(owner.revocation(1, vec![1])).await;
+    let error = publisher.send(Encoding::Bytes, b"x").await.unwrap_err();
+    assert!(matches!(error, NodeError::Cert(CertError::Revoked { serial: 1, .. })), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_reader_that_takes_its_time_holds_the_publisher_and_loses_nothing() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/chatter");
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let options = SubscribeOptions { queue: 4, ..SubscribeOptions::reliable() };
+    let mut subscription = owner.subscribe_as(&cloud, options).await.unwrap();
+    let options = PublishOptions { history: 16, ..PublishOptions::reliable() };
+    let mut publisher = owner.publish_as(&robot, options).await.unwrap();
+    let sending = tokio::spawn(async move {
+        for i in 0..200u32 {
+            publisher.send(Encoding::Bytes, &i.to_be_bytes()).await.unwrap();
+        }
+        publisher
+    });
+    for i in 0..200u32 {
+        assert_eq!(recv(&mut subscription).await.body[..], i.to_be_bytes());
+    }
+    assert_eq!(sending.await.unwrap().counters().evicted, 0);
 }
 
 async fn recv(subscription: &mut Subscription) -> crate::seal::Message {

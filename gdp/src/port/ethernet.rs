@@ -8,7 +8,7 @@ use std::fmt;
 use std::io::{self, IoSliceMut};
 use std::mem::{size_of, zeroed};
 use std::net::SocketAddr;
-use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
@@ -20,9 +20,11 @@ use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
 use zerocopy::IntoBytes;
 
+use super::LinkAddr;
 use super::addr::{mac_to_socket, socket_to_mac};
+use super::batch::{BATCH, RecvBatch};
 use super::discover::Discovery;
-use super::sys::{self, RawAddr, check};
+use super::sys::{self, RawAddr, check, step};
 
 /// Socket buffers. A burst of a 1 MB message in frames of 1500 B occupies about 2 MB of the kernel's memory.
 const DATA_BUFFER: usize = 16 << 20;
@@ -129,6 +131,29 @@ impl Vlan {
 /// The socket for data frames of an interface.
 pub fn open_data(interface: &Interface, ethertype: u16) -> io::Result<OwnedFd> {
     open(interface, ethertype, Take::AllButControl)
+}
+
+/// Receives the data frames that are there, [`BATCH`] at most.
+pub fn receive(fd: BorrowedFd, ifindex: u32, batch: &mut RecvBatch) -> io::Result<()> {
+    let mut addrs = [RawAddr::zeroed(); BATCH];
+    // SAFETY: both are plain structures of integers and pointers, for which zero is a valid value.
+    let (mut iovecs, mut messages): ([libc::iovec; BATCH], [libc::mmsghdr; BATCH]) = unsafe { (zeroed(), zeroed()) };
+    let size = batch.largest();
+    for (i, slot) in batch.slots(BATCH, size).enumerate() {
+        iovecs[i] = libc::iovec { iov_base: slot.as_mut_ptr().cast(), iov_len: slot.len() };
+        let header = &mut messages[i].msg_hdr;
+        header.msg_name = (&raw mut addrs[i]).cast();
+        header.msg_namelen = size_of::<RawAddr>() as u32;
+        header.msg_iov = &raw mut iovecs[i];
+        header.msg_iovlen = 1;
+    }
+    // SAFETY: every header points to a buffer and an address that outlive the call, with their true lengths.
+    let count = unsafe { sys::receive(fd, &mut messages) }?;
+    for (i, message) in messages[..count].iter().enumerate() {
+        let from = LinkAddr::Ethernet { ifindex, mac: addrs[i].mac() };
+        batch.add(i * size, message.msg_len as usize, from, false);
+    }
+    Ok(())
 }
 
 /// QUIC over control frames, as quinn wants a socket to be; and discovery beside it.
@@ -320,11 +345,10 @@ fn open(interface: &Interface, ethertype: u16, take: Take) -> io::Result<OwnedFd
 }
 
 fn attach_filter(fd: &OwnedFd, take: Take) -> io::Result<()> {
-    const LOAD_BYTE: u16 = (libc::BPF_LD | libc::BPF_B | libc::BPF_ABS) as u16;
-    const JUMP_EQUAL: u16 = (libc::BPF_JMP | libc::BPF_JEQ | libc::BPF_K) as u16;
-    const RETURN: u16 = (libc::BPF_RET | libc::BPF_K) as u16;
+    const LOAD_BYTE: u32 = libc::BPF_LD | libc::BPF_B | libc::BPF_ABS;
+    const JUMP_EQUAL: u32 = libc::BPF_JMP | libc::BPF_JEQ | libc::BPF_K;
+    const RETURN: u32 = libc::BPF_RET | libc::BPF_K;
     let packet_type = (libc::SKF_AD_OFF + libc::SKF_AD_PKTTYPE) as u32;
-    let step = |code, jt, jf, k| libc::sock_filter { code, jt, jf, k };
     let (control, other) = if take == Take::Control { (0, 1) } else { (1, 0) };
     let mut program = [
         step(LOAD_BYTE, 0, 0, packet_type),
@@ -335,6 +359,5 @@ fn attach_filter(fd: &OwnedFd, take: Take) -> io::Result<()> {
         step(RETURN, 0, 0, u32::MAX),
         step(RETURN, 0, 0, 0),
     ];
-    let filter = libc::sock_fprog { len: program.len() as u16, filter: program.as_mut_ptr() };
-    sys::set_option(fd.as_fd(), libc::SOL_SOCKET, libc::SO_ATTACH_FILTER, &filter)
+    sys::attach_program(fd.as_fd(), libc::SO_ATTACH_FILTER, &mut program)
 }

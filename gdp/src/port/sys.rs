@@ -2,9 +2,24 @@
 
 use std::io;
 use std::mem::{size_of, size_of_val, zeroed};
-use std::net::SocketAddr;
-use std::os::fd::{AsRawFd, BorrowedFd, FromRawFd, OwnedFd};
+use std::net::{SocketAddr, SocketAddrV4, SocketAddrV6, UdpSocket};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd};
 use std::time::Duration;
+
+/// A UDP socket, non-blocking, at an address that another has and shares.
+pub fn bind_shared_udp(addr: SocketAddr) -> io::Result<UdpSocket> {
+    let family = if addr.is_ipv6() { libc::AF_INET6 } else { libc::AF_INET };
+    // SAFETY: no pointers; the descriptor is owned from here on.
+    let socket = unsafe {
+        let flags = libc::SOCK_DGRAM | libc::SOCK_NONBLOCK | libc::SOCK_CLOEXEC;
+        OwnedFd::from_raw_fd(check(libc::socket(family, flags, 0))?)
+    };
+    set_option(socket.as_fd(), libc::SOL_SOCKET, libc::SO_REUSEPORT, &1i32)?;
+    let (raw, length) = RawAddr::socket(addr, addr.is_ipv6());
+    // SAFETY: an address of the length given.
+    check(unsafe { libc::bind(socket.as_raw_fd(), (&raw const raw).cast(), length) })?;
+    Ok(socket.into())
+}
 
 /// Turns the usual −1 into the error it stands for.
 pub fn check(result: libc::c_int) -> io::Result<libc::c_int> {
@@ -54,6 +69,38 @@ pub fn receive_drops(fd: BorrowedFd) -> u64 {
     if result == 0 { info[SK_MEMINFO_DROPS].into() } else { 0 }
 }
 
+/// Receives what is there, one datagram or frame for each of the messages; how many there were.
+///
+/// # Safety
+///
+/// What the messages point to must be as long as they say, and nobody else's until this returns.
+pub unsafe fn receive(fd: BorrowedFd, messages: &mut [libc::mmsghdr]) -> io::Result<usize> {
+    let (count, flags, no_timeout) = (messages.len() as u32, libc::MSG_DONTWAIT, std::ptr::null_mut());
+    loop {
+        // SAFETY: the caller's promise.
+        let result = unsafe { libc::recvmmsg(fd.as_raw_fd(), messages.as_mut_ptr(), count, flags as _, no_timeout) };
+        let Err(error) = check(result) else { return Ok(result as usize) };
+        match error.raw_os_error() {
+            Some(libc::EINTR) => {}
+            // ENETDOWN is told once after the interface went down; it may come up again.
+            Some(libc::EAGAIN | libc::ENETDOWN) => return Ok(0),
+            _ => return Err(error),
+        }
+    }
+}
+
+/// Attaches a classic BPF program: a filter (`SO_ATTACH_FILTER`), or what chooses among sockets of one port
+/// (`SO_ATTACH_REUSEPORT_CBPF`).
+pub fn attach_program(fd: BorrowedFd, option: libc::c_int, program: &mut [libc::sock_filter]) -> io::Result<()> {
+    let program = libc::sock_fprog { len: program.len() as u16, filter: program.as_mut_ptr() };
+    set_option(fd, libc::SOL_SOCKET, option, &program)
+}
+
+/// An instruction of classic BPF.
+pub const fn step(code: u32, jump_true: u8, jump_false: u8, k: u32) -> libc::sock_filter {
+    libc::sock_filter { code: code as u16, jt: jump_true, jf: jump_false, k }
+}
+
 /// Waits until the descriptor is ready for `events` (POLLIN, POLLOUT), `wake` is set, or the time is over; tells whether
 /// the descriptor is ready. Clears `wake`.
 pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&Event>, timeout: Duration) -> io::Result<bool> {
@@ -100,7 +147,6 @@ impl Event {
     }
 
     pub fn fd(&self) -> BorrowedFd<'_> {
-        use std::os::fd::AsFd;
         self.0.as_fd()
     }
 }
@@ -170,6 +216,25 @@ impl RawAddr {
                     sin6_scope_id: scope,
                 };
                 (raw, size_of::<libc::sockaddr_in6>() as u32)
+            }
+        }
+    }
+    /// The sender, from an address an IP socket wrote.
+    pub fn socket_addr(&self) -> Option<SocketAddr> {
+        // SAFETY: all three variants begin with the family, and are plain integers, whatever was written.
+        unsafe {
+            match libc::c_int::from(self.link.sll_family) {
+                libc::AF_INET => {
+                    let v4 = self.v4;
+                    let ip = v4.sin_addr.s_addr.to_ne_bytes().into();
+                    Some(SocketAddrV4::new(ip, u16::from_be(v4.sin_port)).into())
+                }
+                libc::AF_INET6 => {
+                    let v6 = self.v6;
+                    let (ip, port) = (v6.sin6_addr.s6_addr.into(), u16::from_be(v6.sin6_port));
+                    Some(SocketAddrV6::new(ip, port, u32::from_be(v6.sin6_flowinfo), v6.sin6_scope_id).into())
+                }
+                _ => None,
             }
         }
     }

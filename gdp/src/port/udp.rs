@@ -1,14 +1,14 @@
-//! One UDP socket for QUIC and data frames, told apart by the first byte of the datagram. quinn polls it; the data frames
-//! it finds wait in a bounded queue for the thread that takes them.
+//! UDP for QUIC and data frames: two sockets at one address, so that each kind has the reader it needs. The kernel gives each
+//! datagram to one of them by its first byte; quinn polls the one, the thread that takes data frames reads the other. Where
+//! the kernel has joined datagrams of both kinds into one run (UDP GRO), who reads it hands the strays over.
 
-use std::collections::VecDeque;
 use std::fmt;
 use std::io::{self, IoSliceMut};
-use std::net::SocketAddr;
+use std::mem::{size_of, zeroed};
+use std::net::{SocketAddr, UdpSocket as StdUdpSocket};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::pin::Pin;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 
 use gdp_wire::header::FIRST_QUIC_BYTE;
@@ -18,51 +18,56 @@ use tokio::io::Interest;
 use tokio::net::UdpSocket;
 
 use super::LinkAddr;
-use super::data::RecvBatch;
+use super::batch::RecvBatch;
+use super::control::Control;
 use super::host;
-use super::sys::{self, Event};
+use super::strays::{Frames, Packets};
+use super::sys::{self, Event, RawAddr, step};
 
-/// Data frames that wait to be taken; more are dropped and counted.
-const QUEUE: usize = 4096;
+/// Socket buffers. A burst of a 1 MB message in frames of 1500 B occupies about 2 MB of the kernel's memory.
+const DATA_BUFFER: usize = 16 << 20;
+const QUIC_BUFFER: usize = 4 << 20;
 
-const BUFFER: usize = 4 << 20;
+/// Data runs that are received at once, of up to [`LONGEST_RUN`] bytes each.
+const RUNS: usize = 16;
+
+/// What the kernel joins at most.
+const LONGEST_RUN: usize = 1 << 16;
 
 pub struct SharedUdp {
-    socket: UdpSocket,
+    quic: UdpSocket,
     state: UdpSocketState,
+    data: StdUdpSocket,
     v6: bool,
     zero_checksums: bool,
     host: Option<u64>,
-    queue: Mutex<VecDeque<(SocketAddr, Vec<u8>)>>,
-    /// Set while the queue is not empty.
-    event: Event,
-    dropped: AtomicU64,
+    stray_packets: Packets,
+    stray_frames: Frames,
 }
 
 impl SharedUdp {
     /// Binds within a tokio runtime.
     pub fn bind(addr: SocketAddr) -> io::Result<Self> {
-        let socket = std::net::UdpSocket::bind(addr)?;
-        socket.set_nonblocking(true)?;
-        let state = UdpSocketState::new((&socket).into())?;
-        // Receive offload would glue datagrams of both kinds together.
-        let _ = sys::set_option(socket.as_fd(), libc::SOL_UDP, libc::UDP_GRO, &0i32);
-        sys::set_buffers(socket.as_fd(), BUFFER, BUFFER);
-        let bound = socket.local_addr()?;
+        let (quic, data) = bind_both(addr)?;
+        // Turns GRO on, as is done for data: when the kernel joins datagrams it looks at one of the two, whichever that is.
+        let state = UdpSocketState::new((&quic).into())?;
+        sys::set_buffers(quic.as_fd(), QUIC_BUFFER, QUIC_BUFFER);
+        sys::set_buffers(data.as_fd(), DATA_BUFFER, QUIC_BUFFER);
+        let bound = quic.local_addr()?;
         let v6 = bound.is_ipv6();
-        let takes_all = bound.ip().is_unspecified() && (!v6 || host::takes_ipv4(socket.as_fd()));
+        prepare_data(data.as_fd(), v6)?;
+        let takes_all = bound.ip().is_unspecified() && (!v6 || host::takes_ipv4(quic.as_fd()));
         // Data frames are checked without it: the hop tag covers the header, decryption the payload. QUIC checks its packets.
-        let zero_checksums =
-            v6 && sys::set_option(socket.as_fd(), libc::SOL_UDP, libc::UDP_NO_CHECK6_RX, &1i32).is_ok();
+        let no_check = |fd| sys::set_option(fd, libc::SOL_UDP, libc::UDP_NO_CHECK6_RX, &1i32).is_ok();
         Ok(Self {
             v6,
-            zero_checksums,
-            host: if takes_all { host::id(socket.as_fd()) } else { None },
-            socket: UdpSocket::from_std(socket)?,
+            zero_checksums: v6 && no_check(quic.as_fd()) && no_check(data.as_fd()),
+            host: if takes_all { host::id(quic.as_fd()) } else { None },
+            quic: UdpSocket::from_std(quic)?,
             state,
-            queue: Mutex::new(VecDeque::with_capacity(64)),
-            event: Event::new()?,
-            dropped: AtomicU64::new(0),
+            data,
+            stray_packets: Packets::default(),
+            stray_frames: Frames::new()?,
         })
     }
 
@@ -80,45 +85,126 @@ impl SharedUdp {
         self.host
     }
 
-    pub fn socket_fd(&self) -> BorrowedFd<'_> {
-        self.socket.as_fd()
+    /// The socket for data frames.
+    pub fn data_fd(&self) -> BorrowedFd<'_> {
+        self.data.as_fd()
     }
 
-    pub fn data_event(&self) -> BorrowedFd<'_> {
-        self.event.fd()
+    /// Set when data frames wait that came to the other socket.
+    pub fn data_wake(&self) -> Arc<Event> {
+        self.stray_frames.wake()
     }
 
-    pub fn queue_drops(&self) -> u64 {
-        self.dropped.load(Ordering::Relaxed)
+    pub fn has_stray_data(&self) -> bool {
+        !self.stray_frames.is_empty()
     }
 
-    /// Moves waiting data frames into `batch`.
-    pub fn take_data(&self, batch: &mut RecvBatch) {
-        let mut queue = self.lock_queue();
-        while let Some((from, frame)) = queue.front() {
-            if !batch.push(frame, LinkAddr::udp(*from)) {
-                return;
+    pub fn stray_drops(&self) -> u64 {
+        self.stray_frames.dropped()
+    }
+
+    /// Receives the data frames that are there, [`RUNS`] runs at most.
+    pub fn receive_data(&self, batch: &mut RecvBatch) -> io::Result<()> {
+        if self.has_stray_data() {
+            self.stray_frames.take(batch);
+            return Ok(());
+        }
+        let mut addrs = [RawAddr::zeroed(); RUNS];
+        let mut controls = [Control::new(); RUNS];
+        // SAFETY: both are plain structures of integers and pointers, for which zero is a valid value.
+        let (mut iovecs, mut messages): ([libc::iovec; RUNS], [libc::mmsghdr; RUNS]) = unsafe { (zeroed(), zeroed()) };
+        for (i, slot) in batch.slots(RUNS, LONGEST_RUN).enumerate() {
+            iovecs[i] = libc::iovec { iov_base: slot.as_mut_ptr().cast(), iov_len: slot.len() };
+            let header = &mut messages[i].msg_hdr;
+            header.msg_name = (&raw mut addrs[i]).cast();
+            header.msg_namelen = size_of::<RawAddr>() as u32;
+            header.msg_iov = &raw mut iovecs[i];
+            header.msg_iovlen = 1;
+            controls[i].make_room(header);
+        }
+        // SAFETY: every header points to a buffer, an address and room for control messages that outlive the call, with their
+        // true lengths.
+        let count = unsafe { sys::receive(self.data_fd(), &mut messages) }?;
+        for (i, message) in messages[..count].iter().enumerate() {
+            let Some(from) = addrs[i].socket_addr() else { continue };
+            let length = (message.msg_len as usize).min(LONGEST_RUN);
+            let (mut segment, mut traffic) = (length, 0);
+            controls[i].each(&message.msg_hdr, |level, kind, value| match (level, kind) {
+                (libc::SOL_UDP, libc::UDP_GRO) => segment = value as usize,
+                (libc::IPPROTO_IP, libc::IP_TOS) | (libc::IPPROTO_IPV6, libc::IPV6_TCLASS) => traffic = value,
+                _ => {}
+            });
+            self.split(batch, i, Run { from, length, segment, traffic });
+        }
+        Ok(())
+    }
+
+    fn split(&self, batch: &mut RecvBatch, slot: usize, run: Run) {
+        let from = LinkAddr::udp(run.from);
+        for (at, length) in run.segments() {
+            let datagram = &batch.slot(slot, LONGEST_RUN)[at..at + length];
+            if datagram[0] < FIRST_QUIC_BYTE {
+                batch.add(slot * LONGEST_RUN + at, length, from, run.traffic & ECN == CE);
+            } else {
+                self.stray_packets.put(run.from, datagram);
             }
-            queue.pop_front();
         }
-        self.event.clear();
     }
+}
 
-    fn queue_data(&self, from: SocketAddr, frame: &[u8]) {
-        let mut queue = self.lock_queue();
-        if queue.len() >= QUEUE {
-            self.dropped.fetch_add(1, Ordering::Relaxed);
-            return;
-        }
-        queue.push_back((from, frame.to_vec()));
-        if queue.len() == 1 {
-            self.event.set();
-        }
-    }
+/// The ECN bits of the byte that IP has for them, and the mark of a router with a long queue (RFC 3168).
+const ECN: libc::c_int = 3;
+const CE: libc::c_int = 3;
 
-    fn lock_queue(&self) -> MutexGuard<'_, VecDeque<(SocketAddr, Vec<u8>)>> {
-        self.queue.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+/// Datagrams that the kernel joined: all of one length, but for the last, which may be shorter.
+struct Run {
+    from: SocketAddr,
+    length: usize,
+    segment: usize,
+    traffic: libc::c_int,
+}
+
+impl Run {
+    /// Where each begins, and how long it is.
+    fn segments(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let (length, segment) = (self.length, self.segment.max(1));
+        (0..length).step_by(segment).map(move |at| (at, segment.min(length - at)))
     }
+}
+
+/// Two sockets at one address. Nobody else gets it: the first is bound without sharing, and so would another's first be.
+fn bind_both(addr: SocketAddr) -> io::Result<(StdUdpSocket, StdUdpSocket)> {
+    const LOAD_BYTE: u32 = libc::BPF_LD | libc::BPF_B | libc::BPF_ABS;
+    const JUMP_AT_LEAST: u32 = libc::BPF_JMP | libc::BPF_JGE | libc::BPF_K;
+    const RETURN: u32 = libc::BPF_RET | libc::BPF_K;
+    let quic = StdUdpSocket::bind(addr)?;
+    quic.set_nonblocking(true)?;
+    sys::set_option(quic.as_fd(), libc::SOL_SOCKET, libc::SO_REUSEPORT, &1i32)?;
+    let data = sys::bind_shared_udp(quic.local_addr()?)?;
+    // By order of their binding. A datagram without a first byte goes to the first.
+    let mut program = [
+        step(LOAD_BYTE, 0, 0, 0),
+        step(JUMP_AT_LEAST, 0, 1, FIRST_QUIC_BYTE.into()),
+        step(RETURN, 0, 0, 0),
+        step(RETURN, 0, 0, 1),
+    ];
+    sys::attach_program(quic.as_fd(), libc::SO_ATTACH_REUSEPORT_CBPF, &mut program)?;
+    Ok((quic, data))
+}
+
+/// Nothing that is sent is fragmented, whatever the kernel believes to know of the path; what is received may be joined, and comes
+/// with its ECN bits.
+fn prepare_data(data: BorrowedFd, v6: bool) -> io::Result<()> {
+    let set = |level, option, value: libc::c_int| sys::set_option(data, level, option, &value);
+    // Over IPv4 on a socket for IPv6 as well.
+    set(libc::IPPROTO_IP, libc::IP_MTU_DISCOVER, libc::IP_PMTUDISC_PROBE)?;
+    set(libc::IPPROTO_IP, libc::IP_RECVTOS, 1)?;
+    if v6 {
+        set(libc::IPPROTO_IPV6, libc::IPV6_MTU_DISCOVER, libc::IPV6_PMTUDISC_PROBE)?;
+        set(libc::IPPROTO_IPV6, libc::IPV6_DONTFRAG, 1)?;
+        set(libc::IPPROTO_IPV6, libc::IPV6_RECVTCLASS, 1)?;
+    }
+    set(libc::SOL_UDP, libc::UDP_GRO, 1)
 }
 
 impl AsyncUdpSocket for SharedUdp {
@@ -127,7 +213,7 @@ impl AsyncUdpSocket for SharedUdp {
     }
 
     fn try_send(&self, transmit: &Transmit) -> io::Result<()> {
-        self.socket.try_io(Interest::WRITABLE, || self.state.send((&self.socket).into(), transmit))
+        self.quic.try_io(Interest::WRITABLE, || self.state.send((&self.quic).into(), transmit))
     }
 
     fn poll_recv(
@@ -136,49 +222,38 @@ impl AsyncUdpSocket for SharedUdp {
         bufs: &mut [IoSliceMut<'_>],
         meta: &mut [RecvMeta],
     ) -> Poll<io::Result<usize>> {
+        let strays = self.stray_packets.take(cx, bufs, meta);
+        if strays > 0 {
+            return Poll::Ready(Ok(strays));
+        }
         loop {
-            ready!(self.socket.poll_recv_ready(cx))?;
-            let received =
-                self.socket.try_io(Interest::READABLE, || self.state.recv((&self.socket).into(), bufs, meta));
+            ready!(self.quic.poll_recv_ready(cx))?;
+            let received = self.quic.try_io(Interest::READABLE, || self.state.recv((&self.quic).into(), bufs, meta));
             let received = match received {
                 Ok(received) => received,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => continue,
                 // An ICMP error that some peer provoked must not end the endpoint.
                 Err(_) => 0,
             };
-            let mut kept = 0;
-            for i in 0..received {
-                let length = meta[i].len;
-                match bufs[i].first() {
-                    Some(first) if length > 0 && *first < FIRST_QUIC_BYTE => {
-                        self.queue_data(meta[i].addr, &bufs[i][..length]);
-                    }
-                    Some(_) if length > 0 => {
-                        if kept != i {
-                            let (front, back) = bufs.split_at_mut(i);
-                            front[kept][..length].copy_from_slice(&back[0][..length]);
-                            meta[kept] = meta[i];
-                        }
-                        kept += 1;
-                    }
-                    _ => {}
-                }
+            bufs.iter_mut().zip(&mut *meta).take(received).for_each(|(buf, meta)| self.keep_packets(buf, meta));
+            if received > 0 {
+                return Poll::Ready(Ok(received));
             }
-            if kept > 0 {
-                return Poll::Ready(Ok(kept));
-            }
-            // Data only: come back for more, but let the runtime's other tasks have their turn.
             cx.waker().wake_by_ref();
             return Poll::Pending;
         }
     }
 
     fn local_addr(&self) -> io::Result<SocketAddr> {
-        self.socket.local_addr()
+        self.quic.local_addr()
     }
 
     fn max_transmit_segments(&self) -> usize {
         self.state.max_gso_segments()
+    }
+
+    fn max_receive_segments(&self) -> usize {
+        self.state.gro_segments()
     }
 
     fn may_fragment(&self) -> bool {
@@ -186,9 +261,26 @@ impl AsyncUdpSocket for SharedUdp {
     }
 }
 
+impl SharedUdp {
+    /// Takes data frames out of a run that begins with a QUIC packet.
+    fn keep_packets(&self, buf: &mut [u8], meta: &mut RecvMeta) {
+        let run = Run { from: meta.addr, length: meta.len.min(buf.len()), segment: meta.stride, traffic: 0 };
+        let mut kept = 0;
+        for (at, length) in run.segments() {
+            if buf[at] < FIRST_QUIC_BYTE {
+                self.stray_frames.put(LinkAddr::udp(meta.addr), &buf[at..at + length]);
+            } else {
+                buf.copy_within(at..at + length, kept);
+                kept += length;
+            }
+        }
+        meta.len = kept;
+    }
+}
+
 impl fmt::Debug for SharedUdp {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("SharedUdp").field(&self.socket.local_addr()).finish()
+        f.debug_tuple("SharedUdp").field(&self.quic.local_addr()).finish()
     }
 }
 
@@ -197,6 +289,6 @@ struct Poller(Arc<SharedUdp>);
 
 impl UdpPoller for Poller {
     fn poll_writable(self: Pin<&mut Self>, cx: &mut Context) -> Poll<io::Result<()>> {
-        self.0.socket.poll_send_ready(cx)
+        self.0.quic.poll_send_ready(cx)
     }
 }

@@ -177,9 +177,11 @@ mod tests {
 
     fn root(leaf: [u8; 32], position: usize, path: &[[u8; 32]]) -> [u8; 32] {
         let mut root = leaf;
-        let signed: Result<(), ()> =
-            SignedTree::default().verify(BACKEND, leaf, position as u16, path, |found| Ok(root = *found));
-        signed.unwrap();
+        let note = |found: &[u8; 32]| -> Result<(), ()> {
+            root = *found;
+            Ok(())
+        };
+        SignedTree::default().verify(BACKEND, leaf, position as u16, path, note).unwrap();
         root
     }
 }

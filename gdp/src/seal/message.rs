@@ -131,6 +131,17 @@ impl Preamble {
         Some(preamble)
     }
 
+    /// The message again, given the plaintext that this was parsed from.
+    pub fn draft<'a>(&self, plaintext: &'a [u8]) -> Draft<'a> {
+        let Self { encoding, in_reply_to, origin, body_at, .. } = self;
+        Draft {
+            encoding: *encoding,
+            in_reply_to: *in_reply_to,
+            origin: &plaintext[origin.clone()],
+            body: &plaintext[*body_at..],
+        }
+    }
+
     /// One extension; those that are known come once.
     fn extension(&mut self, kind: u16, value: &[u8], at: usize) -> Option<()> {
         match kind {

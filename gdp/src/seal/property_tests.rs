@@ -114,7 +114,7 @@ impl Run {
                 let draft = Draft::new(Encoding::Bytes, body);
                 self.writer.reseal(again, *cut, 0, draft, max_payload, &mut segments).unwrap();
             }
-            (2, _) => self.writer.heartbeat(0, 1, &mut segments).unwrap(),
+            (2, _) => self.writer.heartbeat(0, u64::MAX, 1, &mut segments).unwrap(),
             _ => {
                 let bodies: Vec<_> = (0..1 + self.random.below(5))
                     .map(|_| {
@@ -147,7 +147,7 @@ impl Run {
         let body = vec![0xee; len];
         forger.reseal(target, 1, 0, Draft::new(Encoding::Bytes, &body), 700, &mut segments).unwrap();
         self.network.extend(segments.iter().map(<[u8]>::to_vec));
-        forger.heartbeat(0, target, &mut segments).unwrap();
+        forger.heartbeat(0, u64::MAX, target, &mut segments).unwrap();
         self.network.extend(segments.iter().map(<[u8]>::to_vec));
     }
 

@@ -68,6 +68,15 @@ pub struct Heartbeat {
     pub timestamp_ns: u64,
 }
 
+/// A message whose segments came, and are let go of without a delivery.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lost {
+    pub session: [u8; 16],
+    pub sequence: u64,
+    /// It may yet be had, if all of it comes once more: these segments gave way to others, or were not all the writer's.
+    pub again: bool,
+}
+
 /// What payloads brought. Kept by the caller, who empties it and reuses it.
 #[derive(Debug, Default)]
 pub struct Received {
@@ -78,6 +87,8 @@ pub struct Received {
     /// Segments of messages that opened and were not here before. Any holder of the key may have made them: whether the
     /// writer did is known once the message is complete.
     pub segments: Vec<SegmentId>,
+    /// But for those that were not complete in time: [`Limits::deadline`] is the caller's.
+    pub lost: Vec<Lost>,
 }
 
 impl Received {
@@ -85,6 +96,7 @@ impl Received {
         self.messages.clear();
         self.heartbeats.clear();
         self.segments.clear();
+        self.lost.clear();
     }
 }
 
@@ -155,7 +167,7 @@ impl Reader {
         }
     }
 
-    /// What an authorised writer seals with in an epoch. Of more than [`super::source::MAX_EPOCHS`] the lowest goes.
+    /// What an authorised writer seals with in an epoch. Of more than four epochs the lowest goes.
     pub fn set_key(&mut self, writer: &Name, epoch: u32, key: EpochKey) -> Result<(), DropReason> {
         self.source(writer).map(|source| source.set_key(epoch, key))
     }

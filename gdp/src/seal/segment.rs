@@ -18,6 +18,16 @@ pub struct SegmentId {
     pub len: usize,
 }
 
+/// What the segments of a payload say they are, up to the first that makes no sense. Nothing in it is authentic.
+pub(crate) fn segment_ids(payload: &[u8]) -> impl Iterator<Item = SegmentId> {
+    let mut rest = payload;
+    std::iter::from_fn(move || {
+        let (segment, behind) = Segment::split(rest).ok()?;
+        rest = behind;
+        Some(segment.id())
+    })
+}
+
 /// A segment whose fields fit each other; nothing in it is authentic yet.
 pub struct Segment<'a> {
     pub header: SegmentHeader,

@@ -37,6 +37,11 @@ impl Segments {
         })
     }
 
+    /// Takes the payloads out, one after another, and where each ends.
+    pub(crate) fn take(&mut self) -> (Vec<u8>, Vec<usize>) {
+        (std::mem::take(&mut self.buffer), std::mem::take(&mut self.ends))
+    }
+
     /// Number of frame payloads.
     pub fn len(&self) -> usize {
         self.ends.len()

@@ -98,7 +98,7 @@ fn what_was_signed_too_long_ago_is_too_old() {
         assert_eq!(push(1000, 0, body), Ok(()));
     }
     let mut out = Received::default();
-    writer.heartbeat(1000, 1, &mut segments).unwrap();
+    writer.heartbeat(1000, u64::MAX, 1, &mut segments).unwrap();
     let payload = segments.iter().next().unwrap();
     let now = |unix_ns| Moment { steady_ns: 0, unix_ns };
     assert_eq!(reader.push(now(1101), f.writer_name(), payload, &mut out), Err(DropReason::TooOld));
@@ -176,8 +176,7 @@ fn a_message_that_is_cut_anew_is_delivered_once() {
         let (winner, loser) = (cuts[first], cuts[1 - first]);
         let mut out = Received::default();
         push_into(&mut reader, f.writer_name(), &loser[1..], &mut out);
-        let mut arrivals = winner.iter().peekable();
-        while let Some(frame) = arrivals.next() {
+        for frame in winner {
             assert!(out.messages.is_empty());
             push_into(&mut reader, f.writer_name(), [frame], &mut out);
         }
@@ -226,7 +225,7 @@ fn no_nonce_is_used_twice_under_one_key() {
                 note(&segments, &mut used);
             }
             for _ in 0..3 {
-                writer.heartbeat(0, 1, &mut segments).unwrap();
+                writer.heartbeat(0, u64::MAX, 1, &mut segments).unwrap();
                 note(&segments, &mut used);
             }
         }
@@ -372,7 +371,7 @@ fn cut_anew(writer: &mut Writer, sequence: u64, body: &[u8], max_payload: usize)
 
 fn beat(writer: &mut Writer, oldest: u64) -> Vec<u8> {
     let mut segments = Segments::new();
-    writer.heartbeat(77, oldest, &mut segments).unwrap();
+    writer.heartbeat(77, u64::MAX, oldest, &mut segments).unwrap();
     assert_eq!(segments.len(), 1);
     segments.iter().next().unwrap().to_vec()
 }

@@ -4,14 +4,14 @@
 use super::assembly::Assembly;
 use super::merkle::SignedTree;
 use super::message::{Message, Preamble};
-use super::reader::{Heartbeat, Moment, Push, Shared};
+use super::reader::{Heartbeat, Lost, Moment, Push, Shared};
 use super::segment::Segment;
 use super::session::{Place, Session};
 use super::wire::{self, HeartbeatBody, Kind, Proof, SegmentHeader};
 use super::{DropReason, EpochKey};
 use crate::crypto::{CryptoError, Verifier};
 use crate::name::Name;
-use bytes::Bytes;
+use bytes::{Buf, Bytes};
 use std::borrow::Cow;
 
 /// Incomplete messages of one session; when there are more, the oldest is given up.
@@ -206,7 +206,7 @@ impl Source {
             Some(assembly) if assembly.has(header) => return Err(DropReason::Duplicate),
             Some(_) => {}
             None => {
-                self.make_room(push.shared, at, place, cost)?;
+                self.make_room(push, at, place, cost)?;
                 self.begin_assembly(push.shared, push.now, at, header, cost);
             }
         }
@@ -276,7 +276,8 @@ impl Source {
 
     /// Gives up this writer's own oldest incomplete messages until `cost` more bytes are within the limits. Never one of
     /// another writer, and never a newer one of the same session.
-    fn make_room(&mut self, shared: &mut Shared, at: usize, place: Place, cost: usize) -> Result<(), DropReason> {
+    fn make_room(&mut self, push: &mut Push<'_>, at: usize, place: Place, cost: usize) -> Result<(), DropReason> {
+        let shared = &mut *push.shared;
         loop {
             let crowded = self.sessions[at].assemblies.len() >= MAX_IN_FLIGHT;
             let full = self.memory + cost > shared.limits.max_memory_per_source
@@ -293,6 +294,7 @@ impl Source {
                     let freed = self.sessions[session].assemblies.remove(&oldest).map_or(0, |assembly| assembly.cost);
                     self.free(shared, freed);
                     shared.count(DropReason::Evicted, 1);
+                    push.out.lost.push(Lost { session: self.sessions[session].id, sequence: oldest.0, again: true });
                 }
                 _ => return Err(DropReason::MemoryFull),
             }
@@ -333,6 +335,23 @@ impl Source {
         digests: &[[u8; 32]],
         proof: &[u8],
     ) -> Result<(), DropReason> {
+        let result = self.deliver_signed(push, at, header, plaintext, digests, proof);
+        if let Err(reason) = result {
+            let again = !matches!(reason, DropReason::TooOld | DropReason::TooLarge);
+            push.out.lost.push(Lost { session: header.session, sequence: header.sequence, again });
+        }
+        result
+    }
+
+    fn deliver_signed(
+        &mut self,
+        push: &mut Push<'_>,
+        at: usize,
+        header: &SegmentHeader,
+        plaintext: Cow<'_, [u8]>,
+        digests: &[[u8; 32]],
+        proof: &[u8],
+    ) -> Result<(), DropReason> {
         let Shared { backend, name, limits, .. } = &*push.shared;
         let leaf = wire::leaf(*backend, name, &self.name, header, digests);
         let proof = Proof::parse(proof).ok_or(DropReason::BadMessage)?;
@@ -348,10 +367,12 @@ impl Source {
         }
         check_age(push, preamble.timestamp_ns)?;
         self.accept(push.shared, at, header.sequence)?;
-        let plaintext = match plaintext {
+        let mut body = match plaintext {
             Cow::Owned(plaintext) => Bytes::from(plaintext),
             Cow::Borrowed(plaintext) => Bytes::copy_from_slice(plaintext),
         };
+        let origin = body.slice(preamble.origin);
+        body.advance(preamble.body_at);
         push.out.messages.push(Message {
             name: push.shared.name,
             writer: self.name,
@@ -360,8 +381,8 @@ impl Source {
             timestamp_ns: preamble.timestamp_ns,
             encoding: preamble.encoding,
             in_reply_to: preamble.in_reply_to,
-            origin: plaintext.slice(preamble.origin),
-            body: plaintext.slice(preamble.body_at..),
+            origin,
+            body,
         });
         Ok(())
     }

@@ -131,7 +131,7 @@ fn vectors_of_segments() {
         "max_payload": MIN_PAYLOAD,
         "payloads": payloads(&segments),
     });
-    writer.heartbeat(timestamp, 1, &mut segments).unwrap();
+    writer.heartbeat(timestamp, u64::MAX, 1, &mut segments).unwrap();
     assert!(read(&segments).iter().all(|received| received.heartbeats.len() == 1));
     let heartbeat = json!({
         "description": "the first heartbeat, after one message, which can be had again",

@@ -2,7 +2,8 @@
 //! have grown, nothing per message.
 
 use super::merkle::{self, Tree};
-use super::message::{Draft, Encoding, MAX_ORIGIN};
+use super::message::{Draft, Encoding, MAX_ORIGIN, Preamble};
+use super::segment::Segment;
 use super::segments::Segments;
 use super::used_cuts::UsedCuts;
 use super::wire::{self, HeartbeatBody, Kind, OVERHEAD, Proof, SegmentHeader};
@@ -10,7 +11,11 @@ use super::{EpochKey, MAX_BATCH};
 use crate::crypto::{self, Aead, Backend, CryptoError, Signer, TAG_LEN};
 use crate::identity::SigningKey;
 use crate::name::Name;
+use std::collections::VecDeque;
 use std::fmt;
+
+/// Epochs before the present one whose messages can be cut anew.
+const EPOCHS_KEPT: usize = 15;
 
 /// Segments that may be sealed under the key of a session and an epoch.
 pub const MAX_SEGMENTS: u64 = 1 << 32;
@@ -46,6 +51,8 @@ pub struct Writer {
     writer: Name,
     session: [u8; 16],
     epoch: Option<Epoch>,
+    /// Those before, the last of them last, for messages that are cut anew.
+    before: VecDeque<Epoch>,
     signer: Signer,
     backend: Backend,
     /// The sequence number of the next message; they begin at 1.
@@ -105,7 +112,19 @@ impl Writer {
     ) -> Result<Self, SealError> {
         let signer = key.signer(backend)?;
         let (used_cuts, scratch) = (UsedCuts::default(), Scratch::default());
-        Ok(Self { name, writer, session, epoch: None, signer, backend, next: 1, used_cuts, heartbeats: 0, scratch })
+        Ok(Self {
+            name,
+            writer,
+            session,
+            epoch: None,
+            before: VecDeque::new(),
+            signer,
+            backend,
+            next: 1,
+            used_cuts,
+            heartbeats: 0,
+            scratch,
+        })
     }
 
     /// From now on everything is sealed under this key. Numbers only rise, so that no key comes back.
@@ -116,8 +135,16 @@ impl Writer {
             return Err(SealError::EpochGoesBack { epoch, current });
         }
         let aead = key.session_aead(self.backend, &self.name, &self.writer, &self.session)?;
-        self.epoch = Some(Epoch { number: epoch, aead, used: 0 });
+        if self.before.len() == EPOCHS_KEPT {
+            self.before.pop_front();
+        }
+        self.before.extend(self.epoch.replace(Epoch { number: epoch, aead, used: 0 }));
         Ok(())
+    }
+
+    /// The one that is sealed under.
+    pub fn epoch(&self) -> Option<u32> {
+        self.epoch.as_ref().map(|epoch| epoch.number)
     }
 
     pub fn name(&self) -> Name {
@@ -197,14 +224,49 @@ impl Writer {
         self.seal_run(run, &messages, max_payload, out).inspect_err(|_| out.clear())
     }
 
-    /// Says how far the session is, for readers that may have missed the last messages, and that messages before `oldest`
-    /// cannot be had again. One segment, small enough for any link; each costs a signature.
-    pub fn heartbeat(&mut self, now_unix_ns: u64, oldest: u64, out: &mut Segments) -> Result<(), SealError> {
+    /// Seals again what this session sealed in the last 16 epochs, for frame payloads of another size:
+    /// `sealed` are the segments of whole messages, one after another. As [`Self::reseal`] for each of them.
+    pub fn recut(&mut self, sealed: &[u8], cut: u16, max_payload: usize, out: &mut Segments) -> Result<(), SealError> {
         out.clear();
+        self.recut_into(sealed, cut, max_payload, out).inspect_err(|_| out.clear())
+    }
+
+    fn recut_into(&mut self, sealed: &[u8], cut: u16, max_payload: usize, out: &mut Segments) -> Result<(), SealError> {
+        let (mut rest, mut plaintext) = (sealed, Vec::new());
+        while let Ok((segment, behind)) = Segment::split(rest) {
+            rest = behind;
+            let sequence = segment.header.sequence;
+            let refused = |why| SealError::Cut { sequence, cut, why };
+            if segment.header.kind == Kind::Body {
+                let mut epochs = self.epoch.iter().chain(&self.before);
+                let epoch = epochs.find(|epoch| epoch.number == segment.header.epoch);
+                let epoch = epoch.ok_or(refused("the key it was sealed under is gone"))?;
+                let at = plaintext.len();
+                plaintext.resize(at + segment.plaintext_len, 0);
+                let opened = segment.open(&epoch.aead, &mut plaintext[at..]);
+                opened.map_err(|_| refused("it is none of this session"))?;
+                continue;
+            }
+            let preamble = Preamble::parse(&plaintext).ok_or(refused("it is none of this session"))?;
+            let messages = [preamble.draft(&plaintext)];
+            let epoch = self.spend(&messages, max_payload)?;
+            self.used_cuts.take(sequence, cut).map_err(refused)?;
+            let run = Run { epoch, first: sequence, cut, timestamp_ns: preamble.timestamp_ns };
+            self.seal_run(run, &messages, max_payload, out)?;
+            plaintext.clear();
+        }
+        Ok(())
+    }
+
+    /// Says that all messages before `next` have gone, for readers that may have missed the last of them, and that those
+    /// before `oldest` cannot be had again. One segment, small enough for any link; each costs a signature.
+    pub fn heartbeat(&mut self, now_unix_ns: u64, next: u64, oldest: u64, out: &mut Segments) -> Result<(), SealError> {
+        out.clear();
+        let next = next.clamp(1, self.next);
         let epoch = self.spend_segments(1)?;
         // There are fewer of an epoch, but epochs come and go.
         self.heartbeats = self.heartbeats.checked_add(1).ok_or(SealError::SequenceExhausted)?;
-        let header = SegmentHeader::heartbeat(self.session, self.heartbeats, self.next, epoch);
+        let header = SegmentHeader::heartbeat(self.session, self.heartbeats, next, epoch);
         let body = HeartbeatBody { timestamp_ns: now_unix_ns, oldest };
         let signature = self.signer.sign(&body.statement(&self.name, &self.writer, &header))?;
         let mut plaintext = body.to_bytes(&signature);
@@ -419,9 +481,9 @@ mod tests {
         writer.seal(0, Encoding::Bytes, b"last", 1000, &mut out).unwrap();
         assert_eq!(writer.seal(0, Encoding::Bytes, b"x", 1000, &mut out), Err(SealError::SequenceExhausted));
         assert!(out.is_empty());
-        writer.heartbeat(0, 1, &mut out).unwrap();
+        writer.heartbeat(0, u64::MAX, 1, &mut out).unwrap();
         writer.heartbeats = u32::MAX;
-        assert_eq!(writer.heartbeat(0, 1, &mut out), Err(SealError::SequenceExhausted));
+        assert_eq!(writer.heartbeat(0, u64::MAX, 1, &mut out), Err(SealError::SequenceExhausted));
         assert!(out.is_empty());
     }
 
@@ -435,9 +497,9 @@ mod tests {
         assert_eq!(writer.next_sequence(), 1);
         writer.seal_batch(0, &batch[..1], 1000, &mut out).unwrap();
         writer.reseal(1, 1, 0, batch[0], 1000, &mut out).unwrap();
-        assert_eq!(writer.heartbeat(0, 1, &mut out), Err(SealError::EpochExhausted(7)));
+        assert_eq!(writer.heartbeat(0, u64::MAX, 1, &mut out), Err(SealError::EpochExhausted(7)));
         writer.set_epoch(8, &EpochKey::from_bytes([2; 32])).unwrap();
-        writer.heartbeat(0, 1, &mut out).unwrap();
+        writer.heartbeat(0, u64::MAX, 1, &mut out).unwrap();
     }
 
     #[test]
@@ -445,7 +507,7 @@ mod tests {
         let (name, mut out) = (Name::from_bytes([1; 32]), Segments::new());
         let mut bare = Writer::new(name, name, SigningKey::for_test(1), Backend::default()).unwrap();
         assert_eq!(bare.seal(0, Encoding::Bytes, b"x", 1000, &mut out), Err(SealError::NoEpoch));
-        assert_eq!(bare.heartbeat(0, 1, &mut out), Err(SealError::NoEpoch));
+        assert_eq!(bare.heartbeat(0, u64::MAX, 1, &mut out), Err(SealError::NoEpoch));
         let mut writer = writer();
         for epoch in [0, 6, 7] {
             let refused = Err(SealError::EpochGoesBack { epoch, current: 7 });
@@ -467,6 +529,38 @@ mod tests {
             taken.map(|(sequence, cut)| reseal(sequence, cut)),
             [false, false, true, false, false, true, false, false]
         );
+    }
+
+    #[test]
+    fn messages_are_cut_anew_from_what_was_sealed() {
+        let (mut writer, mut out, mut again) = (writer(), Segments::new(), Segments::new());
+        let key = SigningKey::for_test(1).verify_key();
+        let bodies = [vec![1; 3000], vec![2; 10], vec![]];
+        let drafts = bodies.each_ref().map(|body| Draft { origin: b"here", ..Draft::new(Encoding::Cdr, body) });
+        writer.seal_batch(77, &drafts, 1400, &mut out).unwrap();
+        writer.set_epoch(8, &EpochKey::from_bytes([2; 32])).unwrap();
+        let sealed: Vec<u8> = out.iter().flatten().copied().collect();
+        writer.recut(&sealed, 1, 600, &mut again).unwrap();
+        assert!(again.len() > out.len() && again.iter().all(|payload| payload.len() <= 600));
+
+        let name = Name::from_bytes([1; 32]);
+        let mut reader = crate::seal::Reader::new(name, Backend::default(), Default::default());
+        reader.authorise(name, key).unwrap();
+        reader.set_key(&name, 8, EpochKey::from_bytes([2; 32])).unwrap();
+        reader.vouch(&name, writer.session(), 1).unwrap();
+        let mut received = crate::seal::Received::default();
+        let now = crate::seal::Moment { steady_ns: 0, unix_ns: 77 };
+        again.iter().for_each(|payload| reader.push(now, name, payload, &mut received).unwrap());
+        for (i, (message, body)) in received.messages.iter().zip(&bodies).enumerate() {
+            assert_eq!((message.sequence, message.timestamp_ns, &message.body[..]), (i as u64 + 1, 77, &body[..]));
+            assert_eq!((&message.origin[..], message.encoding), (&b"here"[..], Encoding::Cdr));
+        }
+        assert_eq!(received.messages.len(), 3);
+
+        assert!(matches!(writer.recut(&sealed, 1, 600, &mut again), Err(SealError::Cut { cut: 1, .. })));
+        assert!(again.is_empty());
+        (9..24).for_each(|epoch| writer.set_epoch(epoch, &EpochKey::from_bytes([3; 32])).unwrap());
+        assert!(matches!(writer.recut(&sealed, 2, 600, &mut again), Err(SealError::Cut { cut: 2, .. })));
     }
 
     /// In epoch 7.

@@ -1,30 +1,343 @@
 //! The cases of the transport that have names, in simulated time.
 
-use gdp_faults::Faults;
+use gdp_faults::{Burst, Faults, Reorder};
 
+use super::outbox::Overflow;
 use super::simulation::*;
 use super::*;
 
 const RTT: u64 = 50 * MS;
+const MBIT: u64 = 1_000_000;
 
+/// Over a link of 200 Mb/s.
 #[test]
-fn best_effort_over_a_perfect_link() {
-    let (mut sim, writer, readers) = Simulation::star(1, Faults::delay(RTT / 2), 1);
-    let topic = sim.publish(writer, TopicOptions::best_effort(), App::new(64, 100, SECOND));
-    sim.subscribe(readers[0], topic, RTT, InboundOptions::newest());
-    sim.run(2 * SECOND);
-    assert_eq!(sim.topics[topic].readers[&readers[0]].delivered.len(), 100);
+fn reliable_1_mb_at_10_hz_over_1_percent_loss_and_50_ms() {
+    const RATE: u64 = 200 * MBIT;
+    for seed in 0..2 {
+        let faults = Faults { rate: Some(RATE), queue: Some(2 << 20), loss: 0.01, ..Faults::delay(RTT / 2) };
+        let (mut sim, writer, readers) = Simulation::star(seed, faults, 1);
+        let topic = sim.publish(writer, TopicOptions::reliable(), App::new(1_000_000, 10, 21 * SECOND));
+        sim.subscribe(readers[0], topic, RTT, InboundOptions::every());
+        sim.run(23 * SECOND);
+        let reading = &sim.topics[topic].readers[&readers[0]];
+        assert_eq!(reading.delivered.len(), 210);
+        let serialization = 1_070_000 * 8 * SECOND / RATE;
+        let p99 = percentile(&sim.latencies(topic, readers[0]), 99);
+        assert!(p99 <= 4 * RTT + serialization, "{} ms", p99 / MS);
+        assert!(reading.feedback_bytes * 100 < sim.topics[topic].sent_bytes, "{} bytes", reading.feedback_bytes);
+    }
 }
 
 #[test]
-fn reliable_over_a_lossy_link() {
-    for seed in 0..5 {
-        let faults = Faults { loss: 0.1, ..Faults::delay(RTT / 2) };
+fn reliable_64_b_at_1_khz_over_10_percent_loss_reordering_and_duplication() {
+    for seed in 0..4 {
+        let reorder = Some(Reorder { probability: 0.1, by: 20 * MS });
+        let faults = Faults { loss: 0.1, duplicate: 0.05, reorder, ..Faults::delay(RTT / 2) };
         let (mut sim, writer, readers) = Simulation::star(seed, faults, 1);
-        let topic = sim.publish(writer, TopicOptions::reliable(), App::new(20_000, 20, SECOND));
+        let topic = sim.publish(writer, TopicOptions::reliable(), App::new(64, 1000, 5 * SECOND));
         sim.subscribe(readers[0], topic, RTT, InboundOptions::every());
-        sim.run(4 * SECOND);
+        sim.run(9 * SECOND);
         let reading = &sim.topics[topic].readers[&readers[0]];
-        assert_eq!(reading.delivered.len(), 20, "{:?} {:?}", reading.counters(), sim.topic_counters(topic));
+        let delivered: Vec<u64> = reading.delivered.iter().map(|(sequence, _)| *sequence).collect();
+        assert_eq!(delivered, (1..=5000).collect::<Vec<_>>(), "every message once, in order");
+    }
+}
+
+#[test]
+fn best_effort_1_mb_at_30_hz_over_2_percent_loss() {
+    let lifetime = 200 * MS;
+    for seed in 0..2 {
+        let faults = Faults { rate: Some(1000 * MBIT), queue: Some(4 << 20), loss: 0.02, ..Faults::delay(RTT / 2) };
+        let (mut sim, writer, readers) = Simulation::star(seed, faults, 1);
+        let topic = sim.publish(writer, TopicOptions::best_effort(), App::new(1_000_000, 30, 5 * SECOND));
+        sim.subscribe(readers[0], topic, RTT, InboundOptions::newest());
+        sim.run(6 * SECOND);
+        let reading = &sim.topics[topic].readers[&readers[0]];
+        let counters = reading.counters();
+        let latencies = sim.latencies(topic, readers[0]);
+        assert!(*latencies.last().unwrap() <= lifetime + RTT / 2 + MS, "none later than its deadline");
+        let times: Vec<u64> = reading.delivered.iter().map(|(_, at)| *at).collect();
+        let stall = times.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap();
+        assert!(stall < 500 * MS, "no stall: {} ms", stall / MS);
+        assert!(counters.delivered > 100, "{counters:?}");
+        // Each message is counted once, here or there.
+        let dealt = counters.delivered + counters.overtaken + counters.expired + counters.given_up;
+        assert_eq!(dealt, reading.next() - 1);
+        assert!(dealt >= 150 - 1, "{dealt}");
+    }
+}
+
+/// With the link's rate as the uplink's budget, and without: then the large topic's path is all that keeps the queue short. Frames of
+/// 9000 bytes, so that ten seconds do not take long.
+#[test]
+fn small_10_mb_at_10_hz_and_64_b_at_100_hz_on_one_500_mbit_link() {
+    const RATE: u64 = 500 * MBIT;
+    const LARGE_PAYLOAD: usize = 8900;
+    let mtu = (LARGE_PAYLOAD as u64 + FRAME_HEADER) * 8 * SECOND / RATE;
+    for (delay, budget) in [(MS, Some(RATE / 8)), (MS, None)] {
+        let small_p99 = |seed, with_large: bool| {
+            let faults = Faults { rate: Some(RATE), queue: Some(4 << 20), ..Faults::delay(delay) };
+            let (mut sim, writer, readers) = Simulation::star(seed, faults, 1);
+            sim.max_payload = LARGE_PAYLOAD;
+            sim.uplink(writer, budget);
+            let options = TopicOptions { class: 6, ..TopicOptions::reliable() };
+            let small = sim.publish(writer, options, App::new(64, 100, 10 * SECOND));
+            sim.subscribe(readers[0], small, 2 * delay, InboundOptions::every());
+            if with_large {
+                let large = sim.publish(writer, large_options(), App::new(10_000_000, 10, 10 * SECOND));
+                let options = InboundOptions { deadline: LIFETIME, ..InboundOptions::newest() };
+                sim.subscribe(readers[0], large, 2 * delay, options);
+                sim.run(11 * SECOND);
+                // The link takes not quite six of them a second, so about every second one goes.
+                let counters = sim.topics[large].readers[&readers[0]].counters();
+                assert!(counters.delivered >= 50, "{counters:?}");
+            }
+            sim.run(11 * SECOND);
+            assert_eq!(sim.topics[small].readers[&readers[0]].delivered.len(), 1000);
+            percentile(&sim.latencies(small, readers[0]), 99)
+        };
+        let (idle, beside) = (small_p99(1, false), small_p99(2, true));
+        assert!(beside <= 2 * idle + mtu, "{beside} ns beside, {idle} ns idle, budget {budget:?}");
+    }
+}
+
+/// How long the large ones are of use: each takes 171 ms of the link.
+const LIFETIME: u64 = 400 * MS;
+
+fn large_options() -> TopicOptions {
+    let history = History { messages: 1, bytes: 64 << 20 };
+    TopicOptions { reliability: Reliability::BestEffort { lifetime: LIFETIME }, history, ..TopicOptions::best_effort() }
+}
+
+#[test]
+fn link_down_3_s_and_back() {
+    for seed in 0..3 {
+        let faults = Faults { partitions: vec![(2 * SECOND, 5 * SECOND)], loss: 0.01, ..Faults::delay(RTT / 2) };
+        let (mut sim, writer, readers) = Simulation::star(seed, faults, 1);
+        let history = |messages| History { messages, bytes: 64 << 20 };
+        let overflow = Overflow::DropOldest;
+        let reliability = Reliability::Reliable { overflow };
+        let covered = TopicOptions { history: history(1000), ..TopicOptions::reliable() };
+        let short = TopicOptions { history: history(100), reliability, ..TopicOptions::reliable() };
+        let covered = sim.publish(writer, covered, App::new(1000, 100, 8 * SECOND));
+        let short = sim.publish(writer, short, App::new(1000, 100, 8 * SECOND));
+        sim.subscribe(readers[0], covered, RTT, InboundOptions::every());
+        sim.subscribe(readers[0], short, RTT, InboundOptions::every());
+
+        sim.run(10 * SECOND);
+        let reading = |topic: usize| &sim.topics[topic].readers[&readers[0]];
+        assert_eq!(reading(covered).delivered.len(), 800, "{:?}", sim.topic_counters(covered));
+        assert_eq!(sim.topic_counters(covered).evicted, 0);
+        let counters = reading(short).counters();
+        assert_eq!(counters.delivered + counters.given_up, 800);
+        assert!((150..260).contains(&counters.given_up), "{counters:?}");
+        assert!(sim.topic_counters(short).evicted >= counters.given_up);
+    }
+}
+
+#[test]
+fn the_last_message_before_a_partition_comes_after_it() {
+    let faults = Faults { partitions: vec![(SECOND, 6 * SECOND)], ..Faults::delay(RTT / 2) };
+    let (mut sim, writer, readers) = Simulation::star(7, faults, 1);
+    let topic =
+        sim.publish(writer, TopicOptions::reliable(), App { from: 990 * MS, ..App::new(5_000, 10, 1_100 * MS) });
+    sim.subscribe(readers[0], topic, RTT, InboundOptions::every());
+    sim.run(8 * SECOND);
+    assert_eq!(sim.topics[topic].readers[&readers[0]].delivered.len(), 2);
+    assert!(sim.topics[topic].heartbeats < 15, "{}", sim.topics[topic].heartbeats);
+}
+
+#[test]
+fn two_bulk_flows_on_one_bottleneck() {
+    for (delay, queue, mark_above) in
+        [(10 * MS, 125_000, None), (25 * MS, 600_000, None), (10 * MS, 250_000, Some(60_000)), (2 * MS, 50_000, None)]
+    {
+        for second_from in [0, 3 * SECOND] {
+            let mut sim = Simulation::new(3);
+            let [a, b, left, right, c, d] = [(); 6].map(|()| sim.node());
+            let perfect = || Faults::delay(0);
+            sim.join(a, left, perfect(), perfect());
+            sim.join(b, left, perfect(), perfect());
+            let bottleneck = Faults { rate: Some(40 * MBIT), queue: Some(queue), mark_above, ..Faults::delay(delay) };
+            sim.join(left, right, bottleneck, Faults::delay(delay));
+            sim.join(right, c, perfect(), perfect());
+            sim.join(right, d, perfect(), perfect());
+            let until = 13 * SECOND;
+            let history = History { messages: 16, bytes: 64 << 20 };
+            let options = TopicOptions { history, ..TopicOptions::reliable() };
+            let first = sim.publish(a, options, App::new(100_000, 200, until));
+            let second = sim.publish(b, options, App { from: second_from, ..App::new(100_000, 200, until) });
+            sim.subscribe(c, first, 2 * delay, InboundOptions::every());
+            sim.subscribe(d, second, 2 * delay, InboundOptions::every());
+            sim.run(until);
+            let got = |topic: usize, reader: usize| {
+                let since = 5 * SECOND;
+                sim.topics[topic].readers[&reader].delivered.iter().filter(|(_, at)| *at > since).count()
+            };
+            let (one, two) = (got(first, c), got(second, d));
+            assert!(3 * one >= one + two && 3 * two >= one + two, "{one} and {two}");
+            assert!((one + two) as u64 * 800_000 / 8 >= 30 * MBIT, "the link is used: {one} + {two}");
+        }
+    }
+}
+
+#[test]
+fn a_slow_subscriber_never_slows_the_others() {
+    let run = |with_slow: bool| {
+        let mut sim = Simulation::new(5);
+        let [writer, switch, fast, other, slow] = [(); 5].map(|()| sim.node());
+        let link = |mbit: u64| Faults { rate: Some(mbit * MBIT), queue: Some(300_000), ..Faults::delay(5 * MS) };
+        sim.join(writer, switch, link(200), Faults::delay(5 * MS));
+        for (reader, mbit) in [(fast, 100), (other, 100), (slow, 5)] {
+            sim.join(switch, reader, link(mbit), Faults::delay(5 * MS));
+        }
+        let history = History { messages: 64, bytes: 64 << 20 };
+        let options = TopicOptions { history, ..TopicOptions::reliable() };
+        let topic = sim.publish(writer, options, App::new(50_000, 100, 10 * SECOND));
+        for reader in if with_slow { vec![fast, other, slow] } else { vec![fast, other] } {
+            sim.subscribe(reader, topic, 20 * MS, InboundOptions::every());
+        }
+        sim.run(11 * SECOND);
+        if with_slow {
+            let reading = &sim.topics[topic].readers[&slow];
+            assert!(
+                reading.counters().given_up > 0 && sim.topic_counters(topic).evicted >= reading.counters().given_up
+            );
+            assert!(sim.topics[topic].repeated_bytes * 4 < sim.topics[topic].sent_bytes, "nor takes the others' room");
+        }
+        let latencies = sim.latencies(topic, fast);
+        assert_eq!(sim.topics[topic].readers[&fast].counters().given_up, 0);
+        (latencies.len(), percentile(&latencies, 90))
+    };
+    let (alone, alone_p90) = run(false);
+    let (beside, beside_p90) = run(true);
+    assert!(beside * 100 >= alone * 95, "{beside} of {alone}");
+    assert!(beside_p90 <= 2 * alone_p90, "{beside_p90} instead of {alone_p90}");
+}
+
+#[test]
+fn a_reader_that_dies_slows_nobody_for_long() {
+    let mut sim = Simulation::new(6);
+    let [writer, switch, lives, dies] = [(); 4].map(|()| sim.node());
+    sim.join(writer, switch, Faults::delay(5 * MS), Faults::delay(5 * MS));
+    sim.join(switch, lives, Faults::default(), Faults::default());
+    sim.join(
+        switch,
+        dies,
+        Faults { partitions: vec![(2 * SECOND, 100 * SECOND)], ..Faults::default() },
+        Faults::default(),
+    );
+    let topic = sim.publish(
+        writer,
+        TopicOptions { history: History { messages: 32, bytes: 64 << 20 }, ..TopicOptions::reliable() },
+        App::new(50_000, 100, 10 * SECOND),
+    );
+    sim.subscribe(lives, topic, 20 * MS, InboundOptions::every());
+    sim.subscribe(dies, topic, 20 * MS, InboundOptions::every());
+    sim.run(11 * SECOND);
+    let reading = &sim.topics[topic].readers[&lives];
+    assert!(reading.counters().delivered >= 900, "{:?}", reading.counters());
+    assert_eq!(reading.counters().given_up, 0);
+}
+
+#[test]
+fn churn_of_readers_and_topics_leaves_memory_flat() {
+    let faults = Faults::delay(MS);
+    let (mut sim, writer, readers) = Simulation::star(8, faults, 4);
+    let topic = sim.publish(writer, TopicOptions::reliable(), App::new(64, 10, 1_000 * SECOND));
+    for round in 0..100_000_usize {
+        let reader = readers[round % readers.len()];
+        if round % 500 == 0 {
+            sim.subscribe(reader, topic, 2 * MS, InboundOptions::every());
+            sim.run(sim.now() + 2 * MS);
+            sim.unsubscribe(reader, topic);
+        } else {
+            let id = sim.topics[topic].id;
+            let now = sim.now();
+            let uplink = sim.uplink(writer, None);
+            uplink.join(now, id, name_of(reader)).unwrap();
+            uplink.leave(now, id, &name_of(reader));
+        }
+    }
+    let now = sim.now();
+    let uplink = sim.uplink(writer, None);
+    let before = format!("{uplink:?}").len();
+    for n in 0..10_000_u64 {
+        let id = uplink.open(now, name_of(99), [1; 16], TopicOptions::best_effort());
+        uplink.join(now, id, name_of(1)).unwrap();
+        let message =
+            Sealed::new(vec![0; 10], vec![sealed::Frame { first: Position { sequence: 1, index: 0 }, end: 10 }], 1, 0);
+        uplink.push(now, id, message.unwrap()).unwrap();
+        if n % 2 == 0 {
+            assert!(matches!(uplink.poll(now), Some(Output::Send(_))));
+        }
+        uplink.close(id);
+        assert!(uplink.counters(id).is_none());
+    }
+    assert!(format!("{uplink:?}").len() < before + 1000, "nothing is left of what came and went");
+    assert!(uplink.poll(now).is_none());
+}
+
+#[test]
+fn two_uplinks_at_once_lose_nothing_when_one_fails() {
+    let mut sim = Simulation::new(9);
+    let [writer, wifi, lte, reader] = [(); 4].map(|()| sim.node());
+    sim.join(
+        writer,
+        wifi,
+        Faults { loss: 0.05, partitions: vec![(3 * SECOND, 100 * SECOND)], ..Faults::delay(2 * MS) },
+        Faults::delay(2 * MS),
+    );
+    sim.join(
+        writer,
+        lte,
+        Faults { rate: Some(20 * MBIT), queue: Some(100_000), loss: 0.02, ..Faults::delay(40 * MS) },
+        Faults::delay(40 * MS),
+    );
+    sim.join(
+        wifi,
+        reader,
+        Faults::default(),
+        Faults { partitions: vec![(3 * SECOND, 100 * SECOND)], ..Faults::default() },
+    );
+    sim.join(lte, reader, Faults::default(), Faults::default());
+    sim.second_uplink(writer, 20 * MBIT / 8);
+    let options = TopicOptions { doubled: true, ..TopicOptions::reliable() };
+    let topic = sim.publish(writer, options, App::new(500, 50, 6 * SECOND));
+    sim.subscribe(reader, topic, 10 * MS, InboundOptions::every());
+    sim.run(7 * SECOND);
+    let reading = &sim.topics[topic].readers[&reader];
+    assert_eq!(reading.delivered.len(), 300);
+    assert!(reading.counters().duplicates > 100);
+    assert!(*sim.latencies(topic, reader).last().unwrap() < 400 * MS);
+}
+
+#[test]
+fn frames_that_became_too_large_are_sealed_again() {
+    let faults = Faults { loss: 0.02, ..Faults::delay(RTT / 2) };
+    let (mut sim, writer, readers) = Simulation::star(10, faults, 1);
+    let topic = sim.publish(writer, TopicOptions::reliable(), App::new(100_000, 20, 2 * SECOND));
+    sim.subscribe(readers[0], topic, RTT, InboundOptions::every());
+    for (at, size) in [(500 * MS, 1200), (SECOND, 700), (1_500 * MS, 1300)] {
+        sim.run(at);
+        sim.set_max_payload(size);
+    }
+    sim.run(4 * SECOND);
+    assert_eq!(sim.topics[topic].readers[&readers[0]].delivered.len(), 40, "{:?}", sim.topic_counters(topic));
+}
+
+/// A burst of loss as long as a message and longer.
+#[test]
+fn bursts_of_loss_are_repaired() {
+    for seed in 0..4 {
+        let burst = Some(Burst { enter: 0.002, leave: 0.02, loss: 0.9 });
+        let faults = Faults { burst, rate: Some(100 * MBIT), queue: Some(1 << 20), ..Faults::delay(10 * MS) };
+        let (mut sim, writer, readers) = Simulation::star(seed, faults, 2);
+        let topic = sim.publish(writer, TopicOptions::reliable(), App::new(50_000, 50, 3 * SECOND));
+        readers.iter().for_each(|reader| sim.subscribe(*reader, topic, 20 * MS, InboundOptions::every()));
+        sim.run(6 * SECOND);
+        for reader in &readers {
+            assert_eq!(sim.topics[topic].readers[reader].delivered.len(), 150, "{:?}", sim.topic_counters(topic));
+        }
     }
 }

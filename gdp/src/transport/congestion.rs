@@ -7,8 +7,8 @@ use super::{FRAME_HEADER, MS};
 /// A full frame, for what is counted in frames.
 const FRAME: u64 = 1400 + FRAME_HEADER;
 
-/// Bytes that may go before anything is known, as in RFC 6928.
-pub const INITIAL_WINDOW: u64 = 10 * FRAME;
+/// Bytes that may go before anything is known. RFC 6928 says 10 frames; large senders use as many as this today.
+pub const INITIAL_WINDOW: u64 = 32 * FRAME;
 /// A path is never held below this.
 pub const MIN_WINDOW: u64 = 4 * FRAME;
 
@@ -22,6 +22,7 @@ const DRY_TIME: u64 = 200 * MS;
 const STARTUP_GAIN: u64 = 289;
 /// What the rate is multiplied with in the phases of steady state, in percent.
 const CYCLE: [u64; 8] = [125, 75, 100, 100, 100, 100, 100, 100];
+const SHORTEST_ATTEMPT: u64 = 2 * MS;
 /// Rounds that a measured rate counts for.
 const RATE_ROUNDS: u64 = 10;
 /// Startup ends when as many rounds brought less than a quarter more.
@@ -87,6 +88,8 @@ pub struct Path {
     round_delivered: u64,
     round_lost: u64,
     round_marks: u64,
+    /// The shortest of the round.
+    round_rtt: u64,
     full_rate: u64,
     full_rounds: u32,
     /// The rate is held below this after congestion, until the next attempt at more.
@@ -110,6 +113,7 @@ impl Path {
             round_delivered: 0,
             round_lost: 0,
             round_marks: 0,
+            round_rtt: u64::MAX,
             full_rate: 0,
             full_rounds: 0,
             ceiling: None,
@@ -122,13 +126,27 @@ impl Path {
         self.silent = true;
     }
 
-    pub fn on_report(&mut self, now: u64, sample: &Sample) {
+    pub fn is_silent(&self) -> bool {
+        self.silent
+    }
+
+    /// Returns whether it takes this for congestion. What went before then is to be blamed once.
+    pub fn on_report(&mut self, now: u64, sample: &Sample) -> bool {
         if let Some(last) = self.last_report {
             let interval = (now - last).min(100 * MS);
             self.report_interval = (7 * self.report_interval + interval) / 8;
         }
         self.last_report = Some(now);
-        self.silent = false;
+        if self.silent {
+            // The path may be another one now.
+            *self = Self {
+                smoothed_rtt: self.smoothed_rtt,
+                last_report: Some(now),
+                round_ends: sample.sent,
+                ..Self::new()
+            };
+            return false;
+        }
         if let Some(rtt) = sample.rtt {
             self.measure_rtt(now, rtt.max(1));
         }
@@ -141,17 +159,21 @@ impl Path {
                 self.rates.add(self.round, rate);
             }
         }
+        let mut congested = false;
         if sample.acknowledged >= self.round_ends {
-            self.end_round(sample.paused);
+            congested = self.end_round(sample.paused);
             self.round += 1;
             self.round_ends = sample.sent;
         }
         self.advance(now, sample.sent.saturating_sub(sample.acknowledged));
+        congested
     }
 
     /// Bytes per second at which frames may go.
-    pub fn rate(&self) -> u64 {
+    pub fn rate(&self, now: u64) -> u64 {
         let gain = match self.phase {
+            // An attempt at more makes a queue, so it ends on time, even if the next report is late.
+            Phase::Steady { step: 0, since } if now - since > self.min_rtt.unwrap_or(0).max(SHORTEST_ATTEMPT) => 100,
             Phase::Startup => STARTUP_GAIN,
             Phase::Drain => 50,
             Phase::Steady { step, .. } => CYCLE[step],
@@ -179,24 +201,37 @@ impl Path {
         self.smoothed_rtt.unwrap_or(INITIAL_RTT)
     }
 
+    /// How long repairing something takes at most, if the path does not grow slower than it was.
+    pub fn repair_time(&self) -> u64 {
+        (4 * self.min_rtt.unwrap_or(INITIAL_RTT) + 4 * self.report_interval).clamp(200 * MS, 1_000 * MS)
+    }
+
     /// By when a report about what went now is overdue.
     pub fn patience(&self) -> u64 {
         (2 * self.rtt() + 3 * self.report_interval).max(100 * MS)
     }
 
-    fn bandwidth(&self) -> u64 {
-        match self.rates.get() {
-            0 => bytes_per_second(INITIAL_WINDOW, self.rtt()),
-            rate => rate.min(self.ceiling.unwrap_or(u64::MAX)),
+    /// Bytes per second that the path was seen to take.
+    pub fn bandwidth(&self) -> u64 {
+        let rate = self.rates.get();
+        if self.phase == Phase::Startup {
+            return rate.max(bytes_per_second(INITIAL_WINDOW, self.rtt() + self.report_interval));
         }
+        rate.min(self.ceiling.unwrap_or(u64::MAX))
     }
 
-    /// Bytes under way when the path is full and has no queue. What a reader has not reported yet is among them.
+    /// Bytes that are not reported when the path is full and has no queue.
     fn in_flight(&self, rtt: u64) -> u64 {
-        (u128::from(self.bandwidth()) * u128::from(rtt + self.report_interval) / 1_000_000_000) as u64 + 2 * FRAME
+        bytes_in(self.bandwidth(), rtt + self.report_interval) + 2 * FRAME
+    }
+
+    /// The same when a report has just come.
+    fn queueless(&self, rtt: u64) -> u64 {
+        bytes_in(self.bandwidth(), rtt + rtt / 8) + 2 * FRAME
     }
 
     fn measure_rtt(&mut self, now: u64, rtt: u64) {
+        self.round_rtt = self.round_rtt.min(rtt);
         self.smoothed_rtt = Some(self.smoothed_rtt.map_or(rtt, |smoothed| (7 * smoothed + rtt) / 8));
         let dry = matches!(self.phase, Phase::Dry { .. });
         let expired = dry && now.saturating_sub(self.min_rtt_at) > RTT_WINDOW;
@@ -206,10 +241,11 @@ impl Path {
         }
     }
 
-    fn end_round(&mut self, paused: bool) {
+    fn end_round(&mut self, paused: bool) -> bool {
         let seen = self.round_delivered + self.round_lost;
         let lossy = self.round_lost > 4 * FRAME && self.round_lost * 100 > seen * LOSS_LIMIT;
-        if self.round_marks > 0 || lossy {
+        let congested = self.round_marks > 0 || lossy;
+        if congested {
             self.ceiling = Some(self.bandwidth() * BACK_OFF / 100);
             if self.phase == Phase::Startup {
                 self.phase = Phase::Drain;
@@ -222,19 +258,25 @@ impl Path {
             } else {
                 self.full_rounds += 1;
             }
+            // A queue that stood for all of the round says the same.
+            let empty = self.min_rtt.unwrap_or(INITIAL_RTT);
+            let stands = self.round_rtt < u64::MAX && self.round_rtt > empty + empty / 2 + 2 * MS;
+            self.full_rounds += u32::from(stands);
             if self.full_rounds >= FULL_ROUNDS {
                 self.phase = Phase::Drain;
             }
         }
+        self.round_rtt = u64::MAX;
+        congested
     }
 
     fn advance(&mut self, now: u64, under_way: u64) {
         let rtt = self.min_rtt.unwrap_or(INITIAL_RTT);
         match self.phase {
-            Phase::Drain if under_way <= self.in_flight(rtt) => self.begin_steady(now),
+            Phase::Drain if under_way <= self.queueless(rtt) => self.begin_steady(now),
             Phase::Steady { step, since } if now - since >= rtt.max(self.report_interval) => {
                 // The queue that an attempt at more has made goes first.
-                if CYCLE[step] >= 100 || under_way <= self.in_flight(rtt) {
+                if CYCLE[step] >= 100 || under_way <= self.queueless(rtt) {
                     let step = (step + 1) % CYCLE.len();
                     if CYCLE[step] > 100 {
                         self.ceiling = None;
@@ -286,6 +328,10 @@ impl MaxRate {
     fn get(&self) -> u64 {
         self.buckets.iter().map(|(_, rate)| *rate).max().unwrap_or(0)
     }
+}
+
+fn bytes_in(rate: u64, nanoseconds: u64) -> u64 {
+    (u128::from(rate) * u128::from(nanoseconds) / 1_000_000_000) as u64
 }
 
 fn bytes_per_second(bytes: u64, nanoseconds: u64) -> u64 {

@@ -17,6 +17,10 @@ const LEAST_PATIENCE: u64 = 2 * MS;
 const FASTEST_REPORT: u64 = 10 * MS;
 const SLOWEST_REPORT: u64 = 100 * MS;
 
+/// So many bytes are worth a report sooner, on short ways: half a round trip after the last, and this at least.
+const MANY_BYTES: u64 = 64 << 10;
+const FASTEST_OF_MANY: u64 = 2 * MS;
+
 /// What was asked for in vain is asked for again, in the end so seldom.
 const SLOWEST_ASKING: u64 = 1_000 * MS;
 
@@ -104,6 +108,8 @@ pub struct Inbound<M> {
     /// Bytes charged to the slots.
     bytes: usize,
     rtt: u64,
+    /// From asking to getting: a round trip, and what the writer's budget and queues add.
+    repair_time: u64,
     /// What is missing up to here when this time has come is asked for.
     mark: Option<(u64, Position)>,
     /// What is missing up to here is asked for.
@@ -113,6 +119,7 @@ pub struct Inbound<M> {
     report_at: u64,
     reported_at: Option<u64>,
     segments: u64,
+    reported_bytes: u64,
     segment_bytes: u64,
     ce: u32,
     /// The last new segment since the last report, and when it came.
@@ -135,6 +142,7 @@ impl<M> Inbound<M> {
             highest: Position { sequence: 0, index: 0 },
             bytes: 0,
             rtt: rtt.clamp(MS, LONGEST_RTT),
+            repair_time: rtt.clamp(MS, LONGEST_RTT),
             mark: None,
             due: Position { sequence: 0, index: 0 },
             came_at: 0,
@@ -142,6 +150,7 @@ impl<M> Inbound<M> {
             report_at: u64::MAX,
             reported_at: None,
             segments: 0,
+            reported_bytes: 0,
             segment_bytes: 0,
             ce: 0,
             echo: None,
@@ -185,8 +194,8 @@ impl<M> Inbound<M> {
             return false;
         }
         self.bytes = self.bytes + Slot::<M>::cost(slot.total()) - Slot::<M>::cost(before);
-        if let Some(took) = answered.filter(|took| *took > self.rtt) {
-            self.rtt = (self.rtt + (took - self.rtt) / 8).min(LONGEST_RTT);
+        if let Some(took) = answered {
+            self.repair_time = ((7 * self.repair_time + took) / 8).clamp(self.rtt, LONGEST_RTT);
         }
         self.segments += 1;
         self.segment_bytes += bytes as u64;
@@ -302,6 +311,7 @@ impl<M> Inbound<M> {
     /// For a round trip that was measured in another way.
     pub fn set_rtt(&mut self, rtt: u64) {
         self.rtt = rtt.clamp(MS, LONGEST_RTT);
+        self.repair_time = self.repair_time.max(self.rtt);
     }
 
     pub fn counters(&self) -> &InboundCounters {
@@ -322,8 +332,13 @@ impl<M> Inbound<M> {
         (self.rtt / 8).max(LEAST_PATIENCE)
     }
 
+    /// When nothing is on its way any more, even if the writer waited for a report before it went on.
     fn idle_at(&self) -> u64 {
-        self.came_at + 2 * self.patience()
+        self.came_at + self.rtt + self.rtt / 2 + self.report_interval()
+    }
+
+    fn report_interval(&self) -> u64 {
+        (self.rtt / 2).clamp(FASTEST_REPORT, SLOWEST_REPORT)
     }
 
     /// The end of the newest message of which anything came.
@@ -338,7 +353,7 @@ impl<M> Inbound<M> {
     }
 
     fn expire(&mut self, now: u64) {
-        while self.deadline().is_some_and(|deadline| deadline < now) {
+        while self.deadline().is_some_and(|deadline| deadline <= now) {
             self.deal_with(self.next, Given::Late);
             self.deliver();
             self.plan_report(now);
@@ -421,13 +436,13 @@ impl<M> Inbound<M> {
     fn ask(&mut self, now: u64) -> Option<Feedback> {
         self.slot_up_to_existing(now);
         let mut missing = Vec::new();
-        let (rtt, due) = (self.rtt + self.rtt / 4, self.due);
+        let (wait, due) = (self.repair_time + self.repair_time / 4, self.due);
         for (sequence, slot) in (self.next..=due.sequence).zip(&mut self.slots) {
             if missing.len() == MAX_MISSING {
                 break;
             }
             if slot.is_open() {
-                if slot.ask_again_at(rtt, SLOWEST_ASKING).is_some_and(|at| at <= now) {
+                if slot.ask_again_at(wait, SLOWEST_ASKING).is_some_and(|at| at <= now) {
                     slot.forget_asked();
                 }
                 let end = if sequence == due.sequence { due.index } else { u32::MAX };
@@ -449,14 +464,14 @@ impl<M> Inbound<M> {
 
     /// When something is to be asked for, not before `from`.
     fn plan_ask(&mut self, from: u64) {
-        let (rtt, due) = (self.rtt + self.rtt / 4, self.due);
+        let (wait, due) = (self.repair_time + self.repair_time / 4, self.due);
         let open = (self.next..=due.sequence).zip(&self.slots).filter(|(_, slot)| slot.is_open());
         let times = open.filter_map(|(sequence, slot)| {
             let end = if sequence == due.sequence { due.index } else { u32::MAX };
             if slot.has_wanted(end) {
                 Some(from)
             } else {
-                slot.ask_again_at(rtt, SLOWEST_ASKING).map(|at| at.max(from))
+                slot.ask_again_at(wait, SLOWEST_ASKING).map(|at| at.max(from))
             }
         });
         if let Some(at) = times.min() {
@@ -465,7 +480,9 @@ impl<M> Inbound<M> {
     }
 
     fn plan_report(&mut self, now: u64) {
-        let interval = (self.rtt / 2).clamp(FASTEST_REPORT, SLOWEST_REPORT);
+        let many = self.segment_bytes - self.reported_bytes >= MANY_BYTES;
+        let interval =
+            if many { (self.rtt / 2).clamp(FASTEST_OF_MANY, SLOWEST_REPORT) } else { self.report_interval() };
         let at = self.reported_at.map_or(now, |last| (last + interval).max(now));
         self.report_at = self.report_at.min(at);
     }
@@ -473,6 +490,7 @@ impl<M> Inbound<M> {
     fn report(&mut self, now: u64) -> Feedback {
         self.report_at = u64::MAX;
         self.reported_at = Some(now);
+        self.reported_bytes = self.segment_bytes;
         let (echo, came_at) = self.echo.take().unwrap_or((Position { sequence: 0, index: 0 }, now));
         Feedback::Report {
             name: self.name,

@@ -40,7 +40,7 @@ pub struct TopicCounters {
     pub replaced: u64,
     /// Messages whose lifetime ended before all their frames had gone.
     pub expired: u64,
-    /// Messages of a reliable topic that went from the history before every reader that is waited for had them.
+    /// Messages of a reliable topic that went from the history before every live reader had them.
     pub evicted: u64,
     /// Frame payloads sent, those sent again included; several that share a frame count one each.
     pub frames: u64,
@@ -164,12 +164,13 @@ impl Outbox {
         !full || self.entries.is_empty() || self.entries.front().is_some_and(oldest_may_go)
     }
 
-    pub fn oldest_is_sent(&self) -> bool {
-        self.entries.front().is_some_and(Entry::is_sent)
+    /// The last sequence of the oldest message, if that has gone.
+    pub fn oldest_sent(&self) -> Option<u64> {
+        self.entries.front().filter(|oldest| oldest.is_sent()).map(|oldest| oldest.message.last())
     }
 
-    /// `acknowledged`: what every reader that is waited for has. Gives the message back if the caller has to wait.
-    pub fn push(&mut self, now: u64, message: Sealed, acknowledged: u64) -> Result<(), Sealed> {
+    /// `acknowledged`: what every reader that is waited for has; `by_all`: what every live one has. Gives the message back if the caller has to wait.
+    pub fn push(&mut self, now: u64, message: Sealed, acknowledged: u64, by_all: u64) -> Result<(), Sealed> {
         debug_assert!(message.first() > self.last);
         let fits =
             |outbox: &Self| outbox.bytes + message.total_bytes() <= outbox.history.bytes || outbox.entries.is_empty();
@@ -186,11 +187,12 @@ impl Outbox {
             Reliability::Reliable { overflow } => {
                 while self.entries.len() >= self.history.messages.max(1) || !fits(self) {
                     let Some(oldest) = self.entries.front() else { break };
-                    if !oldest.is_sent() || oldest.message.last() > acknowledged {
-                        match overflow {
-                            Overflow::Block => return Err(message),
-                            Overflow::DropOldest => self.counters.evicted += oldest.messages(),
-                        }
+                    let may_go = oldest.is_sent() && oldest.message.last() <= acknowledged;
+                    if !may_go && overflow == Overflow::Block {
+                        return Err(message);
+                    }
+                    if !oldest.is_sent() || oldest.message.last() > by_all {
+                        self.counters.evicted += oldest.messages();
                     }
                     self.remove(0);
                 }
@@ -202,15 +204,6 @@ impl Outbox {
         let message = Arc::new(message);
         self.entries.push_back(Entry { message, pushed: now, sent: 0, repeated: Vec::new(), resealing: false });
         Ok(())
-    }
-
-    /// The oldest message of a full history goes, whoever lacks it. Returns its last sequence.
-    pub fn evict(&mut self) -> Option<u64> {
-        let oldest = self.entries.front().filter(|entry| entry.is_sent())?;
-        let last = oldest.message.last();
-        self.counters.evicted += oldest.messages();
-        self.remove(0);
-        Some(last)
     }
 
     /// Nobody is there to send to: what waits counts as sent.
@@ -270,6 +263,14 @@ impl Outbox {
             Entry { message: Arc::new(message), pushed: entry.pushed, sent: 0, repeated: Vec::new(), resealing: false };
         self.repairs.retain(|(of, _)| *of != first);
         self.cursor = self.cursor.min(index);
+    }
+
+    /// Messages that cannot be sealed again are lost.
+    pub fn abandon(&mut self, first: u64) {
+        if let Some(index) = self.find(first) {
+            self.counters.evicted += self.entries[index].messages();
+            self.remove(index);
+        }
     }
 
     /// Queues what a reader lacks. `too_early`: what went again later than this is on its way to the reader already. `pay` is

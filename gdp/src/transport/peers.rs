@@ -20,8 +20,8 @@ const SILENT: u32 = 6;
 /// A reader that fell behind a full history is not waited for this long; twice as long the next time.
 const LAG: u64 = 4_000 * MS;
 
-/// A reader may have its repairs at half the topic's speed, but at this many bytes a second at least, and so many nanoseconds' worth
-/// of them at once.
+/// A reader may have its repairs at a quarter of what the best reader's path takes, one that lags at a sixteenth, but at this many bytes a second at
+/// least, and so many nanoseconds' worth of them at once.
 const LEAST_REPAIR_RATE: u64 = 128 << 10;
 const REPAIR_BURST: u64 = 500 * MS;
 
@@ -47,6 +47,8 @@ pub struct Peer {
     lagging: bool,
     lagging_until: u64,
     lags: u32,
+    /// Since when a publisher waits for it, on and off.
+    waited_since: Option<u64>,
     /// Looks since it last reported.
     silent: u32,
     /// The latest that it told of what had gone.
@@ -59,6 +61,8 @@ pub struct Peer {
     /// When `arrived` last moved.
     progress_at: u64,
     repairs: Meter,
+    /// What was lost before this is dealt with, or says nothing of the path as it is.
+    heard_since: u64,
     lost: u64,
 }
 
@@ -71,6 +75,7 @@ impl Peer {
             lagging: false,
             lagging_until: 0,
             lags: 0,
+            waited_since: None,
             silent: 0,
             echo: None,
             reported_at: now,
@@ -79,6 +84,7 @@ impl Peer {
             arrived: sent,
             progress_at: now,
             repairs: Meter::new(now),
+            heard_since: now,
             lost: 0,
         }
     }
@@ -122,10 +128,15 @@ impl Peer {
     }
 
     pub fn on_report(&mut self, now: u64, report: &Report, log: &SentLog, outbox: &Outbox, sent: u64) {
+        if self.path.is_silent() {
+            self.heard_since = now;
+        }
         self.silent = 0;
         self.acknowledged = self.acknowledged.max(report.acknowledged.min(outbox.last()));
-        if self.lagging && now >= self.lagging_until && self.acknowledged + 1 >= outbox.oldest() {
-            self.lagging = outbox.last().saturating_sub(self.acknowledged) > (outbox.last() + 1 - outbox.oldest()) / 2;
+        let half = outbox.oldest().midpoint(outbox.last());
+        if self.acknowledged >= half {
+            self.waited_since = None;
+            self.lagging &= now < self.lagging_until;
         }
         let Some(echo) = report.echo.and_then(|position| log.find(position)) else { return };
         let repeated = report.echo.and_then(|position| outbox.repeated(position));
@@ -149,7 +160,9 @@ impl Peer {
             acknowledged: self.arrived,
             sent,
         };
-        self.path.on_report(now, &sample);
+        if self.path.on_report(now, &sample) {
+            self.heard_since = now;
+        }
         self.reported_at = now;
         (self.received_bytes, self.ce) = (report.received_bytes, report.ce);
         if self.echo.is_none_or(|before| echo.total > before.total) {
@@ -157,16 +170,20 @@ impl Peer {
         }
     }
 
-    /// Whether so many bytes of repairs are within its budget; the topic sends at `rate`.
+    /// Whether so many bytes of repairs are within its budget; the best reader takes `rate` bytes a second.
     pub fn pay(&mut self, now: u64, bytes: u64, rate: u64) -> bool {
         let allowed = self.repairs.ready_at(REPAIR_BURST) <= now;
         let cost = if allowed { bytes + LOOK } else { LOOK };
-        self.repairs.take(now, cost, (rate / 2).max(LEAST_REPAIR_RATE));
+        let share = if self.lagging { rate / 16 } else { rate / 4 };
+        self.repairs.take(now, cost, share.max(LEAST_REPAIR_RATE));
         allowed
     }
 
-    pub fn on_lost(&mut self, bytes: u64) {
-        self.lost += bytes;
+    /// It asked for so many bytes that had gone at this time.
+    pub fn on_lost(&mut self, bytes: u64, sent_at: u64) {
+        if sent_at >= self.heard_since {
+            self.lost += bytes;
+        }
     }
 }
 
@@ -201,9 +218,14 @@ impl Peers {
     }
 
     /// Of the live ones with room under way, the one with the fastest path.
-    pub fn leader(&self, sent: u64) -> Option<(Name, u64)> {
+    pub fn leader(&self, now: u64, sent: u64) -> Option<Name> {
         let open = self.0.iter().filter(|(_, peer)| peer.is_live() && peer.has_room(sent));
-        open.map(|(name, peer)| (*name, peer.path.rate())).max_by_key(|(_, rate)| *rate)
+        open.max_by_key(|(_, peer)| peer.path.rate(now)).map(|(name, _)| *name)
+    }
+
+    /// Bytes per second that the best path to a live reader was seen to take.
+    pub fn bandwidth(&self) -> u64 {
+        self.0.values().filter(|peer| peer.is_live()).map(|peer| peer.path.bandwidth()).max().unwrap_or(0)
     }
 
     pub fn any_live(&self) -> bool {
@@ -214,9 +236,15 @@ impl Peers {
         self.0.values_mut().filter(|peer| peer.is_live())
     }
 
-    /// The last sequence that all who are waited for have.
+    /// The last sequence that all who are waited for have; of readers that all lag, the first of them is waited for.
     pub fn acknowledged(&self) -> u64 {
-        self.0.values().filter(|peer| peer.is_waited_for()).map(Peer::acknowledged).min().unwrap_or(u64::MAX)
+        let waited_for = self.0.values().filter(|peer| peer.is_waited_for()).map(Peer::acknowledged).min();
+        waited_for.unwrap_or_else(|| self.first_acknowledged())
+    }
+
+    /// The last sequence that any live reader has.
+    pub fn first_acknowledged(&self) -> u64 {
+        self.0.values().filter(|peer| peer.is_live()).map(Peer::acknowledged).max().unwrap_or(u64::MAX)
     }
 
     /// Whether any reader, live or not, lacks a message up to this sequence.
@@ -224,18 +252,31 @@ impl Peers {
         self.0.values().any(|peer| peer.acknowledged < sequence)
     }
 
-    /// Who lacks this sequence is not waited for any more, for longer each time.
-    pub fn lag(&mut self, now: u64, sequence: u64) {
+    /// A publisher waits because some of those that are waited for lack this sequence. Those for which one has waited too long are
+    /// not waited for any more, for longer each time. Returns when that will be so of the next.
+    pub fn wait(&mut self, now: u64, sequence: u64) -> u64 {
+        // If nobody has it, it is no single reader that is slow.
+        if self.first_acknowledged() < sequence {
+            return u64::MAX;
+        }
+        let mut next = u64::MAX;
         for peer in self.0.values_mut().filter(|peer| peer.is_waited_for() && peer.acknowledged < sequence) {
-            peer.lagging = true;
+            let since = *peer.waited_since.get_or_insert(now);
+            let until = since.saturating_add(peer.path.repair_time());
+            if until > now {
+                next = next.min(until);
+                continue;
+            }
+            (peer.lagging, peer.waited_since) = (true, None);
             peer.lagging_until = now + (LAG << peer.lags.min(6));
             peer.lags += 1;
         }
+        next
     }
 
-    /// How long those that are waited for may take at most.
-    pub fn patience(&self) -> u64 {
-        self.0.values().filter(|peer| peer.is_waited_for()).map(|peer| 2 * peer.path.patience()).max().unwrap_or(0)
+    /// The last sequence that all live readers have.
+    pub fn acknowledged_by_all(&self) -> u64 {
+        self.0.values().filter(|peer| peer.is_live()).map(Peer::acknowledged).min().unwrap_or(u64::MAX)
     }
 
     /// One look for those that fell silent, while something went.

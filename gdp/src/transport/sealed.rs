@@ -1,5 +1,7 @@
 //! A sealed message as the transport sees it: frame payloads, and which segments each of them carries.
 
+use crate::seal::{Segments, segment_ids};
+
 /// The place of a segment in its session. A message's proof is behind its last body segment, so places are in the order of sending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Position {
@@ -36,6 +38,19 @@ impl Sealed {
         Some(Self { bytes, frames, last, cut, largest })
     }
 
+    /// Takes what was sealed out of `segments`; `None` if that is nothing.
+    pub fn take(segments: &mut Segments) -> Option<Self> {
+        let (bytes, ends) = segments.take();
+        let last = segment_ids(&bytes[ends.len().checked_sub(2).map_or(0, |before| ends[before])..]).last()?;
+        let starts = std::iter::once(0).chain(ends.iter().copied());
+        let frame = |(start, &end): (usize, &usize)| {
+            let first = segment_ids(&bytes[start..end]).next()?;
+            Some(Frame { first: Position { sequence: first.sequence, index: first.index }, end })
+        };
+        let frames = starts.zip(&ends).map(frame).collect::<Option<_>>()?;
+        Self::new(bytes, frames, last.sequence, last.cut)
+    }
+
     /// The sequence of the first message in it.
     pub fn first(&self) -> u64 {
         self.frames[0].first.sequence
@@ -49,6 +64,11 @@ impl Sealed {
     /// How often these messages were cut before.
     pub fn cut(&self) -> u16 {
         self.cut
+    }
+
+    /// All payloads, one after another.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
     }
 
     /// Number of frames: at least 1.

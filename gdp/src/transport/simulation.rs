@@ -277,6 +277,11 @@ impl Simulation {
         }
     }
 
+    /// Whether all that goes on is a heartbeat now and then.
+    pub fn is_quiet(&self) -> bool {
+        self.next_wake() > self.net.now() + 10 * MS
+    }
+
     fn next_wake(&self) -> u64 {
         let apps = self.topics.iter().filter(|topic| topic.waiting.is_none() && topic.next_at < topic.app.until);
         let apps = apps.map(|topic| topic.next_at);
@@ -482,6 +487,13 @@ impl Simulation {
             Content::ToReader(reader, _) => (vec![*reader], 0),
             Content::FromReader(..) => (vec![topic.writer], 0),
         };
+        // A reader with two ways back uses both.
+        if matches!(packet.content, Content::FromReader(..)) && from.is_none() && topic.options.doubled {
+            for (_, cable) in self.cables[&node].clone() {
+                self.net.send(node, cable, packet.clone(), bytes + FRAME_HEADER as usize);
+            }
+            return;
+        }
         let mut hops: Vec<(usize, Cable)> = to.iter().filter_map(|to| self.hop(node, *to, which)).collect();
         hops.sort_unstable();
         hops.dedup();

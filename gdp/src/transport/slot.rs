@@ -5,6 +5,9 @@ use crate::feedback_wire::Missing;
 /// What is kept per message besides its bits, in bytes.
 const FIXED: usize = size_of::<Slot<()>>();
 
+/// What was asked for as often in vain is asked for half as often from then on.
+const PROMPT_TRIES: u32 = 3;
+
 #[derive(Debug)]
 pub enum Body<M> {
     /// Not complete.
@@ -82,8 +85,8 @@ impl<M> Slot<M> {
     }
 
     /// When what was asked for is asked for again; `None` if nothing was.
-    pub fn ask_again_at(&self, rtt: u64, slowest: u64) -> Option<u64> {
-        let wait = (rtt << self.tries.saturating_sub(1).min(6)).min(slowest.max(rtt));
+    pub fn ask_again_at(&self, wait: u64, slowest: u64) -> Option<u64> {
+        let wait = (wait << self.tries.saturating_sub(PROMPT_TRIES).min(6)).min(slowest.max(wait));
         self.asked_at.map(|at| at + wait)
     }
 

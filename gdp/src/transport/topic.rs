@@ -69,8 +69,8 @@ pub struct TopicState {
     pauses: u64,
     paused: bool,
     pace: Meter,
-    /// Whose path sets the pace, and its rate.
-    leader: Option<(Name, u64)>,
+    /// Whose path sets the pace.
+    leader: Option<Name>,
     heartbeat_at: u64,
     heartbeat_interval: u64,
     look_at: u64,
@@ -80,9 +80,10 @@ pub struct TopicState {
 /// A publisher waits for room.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
-    since: u64,
     /// For a message of so many bytes.
     bytes: usize,
+    /// When a reader that is waited for will have been for too long.
+    again_at: u64,
 }
 
 /// What a topic's timers bring.
@@ -117,11 +118,10 @@ impl TopicState {
     }
 
     pub fn push(&mut self, now: u64, message: Sealed) -> Result<(), Sealed> {
-        let result = self.outbox.push(now, message, self.peers.acknowledged());
-        self.waiting = match &result {
-            Ok(()) => None,
-            Err(message) => Some(Waiting { since: now, bytes: message.total_bytes() }),
-        };
+        let result = self.outbox.push(now, message, self.peers.acknowledged(), self.peers.acknowledged_by_all());
+        self.waiting =
+            result.as_ref().err().map(|message| Waiting { bytes: message.total_bytes(), again_at: u64::MAX });
+        self.wait(now);
         if self.peers.is_empty() {
             self.outbox.skip_all();
         }
@@ -145,14 +145,14 @@ impl TopicState {
 
     /// When it may send, or has to do something else.
     pub fn turn(&mut self, now: u64, max_payload: usize) -> Turn {
-        let timers = self.heartbeat_at.min(self.look_at).min(self.room_at());
+        let timers = self.heartbeat_at.min(self.look_at).min(self.waiting.map_or(u64::MAX, |waiting| waiting.again_at));
         if self.outbox.choose(now, max_payload).is_none() {
             if !self.paused {
                 (self.paused, self.pauses) = (true, self.pauses + 1);
             }
             return Turn { may_send: false, at: timers };
         }
-        let Some((_, rate)) = self.find_leader() else {
+        let Some(rate) = self.find_rate(now) else {
             return Turn { may_send: false, at: timers.min(self.overdue_at()) };
         };
         let paced = self.pace.ready_at(BURST.max(nanoseconds(BURST_BYTES, rate)));
@@ -162,7 +162,7 @@ impl TopicState {
 
     /// The frame payload that goes next, if it has at most `room` bytes. `waited`: since it could go.
     pub fn take(&mut self, now: u64, max_payload: usize, room: usize, waited: u64) -> Option<Chosen> {
-        let (_, rate) = self.find_leader()?;
+        let rate = self.find_rate(now)?;
         let chosen = self.outbox.choose(now, max_payload)?;
         let bytes = chosen.message.len(chosen.frame);
         if bytes > room {
@@ -177,11 +177,7 @@ impl TopicState {
         self.pace.take(now, bytes as u64, rate);
         if !chosen.repair {
             let position = chosen.message.position(chosen.frame);
-            let under_way = self
-                .leader
-                .and_then(|(leader, _)| self.peers.get(&leader))
-                .unwrap_or(&self.nobody)
-                .under_way(self.sent);
+            let under_way = self.leader().unwrap_or(&self.nobody).under_way(self.sent);
             self.log.add(Sent { position, at: now, total: self.sent, pauses: self.pauses }, under_way);
         }
         self.outbox.take(now, &chosen, self.sent);
@@ -216,14 +212,9 @@ impl TopicState {
                 self.heartbeat_at = u64::MAX;
             }
         }
-        if self.room_at() <= now {
-            if let Some(last) = self.outbox.evict() {
-                self.peers.lag(now, last);
-                due.room = self.waiting.take().is_some();
-            }
-        }
-        due.room |= self.take_room();
-        if self.find_leader().is_none() {
+        self.wait(now);
+        due.room = self.take_room();
+        if self.find_rate(now).is_none() {
             let (sent, last) = (self.sent, self.sent_at);
             let blocked = self.peers.live().chain([&mut self.nobody]);
             blocked.filter(|peer| peer.overdue_at(last) <= now).for_each(|peer| peer.forget_under_way(now, sent));
@@ -245,6 +236,7 @@ impl TopicState {
                     Report { acknowledged: *acknowledged, received_bytes: *received_bytes, ce: *ce, echo, delay };
                 peer.on_report(now, &report, &self.log, &self.outbox, self.sent);
                 self.leader = None;
+                self.wait(now);
                 (None, self.take_room())
             }
             Feedback::Nack { session, missing, .. } if *session == self.session => {
@@ -255,12 +247,13 @@ impl TopicState {
     }
 
     fn on_nack(&mut self, now: u64, reader: &Name, missing: &[Missing]) -> Option<u64> {
-        let rate = self.find_leader().map_or(0, |(_, rate)| rate);
+        let rate = self.peers.bandwidth();
         let peer = self.peers.get_mut(reader)?;
         let too_early = now.saturating_sub(peer.path().rtt() * 3 / 4);
         for range in missing.iter().take(MAX_MISSING) {
             let queued = self.outbox.ask(range, too_early, |bytes| peer.pay(now, bytes, rate));
-            peer.on_lost(queued);
+            let first = Position { sequence: range.sequence, index: range.first };
+            peer.on_lost(queued, self.log.find(first).map_or(0, |sent| sent.at));
         }
         let oldest = self.outbox.oldest();
         let gone = missing.first().is_some_and(|range| range.sequence < oldest);
@@ -277,11 +270,13 @@ impl TopicState {
         room
     }
 
-    /// When a publisher has waited long enough for readers that lack the oldest message.
-    fn room_at(&self) -> u64 {
-        match self.waiting {
-            Some(Waiting { since, .. }) if self.outbox.oldest_is_sent() => since.saturating_add(self.peers.patience()),
-            _ => u64::MAX,
+    /// If a publisher waits, looks for whom.
+    fn wait(&mut self, now: u64) {
+        if let Some(waiting) = &mut self.waiting {
+            waiting.again_at = match self.outbox.oldest_sent() {
+                Some(last) => self.peers.wait(now, last),
+                None => u64::MAX,
+            };
         }
     }
 
@@ -290,19 +285,20 @@ impl TopicState {
         self.peers.live().map(|peer| peer.overdue_at(last)).min().unwrap_or_else(|| self.nobody.overdue_at(last))
     }
 
-    /// The fastest reader with room; when none is live, a little goes all the same.
-    fn find_leader(&mut self) -> Option<(Name, u64)> {
+    /// The rate to the fastest reader with room; when none is live, a little goes all the same.
+    fn find_rate(&mut self, now: u64) -> Option<u64> {
         let sent = self.sent;
-        if let Some((leader, rate)) = self.leader
-            && self.peers.get(&leader).is_some_and(|peer| peer.has_room(sent))
-        {
-            return Some((leader, rate));
+        if self.leader().is_none_or(|leader| !leader.has_room(sent)) {
+            self.leader = self.peers.leader(now, sent);
         }
-        self.leader = self.peers.leader(sent);
-        if self.leader.is_some() {
-            return self.leader;
+        match self.leader() {
+            Some(leader) => Some(leader.path().rate(now)),
+            None if self.peers.any_live() || !self.nobody.has_room(sent) => None,
+            None => Some(self.nobody.path().rate(now)),
         }
-        let alone = !self.peers.any_live() && self.nobody.has_room(sent);
-        alone.then(|| (self.name, self.nobody.path().rate()))
+    }
+
+    fn leader(&self) -> Option<&Peer> {
+        self.peers.get(&self.leader?)
     }
 }

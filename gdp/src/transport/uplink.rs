@@ -243,6 +243,19 @@ impl Uplink {
         }
     }
 
+    /// The other answer to [`Output::Reseal`]: these messages cannot be sealed again, and are lost.
+    pub fn abandon(&mut self, now: u64, topic: Topic, message: &Sealed) {
+        if let Some(state) = self.topic(topic) {
+            state.outbox.abandon(message.first());
+            self.settle(now, topic);
+        }
+    }
+
+    /// Bytes of a frame's payload that go at the moment.
+    pub fn max_payload(&self) -> usize {
+        self.options.max_payload
+    }
+
     /// A frame that another uplink sends goes by this one as well, if its budget lets it: copies wait a little at most.
     pub fn copy(&mut self, transmit: Transmit) {
         let (queue, bytes) = &mut self.copies[usize::from(transmit.class)];

@@ -9,7 +9,7 @@
 //! - [`replication`]: what a copy costs
 //! - [`updates`]: frames per second while routes change
 //! - [`flood`]: frames to known names while others ask for unknown ones
-//! - [`senders`]: what the first switch costs a program that sends by a socket
+//! - [`senders`]: what the first switch costs a program that sends by a socket (other ways to send: [`rings`])
 //!
 //! They are made from [`path`] and [`star`] (what forwards; on [`switch`]), [`traffic`] (generators and sink), and
 //! [`gdp_tests::measure`] (in turn, where, results). [`series`] names who is compared.
@@ -24,6 +24,7 @@ mod hops;
 mod lookups;
 mod path;
 mod replication;
+mod rings;
 mod senders;
 mod series;
 #[path = "../../tests/star/mod.rs"]

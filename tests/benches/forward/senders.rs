@@ -1,4 +1,5 @@
-//! What a frame costs a program that sends by a socket, up to the first XDP hop and through it.
+//! What a frame costs a program that sends by a socket, up to the first XDP hop and through it; and what other ways there are to
+//! hand frames to the kernel.
 //!
 //! A socket's packet is not what XDP works on: a veth copies each into a page of its own before it runs the program, because
 //! sockets allocate packets where XDP may not have them (`skb_head_is_locked` in the kernel's `veth_convert_skb_to_xdp_buff`).
@@ -6,9 +7,12 @@
 //! that drops it; and through a switch. What the second takes more than the first is the conversion, less what the stack
 //! would have taken. The way around the conversion is a TAP device whose other end is the switch's: what a program writes to it
 //! goes into such a page at once, and XDP sees it before there is a packet of the kind that sockets make.
+//!
+//! Endpoints use `AF_PACKET` (`sendmmsg`) and `UDP` (runs of frames as one piece); the others are what that was chosen from.
 
 use std::fs::File;
 use std::io::{IoSlice, Write};
+use std::net::UdpSocket;
 use std::os::fd::AsRawFd;
 use std::time::{Duration, Instant};
 
@@ -24,10 +28,13 @@ use zerocopy::{FromBytes, IntoBytes};
 
 use crate::Bench;
 use crate::path::{Kind, Path};
+use crate::rings::{PacketRing, Ring, XdpSocket};
 use crate::switch::{self, know_neighbour};
 use crate::traffic::Sink;
 
-const PAYLOAD: usize = 64;
+/// Payloads: of small frames, and of frames that leave room for UDP in a packet of 1500 B.
+const SMALL: usize = 64;
+const LARGE: usize = 1290;
 
 /// How long what was sent may take to arrive.
 const PATIENCE: Duration = Duration::from_millis(200);
@@ -40,14 +47,47 @@ const SINK: &str = "to XDP that drops";
 const SWITCH: &str = "through an XDP switch";
 
 pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
-    let (packet, udp, tap) = ("AF_PACKET", "UDP", "TAP");
-    let open = |series, case, medium| -> Result<_> {
+    let all = [
+        (Medium::Ethernet, STACK),
+        (Medium::Ethernet, SINK),
+        (Medium::Ethernet, SWITCH),
+        (Medium::PacketRing, SWITCH),
+        (Medium::Xdp, SWITCH),
+        (Medium::Udp, STACK),
+        (Medium::Udp, SINK),
+        (Medium::Udp, SWITCH),
+        (Medium::SingleUdp, STACK),
+        (Medium::SingleUdp, SINK),
+        (Medium::SingleUdp, SWITCH),
+        (Medium::Tap, SINK),
+        (Medium::Tap, SWITCH),
+    ];
+    let title =
+        |payload| format!("A frame of {} B from a socket: all that its sender's core does for it", FRAMES + payload);
+    let small = figure("senders", title(SMALL), &all, SMALL, bench)?;
+    let through: Vec<_> = all.into_iter().filter(|(_, case)| *case == SWITCH).collect();
+    Ok(vec![small, figure("senders-large", title(LARGE), &through, LARGE, bench)?])
+}
+
+/// Bytes of a packet on Ethernet beside the payload.
+const FRAMES: usize = ETHERNET + Header::LEN;
+
+fn figure(
+    name: &'static str,
+    title: String,
+    compared: &[(Medium, &'static str)],
+    payload: usize,
+    bench: &Bench,
+) -> Result<Figure> {
+    let open = |&(medium, case): &(Medium, &'static str)| -> Result<_> {
         let mut path = match (case, medium) {
-            (SWITCH, Medium::Udp) => Path::crossing([switch::Medium::Udp4, switch::Medium::Ethernet], bench)?,
+            (SWITCH, Medium::Udp | Medium::SingleUdp) => {
+                Path::crossing([switch::Medium::Udp4, switch::Medium::Ethernet], bench)?
+            }
             (SWITCH, _) => Path::build(Kind::Xdp, 1, bench)?,
             _ => Path::build(Kind::Cable, 0, bench)?,
         };
-        let sender = Sender::open(&path, medium)?;
+        let sender = Sender::open(&path, medium, payload)?;
         // Where the stack is to drop, there must be no program.
         let sink = match (case, medium) {
             (STACK, _) => None,
@@ -57,39 +97,53 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
         if (case, medium) == (SWITCH, Medium::Tap) {
             path.attach_to_first_switch(TAP)?;
         }
-        Ok((series, case, sender, sink, path))
+        Ok((medium, case, sender, sink, path))
     };
-    let mut senders = [
-        open(packet, STACK, Medium::Ethernet)?,
-        open(packet, SINK, Medium::Ethernet)?,
-        open(packet, SWITCH, Medium::Ethernet)?,
-        open(udp, STACK, Medium::Udp)?,
-        open(udp, SINK, Medium::Udp)?,
-        open(udp, SWITCH, Medium::Udp)?,
-        open(tap, SINK, Medium::Tap)?,
-        open(tap, SWITCH, Medium::Tap)?,
-    ];
-    let contenders = senders.iter_mut().map(|(series, case, sender, sink, _)| {
-        Contender::new(series, *case, || sender.send_for(bench.duration(), sink.as_ref()))
+    let mut senders = compared.iter().map(open).collect::<Result<Vec<_>>>()?;
+    let contenders = senders.iter_mut().map(|(medium, case, sender, sink, _)| {
+        Contender::new(medium.as_str(), *case, || sender.send_for(bench.duration(), sink.as_ref()))
     });
     let measures = alternate(bench.rounds, contenders.collect())?;
     senders.iter().try_for_each(|(.., path)| path.check(None))?;
-    let title = "A frame of 174 B from a socket: all that its sender's core does for it";
-    let figure = Figure::new("senders", title, Unit::Nanoseconds, measures);
-    Ok(vec![figure.compare(tap, packet, |_| None)])
+    let figure = Figure::new(name, title, Unit::Nanoseconds, measures);
+    let against =
+        [(Medium::PacketRing, Medium::Ethernet), (Medium::Xdp, Medium::Ethernet), (Medium::Tap, Medium::Ethernet)];
+    let against = against.into_iter().chain([(Medium::Udp, Medium::SingleUdp), (Medium::Udp, Medium::Ethernet)]);
+    Ok(against.fold(figure, |figure, (one, over)| figure.compare(one.as_str(), over.as_str(), |_| None)))
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Medium {
+    /// As endpoints send on Ethernet: `sendmmsg`.
     Ethernet,
+    PacketRing,
+    Xdp,
+    /// As endpoints send over UDP: runs of frames.
     Udp,
+    /// `sendmmsg` with a frame in each message.
+    SingleUdp,
     Tap,
+}
+
+impl Medium {
+    fn as_str(self) -> &'static str {
+        match self {
+            Self::Ethernet => "AF_PACKET",
+            Self::PacketRing => "AF_PACKET, ring",
+            Self::Xdp => "AF_XDP",
+            Self::Udp => "UDP",
+            Self::SingleUdp => "UDP, frame by frame",
+            Self::Tap => "TAP",
+        }
+    }
 }
 
 /// Where a sender's frames leave.
 enum Exit {
     Socket(Box<Port>, LinkAddr),
+    Single(UdpSocket),
     /// With the Ethernet header that the frames get.
+    Ring(Box<dyn Ring>, [u8; ETHERNET]),
     Tap(File, [u8; ETHERNET]),
 }
 
@@ -99,17 +153,17 @@ struct Sender {
     link: LinkEntry,
     count: u64,
     headers: [Header; BATCH],
-    payload: [u8; PAYLOAD],
+    payload: Vec<u8>,
     _runtime: tokio::runtime::Runtime,
 }
 
 impl Sender {
-    fn open(path: &Path, medium: Medium) -> Result<Self> {
+    fn open(path: &Path, medium: Medium, payload: usize) -> Result<Self> {
         let robot = path.chain().robot();
-        let frames = path.frames(path.around() + Header::LEN + PAYLOAD);
+        let frames = path.frames(path.around() + Header::LEN + payload);
         let header = Header::read_from_prefix(&frames.frame[frames.header_at..]);
         let (header, _) = header.ok().context("a frame has a header")?;
-        if medium == Medium::Udp {
+        if matches!(medium, Medium::Udp | Medium::SingleUdp) {
             robot.ip(&["addr", "add", "10.9.0.1/24", "dev", "r0"])?;
             // No interface has this address: a stack drops what is sent there at its first look. The switch does not look.
             know_neighbour(robot, "r0", switch::link_ip(switch::Medium::Udp4, 0, 2), [2, 0, 0, 0, 0xff, 0xff])?;
@@ -118,24 +172,33 @@ impl Sender {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let within = runtime.enter();
         let config = PortConfig::endpoint(Identity::generate("endpoint")?);
+        let ethernet = frames.frame[..ETHERNET].try_into()?;
         let exit = match medium {
             Medium::Ethernet => {
                 let to =
                     LinkAddr::Ethernet { ifindex: Interface::find("r0")?.index, mac: frames.frame[..6].try_into()? };
                 Exit::Socket(Box::new(Port::ethernet("r0", &config)?), to)
             }
+            Medium::PacketRing => Exit::Ring(Box::new(PacketRing::open(Interface::find("r0")?.index)?), ethernet),
+            Medium::Xdp => Exit::Ring(Box::new(XdpSocket::open(Interface::find("r0")?.index)?), ethernet),
             Medium::Udp => {
                 let [from, to] = [1, 2].map(|end| switch::link_socket(switch::Medium::Udp4, 0, end));
                 Exit::Socket(Box::new(Port::udp(from, &config)?), LinkAddr::Udp(to))
             }
+            Medium::SingleUdp => {
+                let [from, to] = [1, 2].map(|end| switch::link_socket(switch::Medium::Udp4, 0, end));
+                let socket = UdpSocket::bind(from)?;
+                socket.connect(to)?;
+                Exit::Single(socket)
+            }
             Medium::Tap => {
                 let device = tap(TAP)?;
                 path.first_hop().ip(&["link", "set", TAP, "up"])?;
-                Exit::Tap(device, frames.frame[..ETHERNET].try_into()?)
+                Exit::Tap(device, ethernet)
             }
         };
         drop(within);
-        let (headers, payload) = ([header; BATCH], [0x5a; PAYLOAD]);
+        let (headers, payload) = ([header; BATCH], vec![0x5a; payload]);
         Ok(Self { exit, link: frames.link, count: 0, headers, payload, _runtime: runtime })
     }
 
@@ -169,16 +232,41 @@ impl Sender {
                 let batch = port.data().send_batch(frames);
                 ensure!(batch.lost == 0, "the kernel took {} of {BATCH} frames", batch.sent);
             }
+            Exit::Single(socket) => send_single(socket, &self.headers, &self.payload)?,
+            Exit::Ring(ring, ethernet) => {
+                for header in &self.headers {
+                    ring.put([ethernet, header.as_bytes(), &self.payload])?;
+                }
+                ring.send()?;
+            }
             Exit::Tap(device, ethernet) => {
                 for header in &self.headers {
                     let pieces = [&ethernet[..], header.as_bytes(), &self.payload].map(IoSlice::new);
                     let written = device.write_vectored(&pieces)?;
-                    ensure!(written == ETHERNET + Header::LEN + PAYLOAD, "the kernel took {written} bytes of a frame");
+                    ensure!(
+                        written == ETHERNET + Header::LEN + self.payload.len(),
+                        "the kernel took {written} bytes of a frame"
+                    );
                 }
             }
         }
         Ok(())
     }
+}
+
+fn send_single(socket: &UdpSocket, headers: &[Header; BATCH], payload: &[u8]) -> Result<()> {
+    // SAFETY: plain structures of integers and pointers, for which zero is a valid value.
+    let mut messages: [libc::mmsghdr; BATCH] = unsafe { std::mem::zeroed() };
+    let mut pieces = headers.each_ref().map(|header| [header.as_bytes(), payload].map(IoSlice::new));
+    for (message, pieces) in messages.iter_mut().zip(&mut pieces) {
+        // An `IoSlice` is an `iovec`.
+        message.msg_hdr.msg_iov = pieces.as_mut_ptr().cast();
+        message.msg_hdr.msg_iovlen = pieces.len();
+    }
+    // SAFETY: the messages point to pieces that outlive the call, and are only read.
+    let sent = unsafe { libc::sendmmsg(socket.as_raw_fd(), messages.as_mut_ptr(), BATCH as u32, 0) };
+    ensure!(sent == BATCH as i32, "the kernel took {sent} of {BATCH} frames");
+    Ok(())
 }
 
 /// A TAP device of the calling thread's network namespace. It goes when the file is closed.

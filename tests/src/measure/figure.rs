@@ -35,7 +35,12 @@ pub struct Figure {
 pub enum Unit {
     FramesPerSecond,
     NamesPerSecond,
+    MessagesPerSecond,
+    BytesPerSecond,
     Nanoseconds,
+    Milliseconds,
+    /// Of CPU time.
+    SecondsPerGigabyte,
 }
 
 /// What one contender reached: median, lowest and highest of the rounds.
@@ -127,7 +132,9 @@ impl Figure {
     ) -> Self {
         for ours in self.measures.iter().filter(|measure| measure.series == series) {
             let (over, case) = other(&ours.case);
-            let Some(theirs) = self.measure(over, &case) else { continue };
+            let Some(theirs) = self.measure(over, &case).filter(|theirs| !std::ptr::eq(*theirs, ours)) else {
+                continue;
+            };
             let spread = Spread::of(ours.rounds.iter().zip(&theirs.rounds).map(|(ours, theirs)| ours / theirs));
             let verdict = aim(&ours.case).map(|aim| aim.verdict(spread.median));
             self.ratios.push(Ratio { series, over, case: ours.case.clone(), spread, verdict });
@@ -204,7 +211,10 @@ impl Unit {
     pub fn number(self, value: f64) -> String {
         match self {
             Self::FramesPerSecond | Self::NamesPerSecond => format!("{:.3}", value / 1e6),
+            Self::MessagesPerSecond => format!("{:.2}", value / 1e3),
+            Self::BytesPerSecond => format!("{:.1}", value / 1e6),
             Self::Nanoseconds => format!("{value:.1}"),
+            Self::Milliseconds | Self::SecondsPerGigabyte => format!("{value:.2}"),
         }
     }
 
@@ -212,7 +222,11 @@ impl Unit {
         match self {
             Self::FramesPerSecond => "Mpps",
             Self::NamesPerSecond => "M names/s",
+            Self::MessagesPerSecond => "k messages/s",
+            Self::BytesPerSecond => "MB/s",
             Self::Nanoseconds => "ns",
+            Self::Milliseconds => "ms",
+            Self::SecondsPerGigabyte => "s/GB",
         }
     }
 }

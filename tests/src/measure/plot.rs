@@ -33,7 +33,7 @@ pub fn draw(figures: &[Figure], folder: &Path) -> Result<()> {
 fn values(figure: &Figure) -> Chart {
     let longest =
         |measure: &Measure| measure.spread.high.max(measure.verdict.map_or(0.0, |verdict| verdict.aim.value()));
-    let full = FULL * figure.measures.iter().map(longest).fold(0.0, f64::max);
+    let full = FULL * figure.measures.iter().map(longest).filter(|value| value.is_finite()).fold(0.0, f64::max);
     let groups = distinct(figure.measures.iter().map(|measure| &*measure.case)).into_iter().map(|case| {
         let rows = figure.measures.iter().filter(|measure| measure.case == case).map(|measure| Row {
             label: measure.series.to_owned(),
@@ -76,7 +76,7 @@ fn ratios(figure: &Figure) -> Chart {
             of_pair().map(|ratio| ratio.spread.high.max(ratio.verdict.map_or(0.0, |verdict| verdict.aim.value())));
         Group {
             heading: heading.to_owned(),
-            full: FULL * longest.fold(0.0, f64::max),
+            full: FULL * longest.filter(|value| value.is_finite()).fold(0.0, f64::max),
             rows: of_pair().map(ratio_row).collect(),
         }
     });

@@ -14,7 +14,7 @@ pub struct Chart {
 /// Rows under a heading, on one scale from 0.
 pub struct Group {
     pub heading: String,
-    /// The value at the right end of the scale.
+    /// The value at the right end of the scale; what is more ends there.
     pub full: f64,
     pub rows: Vec<Row>,
 }
@@ -53,7 +53,7 @@ impl Chart {
             text(&mut body, (MARGIN, y), "font-weight=\"bold\"", &group.heading);
             for row in &group.rows {
                 y += LINE;
-                row.draw(&mut body, y, (BARS.1 - BARS.0) / group.full);
+                row.draw(&mut body, y, group.full);
             }
         }
         let height = y + MARGIN;
@@ -67,20 +67,21 @@ impl Chart {
 
 impl Row {
     /// `y`: the line that text stands on.
-    fn draw(&self, out: &mut String, y: f64, scale: f64) {
+    fn draw(&self, out: &mut String, y: f64, full: f64) {
         let (top, middle) = (y - 11.0, y - 11.0 + BAR / 2.0);
+        let length = |value: f64| (value.max(0.0) / full.max(f64::MIN_POSITIVE)).min(1.0) * (BARS.1 - BARS.0);
         text(out, (BARS.0 - 8.0, y), "text-anchor=\"end\"", &self.label);
         let mut x = BARS.0;
-        for (length, colour) in &self.segments {
-            rectangle(out, (x, top), (length.max(0.0) * scale, BAR), colour);
-            x += length.max(0.0) * scale;
+        for (value, colour) in &self.segments {
+            rectangle(out, (x, top), (length(*value), BAR), colour);
+            x += length(*value);
         }
         if let Some((low, high)) = self.spread {
-            line(out, (BARS.0 + low * scale, middle), (BARS.0 + high * scale, middle), 1.0);
-            x = x.max(BARS.0 + high * scale);
+            line(out, (BARS.0 + length(low), middle), (BARS.0 + length(high), middle), 1.0);
+            x = x.max(BARS.0 + length(high));
         }
         if let Some(mark) = self.mark {
-            let at = BARS.0 + mark * scale;
+            let at = BARS.0 + length(mark);
             line(out, (at, top - 2.0), (at, top + BAR + 2.0), 2.0);
             x = x.max(at);
         }

@@ -32,6 +32,13 @@ pub const OWN_BIT: u64 = 1 << 5;
 /// Of the writer, which is the first link and behind the first interface.
 pub const WRITER: Leaf = Leaf { index: 1, interface: 0, reach: 0 };
 
+/// Which of a switch's planes is to forward.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Plane {
+    Kernel,
+    Userspace,
+}
+
 /// What is at the other end of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Leaf {

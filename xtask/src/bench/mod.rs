@@ -5,6 +5,7 @@
 mod forward;
 mod latency;
 mod local;
+mod transport;
 
 use anyhow::Result;
 
@@ -22,6 +23,8 @@ enum Figure {
     Forward(forward::Options),
     /// From one endpoint to another on the switch's host: through the daemon, on packet sockets, past both
     Local(local::Options),
+    /// Throughput, CPU time and latency of messages: this SDK beside quinn and TLS over TCP
+    Transport(transport::Options),
 }
 
 pub fn run(options: Options) -> Result<()> {
@@ -29,5 +32,6 @@ pub fn run(options: Options) -> Result<()> {
         Figure::Latency(options) => latency::run(options),
         Figure::Forward(options) => forward::run(options),
         Figure::Local(options) => local::run(options),
+        Figure::Transport(options) => transport::run(options),
     }
 }

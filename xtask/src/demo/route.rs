@@ -13,8 +13,8 @@ pub struct Hop {
 /// The way from the robot to the cloud. Fails if the tables lead nowhere, or in a circle.
 pub fn follow(fabric: &Fabric) -> Result<Vec<Hop>> {
     let rib = fabric.ctl(fabric.switches.len() - 1, &["rib", "dump"])?;
-    let mut here = where_is(&rib, fabric, "writer")?;
-    let reader_is_at = where_is(&rib, fabric, "reader")?;
+    let mut here = where_is(&rib, fabric, "publisher")?;
+    let reader_is_at = where_is(&rib, fabric, "subscriber")?;
     let mut hops = vec![Hop { node: "robot".into(), what: "gdp-proxy: DDS to sealed frames".into() }];
     loop {
         ensure!(hops.len() <= fabric.switches.len(), "the way of {} is a circle", fabric.name);
@@ -43,7 +43,7 @@ pub fn follow(fabric: &Fabric) -> Result<Vec<Hop>> {
     Ok(hops)
 }
 
-/// The switch at which the name's writer or reader is.
+/// The switch at which who has this role in the name is.
 fn where_is(rib: &Value, fabric: &Fabric, role: &str) -> Result<usize> {
     let mut records = rib["records"].as_array().into_iter().flatten();
     let record = records.find(|record| record["name"] == fabric.name.as_str() && record["role"] == role);

@@ -107,6 +107,22 @@ fn the_name_of_an_entity_is_not_advertised_by_it() {
 }
 
 #[test]
+fn a_topic_under_the_name_of_an_entity_takes_the_place_of_its_inbox() {
+    let mut w = World::chain(2);
+    let (robot, cloud, other) = (w.attached("robot", 0), w.attached("cloud", 1), w.attached("other", 1));
+    w.publish(&robot, 0, 1);
+    w.subscribe(&cloud, 1, 1);
+    let inbox = w.inbox_routes(&robot);
+    let mut parts = Parts::publish(&w, &other, 1);
+    (parts.owner, parts.proof) = (robot.key().clone(), robot.proof());
+    (parts.cert.name, parts.advert.name) = (robot.name(), robot.name());
+    assert!(matches!(w.ask(&other, 1, parts.advertise()), Response::Peers(_)));
+    assert_eq!(w.inbox_routes(&robot), [], "only its key can have allowed this");
+    w.detach(&other, 1);
+    assert_eq!(w.inbox_routes(&robot), inbox);
+}
+
+#[test]
 fn counterparts_are_bounded() {
     let mut w = World::with(2, Limits { counterparts: 2, ..Limits::default() });
     let robot = w.attached("robot", 0);

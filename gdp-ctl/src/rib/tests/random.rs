@@ -1,4 +1,4 @@
-//! Random joins, leaves, moves, link failures, revocations, key boxes and restarts of the RIB. Whatever happened: FIBs that
+//! Random joins, leaves, moves, link failures, revocations, key boxes, restarts of the RIB and lost messages. Whatever happened: FIBs that
 //! follow the pushes equal the desired ones and a model's, what is sent reaches exactly those that take it, and everybody
 //! knows its counterparts and has the boxes that are kept for it.
 
@@ -30,6 +30,7 @@ fn pushes_bring_everything_to_its_desired_state_whatever_happens() {
     let mut random = Random(11);
     for round in 0..4 {
         let mut w = World::chain(SWITCHES);
+        w.loss = 4;
         w.links.extend(LOOSE);
         (0..SWITCHES).for_each(|i| w.report(i, None));
         let mut entities: Vec<Entity> = (0..ENTITIES)
@@ -112,7 +113,14 @@ fn pushes_bring_everything_to_its_desired_state_whatever_happens() {
 }
 
 fn check(w: &mut World) {
+    // What was lost comes again, after a while.
+    let before = w.rib.timers.clone();
     w.tell_all();
+    while let Some(retry) = w.rib.telling.retry_at() {
+        w.pass(retry.saturating_sub(w.now.clock).max(Duration::from_nanos(1)));
+        w.tell_all();
+    }
+    assert_eq!(w.rib.timers, before, "nothing ended meanwhile");
     w.settle();
     w.check_model();
     w.check_delivery();

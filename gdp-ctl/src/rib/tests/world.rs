@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use gdp::NameCard;
-use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Mode, ReadGrant, Revocation, RtCert, Signed, issue};
+use gdp::cert::{AdCert, Advert, AdvertOp, CertError, Grantee, Mode, ReadGrant, Revocation, RtCert, Signed, issue};
 use gdp::control;
 use gdp::control::{
     EntityRequest, Extent, FibPush, NameRole, Peers, PeersPush, Record, RefusalCode, Request, Response, Route,
@@ -36,6 +36,9 @@ pub struct World {
     pub entities: BTreeMap<Name, Name>,
     /// What entities hold of their counterparts: by entity, name and role.
     pub nodes: BTreeMap<(Name, Name, NameRole), Counterparts>,
+    /// Of so many messages to entities one is lost, and of as many the answer; 0: none.
+    pub loss: usize,
+    random: Random,
     /// Key boxes that readers were given: name, writer, reader, epoch.
     pub given: BTreeSet<(Name, Name, Name, u32)>,
 }
@@ -71,6 +74,8 @@ impl World {
             held: BTreeMap::new(),
             entities: BTreeMap::new(),
             nodes: BTreeMap::new(),
+            loss: 0,
+            random: Random(3),
             given: BTreeSet::new(),
         };
         (0..length).for_each(|i| world.report(i, Some(&[])));
@@ -268,8 +273,10 @@ impl World {
     fn arrive(&mut self, push: &PeersPush) {
         control::encode(&Request::Peers(push.clone())).expect("fits a message");
         assert_eq!(self.entities[&push.entity], push.switch, "told where it is attached");
-        let arrived = self.take(push.entity, push.name, push.role, &push.peers);
-        self.rib.told(self.now, Told::from(push), arrived);
+        let mut is_lost = || self.loss > 0 && self.random.below(self.loss) == 0;
+        let (lost, answer_lost) = (is_lost(), is_lost());
+        let arrived = !lost && self.take(push.entity, push.name, push.role, &push.peers);
+        self.rib.told(self.now, Told::from(push), arrived && !answer_lost);
     }
 
     /// What the SDK of an entity does with what it is told. Whether it follows.
@@ -280,12 +287,23 @@ impl World {
         }
         let Some(node) = self.nodes.get_mut(&(entity, name, role)) else { return false };
         let Ok(events) = node.take(self.now.unix, peers) else { return false };
+        let (proof, mut behind) = (*node.proof(), Vec::new());
         let boxes = events.iter().filter_map(|event| match event {
             PeerEvent::KeyBox(signed) => Some(signed),
+            // It has started anew, and was given an older revocation first.
+            PeerEvent::Refused(CertError::RolledBack { .. } | CertError::Revoked { .. }) => None,
             PeerEvent::Refused(error) => panic!("the RIB told what does not verify: {error}"),
+            PeerEvent::RibIsBehind(revocation) => {
+                behind.push(revocation.clone());
+                None
+            }
             PeerEvent::Revoked(_) | PeerEvent::Joined(_) | PeerEvent::Left(_) => None,
         });
         self.keep_boxes(entity, name, boxes);
+        for revocation in behind {
+            let request = EntityRequest::Revoke { proof, revocation };
+            self.rib.request(self.now, self.entities[&entity], None, false, &request);
+        }
         true
     }
 
@@ -443,8 +461,9 @@ impl World {
             let (entity, role) = (record.entity.name().unwrap(), record.role().unwrap());
             let others = records.iter().filter(|r| r.name == record.name && r.role().unwrap() == role.counterpart());
             let expected: BTreeSet<Name> = others.map(|other| other.entity.name().unwrap()).collect();
-            let known = self.nodes[&(entity, record.name, role)].known().map(|c| c.entity);
-            assert_eq!(known.collect::<BTreeSet<_>>(), expected);
+            let node = &self.nodes[&(entity, record.name, role)];
+            assert_eq!(node.known().map(|c| c.entity).collect::<BTreeSet<_>>(), expected);
+            assert_eq!(node.revocation(), self.rib.revocations.claims(record.name.as_bytes()));
             let own = Stake { name: record.name.to_bytes(), entity, role };
             for (stake, other) in expected.iter().flat_map(|other| [(own, other), (Stake::inbox(entity), other)]) {
                 for kept in self.rib.boxes.between(&stake, other).map(|signed| signed.claims_unverified().unwrap()) {

@@ -12,11 +12,12 @@ use gdp_wire::{Header, LinkEntry, Name, forward};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::card::NameCard;
-use crate::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, issue};
+use crate::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Revocation, Signed, issue};
 use crate::control::{
     Credential, EntityRequest, NameRole, Peers, PeersExtent, PeersPush, Record, Refusal, RefusalCode, Request, Response,
 };
 use crate::identity::{Identity, SigningKey};
+use crate::keys::KeyBox;
 use crate::link::{Link, LinkIds};
 use crate::name::NameProof;
 use crate::node::{
@@ -38,16 +39,21 @@ struct Running {
     forwarder: std::thread::JoinHandle<()>,
 }
 
+/// Whether a frame arrives.
+pub type Fate = Box<dyn FnMut(&Header, &[u8]) -> bool + Send>;
+
 #[derive(Default)]
 struct Rib {
     links: HashMap<u32, Link>,
     windows: HashMap<u32, Window>,
     counts: HashMap<u32, u64>,
     serials: HashMap<Name, u64>,
-    writers: HashMap<Name, Vec<Record>>,
-    subscribers: HashMap<Name, Name>,
+    records: HashMap<(Name, NameRole), Vec<Record>>,
+    boxes: HashMap<(Name, Name), Vec<Signed<KeyBox>>>,
+    revocations: HashMap<Name, Signed<Revocation>>,
     refuse: Option<RefusalCode>,
     silent: bool,
+    fate: Option<Fate>,
     run: u64,
     generation: u64,
 }
@@ -76,7 +82,7 @@ impl Fabric {
             while !stopped.load(Ordering::Relaxed) {
                 data.wait_readable(Duration::from_millis(20)).unwrap();
                 while data.try_recv_batch(&mut batch).unwrap() > 0 {
-                    batch.frames().for_each(|(frame, _)| forward_frame(frame, &mut lock(&rib), &data));
+                    batch.frames().for_each(|frame| forward_frame(frame.bytes, &mut lock(&rib), &data));
                 }
             }
         });
@@ -118,11 +124,39 @@ impl Fabric {
     }
 
     pub fn writers(&self, name: Name) -> usize {
-        lock(&self.rib).writers.get(&name).map_or(0, Vec::len)
+        lock(&self.rib).of(name, NameRole::Publisher).len()
     }
 
     pub fn has_subscriber(&self, name: Name) -> bool {
-        lock(&self.rib).subscribers.contains_key(&name)
+        !lock(&self.rib).of(name, NameRole::Subscriber).is_empty()
+    }
+
+    /// Decides over every frame from now on.
+    pub fn set_fate(&self, fate: Option<Fate>) {
+        lock(&self.rib).fate = fate;
+    }
+
+    /// Tells everybody whom it exchanges messages with in this name.
+    pub async fn tell(&self, name: Name) {
+        let pushes = lock(&self.rib).pushes(name);
+        for (link, push) in pushes {
+            // One that lies has no part in the name.
+            link.request(&Request::Peers(push)).await.unwrap();
+        }
+    }
+
+    /// The owner takes certificates back.
+    pub async fn revoke(&self, revocation: Signed<Revocation>) {
+        let name = revocation.claims_unverified().unwrap().name;
+        lock(&self.rib).revocations.insert(name, revocation);
+        self.tell(name).await;
+    }
+
+    /// What was stored for a reader of a name.
+    pub fn boxes(&self, name: Name, reader: &Node) -> Vec<KeyBox> {
+        let rib = lock(&self.rib);
+        let boxes = rib.boxes.get(&(name, reader.name())).into_iter().flatten();
+        boxes.map(|signed| signed.claims_unverified().unwrap()).collect()
     }
 
     pub fn serial(&self, entity: Name) -> u64 {
@@ -138,15 +172,15 @@ impl Fabric {
         lock(&self.rib).refuse = code;
     }
 
-    /// Whether subscribers are told when the writers of their name change.
-    pub fn push_writers(&self, push: bool) {
+    /// Whether nodes are told when their counterparts change.
+    pub fn push_peers(&self, push: bool) {
         lock(&self.rib).silent = !push;
     }
 
     /// Claims that `node` may write `name`.
     pub fn lie(&self, name: Name, node: &Node, proof: NameProof, cert: Issued<AdCert>) {
         let mut rib = lock(&self.rib);
-        let records = rib.writers.get_mut(&name).unwrap();
+        let records = rib.records.get_mut(&(name, NameRole::Publisher)).unwrap();
         let entity = node.0.state.identity.proof();
         let honest = records[0].clone();
         records.push(Record { proof, entity, credential: Credential::Writer(cert), ..honest });
@@ -188,14 +222,38 @@ impl Owner {
         issue(&self.key, &claims).unwrap().into()
     }
 
+    /// Reliable.
     pub async fn publish(&self, node: &Node) -> Result<Publisher, NodeError> {
-        node.publish(self.card.proof(), self.ad_cert(node.name()), PublishOptions::best_effort()).await
+        self.publish_as(node, PublishOptions::reliable()).await
+    }
+
+    pub async fn publish_as(&self, node: &Node, options: PublishOptions) -> Result<Publisher, NodeError> {
+        node.publish(self.card.proof(), self.ad_cert(node.name()), options).await
     }
 
     pub async fn subscribe(&self, node: &Node) -> Result<Subscription, NodeError> {
+        self.subscribe_as(node, SubscribeOptions::reliable()).await
+    }
+
+    pub async fn subscribe_as(&self, node: &Node, options: SubscribeOptions) -> Result<Subscription, NodeError> {
+        self.subscribe_by(node, 1, options).await
+    }
+
+    /// By a grant with this serial.
+    pub async fn subscribe_by(
+        &self,
+        node: &Node,
+        serial: u64,
+        options: SubscribeOptions,
+    ) -> Result<Subscription, NodeError> {
         let (name, to, not_after) = (self.name(), Grantee::Entity(node.name()), unix_now() + 60);
-        let grant = issue(&self.key, &ReadGrant { name, to, serial: 1, not_before: 0, not_after }).unwrap().into();
-        node.subscribe(self.card.proof(), grant, SubscribeOptions::best_effort()).await
+        let grant = issue(&self.key, &ReadGrant { name, to, serial, not_before: 0, not_after }).unwrap().into();
+        node.subscribe(self.card.proof(), grant, options).await
+    }
+
+    /// Takes back the certificates with these serials.
+    pub fn revocation(&self, number: u64, revoked: Vec<u64>) -> Signed<Revocation> {
+        issue(&self.key, &Revocation { name: self.name(), number, floor: 0, revoked }).unwrap()
     }
 }
 
@@ -216,10 +274,10 @@ async fn accept_all(port: Arc<Port>, rib: Arc<Mutex<Rib>>) {
         tokio::spawn(async move {
             while let Some((request, responder)) = link.accept_request().await {
                 let Some(rib) = rib.upgrade() else { return };
-                let (response, push) = lock(&rib).answer(&link, request);
+                let (response, pushes) = lock(&rib).answer(&link, request);
                 // Unlike a real RIB, so that the first message of a new writer is never too early.
-                if let Some((subscriber, push)) = push {
-                    let _ = subscriber.request(&Request::Peers(push)).await;
+                for (other, push) in pushes {
+                    let _ = other.request(&Request::Peers(push)).await;
                 }
                 let _ = responder.respond(response).await;
             }
@@ -230,22 +288,25 @@ async fn accept_all(port: Arc<Port>, rib: Arc<Mutex<Rib>>) {
     }
 }
 
+type Pushes = Vec<(Link, PeersPush)>;
+
 impl Rib {
-    fn answer(&mut self, link: &Link, request: Request) -> (Response, Option<(Link, PeersPush)>) {
+    fn answer(&mut self, link: &Link, request: Request) -> (Response, Pushes) {
         let entity = link.peer().name;
         let Request::Entity(request) = request else { panic!("an endpoint sent {request:?}") };
         let serial = match &request {
             EntityRequest::Attach { .. } => {
                 let serial = *self.serials.entry(entity).or_default();
-                return (Response::Attached { serial }, None);
+                return (Response::Attached { serial }, Vec::new());
             }
             EntityRequest::Query { prefix, .. } => {
-                let found = self.writers.iter().filter(|(name, _)| prefix.matches(name));
+                let found = self.records.iter().filter(|((name, _), _)| prefix.matches(name));
                 let records = found.flat_map(|(_, records)| records.clone()).collect();
-                return (Response::Records { records, truncated: false }, None);
+                return (Response::Records { records, truncated: false }, Vec::new());
             }
-            EntityRequest::Revoke { .. } | EntityRequest::KeyBoxes { .. } => {
-                return (Refusal::new(RefusalCode::Unsupported, "no test of a node asks this").into(), None);
+            EntityRequest::KeyBoxes { boxes } => return (Response::Done, self.keep(boxes)),
+            EntityRequest::Revoke { .. } => {
+                return (Refusal::new(RefusalCode::Unsupported, "no node asks this").into(), Vec::new());
             }
             EntityRequest::Advertise { advert, .. }
             | EntityRequest::Subscribe { advert, .. }
@@ -253,59 +314,93 @@ impl Rib {
         };
         let floor = self.serials.get_mut(&entity).expect("attached first");
         if serial <= *floor {
-            return (Refusal::new(RefusalCode::ReplayedSerial, format!("{serial} <= {floor}")).into(), None);
+            return (Refusal::new(RefusalCode::ReplayedSerial, format!("{serial} <= {floor}")).into(), Vec::new());
         }
         *floor = serial;
         if let Some(code) = self.refuse {
-            return (Refusal::new(code, "as the test wants it").into(), None);
+            return (Refusal::new(code, "as the test wants it").into(), Vec::new());
         }
-        match request {
+        let (role, proof, credential, advert) = match request {
             EntityRequest::Advertise { proof, ad_cert, advert } => {
-                let name = proof.name().unwrap();
-                let switch = advert.claims_unverified().unwrap().switch;
-                let credential = Credential::Writer(ad_cert);
-                let entity = link.peer().proof;
-                let record = Record { name, proof, entity, switch, credential, advert, expires_in: 60 };
-                let records = self.writers.entry(name).or_default();
-                records.retain(|other| other.entity != record.entity);
-                records.push(record);
-                (Response::Peers(self.peers(Vec::new())), self.push(name))
+                (NameRole::Publisher, proof, Credential::Writer(ad_cert), advert)
             }
-            EntityRequest::Subscribe { proof, .. } => {
-                let name = proof.name().unwrap();
-                self.subscribers.insert(name, entity);
-                let records = self.writers.get(&name).cloned().unwrap_or_default();
-                (Response::Peers(self.peers(records)), None)
+            EntityRequest::Subscribe { proof, grant, advert } => {
+                (NameRole::Subscriber, proof, Credential::Reader(grant), advert)
             }
             EntityRequest::Withdraw { advert } => {
                 let name = advert.claims_unverified().unwrap().name;
-                if let Some(records) = self.writers.get_mut(&name) {
-                    records.retain(|other| other.entity != link.peer().proof);
+                for ((of, _), records) in &mut self.records {
+                    records.retain(|other| *of != name || other.entity != link.peer().proof);
                 }
-                self.subscribers.retain(|other, subscriber| *other != name || *subscriber != entity);
-                (Response::Done, None)
+                return (Response::Done, self.pushes(name));
             }
-            EntityRequest::Attach { .. }
-            | EntityRequest::Query { .. }
-            | EntityRequest::Revoke { .. }
-            | EntityRequest::KeyBoxes { .. } => unreachable!("answered above"),
-        }
+            _ => unreachable!("answered above"),
+        };
+        let name = proof.name().unwrap();
+        let switch = advert.claims_unverified().unwrap().switch;
+        let record = Record { name, proof, entity: link.peer().proof, switch, credential, advert, expires_in: 60 };
+        let records = self.records.entry((name, role)).or_default();
+        records.retain(|other| other.entity != record.entity);
+        records.push(record);
+        let peers = self.peers(name, role, entity);
+        (Response::Peers(peers), self.pushes_to(name, role.counterpart()))
     }
 
-    /// All counterparts of somebody, as this RIB tells of them.
-    fn peers(&mut self, records: Vec<Record>) -> Peers {
+    fn of(&self, name: Name, role: NameRole) -> &[Record] {
+        self.records.get(&(name, role)).map_or(&[], Vec::as_slice)
+    }
+
+    /// Keeps the boxes of the newest two epochs.
+    fn keep(&mut self, boxes: &[Signed<KeyBox>]) -> Pushes {
+        let mut names = Vec::new();
+        for signed in boxes {
+            let KeyBox { name, reader, .. } = signed.claims_unverified().unwrap();
+            let kept = self.boxes.entry((name, reader)).or_default();
+            kept.push(signed.clone());
+            if kept.len() > 2 {
+                kept.remove(0);
+            }
+            names.push(name);
+        }
+        names.dedup();
+        names.into_iter().flat_map(|name| self.pushes_to(name, NameRole::Subscriber)).collect()
+    }
+
+    /// All counterparts of somebody in a name, as this RIB tells of them.
+    fn peers(&mut self, name: Name, role: NameRole, entity: Name) -> Peers {
         self.generation += 1;
         let extent = PeersExtent::Whole { part: 0, last: true };
-        let (run, generation, gone, boxes) = (self.run, self.generation, Vec::new(), Vec::new());
-        Peers { run, generation, extent, records, gone, revocation: None, boxes }
+        let (run, generation, gone) = (self.run, self.generation, Vec::new());
+        let records = self.of(name, role.counterpart()).to_vec();
+        let boxes = match role {
+            NameRole::Subscriber => self.boxes.get(&(name, entity)).cloned().unwrap_or_default(),
+            _ => Vec::new(),
+        };
+        Peers { run, generation, extent, records, gone, revocation: self.revocations.get(&name).cloned(), boxes }
     }
 
-    fn push(&mut self, name: Name) -> Option<(Link, PeersPush)> {
-        let entity = *self.subscribers.get(&name).filter(|_| !self.silent)?;
-        let link = self.links.values().find(|link| link.peer().name == entity)?.clone();
-        let records = self.writers[&name].clone();
-        let (switch, role, peers) = (records[0].switch, NameRole::Subscriber, self.peers(records));
-        Some((link, PeersPush { switch, entity, name, role, peers }))
+    fn pushes(&mut self, name: Name) -> Pushes {
+        let mut pushes = self.pushes_to(name, NameRole::Publisher);
+        pushes.extend(self.pushes_to(name, NameRole::Subscriber));
+        pushes
+    }
+
+    fn pushes_to(&mut self, name: Name, role: NameRole) -> Pushes {
+        if self.silent {
+            return Vec::new();
+        }
+        let told: Vec<_> = self.of(name, role).iter().map(|r| (r.entity.name().unwrap(), r.switch)).collect();
+        let mut pushes = Vec::new();
+        for (entity, switch) in told {
+            let Some(link) = self.link_of(&entity) else { continue };
+            let peers = self.peers(name, role, entity);
+            pushes.push((link, PeersPush { switch, entity, name, role, peers }));
+        }
+        pushes
+    }
+
+    fn link_of(&self, entity: &Name) -> Option<Link> {
+        self.links.values().find(|link| link.peer().name == *entity).cloned()
     }
 
     fn entry(&self, id: u32) -> Option<(LinkEntry, LinkAddr)> {
@@ -313,19 +408,25 @@ impl Rib {
     }
 }
 
-fn forward_frame(frame: &mut [u8], rib: &mut Rib, data: &crate::port::DataSocket) {
+fn forward_frame(frame: &[u8], rib: &mut Rib, data: &crate::port::DataSocket) {
     let available = frame.len();
-    let Ok((header, payload)) = Header::mut_from_prefix(frame) else { return };
+    let Ok((mut header, payload)) = Header::read_from_prefix(frame) else { return };
     let Some((ingress, _)) = rib.entry(header.link_id()) else { return };
     let window = rib.windows.entry(ingress.id).or_insert_with(replay::empty);
-    if forward::accept(header, available, &ingress, window).is_err() {
+    if forward::accept(&header, available, &ingress, window).is_err() {
         return;
     }
-    let Some(subscriber) = rib.subscribers.get(&header.destination) else { return };
-    let Some(link) = rib.links.values().find(|link| link.peer().name == *subscriber) else { return };
-    let (egress, to) = (link.entry(PORT_USERSPACE), link.addr());
-    let count = rib.counts.entry(egress.id).or_default();
-    *count += 1;
-    forward::stamp(header, &egress, *count);
-    data.send_batch([OutFrame { to, head: header.as_bytes(), body: payload }]);
+    if rib.fate.as_mut().is_some_and(|fate| !fate(&header, payload)) {
+        return;
+    }
+    let readers = rib.of(header.destination, NameRole::Subscriber).iter().map(|record| record.entity.name().unwrap());
+    // An entity is reached under its own name.
+    let takers: Vec<Link> = readers.chain([header.destination]).filter_map(|taker| rib.link_of(&taker)).collect();
+    for link in takers {
+        let (egress, to) = (link.entry(PORT_USERSPACE), link.addr());
+        let count = rib.counts.entry(egress.id).or_default();
+        *count += 1;
+        forward::stamp(&mut header, &egress, *count);
+        data.send_batch([OutFrame { to, head: header.as_bytes(), body: payload }]);
+    }
 }

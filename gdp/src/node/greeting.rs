@@ -1,0 +1,100 @@
+//! When a reader asks a writer which session is its own now: at first, and when frames come of a session that the writer did not
+//! vouch for, which it may have begun, or which may be recorded. No I/O.
+
+use crate::crypto::{self, CryptoError};
+
+const MS: u64 = 1_000_000;
+
+/// A Hello that is not answered is said again so many times, this far apart; from then on only if there is reason to.
+const TRIES: u32 = 5;
+const EAGER: u64 = 100 * MS;
+const PATIENT: u64 = 2_000 * MS;
+
+#[derive(Debug, Default)]
+pub struct Greeting {
+    challenge: Option<[u8; 16]>,
+    tries: u32,
+    said_at: Option<u64>,
+    due: Option<u64>,
+}
+
+impl Greeting {
+    /// The writer is to be asked, with a new challenge if the last was answered.
+    pub fn ask(&mut self, now: u64) -> Result<(), CryptoError> {
+        if self.challenge.is_none() {
+            (self.challenge, self.tries) = (Some(crypto::random()?), 0);
+        }
+        if self.due.is_none() {
+            let pause = if self.tries < TRIES { EAGER } else { PATIENT };
+            self.due = Some(self.said_at.map_or(now, |said| (said + pause).max(now)));
+        }
+        Ok(())
+    }
+
+    /// As [`Self::ask`], of a writer that has just come.
+    pub fn begin(&mut self, now: u64) -> Result<(), CryptoError> {
+        (self.tries, self.due) = (0, None);
+        self.ask(now)
+    }
+
+    /// The challenge to send now, if it is time.
+    pub fn poll(&mut self, now: u64) -> Option<[u8; 16]> {
+        self.due.take_if(|due| *due <= now)?;
+        self.said_at = Some(now);
+        self.tries += 1;
+        if self.tries < TRIES {
+            self.due = Some(now + EAGER);
+        }
+        self.challenge
+    }
+
+    pub fn next_wake(&self) -> Option<u64> {
+        self.due
+    }
+
+    /// A Welcome with this challenge: how long it took, if it answers the last Hello.
+    pub fn answered(&mut self, now: u64, challenge: &[u8; 16]) -> Option<u64> {
+        self.challenge.take_if(|said| said == challenge)?;
+        self.due = None;
+        self.tries = 0;
+        Some(now - self.said_at.unwrap_or(now))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_is_said_a_few_times_and_then_only_when_there_is_reason() {
+        let mut greeting = Greeting::default();
+        greeting.ask(0).unwrap();
+        let mut said = Vec::new();
+        for at in 0..10_000 {
+            said.extend(greeting.poll(at * MS).map(|challenge| (at, challenge)));
+        }
+        assert_eq!(said.iter().map(|(at, _)| *at).collect::<Vec<_>>(), [0, 100, 200, 300, 400]);
+        assert!(said.iter().all(|(_, challenge)| *challenge == said[0].1));
+        // A stranger's frames come all the time.
+        let mut said = 0;
+        for at in 10_000..20_000 {
+            greeting.ask(at * MS).unwrap();
+            said += u32::from(greeting.poll(at * MS).is_some());
+        }
+        assert_eq!(said, 5);
+    }
+
+    #[test]
+    fn only_the_answer_to_the_last_challenge_counts_and_once() {
+        let mut greeting = Greeting::default();
+        greeting.ask(0).unwrap();
+        let challenge = greeting.poll(0).unwrap();
+        assert_eq!(greeting.answered(5 * MS, &[0; 16]), None);
+        assert_eq!(greeting.answered(5 * MS, &challenge), Some(5 * MS));
+        assert_eq!(greeting.answered(5 * MS, &challenge), None);
+        assert_eq!(greeting.next_wake(), None);
+        greeting.ask(6 * MS).unwrap();
+        assert_eq!(greeting.poll(6 * MS), None, "not so soon again");
+        assert_ne!(greeting.poll(100 * MS).unwrap(), challenge);
+    }
+}

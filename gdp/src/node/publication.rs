@@ -1,0 +1,306 @@
+//! A name that this node publishes, whoever works for it: the application's handle seals, the sending thread seals again and says
+//! how far it is, the receiving thread answers readers, the supervisor wraps keys.
+
+use std::collections::HashMap;
+use std::sync::{Mutex, OnceLock};
+
+use gdp_wire::Name;
+use tokio::sync::Notify;
+
+use super::clock::unix_nanos;
+use super::options::PublishOptions;
+use super::outlet::Outlet;
+use super::state::lock;
+use super::{NodeError, Reliability};
+use crate::cert::{CertError, Revocation};
+use crate::crypto::{Backend, PUBLIC_KEY_LEN};
+use crate::feedback_wire::Feedback;
+use crate::identity::Identity;
+use crate::keys::{Boxes, KeyRing, RingError};
+use crate::peers::{Counterpart, PeerEvent};
+use crate::seal::{Draft, SealError, Segments, Writer};
+use crate::transport::{Full, Sealed, Topic};
+
+/// A reader that is not attached any more keeps its place and its keys for so long: links come back.
+const ABSENCE: u64 = 60_000_000_000;
+
+/// Readers that are absent and keep their places; of more, the one longest away loses it.
+const MOST_ABSENT: usize = 64;
+
+pub struct Publication {
+    pub name: Name,
+    pub session: [u8; 16],
+    pub topic: Topic,
+    /// There is room again for a publisher that waits, or no sense in waiting.
+    pub room: Notify,
+    /// Boxes are handed out by one task at a time.
+    pub boxing: tokio::sync::Mutex<()>,
+    is_reliable: bool,
+    sealing: Mutex<Sealing>,
+    readers: Mutex<Readers>,
+    /// Why nothing is sent any more.
+    ended: OnceLock<CertError>,
+}
+
+struct Sealing {
+    writer: Writer,
+    ring: KeyRing,
+    segments: Segments,
+    /// Sealed, and waits for room.
+    pending: Option<Sealed>,
+    /// Boxes that could not be stored yet.
+    unstored: Option<Boxes>,
+}
+
+#[derive(Default)]
+struct Readers {
+    known: HashMap<Name, Reader>,
+    revocation: Option<Revocation>,
+}
+
+struct Reader {
+    right: Counterpart,
+    /// What it is told to begin with.
+    from: u64,
+    /// The challenge that was answered last.
+    greeted: Option<[u8; 16]>,
+    /// Since when it is not attached.
+    absent: Option<u64>,
+}
+
+/// What became of a message.
+pub enum Pushed {
+    Taken,
+    /// It waits for room.
+    Waits,
+}
+
+impl Publication {
+    pub fn new(name: Name, identity: &Identity, options: &PublishOptions, outlet: &Outlet) -> Result<Self, NodeError> {
+        let mut writer = Writer::new(name, identity.name(), identity.key().clone(), Backend::default())?;
+        let ring = KeyRing::new(name, identity, options.rotation, unix_nanos())?;
+        let (epoch, key) = ring.current();
+        writer.set_epoch(epoch, key)?;
+        let session = writer.session();
+        let topic = lock(&outlet.uplink).open(outlet.clock.now(), name, session, (*options).into());
+        let sealing = Sealing { writer, ring, segments: Segments::new(), pending: None, unstored: None };
+        Ok(Self {
+            name,
+            session,
+            topic,
+            room: Notify::new(),
+            boxing: tokio::sync::Mutex::default(),
+            is_reliable: matches!(options.reliability, Reliability::Reliable { .. }),
+            sealing: Mutex::new(sealing),
+            readers: Mutex::default(),
+            ended: OnceLock::new(),
+        })
+    }
+
+    /// Whether it sends while there is no link: what is reliable waits for one.
+    pub fn waits_for_links(&self) -> bool {
+        self.is_reliable
+    }
+
+    pub fn check(&self) -> Result<(), NodeError> {
+        self.ended.get().map_or(Ok(()), |error| Err(error.clone().into()))
+    }
+
+    /// Its certificate does not hold any more.
+    pub fn end(&self, error: CertError) {
+        let _ = self.ended.set(error);
+        self.room.notify_waiters();
+    }
+
+    /// Readers that are attached.
+    pub fn readers(&self) -> usize {
+        lock(&self.readers).known.values().filter(|reader| reader.absent.is_none()).count()
+    }
+
+    /// Seals messages under one signature, unless one waits for room still. Returns the sequence of the first.
+    pub fn push(&self, outlet: &Outlet, drafts: &[Draft<'_>]) -> Result<Option<(u64, Pushed)>, NodeError> {
+        self.check()?;
+        let sealing = &mut *lock(&self.sealing);
+        if sealing.pending.is_some() {
+            return Ok(None);
+        }
+        sealing.take_key()?;
+        let Sealing { writer, ring, segments, .. } = sealing;
+        let first = writer.next_sequence();
+        writer.seal_batch(unix_nanos(), drafts, outlet.max_payload(), segments)?;
+        ring.used(drafts.len() as u64, segments.total_bytes() as u64);
+        sealing.pending = Sealed::take(segments);
+        self.push_pending(outlet, sealing).map(|pushed| Some((first, pushed)))
+    }
+
+    /// Brings what waits for room into the outbox.
+    pub fn push_waiting(&self, outlet: &Outlet) -> Result<Pushed, NodeError> {
+        self.check()?;
+        self.push_pending(outlet, &mut lock(&self.sealing))
+    }
+
+    fn push_pending(&self, outlet: &Outlet, sealing: &mut Sealing) -> Result<Pushed, NodeError> {
+        let Some(sealed) = sealing.pending.take() else { return Ok(Pushed::Taken) };
+        let pushed = lock(&outlet.uplink).push(outlet.clock.now(), self.topic, sealed);
+        match pushed {
+            Ok(()) => Ok(Pushed::Taken),
+            Err(Full::Wait(sealed)) => {
+                sealing.pending = Some(sealed);
+                Ok(Pushed::Waits)
+            }
+            Err(Full::Refused(_)) => Err(NodeError::Closed),
+        }
+    }
+
+    /// The same messages for smaller frames; `None` if they cannot be had any more.
+    pub fn recut(&self, message: &Sealed, max_payload: usize) -> Option<Sealed> {
+        let sealing = &mut *lock(&self.sealing);
+        let Sealing { writer, ring, segments, .. } = sealing;
+        let cut = message.cut().checked_add(1)?;
+        if let Err(error) = writer.recut(message.bytes(), cut, max_payload, segments) {
+            tracing::warn!(name = %self.name, %error, "messages are lost that are too large for the path now");
+            return None;
+        }
+        ring.used(message.last() - message.first() + 1, segments.total_bytes() as u64);
+        Sealed::take(segments)
+    }
+
+    /// The payload of a frame that says that all before `next` has gone.
+    pub fn heartbeat(&self, next: u64, out: &mut Vec<u8>) -> Result<(), SealError> {
+        let sealing = &mut *lock(&self.sealing);
+        sealing.take_key()?;
+        let Sealing { writer, segments, .. } = sealing;
+        writer.heartbeat(unix_nanos(), next, 1, segments)?;
+        out.clear();
+        segments.iter().for_each(|payload| out.extend_from_slice(payload));
+        segments.clear();
+        Ok(())
+    }
+
+    /// Answers a reader that asks which session this is.
+    pub fn welcome(&self, outlet: &Outlet, reader: &Name, challenge: [u8; 16]) -> Option<Feedback> {
+        let mut readers = lock(&self.readers);
+        let entry = readers.known.get_mut(reader)?;
+        if entry.greeted != Some(challenge) {
+            // One that asks again has lost what it knew, or has reason to doubt it: it begins with what comes now.
+            if entry.greeted.replace(challenge).is_some() {
+                entry.from = lock(&outlet.uplink).join(outlet.clock.now(), self.topic, *reader)?;
+            }
+        }
+        Some(Feedback::Welcome { name: self.name, challenge, session: self.session, sequence: entry.from })
+    }
+
+    /// Takes what the RIB told of readers, and was verified.
+    pub fn take(&self, outlet: &Outlet, now_unix: u64, events: impl IntoIterator<Item = PeerEvent>) {
+        let readers = &mut *lock(&self.readers);
+        for event in events {
+            match event {
+                PeerEvent::Joined(right) => self.join(outlet, readers, right),
+                PeerEvent::Left(reader) => {
+                    if let Some(entry) = readers.known.get_mut(&reader) {
+                        entry.absent = entry.absent.or(Some(outlet.clock.now()));
+                    }
+                }
+                PeerEvent::Revoked(revocation) => readers.revocation = Some(revocation),
+                PeerEvent::Refused(error) => {
+                    tracing::warn!(name = %self.name, %error, "the RIB told of a reader that does not verify");
+                }
+                // Boxes for requests are the servers'; a RIB that is behind is the supervisor's business.
+                PeerEvent::KeyBox(_) | PeerEvent::RibIsBehind(_) => {}
+            }
+        }
+        self.sweep(outlet, readers, now_unix);
+    }
+
+    /// Lets go of readers whose right has ended, or that are absent for long.
+    pub fn expire(&self, outlet: &Outlet, now_unix: u64) {
+        self.sweep(outlet, &mut lock(&self.readers), now_unix);
+    }
+
+    fn join(&self, outlet: &Outlet, readers: &mut Readers, right: Counterpart) {
+        let (entity, box_key) = (right.entity, right.box_key);
+        if let Some(entry) = readers.known.get_mut(&entity) {
+            if entry.right.box_key != box_key {
+                let mut pairs = lock(&outlet.pairs);
+                pairs.introduce(entity, box_key);
+                pairs.part(&entity);
+            }
+            (entry.right, entry.absent) = (right, None);
+            return;
+        }
+        lock(&outlet.pairs).introduce(entity, box_key);
+        let mut uplink = lock(&outlet.uplink);
+        // Beyond what the transport keeps account of, readers get what the others get.
+        let from = uplink.join(outlet.clock.now(), self.topic, entity).unwrap_or(1);
+        readers.known.insert(entity, Reader { right, from, greeted: None, absent: None });
+    }
+
+    fn sweep(&self, outlet: &Outlet, readers: &mut Readers, now_unix: u64) {
+        let now = outlet.clock.now();
+        let Readers { known, revocation } = readers;
+        let too_many = known.values().filter(|reader| reader.absent.is_some()).count().saturating_sub(MOST_ABSENT);
+        let mut away: Vec<_> = known.iter().filter_map(|(name, reader)| Some((reader.absent?, *name))).collect();
+        away.sort_unstable();
+        let holds = |reader: &Reader| {
+            reader.right.not_after >= now_unix && revocation.as_ref().is_none_or(|r| reader.right.holds(r))
+        };
+        let longest = away.iter().take(too_many).map(|(_, name)| *name);
+        let ended = known.iter().filter(|(_, reader)| {
+            !holds(reader) || reader.absent.is_some_and(|since| now.saturating_sub(since) > ABSENCE)
+        });
+        let gone: Vec<Name> = ended.map(|(name, _)| *name).chain(longest).collect();
+        for reader in gone.into_iter().filter(|reader| known.remove(reader).is_some()) {
+            lock(&outlet.uplink).leave(now, self.topic, &reader);
+            lock(&outlet.pairs).part(&reader);
+        }
+        let readers: Vec<(Name, [u8; PUBLIC_KEY_LEN])> =
+            known.iter().map(|(name, reader)| (*name, reader.right.box_key)).collect();
+        for (reader, why) in lock(&self.sealing).ring.set_readers(&readers) {
+            tracing::warn!(name = %self.name, %reader, "it gets no keys: {why}");
+        }
+    }
+
+    /// Boxes to be stored with the RIB next, if there are any.
+    pub fn boxes(&self) -> Result<Option<Boxes>, RingError> {
+        let sealing = &mut *lock(&self.sealing);
+        match sealing.unstored.take() {
+            Some(boxes) => Ok(Some(boxes)),
+            None => sealing.ring.poll(unix_nanos()),
+        }
+    }
+
+    pub fn boxes_stored(&self, boxes: Result<u32, Boxes>) {
+        let sealing = &mut *lock(&self.sealing);
+        match boxes {
+            Ok(epoch) => sealing.ring.boxes_stored(epoch),
+            Err(boxes) => sealing.unstored = Some(boxes),
+        }
+    }
+
+    /// The RIB may have lost the boxes.
+    pub fn store_again(&self) {
+        let sealing = &mut *lock(&self.sealing);
+        sealing.unstored = None;
+        sealing.ring.republish();
+    }
+
+    /// When there may be boxes, in Unix nanoseconds.
+    pub fn boxes_at(&self) -> u64 {
+        lock(&self.sealing).ring.wake_at()
+    }
+
+    /// Nothing is published any more.
+    pub fn close(&self, outlet: &Outlet) {
+        lock(&outlet.uplink).close(self.topic);
+        let mut pairs = lock(&outlet.pairs);
+        lock(&self.readers).known.drain().for_each(|(reader, _)| pairs.part(&reader));
+    }
+}
+
+impl Sealing {
+    /// Seals with the ring's current key from now on.
+    fn take_key(&mut self) -> Result<(), SealError> {
+        let (epoch, key) = self.ring.current();
+        if self.writer.epoch() != Some(epoch) { self.writer.set_epoch(epoch, key) } else { Ok(()) }
+    }
+}

@@ -1,0 +1,109 @@
+//! A name that this node reads, as far as it is about who writes it and with which keys: what the RIB told and was verified goes in,
+//! what the receiving thread is to believe comes out. No I/O.
+
+use std::collections::HashMap;
+
+use gdp_wire::Name;
+
+use super::intake::Change;
+use crate::cert::{CertError, Revocation, Signed};
+use crate::crypto::PUBLIC_KEY_LEN;
+use crate::identity::Identity;
+use crate::keys::{KeyBox, KeyStore, Opened, StoreError};
+use crate::peers::{Counterpart, PeerEvent};
+
+/// Writers of one name that are believed at once.
+pub const MAX_WRITERS: usize = 256;
+
+pub struct Reading {
+    name: Name,
+    keys: KeyStore,
+    /// Those that are believed, attached or not: forgetting one would forget which of its messages were delivered.
+    writers: HashMap<Name, Counterpart>,
+    revocation: Option<Revocation>,
+}
+
+/// What follows for the node.
+#[derive(Debug)]
+pub enum Effect {
+    /// For the receiving thread.
+    Change(Change),
+    /// The node shares a key with this writer from now on.
+    Introduce(Name, [u8; PUBLIC_KEY_LEN]),
+    /// And with this one no more.
+    Part(Name),
+}
+
+impl Reading {
+    pub fn new(name: Name, reader: &Identity) -> Self {
+        Self { name, keys: KeyStore::new(name, reader), writers: HashMap::new(), revocation: None }
+    }
+
+    /// Takes what the RIB told at `now` (Unix nanoseconds).
+    pub fn take(&mut self, now: u64, events: impl IntoIterator<Item = PeerEvent>) -> Vec<Effect> {
+        let mut effects = Vec::new();
+        for event in events {
+            match event {
+                PeerEvent::Joined(writer) => self.join(writer, &mut effects),
+                PeerEvent::KeyBox(signed) => match self.open(now, &signed) {
+                    Ok(Some((writer, opened))) => effects.push(Effect::Change(Change::Key { writer, opened })),
+                    Ok(None) => {}
+                    Err(error) => tracing::warn!(name = %self.name, %error, "a key box is of no use"),
+                },
+                PeerEvent::Revoked(revocation) => self.revocation = Some(revocation),
+                PeerEvent::Refused(error) => {
+                    tracing::warn!(name = %self.name, %error, "the RIB told of a writer that does not verify");
+                }
+                // A writer is believed as long as its right holds; a RIB that is behind is the supervisor's business.
+                PeerEvent::Left(_) | PeerEvent::RibIsBehind(_) => {}
+            }
+        }
+        effects.extend(self.expire(now));
+        effects
+    }
+
+    /// What has ended by now: rights of writers, and keys that were kept for what is late.
+    pub fn expire(&mut self, now: u64) -> Vec<Effect> {
+        let unix = now / 1_000_000_000;
+        let holds = |writer: &Counterpart| {
+            writer.not_after >= unix && self.revocation.as_ref().is_none_or(|revocation| writer.holds(revocation))
+        };
+        let ended: Vec<Name> =
+            self.writers.values().filter(|writer| !holds(writer)).map(|writer| writer.entity).collect();
+        let mut effects = Vec::new();
+        for writer in ended {
+            self.writers.remove(&writer);
+            self.keys.forget(&writer);
+            effects.extend([Effect::Change(Change::Revoke { writer }), Effect::Part(writer)]);
+        }
+        let over = self.keys.expire(now).into_iter();
+        effects.extend(over.map(|(writer, epoch)| Effect::Change(Change::DropKey { writer, epoch })));
+        effects
+    }
+
+    pub fn writers(&self) -> impl Iterator<Item = &Name> {
+        self.writers.keys()
+    }
+
+    fn join(&mut self, writer: Counterpart, effects: &mut Vec<Effect>) {
+        let Counterpart { entity, key, box_key, .. } = writer;
+        let known = self.writers.get(&entity).map(|known| known.box_key);
+        if known.is_none() && self.writers.len() >= MAX_WRITERS {
+            tracing::warn!(name = %self.name, writer = %entity, "more than {MAX_WRITERS} writers of one name; this one is not believed");
+            return;
+        }
+        if known != Some(box_key) {
+            effects.push(Effect::Introduce(entity, box_key));
+            effects.extend(known.map(|_| Effect::Part(entity)));
+        }
+        effects.push(Effect::Change(Change::Authorise { writer: entity, key }));
+        self.writers.insert(entity, writer);
+    }
+
+    fn open(&mut self, now: u64, signed: &Signed<KeyBox>) -> Result<Option<(Name, Opened)>, StoreError> {
+        let claimed = signed.claims_unverified()?.writer;
+        let unknown = || CertError::Malformed(format!("a key box of {claimed:#}, which is not known as a writer"));
+        let writer = self.writers.get(&claimed).ok_or_else(unknown)?;
+        Ok(self.keys.take(now, claimed, &writer.key, signed)?.map(|opened| (claimed, opened)))
+    }
+}

@@ -1,0 +1,107 @@
+//! Whether messages at a fixed rate get through while an attacker floods the link that they come by: frames that a key made, which
+//! the attacker has not. Both ends share one CPU; the attacker has the other.
+
+use std::cell::RefCell;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use gdp_tests::measure::cpu;
+use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
+use gdp_tests::measure::rounds::{Contender, alternate};
+use gdp_tests::packet::{ETHERNET, PacketSocket, is_gdp_data};
+
+use crate::lane::Load;
+use crate::run::Seen;
+use crate::site::{Cable, Site};
+use crate::{Bench, ours, run};
+
+/// What the attacker sends.
+#[derive(Clone, Copy)]
+enum Forgery {
+    /// A frame that was on the link before, again.
+    Replayed,
+    /// One with another count and a tag that fits nothing.
+    Untagged,
+}
+
+/// Frames per second of each kind.
+const FLOODS: [(&str, Option<(Forgery, u32)>); 4] = [
+    (CALM, None),
+    ("50 k replayed frames/s", Some((Forgery::Replayed, 50_000))),
+    ("50 k forged frames/s", Some((Forgery::Untagged, 50_000))),
+    ("150 k forged frames/s", Some((Forgery::Untagged, 150_000))),
+];
+const CALM: &str = "no flood";
+
+/// A thousand messages a second.
+const LOAD: Load = Load { bytes: 1_000, every: Some(Duration::from_millis(1)) };
+
+pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
+    let site = Site::build(Cable::Tapped, bench)?;
+    let floods = RefCell::new(Vec::new());
+    let contenders = FLOODS.map(|(series, flood)| {
+        let (site, floods) = (&site, &floods);
+        Contender::new(series, "messages, arrived", move || {
+            let (seen, rate) = beside(site, flood, bench)?;
+            floods.borrow_mut().push((series, rate));
+            let lane = &seen.lanes[0];
+            Ok(lane.sample(lane.rate))
+        })
+    });
+    let mut measures = alternate(bench.rounds, contenders.into())?;
+    let floods = floods.into_inner();
+    for (series, _) in &FLOODS[1..] {
+        // The first round was to warm up.
+        let rates = floods.iter().filter(|(of, _)| of == series).map(|(_, rate)| *rate).skip(1);
+        measures.push(Measure::new(series, "frames of the attacker, sent", rates.collect()));
+    }
+    let title = "A thousand messages of 1 kB per second, beside a flood on their link";
+    let figure = Figure::new("transport-flood", title, Unit::MessagesPerSecond, measures);
+    Ok(vec![
+        FLOODS[1..]
+            .iter()
+            .fold(figure, |figure, (series, _)| figure.compare(series, CALM, |_| Some(Aim::AtLeast(0.98)))),
+    ])
+}
+
+/// What was seen beside a flood, and frames of that per second.
+fn beside(site: &Site, flood: Option<(Forgery, u32)>, bench: &Bench) -> Result<(Seen, f64)> {
+    let (tap, attacker) = (site.chain().wire_from_robot()?, site.chain().wire_to_cloud()?);
+    let ended = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let attack = flood.map(|(forgery, rate)| {
+            let (tap, attacker, ended) = (&tap, &attacker, &ended);
+            scope.spawn(move || attack(tap, attacker, forgery, rate, ended))
+        });
+        let seen = run::run(site, ours::best_effort, &[LOAD], [cpu::SENDER; 2], bench.long_duration());
+        ended.store(true, Ordering::Relaxed);
+        let rate = match attack.map(|attack| attack.join()) {
+            Some(Ok(rate)) => rate?,
+            Some(Err(_)) => anyhow::bail!("the attacker panicked"),
+            None => 0.0,
+        };
+        Ok((seen?, rate))
+    })
+}
+
+/// Floods until it is to end; frames per second.
+fn attack(tap: &PacketSocket, attacker: &PacketSocket, forgery: Forgery, rate: u32, ended: &AtomicBool) -> Result<f64> {
+    const SOON: Duration = Duration::from_secs(10);
+    cpu::pin(cpu::OTHER)?;
+    let mut frame = tap.receive(SOON, is_gdp_data).context("a frame to forge")?;
+    let (begun, mut sent) = (Instant::now(), 0_u32);
+    while !ended.load(Ordering::Relaxed) {
+        if begun.elapsed().mul_f64(rate.into()) < Duration::from_secs(sent.into()) {
+            std::hint::spin_loop();
+            continue;
+        }
+        if let Forgery::Untagged = forgery {
+            // The low half of its count.
+            frame[ETHERNET + 12..ETHERNET + 16].copy_from_slice(&(u32::MAX / 2 + sent).to_be_bytes());
+        }
+        attacker.send(&frame)?;
+        sent += 1;
+    }
+    Ok(f64::from(sent) / begun.elapsed().as_secs_f64())
+}

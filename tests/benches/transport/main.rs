@@ -1,0 +1,98 @@
+//! Messages from one program to another: this SDK beside QUIC and beside TLS over TCP, in the same namespaces in the same run. Run by
+//! `cargo xtask bench transport`; needs root.
+//!
+//! ```text
+//!  robot r0 ── l0 s1 r0 ── [wire] ── l0 cloud        s1: the XDP switch for frames of GDP, a router for IP
+//!  CPU 0                             CPU 1
+//! ```
+//!
+//! One file a row of the figures, each a function from [`Bench`] to [`Figure`](gdp_tests::measure::figure::Figure)s:
+//!
+//! - [`throughput`]: bytes per second by size of message, and what a gigabyte costs
+//! - [`latency`]: messages at fixed rates over bad links
+//! - [`signing`]: messages sealed and opened per second, without a network
+//! - [`flood`]: messages at a fixed rate while an attacker floods their link
+//!
+//! They are made from [`site`] (the network and the switch), [`lane`] (what is sent, and what became of it), [`run`] (both together,
+//! for a while) and [`usage`] (CPU time); [`ours`], [`quic`] and [`tls`] are the contenders, and each knows nothing but [`lane`] and
+//! [`site`].
+
+mod flood;
+#[path = "../../tests/inside/mod.rs"]
+mod inside;
+mod lane;
+mod latency;
+mod ours;
+mod quic;
+mod run;
+mod signing;
+mod site;
+mod throughput;
+mod tls;
+mod usage;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::Result;
+use clap::Parser;
+use gdp_tests::measure::{self, Row, Wanted};
+
+use run::Open;
+
+#[derive(Parser)]
+struct Options {
+    #[command(flatten)]
+    bench: Bench,
+    /// Only these rows
+    #[arg(long)]
+    only: Vec<String>,
+    /// One JSON object on stdout instead of tables
+    #[arg(long)]
+    json: bool,
+    /// A folder to draw plots into
+    #[arg(long)]
+    plots: Option<PathBuf>,
+    /// What cargo passes to every benchmark
+    #[arg(long = "bench", hide = true)]
+    _cargo: bool,
+}
+
+/// What every row is given.
+#[derive(clap::Args)]
+struct Bench {
+    /// The XDP switch
+    #[arg(long)]
+    ebpf_object: PathBuf,
+    /// Whatever is compared is measured this often, in turn
+    #[arg(long, default_value_t = 7)]
+    rounds: usize,
+    /// How long one measurement takes; those at a fixed rate take six times as long
+    #[arg(long, default_value_t = 500)]
+    milliseconds: u64,
+}
+
+impl Bench {
+    fn duration(&self) -> Duration {
+        Duration::from_millis(self.milliseconds)
+    }
+
+    /// Of a measurement at a fixed rate: messages are few.
+    fn long_duration(&self) -> Duration {
+        6 * self.duration()
+    }
+}
+
+const ROWS: [(&str, Row<Bench>); 4] =
+    [("throughput", throughput::run), ("latency", latency::run), ("signing", signing::run), ("flood", flood::run)];
+
+/// Who carries messages, by the names in the figures.
+const TRANSPORTS: [(&str, Open); 3] =
+    [(ours::BEST_EFFORT, ours::best_effort), (quic::CUBIC, quic::cubic), (tls::CUBIC, tls::cubic)];
+
+fn main() -> Result<()> {
+    let Options { bench, only, json, plots, .. } = Options::parse();
+    gdp_tests::wait::catch_interrupts();
+    gdp_tests::netns::sweep()?;
+    measure::run(&bench, &ROWS, &Wanted { only: &only, json, plots: plots.as_deref() })
+}

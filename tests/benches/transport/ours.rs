@@ -1,0 +1,88 @@
+//! This SDK: a node at each end, a name for each lane. All that the benchmark knows of the SDK's transport is here.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Result;
+use gdp::cert::{AdCert, Mode, ReadGrant, issue};
+use gdp::node::{NodeError, Publisher, SubscribeOptions, Subscription};
+use gdp::seal::{Encoding, EpochKey};
+use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
+use tokio::sync::oneshot;
+
+use crate::lane::{Lane, Sender};
+use crate::run::Close;
+use crate::site::{End, Ends};
+
+pub const BEST_EFFORT: &str = "gdp, best effort";
+
+/// Between messages that ask whether the path is there.
+const PROBES: Duration = Duration::from_millis(5);
+
+pub fn best_effort(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Close> {
+    let owner = SigningKey::generate()?;
+    let identities = [Identity::generate("proxy")?, Identity::generate("proxy")?];
+    let (writer, reader) = (identities[0].name(), identities[1].name());
+    let [robot, cloud] = identities;
+    let (robot, cloud) = (connect(&ends.robot, robot)?, connect(&ends.cloud, cloud)?);
+    for (index, lane) in lanes.iter().enumerate() {
+        let key = EpochKey::generate()?;
+        let card = NameCard::create(owner.verify_key(), "topic", &format!("/lane/{index}"), "bytes", None)?;
+        let (name, not_before, not_after) = (card.name(), 0, 4_000_000_000);
+        let grant = issue(&owner, &ReadGrant { name, entity: reader, not_before, not_after })?;
+        let cert = AdCert { name, entity: writer, mode: Mode::Unicast, scope: vec![], not_before, not_after };
+        let cert = issue(&owner, &cert)?;
+
+        let (node, proof, opener) = (cloud.clone(), card.proof(), key.clone());
+        let subscribe = async move { node.subscribe(proof, grant, &opener, SubscribeOptions::default()).await };
+        let subscription = ends.cloud.inside.run(subscribe)??;
+        let (node, proof) = (robot.clone(), card.proof());
+        let publisher = ends.robot.inside.run(async move { node.publish(proof, cert, &key).await })??;
+        let (first, there) = oneshot::channel();
+        ends.cloud.inside.runtime.spawn(receive(lane.clone(), subscription, first));
+        ends.robot.inside.runtime.spawn(send(lane.clone(), publisher, there));
+    }
+    Ok(Box::pin(async move {
+        robot.close().await;
+        cloud.close().await;
+    }))
+}
+
+fn connect(end: &End, identity: Identity) -> Result<Node> {
+    let config = NodeConfig::new(identity, format!("eth://{}", end.interface).parse()?);
+    Ok(end.inside.run(Node::connect(config))??)
+}
+
+async fn receive(lane: Arc<Lane>, mut subscription: Subscription, first: oneshot::Sender<()>) {
+    if subscription.recv().await.is_some() {
+        // Who waits for it ends later than this.
+        let _ = first.send(());
+    }
+    while let Some(message) = subscription.recv().await {
+        lane.arrived(&message.body);
+    }
+}
+
+/// The lane's messages, as soon as one gets through.
+async fn send(lane: Arc<Lane>, publisher: Publisher, mut there: oneshot::Receiver<()>) {
+    let mut sender = Ours(publisher);
+    loop {
+        lane.note(sender.send(b"?").await);
+        if tokio::time::timeout(PROBES, &mut there).await.is_ok() {
+            break;
+        }
+    }
+    lane.feed(sender).await;
+}
+
+struct Ours(Publisher);
+
+impl Sender for Ours {
+    async fn send(&mut self, body: &[u8]) -> Result<()> {
+        match self.0.send(Encoding::Bytes, body).await {
+            // Lost, as may happen to any.
+            Err(NodeError::NoRoom { .. }) => Ok(()),
+            sent => Ok(sent.map(drop)?),
+        }
+    }
+}

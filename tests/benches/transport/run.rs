@@ -1,0 +1,109 @@
+//! A contender's messages over a site for a while.
+
+use std::pin::Pin;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use gdp_tests::measure::rounds::Sample;
+use gdp_tests::wait::wait_for;
+
+use crate::lane::{Lane, Load, Received};
+use crate::site::{Ends, Site};
+use crate::usage::Meter;
+
+/// Starts what carries messages from the robot to the cloud, lane by lane; returns what ends it.
+pub type Open = fn(&Ends, &[Arc<Lane>]) -> Result<Close>;
+
+pub type Close = Pin<Box<dyn Future<Output = ()> + Send>>;
+
+/// What was seen in a while.
+pub struct Seen {
+    /// CPUs that both ends had busy in the mean.
+    pub cpus: f64,
+    /// One for each lane.
+    pub lanes: Vec<SeenLane>,
+}
+
+pub struct SeenLane {
+    /// Messages per second, from one arrival to another, so that it does not matter what was under way as the while began or ended.
+    pub rate: f64,
+    /// Bytes of their bodies.
+    pub bytes_per_second: f64,
+    /// Nanoseconds, sorted.
+    pub latencies: Vec<u64>,
+    /// Messages from the beginning to the end, also those before the while. Lost is also what came too late for the end.
+    pub sent: u64,
+    pub lost: u64,
+}
+
+/// How long the first messages may take: of a transport that loses frames some sizes never arrive.
+const FIRST: Duration = Duration::from_secs(2);
+
+/// From then on until it is in its stride.
+const WARM_UP: Duration = Duration::from_millis(200);
+
+/// When nothing has arrived for so long, nothing does any more.
+const SILENCE: Duration = Duration::from_millis(500);
+
+/// How long the last messages may take.
+const LAST: Duration = Duration::from_secs(3);
+
+/// Messages of all loads at once, for `duration`. `cpus`: of the robot, of the cloud.
+pub fn run(site: &Site, open: Open, loads: &[Load], cpus: [usize; 2], duration: Duration) -> Result<Seen> {
+    let ends = site.ends(cpus)?;
+    let meter = Meter::new(site.chain())?;
+    let lanes: Vec<Arc<Lane>> = loads.iter().copied().map(Lane::new).collect();
+    let close = open(&ends, &lanes)?;
+
+    let begun = Instant::now();
+    wait_for("first messages", 2 * FIRST, || {
+        let all = lanes.iter().all(|lane| lane.received().count > 0);
+        lanes.iter().try_for_each(|lane| lane.check())?;
+        Ok((all || begun.elapsed() > FIRST).then_some(()))
+    })?;
+    std::thread::sleep(WARM_UP);
+    lanes.iter().for_each(|lane| drop(lane.take_latencies()));
+    let before: Vec<Received> = lanes.iter().map(|lane| lane.received()).collect();
+    let (start, cpu) = (Instant::now(), meter.total()?);
+    std::thread::sleep(duration);
+    let cpu = meter.total()?.saturating_sub(cpu);
+    let after: Vec<Received> = lanes.iter().map(|lane| lane.received()).collect();
+    let cpus = cpu.as_secs_f64() / start.elapsed().as_secs_f64();
+    lanes.iter().try_for_each(|lane| lane.check())?;
+
+    lanes.iter().for_each(|lane| lane.stop());
+    settle(&lanes)?;
+    // A peer that does not answer is no concern of what was measured.
+    let closed = async { tokio::time::timeout(FIRST, close).await };
+    let _ = ends.robot.inside.runtime.block_on(closed);
+    let seen = lanes.iter().zip(before).zip(after).map(|((lane, before), after)| {
+        let mut latencies = lane.take_latencies();
+        latencies.sort_unstable();
+        let (messages, took) = (after.count - before.count, after.last - before.last);
+        let rate = if messages > 0 { messages as f64 * 1e9 / took as f64 } else { 0.0 };
+        let (sent, lost) = (lane.sent(), lane.sent().saturating_sub(lane.received().count));
+        SeenLane { rate, bytes_per_second: rate * lane.bytes() as f64, latencies, sent, lost }
+    });
+    Ok(Seen { cpus, lanes: seen.collect() })
+}
+
+/// Waits until no more arrives.
+fn settle(lanes: &[Arc<Lane>]) -> Result<()> {
+    let count = || lanes.iter().map(|lane| lane.received().count).sum::<u64>();
+    let (mut last, mut since, begun) = (count(), Instant::now(), Instant::now());
+    wait_for("the last messages", 2 * LAST, || {
+        if count() != last {
+            (last, since) = (count(), Instant::now());
+        }
+        let all = lanes.iter().all(|lane| lane.received().count >= lane.sent());
+        Ok((since.elapsed() > SILENCE || begun.elapsed() > LAST || all).then_some(()))
+    })
+}
+
+impl SeenLane {
+    /// With its losses.
+    pub fn sample(&self, value: f64) -> Sample {
+        Sample { value, sent: self.sent, lost: self.lost }
+    }
+}

@@ -1,0 +1,113 @@
+//! Signed messages of 64 B per second, straight through `gdp::seal` on one CPU: sealed and signed in batches, opened and verified.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, ensure};
+use gdp::crypto::Backend;
+use gdp::seal::{Encoding, EpochKey, Limits, Reader, Segments, Writer};
+use gdp::{Identity, Name};
+use gdp_tests::measure::cpu;
+use gdp_tests::measure::figure::{Aim, Figure, Unit};
+use gdp_tests::measure::rounds::{Contender, Sample, alternate};
+
+use crate::Bench;
+
+const BODY: [u8; 64] = [0x5a; 64];
+
+/// Of a frame on a link of 1500 B.
+const PAYLOAD: usize = 1400;
+
+/// Messages under one signature.
+const BATCHES: [usize; 5] = [1, 8, 64, 256, 1024];
+
+/// Signed messages per second that the largest batches are to reach.
+const ENOUGH: f64 = 300_000.0;
+
+const SEALED: &str = "sealed and signed";
+const OPENED: &str = "opened and verified";
+
+pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
+    // On a thread of its own, which is pinned for as long as it lives.
+    let pinned = || cpu::pin(cpu::SENDER).and_then(|()| measure(bench));
+    match std::thread::scope(|scope| scope.spawn(pinned).join()) {
+        Ok(figures) => figures,
+        Err(panic) => std::panic::resume_unwind(panic),
+    }
+}
+
+fn measure(bench: &Bench) -> Result<Vec<Figure>> {
+    let mut contenders = Vec::new();
+    for batch in BATCHES {
+        for (series, what) in [(SEALED, What::Seal), (OPENED, What::Open)] {
+            let mut pair = Pair::new(batch)?;
+            let measure = move || pair.rate(what, bench.duration());
+            contenders.push(Contender::new(series, case(batch), measure));
+        }
+    }
+    let measures = alternate(bench.rounds, contenders)?;
+    let figure =
+        Figure::new("transport-signing", "Signed messages of 64 B on one CPU", Unit::MessagesPerSecond, measures);
+    let largest = case(BATCHES[BATCHES.len() - 1]);
+    let figure =
+        [SEALED, OPENED].iter().fold(figure, |figure, series| figure.aim(series, &largest, Aim::AtLeast(ENOUGH)));
+    Ok(vec![figure])
+}
+
+fn case(batch: usize) -> String {
+    match batch {
+        1 => "each by itself".to_owned(),
+        batch => format!("batches of {batch}"),
+    }
+}
+
+/// Which half is timed.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum What {
+    Seal,
+    Open,
+}
+
+struct Pair {
+    writer: Writer,
+    reader: Reader,
+    from: Name,
+    batch: usize,
+    segments: Segments,
+}
+
+impl Pair {
+    fn new(batch: usize) -> Result<Self> {
+        let (name, identity, key) = (Name::from_bytes([7; 32]), Identity::generate("proxy")?, EpochKey::generate()?);
+        let from = identity.name();
+        let writer = Writer::new(name, from, &key, identity.key().clone(), Backend::default())?;
+        let mut reader = Reader::new(name, &key, Backend::default(), Limits::default());
+        reader.authorise(from, identity.key().verify_key())?;
+        Ok(Self { writer, reader, from, batch, segments: Segments::new() })
+    }
+
+    /// Messages per second of the half that is timed; the other one is done beside it.
+    fn rate(&mut self, what: What, duration: Duration) -> Result<Sample> {
+        let messages = vec![(Encoding::Bytes, &BODY[..]); self.batch];
+        let (mut spent, mut count, mut out) = (Duration::ZERO, 0, Vec::new());
+        let begun = Instant::now();
+        while spent < duration {
+            let start = Instant::now();
+            self.writer.seal_batch(1, &messages, PAYLOAD, &mut self.segments)?;
+            if what == What::Seal {
+                spent += start.elapsed();
+                count += self.batch;
+                continue;
+            }
+            let (start, now) = (Instant::now(), begun.elapsed().as_nanos() as u64);
+            out.clear();
+            for payload in self.segments.iter() {
+                let taken = self.reader.push(now, self.from, payload, &mut out);
+                ensure!(taken.is_ok(), "{taken:?}");
+            }
+            spent += start.elapsed();
+            ensure!(out.len() == self.batch, "{} of {} messages were opened", out.len(), self.batch);
+            count += out.len();
+        }
+        Ok(Sample { value: count as f64 / spent.as_secs_f64(), ..Sample::default() })
+    }
+}

@@ -1,0 +1,49 @@
+//! CPU time: of this process's threads in a site's namespaces, and of the kernel's threads that finish what interrupts began. What an
+//! interrupt does itself is counted to the thread that it interrupts, which is one of those on an otherwise idle machine.
+
+use std::fs;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use gdp_tests::chain::Chain;
+
+/// Whose time is taken.
+pub struct Meter {
+    /// Inodes of the namespaces.
+    namespaces: Vec<u64>,
+    /// Folders in `/proc`.
+    kernel: Vec<PathBuf>,
+}
+
+impl Meter {
+    pub fn new(chain: &Chain) -> Result<Self> {
+        let inode = |name: &str| Ok(fs::metadata(Path::new("/run/netns").join(name))?.ino());
+        let namespaces = chain.nodes().iter().map(|node| inode(node.name())).collect::<Result<_>>()?;
+        let is_softirq = |folder: &PathBuf| {
+            fs::read_to_string(folder.join("comm")).is_ok_and(|command| command.starts_with("ksoftirqd/"))
+        };
+        let processes = fs::read_dir("/proc")?.filter_map(|entry| Some(entry.ok()?.path()));
+        Ok(Self { namespaces, kernel: processes.filter(is_softirq).collect() })
+    }
+
+    /// Since the threads began. Of a thread that ends nothing is left, so none should between two calls.
+    pub fn total(&self) -> Result<Duration> {
+        let mut total = Duration::ZERO;
+        for entry in fs::read_dir("/proc/self/task")? {
+            let thread = entry?.path();
+            // A thread may have ended meanwhile.
+            if fs::metadata(thread.join("ns/net")).is_ok_and(|net| self.namespaces.contains(&net.ino())) {
+                total += time(&thread)?;
+            }
+        }
+        self.kernel.iter().try_fold(total, |total, thread| Ok(total + time(thread)?))
+    }
+}
+
+fn time(thread: &Path) -> Result<Duration> {
+    let text = fs::read_to_string(thread.join("schedstat")).context("a kernel with CONFIG_SCHED_INFO")?;
+    let nanoseconds = text.split(' ').next().context("an empty schedstat")?.parse()?;
+    Ok(Duration::from_nanos(nanoseconds))
+}
