@@ -303,7 +303,7 @@ impl Inner {
             }
             while self.data.try_recv_batch(&mut batch).unwrap_or(0) > 0 {
                 let state = &mut *self.state();
-                let mut frames: Vec<Frame> = batch.frames().filter_map(|(bytes, _)| state.arrive(bytes)).collect();
+                let mut frames: Vec<Frame> = batch.frames().filter_map(|frame| state.arrive(frame.bytes)).collect();
                 (state.tamper)(&mut frames);
                 self.send(state, &frames);
             }

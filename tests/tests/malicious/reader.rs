@@ -43,7 +43,7 @@ async fn a_reader_cannot_write_though_it_holds_the_key() -> Result<()> {
     scene.switch.inject(&rogue.sealed(&mut writer, robot, b"forged", cloud)?);
     scene.drops("seal_unvouched", 1)?;
     let mut heartbeat = Segments::new();
-    writer.heartbeat(0, 1, &mut heartbeat)?;
+    writer.heartbeat(0, 1, 1, &mut heartbeat)?;
     scene.switch.inject(&frames(&heartbeat, name, robot, cloud));
     scene.drops("seal_unvouched", 3)?;
     // Under its own name.
@@ -113,7 +113,7 @@ async fn a_reader_that_asks_for_everything_again_and_again_stops_nobody() -> Res
     let honest = recording.frames().into_iter().find(|frame| frame.destination == name).expect("a frame");
     let mut session = [0; 16];
     session.copy_from_slice(&honest.payload[16..32]);
-    let robot = &scene.robot_identity;
+    let robot = scene.robot_identity.clone();
     let key = PairKey::new((rogue.name(), rogue.identity.box_key()), (robot.name(), &robot.box_public()))?;
     let mut sealer = key.sealer()?;
     let missing: Vec<Missing> = (2..60).map(Missing::whole).collect();
