@@ -76,7 +76,7 @@ async fn no_key_is_wrapped_for_who_has_no_grant_of_the_owner() -> Result<()> {
     scene.passes(b"true").await
 }
 
-/// The boxes that writers bring to the RIB.
+/// The boxes that writers bring to the RIB, which hears of no revocation from now on.
 struct Boxes(Arc<Mutex<Vec<Signed<KeyBox>>>>);
 
 impl Boxes {
@@ -87,7 +87,7 @@ impl Boxes {
             if let EntityRequest::KeyBoxes { boxes } = request {
                 adding.lock().unwrap().extend_from_slice(boxes);
             }
-            false
+            matches!(request, EntityRequest::Revoke { .. })
         });
         Self(boxes)
     }
