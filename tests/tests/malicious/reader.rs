@@ -88,8 +88,10 @@ async fn what_another_says_to_a_reader_or_writer_does_not_open() -> Result<()> {
         drops(node, "drop_feedback_forged", before + 100)?;
     }
     // What the cloud said itself counts once.
-    let said = passed.iter().find(|frame| frame.destination == robot.name() && frame.source == cloud.name());
-    let said = said.expect("a report").clone();
+    let said = eventually("a report", || {
+        let mut passed = recording.frames().into_iter();
+        passed.find(|frame| frame.destination == robot.name() && frame.source == cloud.name())
+    })?;
     let before = dropped(&scene.robot.counters(), "drop_feedback_replayed");
     scene.switch.inject(&vec![said; 100]);
     drops(&scene.robot, "drop_feedback_replayed", before + 100)?;

@@ -169,7 +169,8 @@ async fn what_a_switch_makes_up_is_dropped() -> Result<()> {
 /// come, or what follows would be taken for old.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_hidden_behind_a_true_segment_moves_nothing() -> Result<()> {
-    for mut scene in [Scene::best_effort().await?, Scene::reliable().await?] {
+    for reliable in [false, true] {
+        let mut scene = if reliable { Scene::reliable().await? } else { Scene::best_effort().await? };
         let recording = Recording::of(&scene.switch);
         scene.passes(b"true").await?;
         let topic = scene.owner.name();
@@ -180,7 +181,9 @@ async fn what_is_hidden_behind_a_true_segment_moves_nothing() -> Result<()> {
         let mut frame = honest.clone();
         frame.payload.extend(far);
         scene.switch.inject(&vec![frame; 10]);
-        scene.drops("seal_duplicate", 10)?;
+        // A reliable reader has no room so far ahead, whatever else is in the frame.
+        let reason = if reliable { "drop_no_room" } else { "seal_duplicate" };
+        scene.drops(reason, 10)?;
         for i in 0..COUNT {
             scene.passes(&[i; 10]).await?;
         }
@@ -264,11 +267,11 @@ async fn frames_moved_to_another_name_writer_or_session_do_not_open() -> Result<
         session,
     ];
     scene.switch.inject(&moved);
-    // Under whichever key they look as if they were: body and proof of each.
+    // Body and proof of each, but for the last one's proof, which is what it was. Epochs may have the same number.
     let refused = || {
         let now = scene.cloud.counters();
         let more = |reason| dropped(&now, reason) - dropped(&before, reason);
-        (more("seal_forged") + more("seal_no_key") >= 8).then_some(())
+        (more("seal_forged") + more("seal_no_key") == 7 && more("seal_duplicate") == 1).then_some(())
     };
     eventually("all to be refused", refused)
         .with_context(|| format!("{:?}, before {before:?}", scene.cloud.counters()))?;
