@@ -159,7 +159,7 @@ impl Scene {
         let last = self.writer.next_sequence() - 1;
         match (what % 4, self.sent.get_mut(&last)) {
             (0, _) => {
-                let result = self.writer.heartbeat(self.now.unix_ns, last, &mut segments);
+                let result = self.writer.heartbeat(self.now.unix_ns, last + 1, last, &mut segments);
                 result.expect("a heartbeat");
             }
             (1, Some((body, cut))) => {

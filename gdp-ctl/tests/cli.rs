@@ -37,7 +37,6 @@ fn keys_cards_and_certificates_are_made_without_a_daemon() {
     let shown = user.json(&["cert", "show", "chatter.ad", "--card", "chatter.card"]);
     assert_eq!((&shown["claims"]["entity"], &shown["verified"]), (&robot["name"], &true.into()));
     assert_eq!(user.json(&["cert", "show", "chatter.grant"])["verified"], false);
-    user.json(&["key", "epoch", "chatter.key"]);
 }
 
 #[test]

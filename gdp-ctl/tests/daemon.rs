@@ -8,9 +8,9 @@ use std::time::{Duration, Instant, SystemTime};
 use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, Mode, ReadGrant, Reading, RtCert, issue};
 use gdp::control::{EntityRequest, Request, Response};
 use gdp::link::{Link, LinkIds, RekeySchedule};
-use gdp::node::{NodeError, Publisher, SubscribeOptions, Subscription};
+use gdp::node::{NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp::port::{LinkAddr, OutFrame, Port, PortConfig};
-use gdp::seal::{Encoding, EpochKey};
+use gdp::seal::Encoding;
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
 use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
 use gdp_ctl::serve::{Running, start};
@@ -350,7 +350,6 @@ impl<'a> Chain<'a> {
 struct Papers {
     owner: SigningKey,
     card: NameCard,
-    key: EpochKey,
     robot: Identity,
     cloud: Identity,
 }
@@ -359,13 +358,7 @@ impl Papers {
     fn new() -> Self {
         let owner = SigningKey::generate().unwrap();
         let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None).unwrap();
-        Self {
-            owner,
-            card,
-            key: EpochKey::generate().unwrap(),
-            robot: Identity::generate("proxy").unwrap(),
-            cloud: Identity::generate("proxy").unwrap(),
-        }
+        Self { owner, card, robot: Identity::generate("proxy").unwrap(), cloud: Identity::generate("proxy").unwrap() }
     }
 
     async fn writer(&self, at: SocketAddr) -> Node {
@@ -394,7 +387,7 @@ impl Papers {
     }
 
     async fn try_publish(&self, node: &Node) -> Result<Publisher, NodeError> {
-        node.publish(self.card.proof(), self.ad_cert(), &self.key).await
+        node.publish(self.card.proof(), self.ad_cert(), PublishOptions::reliable()).await
     }
 
     fn ad_cert(&self) -> Issued<AdCert> {
@@ -411,7 +404,7 @@ impl Papers {
     }
 
     async fn subscribe(&self, node: &Node) -> Subscription {
-        node.subscribe(self.card.proof(), self.grant(), &self.key, SubscribeOptions::default()).await.unwrap()
+        node.subscribe(self.card.proof(), self.grant(), SubscribeOptions::reliable()).await.unwrap()
     }
 
     fn grant(&self) -> Reading {

@@ -9,7 +9,7 @@ use gdp::control::{EntityRequest, NameRole, Peers, RefusalCode, Request, Respons
 use gdp::keys::KeyBox;
 use gdp::link::{Link, RekeySchedule};
 use gdp::peers::{Counterparts, PeerEvent};
-use gdp::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
+use gdp::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
 use gdp::{Identity, NameCard, SigningKey};
 use gdp_ctl::config::{Config, DataPlane};
 use gdp_ctl::serve::{Running, start};
@@ -150,8 +150,8 @@ impl Endpoint {
             assert!(Instant::now() < deadline, "no frame");
             tokio::task::block_in_place(|| data.wait_readable(Duration::from_millis(20))).unwrap();
             data.try_recv_batch(&mut batch).unwrap();
-            if let Some((frame, _)) = batch.frames().next() {
-                let (header, _) = Header::ref_from_prefix(frame).unwrap();
+            if let Some(InFrame { bytes: frame, .. }) = batch.frames().next() {
+                let (header, _) = Header::read_from_prefix(&*frame).unwrap();
                 return (header.source, header.destination);
             }
         }

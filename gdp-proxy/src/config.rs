@@ -49,12 +49,13 @@ pub struct TopicConfig {
     /// The topic's name card (`gdp-ctl name create`).
     pub card: PathBuf,
     /// The owner's permission for this proxy: to publish (`gdp-ctl grant add --publish`) if `out`, to read
-    /// (`gdp-ctl grant add --read`) if `in`.
+    /// (`gdp-ctl grant add --read`) if `in`; with what it rests on, such as a delegation, after it.
     pub cert: PathBuf,
-    /// The epoch key that writer and readers share (`gdp-ctl key epoch`).
-    pub key: PathBuf,
     #[serde(default)]
     pub qos: Qos,
+    /// Refused with the remedy: earlier versions shared a secret file here.
+    #[serde(default, rename = "key", deserialize_with = "no_key")]
+    _key: (),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize, serde::Serialize)]
@@ -144,9 +145,8 @@ impl Config {
         let resolve = |path: &mut PathBuf| *path = folder.join(&path);
         resolve(&mut self.identity);
         for topic in &mut self.topics {
-            for file in [&mut topic.card, &mut topic.cert, &mut topic.key] {
-                resolve(file);
-            }
+            resolve(&mut topic.card);
+            resolve(&mut topic.cert);
         }
     }
 }
@@ -155,13 +155,19 @@ fn from_text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<LinkTarget, D
     String::deserialize(deserializer)?.parse().map_err(de::Error::custom)
 }
 
+fn no_key<'de, D: Deserializer<'de>>(_: D) -> Result<(), D::Error> {
+    Err(de::Error::custom(
+        "there is no `key` any more: writers give each reader its keys. Remove this line, and the file on every machine",
+    ))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::ros2::{Durability, Reliability};
 
     const MINIMAL: &str = "{identity: robot.pem, link: 'eth://r0', topics: [{topic: /chatter, direction: out, \
-                           card: chatter.card, cert: /etc/gdp/chatter.ad, key: chatter.key}]}";
+                           card: chatter.card, cert: /etc/gdp/chatter.ad}]}";
 
     #[test]
     fn what_is_not_said_has_the_defaults_of_ros_2() {
@@ -186,8 +192,8 @@ mod tests {
         let name = "1234e5".repeat(11)[..64].to_owned();
         let text = format!(
             "identity: a.pem\nlink: udp://127.0.0.1:31415\nswitch: {name}\ndomain_id: 42\ntopics:\n  - topic: /a/b\n    \
-             type: sensor_msgs/msg/Image\n    direction: in\n    card: c\n    cert: d\n    key: e\n    qos: {{reliability: \
-             best_effort, durability: transient_local, depth: 3}}\n"
+             type: sensor_msgs/msg/Image\n    direction: in\n    card: c\n    cert: d\n    qos: {{reliability: best_effort, \
+             durability: transient_local, depth: 3}}\n"
         );
         let config = parse(&text).unwrap();
         assert_eq!(config.switch.unwrap().to_string(), name);
@@ -219,7 +225,8 @@ mod tests {
             ("{identity: a.pem}", "link"),
             (&MINIMAL.replace("link:", "lnk:"), "lnk"),
             (&MINIMAL.replace("eth://r0", "tcp://r0"), "is no link"),
-            (&MINIMAL.replace("key:", "keys:"), "keys"),
+            (&MINIMAL.replace("cert:", "certs:"), "certs"),
+            (&MINIMAL.replace("cert:", "key: chatter.key, cert:"), "no `key` any more"),
             (&MINIMAL.replace("direction: out", "direction: both"), "both"),
             (&MINIMAL.replace("/chatter", "chatter"), "leading slash"),
             (&MINIMAL.replace("direction:", "type: std_msgs/String, direction:"), "package/msg/Name"),

@@ -1,11 +1,12 @@
 //! Carries ROS 2 topics over the Global Data Plane, with the applications unchanged.
 //!
-//! [`config`] says which topics; [`ros2`] is DDS; [`route`] joins one topic to one name, in one direction; [`proxy`] puts
+//! [`config`] says which topics; [`ros2`] is DDS; [`route`] joins one topic to one name, in one direction, as `delivery` says; [`proxy`] puts
 //! them together, [`stats`] counts. The fabric is the SDK's business (`gdp::node`): nothing here seals, signs or routes.
 #![deny(unsafe_code)]
 
 mod backlog;
 pub mod config;
+mod delivery;
 pub mod material;
 pub mod proxy;
 pub mod ros2;

@@ -1,6 +1,6 @@
-//! The files that a configuration names: identity, name cards, certificates, epoch keys. Read once, at start, and checked
-//! against each other here, so that a mistake is said with the key of the configuration it is under, and not as a refusal
-//! from a RIB three hops away. The RIB verifies everything again.
+//! The files that a configuration names: identity, name cards, certificates. Read once, at start, and checked against each
+//! other here, so that a mistake is said with the key of the configuration it is under, and not as a refusal from a RIB
+//! three hops away. The RIB verifies everything again.
 
 use std::fmt::Display;
 use std::fs::File;
@@ -9,7 +9,6 @@ use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use gdp::cert::{AdCert, CertError, Issued, MAX_CERT_FILE, Reading};
-use gdp::seal::EpochKey;
 use gdp::{Identity, Name, NameCard, SigningKey};
 
 use crate::config::{Config, Direction, TopicConfig};
@@ -27,7 +26,6 @@ pub struct TopicMaterial {
     /// From the configuration or the card; always there for [`Direction::In`].
     pub kind: Option<TypeName>,
     pub permission: Permission,
-    pub key: EpochKey,
 }
 
 /// What the owner of the name allows this proxy.
@@ -91,8 +89,7 @@ fn load_topic(topic: &TopicConfig, entity: Name) -> Result<TopicMaterial, (&'sta
     let card = NameCard::load(&topic.card).map_err(|error| ("card", with_path(error, &topic.card)))?;
     let kind = agree_on_type(topic, &card).map_err(|reason| ("type", reason))?;
     let permission = load_permission(topic, &card, entity).map_err(|error| ("cert", with_path(error, &topic.cert)))?;
-    let key = EpochKey::load(&topic.key).map_err(|error| ("key", with_path(error, &topic.key)))?;
-    Ok(TopicMaterial { card, kind, permission, key })
+    Ok(TopicMaterial { card, kind, permission })
 }
 
 fn agree_on_type(topic: &TopicConfig, card: &NameCard) -> Result<Option<TypeName>, String> {
@@ -152,7 +149,7 @@ fn with_path(reason: impl Display, path: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gdp::cert::{Grantee, Mode, ReadGrant, issue};
+    use gdp::cert::{Delegation, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
     use std::fs;
     use std::path::PathBuf;
 
@@ -175,9 +172,9 @@ mod tests {
             assert!(refusal.starts_with(key) && refusal.contains(file), "{refusal}");
         }
         let files = Files::new();
-        fs::set_permissions(files.path("t.key"), std::os::unix::fs::PermissionsExt::from_mode(0o644)).unwrap();
+        fs::set_permissions(files.path("id.pem"), std::os::unix::fs::PermissionsExt::from_mode(0o644)).unwrap();
         let refusal = files.refusal("");
-        assert!(refusal.starts_with("topics[0].key") && refusal.contains("chmod 600"), "{refusal}");
+        assert!(refusal.starts_with("identity") && refusal.contains("chmod 600"), "{refusal}");
     }
 
     #[test]
@@ -197,6 +194,35 @@ mod tests {
             let refusal = files.refusal("");
             assert!(refusal.starts_with("topics[0].cert") && refusal.contains(expected), "{refusal}");
         }
+    }
+
+    /// From a delegate, and for a role: the file holds what the certificate rests on.
+    #[test]
+    fn a_certificate_comes_with_all_that_it_rests_on() {
+        let files = Files::new();
+        let (delegate, domain) = (SigningKey::generate().unwrap(), Identity::generate("domain").unwrap());
+        let (name, not_before, not_after) = (files.card.name(), 0, u64::MAX);
+        let (publish, read, serial) = (true, true, 1);
+        let delegation =
+            Delegation { name, delegate: delegate.verify_key(), publish, read, serial, not_before, not_after };
+        let delegation = Some(issue(&files.owner, &delegation).unwrap());
+        let cert = issue(&delegate, &files.claims()).unwrap();
+        let issued = Issued { cert, delegation: delegation.clone() };
+        fs::write(files.path("t.ad"), issued.to_pem()).unwrap();
+
+        let role = String::from("operator");
+        let to = Grantee::Role { domain: domain.name(), role: role.clone() };
+        let grant = issue(&delegate, &ReadGrant { name, to, serial, not_before, not_after }).unwrap();
+        let member = MemberCert { domain: domain.name(), entity: files.entity, role, not_before, not_after };
+        let member = Some(Membership::issue(&domain, &member).unwrap());
+        let mut reading = Reading { grant: Issued { cert: grant, delegation }, member };
+        fs::write(files.path("t.grant"), reading.to_pem()).unwrap();
+        files.load("").unwrap();
+
+        reading.member = None;
+        fs::write(files.path("t.grant"), reading.to_pem()).unwrap();
+        let refusal = files.refusal("");
+        assert!(refusal.starts_with("topics[1].cert") && refusal.contains("operator"), "{refusal}");
     }
 
     #[test]
@@ -222,7 +248,6 @@ mod tests {
             let files = Self { folder, owner, entity, card };
             key.save_new(&files.path("id.pem")).unwrap();
             files.card.save_new(&files.path("t.card")).unwrap();
-            EpochKey::generate().unwrap().save_new(&files.path("t.key")).unwrap();
             fs::write(files.path("t.ad"), issue(&files.owner, &files.claims()).unwrap().to_pem()).unwrap();
             let (name, to) = (files.card.name(), Grantee::Entity(entity));
             let grant = ReadGrant { name, to, serial: 1, not_before: 0, not_after: u64::MAX };
@@ -243,8 +268,8 @@ mod tests {
         fn load(&self, extra: &str) -> Result<Material, MaterialError> {
             let text = format!(
                 "{{identity: id.pem, link: 'eth://r0', topics: [\
-                 {{topic: /chatter, {extra}direction: out, card: t.card, cert: t.ad, key: t.key}}, \
-                 {{topic: /other, direction: in, card: t.card, cert: t.grant, key: t.key}}]}}"
+                 {{topic: /chatter, {extra}direction: out, card: t.card, cert: t.ad}}, \
+                 {{topic: /other, direction: in, card: t.card, cert: t.grant}}]}}"
             );
             Material::load(&Config::parse(&text, &self.path("robot.yaml")).unwrap())
         }

@@ -9,12 +9,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use gdp::cert::{AdCert, Issued, Reading};
-use gdp::node::{ErrorCode, Feedback, FrameError, NodeError, Publisher, SubscribeOptions};
-use gdp::seal::{Encoding, EpochKey, Message};
+use gdp::node::{ErrorCode, Feedback, FrameError, NodeError, Publisher};
+use gdp::seal::{Encoding, Message};
 use gdp::{Name, NameCard, Node};
 
 use crate::backlog::Backlog;
 use crate::config::{Direction, TopicConfig};
+use crate::delivery;
 use crate::material::{Permission, TopicMaterial};
 use crate::ros2::{
     Arrived, Domain, Qos, RawReader, RawSample, RawWriter, RosError, TopicName, TypeName, Unreadable, WriteError,
@@ -74,8 +75,8 @@ impl Route {
             None => self.learn_type(domain).await,
         };
         match material.permission {
-            Permission::Publish(cert) => self.run_out(domain, node, &kind, &material.card, &cert, &material.key).await,
-            Permission::Read(grant) => self.run_in(domain, node, &kind, &material.card, &grant, &material.key).await,
+            Permission::Publish(cert) => self.run_out(domain, node, &kind, &material.card, &cert).await,
+            Permission::Read(grant) => self.run_in(domain, node, &kind, &material.card, &grant).await,
         }
     }
 
@@ -86,12 +87,11 @@ impl Route {
         kind: &TypeName,
         card: &NameCard,
         cert: &Issued<AdCert>,
-        key: &EpochKey,
     ) -> Result<Infallible, RouteError> {
         // First the fabric, then DDS: a latched message that comes at once has somewhere to go.
         let mut pause = RETRY.0;
         let mut publisher = loop {
-            match node.publish(card.proof(), cert.clone(), key).await {
+            match node.publish(card.proof(), cert.clone(), delivery::publish_options(&self.qos)).await {
                 Ok(publisher) => break publisher,
                 Err(error) => self.pause_after(error, &mut pause).await,
             }
@@ -109,13 +109,12 @@ impl Route {
         kind: &TypeName,
         card: &NameCard,
         grant: &Reading,
-        key: &EpochKey,
     ) -> Result<Infallible, RouteError> {
         // First DDS, then the fabric, likewise.
         let mut writer = domain.writer(&self.topic, kind, self.qos)?;
         let mut pause = RETRY.0;
         let mut subscription = loop {
-            match node.subscribe(card.proof(), grant.clone(), key, SubscribeOptions::default()).await {
+            match node.subscribe(card.proof(), grant.clone(), delivery::subscribe_options(&self.qos)).await {
                 Ok(subscription) => break subscription,
                 Err(error) => self.pause_after(error, &mut pause).await,
             }

@@ -7,7 +7,6 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use gdp::cert::{AdCert, Mode, issue};
-use gdp::seal::EpochKey;
 use gdp::{Identity, NameCard, SigningKey};
 
 #[test]
@@ -88,9 +87,8 @@ impl Files {
         key.save_new(&path("robot.pem")).unwrap();
         card.save_new(&path("chatter.card")).unwrap();
         fs::write(path("chatter.ad"), ad.to_pem()).unwrap();
-        EpochKey::generate().unwrap().save_new(&path("chatter.key")).unwrap();
         let config = "identity: robot.pem\nlink: udp://127.0.0.1:9\ntopics:\n  - {topic: /chatter, direction: out, card: \
-                      chatter.card, cert: chatter.ad, key: chatter.key}\n";
+                      chatter.card, cert: chatter.ad}\n";
         fs::write(path("robot.yaml"), config).unwrap();
         let entity = entity.to_string();
         Self { folder, entity }

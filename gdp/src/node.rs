@@ -19,6 +19,7 @@ mod frame_size;
 mod greeting;
 mod held;
 mod intake;
+mod latched;
 mod options;
 mod outlet;
 mod pairs;

@@ -1,6 +1,6 @@
 //! Files that hold secrets: created at mode 0600 and never visible wider or half-written, refused when anybody but the
-//! owner may touch them. Used for private keys, epoch keys and what the command line remembers of a name; the content is
-//! the caller's business.
+//! owner may touch them. Used for private keys and what the command line remembers of a name; the content is the caller's
+//! business.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};

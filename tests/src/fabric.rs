@@ -1,5 +1,6 @@
 //! A whole fabric on a [`Chain`]: keys, names and certificates made with `gdp-ctl` as a user would, a daemon on every
-//! switch (the last one is the RIB), and a `gdp-proxy` at each end.
+//! switch (the last one is the RIB), and a `gdp-proxy` at each end. The topic's owner, the robot and the cloud have a folder
+//! each, as they would have a machine: what one does not get copied, it does not have.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -47,6 +48,9 @@ impl Default for FabricOptions {
 pub const TOPIC: &str = "/chatter";
 pub const TYPE: &str = "std_msgs/msg/String";
 
+/// The owner's folder.
+const OWNER: &str = "owner";
+
 /// Where a fabric's BPF file system is in its folder.
 const BPFFS: &str = "bpf";
 
@@ -84,6 +88,8 @@ impl Fabric {
         let authority = Authority { tools: &tools, folder: files.path() };
         let names = authority.switches(options.chain.switches)?;
         let name = authority.topic()?;
+        authority.admit("robot", "--publish")?;
+        authority.admit("cloud", "--read")?;
         let bpffs = options.pinned.then(|| Mounted(files.path().join(BPFFS)));
         let switches = names
             .iter()
@@ -124,15 +130,26 @@ impl Fabric {
     }
 
     pub fn start_robot(&mut self) -> Result<()> {
-        let proxy = self.start_proxy("robot", "r0", "out", "chatter.ad", self.chain.robot())?;
-        self.robot = Some(proxy);
+        self.robot = Some(self.start_proxy("robot", "out", self.chain.robot(), "r0")?);
         Ok(())
     }
 
     pub fn start_cloud(&mut self) -> Result<()> {
-        let proxy = self.start_proxy("cloud", "l0", "in", "chatter.grant", self.chain.cloud())?;
-        self.cloud = Some(proxy);
+        self.cloud = Some(self.start_proxy("cloud", "in", self.chain.cloud(), "l0")?);
         Ok(())
+    }
+
+    /// One more reader of the topic: gets a key and the owner's grant, and runs a proxy.
+    pub fn admit_reader(&self, label: &str, at: &Namespace, interface: &str) -> Result<Process> {
+        Authority { tools: &self.tools, folder: self.files.path() }.admit(label, "--read")?;
+        self.start_proxy(label, "in", at, interface)
+    }
+
+    /// A `gdp-ctl` command of the topic's owner, in its folder, through the daemon of switch `i`.
+    pub fn owner(&self, i: usize, arguments: &[&str]) -> Result<Value> {
+        let mut command = Command::new(self.tools.gdp_ctl()?);
+        command.arg("--socket").arg(&self.switches[i].socket).args(arguments).arg("-j");
+        parse(&execute(command.current_dir(self.folder_of(OWNER)))?)
     }
 
     /// Waits until writer's and reader's switch hold the name.
@@ -184,13 +201,18 @@ impl Fabric {
 
     /// The latest counters a proxy has written.
     pub fn proxy_stats(&self, label: &str) -> Value {
-        let text = fs::read_to_string(self.files.path().join(format!("{label}.stats"))).unwrap_or_default();
+        let text = fs::read_to_string(self.folder_of(label).join("stats.json")).unwrap_or_default();
         serde_json::from_str(&text).unwrap_or_default()
     }
 
-    /// Where keys, cards, configuration and logs are.
+    /// Where the switches' files and all logs are.
     pub fn folder(&self) -> &Path {
         self.files.path()
+    }
+
+    /// All that `owner`, `robot` or `cloud` has.
+    pub fn folder_of(&self, party: &str) -> PathBuf {
+        self.files.path().join(party)
     }
 
     /// The end of every program's output, for a failure message.
@@ -209,23 +231,15 @@ impl Fabric {
         .with_context(|| self.report())
     }
 
-    fn start_proxy(
-        &self,
-        label: &str,
-        interface: &str,
-        direction: &str,
-        cert: &str,
-        at: &Namespace,
-    ) -> Result<Process> {
-        let file = |name: &str| self.files.path().join(name);
+    fn start_proxy(&self, label: &str, direction: &str, at: &Namespace, interface: &str) -> Result<Process> {
+        let file = |name: &str| self.folder_of(label).join(name);
         let options = &self.options;
         let config = json!({
-            "identity": file(&format!("{label}.pem")),
+            "identity": "key.pem",
             "link": format!("eth://{interface}"),
             "domain_id": 0,
             "topics": [{
-                "topic": TOPIC, "type": TYPE, "direction": direction,
-                "card": file("chatter.card"), "cert": file(cert), "key": file("chatter.key"),
+                "topic": TOPIC, "type": TYPE, "direction": direction, "card": "chatter.card", "cert": "chatter.cert",
                 "qos": {
                     "reliability": if options.best_effort { "best_effort" } else { "reliable" },
                     "durability": if options.transient_local { "transient_local" } else { "volatile" },
@@ -233,10 +247,10 @@ impl Fabric {
                 },
             }],
         });
-        let path = file(&format!("{label}.yaml"));
+        let path = file("proxy.yaml");
         write_yaml(&path, &config)?;
         let mut command = at.command(self.tools.gdp_proxy()?)?;
-        command.arg("--config").arg(path).arg("--stats").arg(file(&format!("{label}.stats")));
+        command.arg("--config").arg(path).arg("--stats").arg(file("stats.json"));
         Process::spawn(&format!("{label}-proxy"), command, self.files.path())
     }
 }
@@ -294,31 +308,38 @@ struct Authority<'a> {
 
 impl Authority<'_> {
     fn switches(&self, count: usize) -> Result<Vec<String>> {
-        (1..=count).map(|i| self.key(&format!("s{i}.pem"), "switch")).collect()
+        (1..=count).map(|i| self.key("", &format!("s{i}.pem"), "switch")).collect()
     }
 
-    /// The topic's name, with all that the two proxies need to publish and to read it.
+    /// The topic's name, made by its owner.
     fn topic(&self) -> Result<String> {
-        self.key("owner.pem", "owner")?;
-        let robot = self.key("robot.pem", "proxy")?;
-        let cloud = self.key("cloud.pem", "proxy")?;
-        let card = ["--topic", TOPIC, "--type", TYPE, "-o", "chatter.card"];
-        let made = self.ctl(&[&["name", "create", "--owner", "owner.pem"], &card[..]].concat())?;
-        for (right, entity, file) in [("--publish", &robot, "chatter.ad"), ("--read", &cloud, "chatter.grant")] {
-            let whom = ["--entity", entity, "-o", file];
-            self.ctl(&[&["grant", "add", "chatter.card", "--key", "owner.pem", right], &whom[..]].concat())?;
+        self.key(OWNER, "owner.pem", "owner")?;
+        let topic = ["--owner", "owner.pem", "--topic", TOPIC, "--type", TYPE, "-o", "chatter.card"];
+        field(&self.ctl(OWNER, &[&["name", "create"], &topic[..]].concat())?, "name")
+    }
+
+    /// A proxy makes its key and tells the owner its name; the owner hands it the card and a certificate.
+    fn admit(&self, label: &str, right: &str) -> Result<()> {
+        let entity = self.key(label, "key.pem", "proxy")?;
+        let (of, file) = (["--key", "owner.pem", right], format!("{label}.cert"));
+        let whom = ["--entity", &entity, "-o", &file];
+        self.ctl(OWNER, &[&["grant", "add", "chatter.card"], &of[..], &whom[..]].concat())?;
+        for (from, to) in [("chatter.card", "chatter.card"), (&file, "chatter.cert")] {
+            let (from, to) = (self.folder.join(OWNER).join(from), self.folder.join(label).join(to));
+            fs::copy(&from, &to).with_context(|| format!("cannot copy {}", from.display()))?;
         }
-        self.ctl(&["key", "epoch", "chatter.key"])?;
-        field(&made, "name")
+        Ok(())
     }
 
-    fn key(&self, file: &str, kind: &str) -> Result<String> {
-        field(&self.ctl(&["key", "generate", file, "--kind", kind])?, "name")
+    fn key(&self, whose: &str, file: &str, kind: &str) -> Result<String> {
+        let folder = self.folder.join(whose);
+        fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
+        field(&self.ctl(whose, &["key", "generate", file, "--kind", kind])?, "name")
     }
 
-    fn ctl(&self, arguments: &[&str]) -> Result<Value> {
+    fn ctl(&self, whose: &str, arguments: &[&str]) -> Result<Value> {
         let mut command = Command::new(self.tools.gdp_ctl()?);
-        parse(&execute(command.args(arguments).arg("-j").current_dir(self.folder))?)
+        parse(&execute(command.args(arguments).arg("-j").current_dir(self.folder.join(whose)))?)
     }
 }
 

@@ -1,14 +1,17 @@
 //! Messages of unmodified DDS programs across three XDP switches, and what happens when parts come and go.
 
+use std::collections::BTreeMap;
+use std::path::Path;
 use std::time::Duration;
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE, TOPIC, TYPE};
-use gdp_tests::packet::is_gdp_data;
+use gdp_tests::packet::{ETHERNET, is_gdp_data};
 use gdp_tests::peers::{self, Conversation, Received, Side, Traffic, Vendor};
 use gdp_tests::wait::wait_for;
+use gdp_wire::Header;
 
 #[test]
 fn cyclone_talks_to_fast_dds() -> Result<()> {
@@ -101,6 +104,77 @@ fn a_listener_that_joins_late_gets_what_comes_then() -> Result<()> {
     Ok(())
 }
 
+/// What each party has: its own key, the name card, its certificate. Nothing that only writer and readers may know.
+#[test]
+fn parties_share_no_secret_and_the_owners_key_stays_with_the_owner() -> Result<()> {
+    let fabric = started(FabricOptions::default())?;
+    let traffic = Traffic { count: 10, ..Default::default() };
+    let mut both = conversation(&fabric, Vendor::Cyclone, Vendor::FastDds, &traffic)?;
+    both.open()?;
+    complete_and_intact(&both.finish(PATIENCE, PATIENCE)?, &traffic)?;
+
+    let mut parties = Vec::new();
+    for party in ["robot", "cloud"] {
+        let files = files_in(&fabric.folder_of(party))?;
+        let names: Vec<&str> = files.keys().map(String::as_str).collect();
+        ensure!(names == ["chatter.card", "chatter.cert", "key.pem", "proxy.yaml", "stats.json"], "{party}: {names:?}");
+        parties.push(files);
+    }
+    let [robot, cloud] = &parties[..] else { unreachable!("two") };
+    let shared: Vec<&String> = robot.keys().filter(|name| robot[*name] == cloud[*name]).collect();
+    ensure!(shared == ["chatter.card"], "{shared:?}");
+    let private = |text: &str| text.lines().filter(|line| !line.starts_with("-----")).collect::<String>();
+    let owner = private(&files_in(&fabric.folder_of("owner"))?["owner.pem"]);
+    ensure!(owner.len() > 100 && parties.iter().flat_map(|files| files.values()).all(|text| private(text) != owner));
+    Ok(())
+}
+
+/// A second reader joins while messages flow, and goes on reading when the first is taken its right.
+#[test]
+fn a_revoked_reader_gets_nothing_of_the_next_epoch_and_the_others_all() -> Result<()> {
+    let chain = ChainOptions { wire: Some(0), ..Default::default() };
+    let mut fabric = started(FabricOptions { chain, ..Default::default() })?;
+    let traffic = Traffic::default();
+    let mut both = conversation(&fabric, Vendor::Cyclone, Vendor::FastDds, &traffic)?;
+    both.open()?;
+    let (at, interface) = fabric.chain.on_the_wire()?;
+    at.enable_loopback_multicast()?;
+    let _guest = fabric.admit_reader("guest", at, interface)?;
+    let read_by = |label: &str| fabric.proxy_stats(label)["topics"][0]["messages"].as_u64().unwrap_or(0);
+    wait_for("the guest to read", PATIENCE, || Ok((read_by("guest") >= 10).then_some(())))
+        .with_context(|| fabric.report())?;
+    let from_robot = fabric.chain.wire_from_robot()?;
+    let is_topic = |frame: &[u8]| is_gdp_data(frame) && destination(frame) == fabric.name;
+    let before = epoch(&from_robot.receive(PATIENCE, is_topic)?);
+
+    let cloud = fabric.status(2)?["links"].as_array().into_iter().flatten().find(|l| l["role"] == "endpoint").cloned();
+    let cloud = cloud.context("the cloud's link")?["peer"].as_str().context("its name")?.to_owned();
+    let revoked = fabric.owner(1, &["grant", "revoke", "chatter.card", "--key", "owner.pem", "--entity", &cloud])?;
+    let next = from_robot.receive(PATIENCE, |frame| is_topic(frame) && epoch(frame) != before)?;
+    ensure!(epoch(&next) > before, "epoch {} after {before}", epoch(&next));
+    let readers = fabric.ctl(0, &["query", &fabric.name])?["records"].clone();
+    let readers: Vec<_> = readers.as_array().into_iter().flatten().filter(|r| r["role"] == "reader").collect();
+    ensure!(readers.len() == 1 && readers[0]["entity"] != *cloud, "{revoked}: {readers:?}");
+
+    // What was under way is there by the time the guest has read more.
+    let guest_reads_on = || {
+        let so_far = read_by("guest");
+        wait_for("the guest to read on", PATIENCE, || Ok((read_by("guest") >= so_far + 20).then_some(())))
+    };
+    guest_reads_on()?;
+    let so_far = (read_by("cloud"), peers::received(&both.listener).len());
+    guest_reads_on()?;
+    ensure!((read_by("cloud"), peers::received(&both.listener).len()) == so_far, "the revoked reader reads on");
+    both.listener.check_alive()?;
+
+    // Nor does it come back.
+    fabric.cloud.take().context("started")?.stop(PATIENCE)?;
+    fabric.start_cloud()?;
+    let status = |fabric: &Fabric| fabric.proxy_stats("cloud")["topics"][0]["status"].as_str().map(str::to_owned);
+    wait_for("the cloud to be refused", PATIENCE, || Ok(status(&fabric).filter(|s| s.contains("revoked")).map(drop)))
+        .with_context(|| format!("{:?}", status(&fabric)))
+}
+
 /// Nobody reads the name: the first switch drops and counts, and no other switch sees anything.
 #[test]
 fn an_unknown_name_goes_no_further_than_the_first_switch() -> Result<()> {
@@ -139,6 +213,27 @@ fn complete_and_intact(messages: &[Received], traffic: &Traffic) -> Result<()> {
 
 fn kernel_forwards(fabric: &Fabric) -> Result<Vec<u64>> {
     (0..fabric.switches.len()).map(|i| fabric.forwarded_in_kernel(i)).collect()
+}
+
+/// Names and content of the files in a folder.
+fn files_in(folder: &Path) -> Result<BTreeMap<String, String>> {
+    let mut files = BTreeMap::new();
+    for file in std::fs::read_dir(folder).with_context(|| folder.display().to_string())? {
+        let file = file?;
+        files.insert(file.file_name().to_string_lossy().into_owned(), std::fs::read_to_string(file.path())?);
+    }
+    Ok(files)
+}
+
+/// Of a data frame, 64 hex digits.
+fn destination(frame: &[u8]) -> String {
+    frame[ETHERNET + 32..ETHERNET + 64].iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Under which the first segment of a data frame is sealed.
+fn epoch(frame: &[u8]) -> u32 {
+    let at = ETHERNET + size_of::<Header>() + 40;
+    frame[at..at + 4].iter().fold(0, |epoch, byte| epoch << 8 | u32::from(*byte))
 }
 
 /// Data frames that any plane of switch `i` sent on.

@@ -12,8 +12,8 @@ use std::time::{Duration, Instant, SystemTime};
 use anyhow::{Context, Result, ensure};
 use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp::link::RekeySchedule;
-use gdp::node::{Publisher, SubscribeOptions, Subscription};
-use gdp::seal::{Encoding, EpochKey};
+use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::seal::Encoding;
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
 use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
 use gdp_ctl::serve::{Running, start};
@@ -195,7 +195,6 @@ impl Way {
     fn open((writer, at_writer): &(Node, Inside), (reader, at_reader): &(Node, Inside)) -> Result<Self> {
         let owner = SigningKey::generate()?;
         let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None)?;
-        let key = EpochKey::generate()?;
         let not_after = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH)?.as_secs() + 3600;
         let (name, not_before) = (card.name(), 0);
         let (to, serial) = (Grantee::Entity(reader.name()), 1);
@@ -203,9 +202,9 @@ impl Way {
         let entity: Name = writer.name();
         let cert = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial, not_before, not_after };
         let cert = issue(&owner, &cert)?.into();
-        let options = SubscribeOptions::default();
-        let subscription = at_reader.runtime.block_on(reader.subscribe(card.proof(), grant, &key, options))?;
-        let publisher = at_writer.runtime.block_on(writer.publish(card.proof(), cert, &key))?;
+        let (publish, subscribe) = (PublishOptions::best_effort(), SubscribeOptions::best_effort());
+        let subscription = at_reader.runtime.block_on(reader.subscribe(card.proof(), grant, subscribe))?;
+        let publisher = at_writer.runtime.block_on(writer.publish(card.proof(), cert, publish))?;
         Ok(Self { publisher, subscription })
     }
 

@@ -14,8 +14,8 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp::identity::Identity;
-use gdp::node::{Publisher, SubscribeOptions, Subscription};
-use gdp::seal::{Encoding, EpochKey};
+use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::seal::Encoding;
 use gdp::{NameCard, Node, NodeConfig, SigningKey};
 use gdp_tests::Tools;
 use gdp_tests::fabric::Mounted;
@@ -303,21 +303,20 @@ impl Party {
 struct Topic {
     owner: SigningKey,
     card: NameCard,
-    key: EpochKey,
 }
 
 impl Topic {
     fn new() -> Result<Self> {
-        let (owner, key) = (SigningKey::generate()?, EpochKey::generate()?);
+        let owner = SigningKey::generate()?;
         let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None)?;
-        Ok(Self { owner, card, key })
+        Ok(Self { owner, card })
     }
 
     fn read(&self, party: &Party) -> Result<Subscription> {
         let (name, to) = (self.card.name(), Grantee::Entity(party.identity.name()));
         let grant = ReadGrant { name, to, serial: 1, not_before: 0, not_after: 4_000_000_000 };
         let grant = issue(&self.owner, &grant)?.into();
-        let subscribe = party.node.subscribe(self.card.proof(), grant, &self.key, SubscribeOptions::default());
+        let subscribe = party.node.subscribe(self.card.proof(), grant, SubscribeOptions::best_effort());
         Ok(party.inside.runtime.block_on(subscribe)?)
     }
 
@@ -325,7 +324,8 @@ impl Topic {
         let (name, entity) = (self.card.name(), party.identity.name());
         let (mode, scope, serial, not_before, not_after) = (Mode::Multicast, vec![], 1, 0, 4_000_000_000);
         let cert = issue(&self.owner, &AdCert { name, entity, mode, scope, serial, not_before, not_after })?.into();
-        Ok(party.inside.runtime.block_on(party.node.publish(self.card.proof(), cert, &self.key))?)
+        let publish = party.node.publish(self.card.proof(), cert, PublishOptions::best_effort());
+        Ok(party.inside.runtime.block_on(publish)?)
     }
 }
 

@@ -12,8 +12,8 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp::identity::Identity;
-use gdp::node::SubscribeOptions;
-use gdp::seal::{Encoding, EpochKey};
+use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp::seal::Encoding;
 use gdp::{NameCard, Node, NodeConfig, SigningKey};
 use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
 use gdp_ctl::serve::{Running, start};
@@ -34,7 +34,7 @@ fn messages_cross_three_carriers_without_leaving_the_kernel() -> Result<()> {
     let site = Site::build()?;
     let folder = tempfile::tempdir()?;
     let [edge, cloud] = site.start_switches(folder.path())?;
-    let (owner, key) = (SigningKey::generate()?, EpochKey::generate()?);
+    let owner = SigningKey::generate()?;
     let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None)?;
     let (robot, far) = (Identity::generate("proxy")?, Identity::generate("proxy")?);
     let (name, not_before, not_after) = (card.name(), 0, 4_000_000_000);
@@ -45,11 +45,11 @@ fn messages_cross_three_carriers_without_leaving_the_kernel() -> Result<()> {
 
     let reader = Inside::new(&site.far, ROOT)?;
     let reading = reader.run(Node::connect(NodeConfig::new(far, "udp://[2001:db8:3::9]:31415".parse()?)))??;
-    let subscribe = reading.subscribe(card.proof(), grant, &key, SubscribeOptions::default());
+    let subscribe = reading.subscribe(card.proof(), grant, SubscribeOptions::best_effort());
     let mut subscription = reader.runtime.block_on(subscribe)?;
     let writer = Inside::new(&site.robot, ROOT)?;
     let writing = writer.run(Node::connect(NodeConfig::new(robot, "eth://e0".parse()?)))??;
-    let mut publisher = writer.runtime.block_on(writing.publish(card.proof(), cert, &key))?;
+    let mut publisher = writer.runtime.block_on(writing.publish(card.proof(), cert, PublishOptions::best_effort()))?;
     let mut exchange = |body: &[u8]| -> Result<bool> {
         writer.runtime.block_on(publisher.send(Encoding::Bytes, body))?;
         let next =

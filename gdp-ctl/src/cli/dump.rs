@@ -1,13 +1,12 @@
 //! `gdp-ctl fib dump` and `rib dump`: all that the data plane forwards by, all that the RIB knows. Fetched page by page.
 
 use clap::Subcommand;
-use gdp::cert::CertError;
 use gdp::control::Record;
 use gdp::name::NamePrefix;
 use serde_json::{Value, json};
 
 use super::Context;
-use super::output::{short, table};
+use super::output::{role, short, table};
 use crate::admin::{Client, ClientError, Request};
 
 #[derive(Debug, Subcommand)]
@@ -21,7 +20,7 @@ pub enum FibCommand {
 
 #[derive(Debug, Subcommand)]
 pub enum RibCommand {
-    /// Print switches, writers and readers.
+    /// Print switches, and who writes, reads, serves and calls.
     Dump {
         /// Only names that begin so.
         prefix: Option<NamePrefix>,
@@ -113,9 +112,8 @@ fn keep(entries: &mut Vec<Value>, prefix: Option<&NamePrefix>) {
 
 fn describe(record: Value) -> Result<Value, ClientError> {
     let record: Record = serde_json::from_value(record).map_err(|e| ClientError::Malformed(e.to_string()))?;
-    let malformed = |error: CertError| ClientError::Malformed(error.to_string());
-    let role = record.role().map_err(malformed)?.to_string();
-    let entity = record.entity.name().map_err(|error| malformed(error.into()))?;
+    let role = role(record.role().map_err(|e| ClientError::Malformed(e.to_string()))?);
+    let entity = record.entity.name().map_err(|e| ClientError::Malformed(e.to_string()))?;
     Ok(json!({
         "name": record.name, "role": role, "entity": entity, "switch": record.switch, "expires_in": record.expires_in,
     }))

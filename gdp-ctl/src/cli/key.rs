@@ -1,10 +1,9 @@
-//! `gdp-ctl key`: private keys of owners and entities, and the epoch keys that messages are sealed under.
+//! `gdp-ctl key`: private keys of owners and entities.
 
 use std::path::PathBuf;
 
 use clap::{Subcommand, ValueEnum};
 use gdp::identity::{Identity, SigningKey};
-use gdp::seal::EpochKey;
 use serde_json::{Map, json};
 
 use super::Context;
@@ -25,8 +24,6 @@ pub enum Command {
         #[arg(long, value_enum)]
         kind: Option<Kind>,
     },
-    /// Make an epoch key (a new file, mode 0600) for the writers and readers of a name to share.
-    Epoch { file: PathBuf },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -72,11 +69,6 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
                 let names = kinds.iter().map(|k| format!("as {:<8} {}\n", k.as_str(), name(*k)));
                 format!("public key  {public_key}\n{}", names.collect::<String>())
             })
-        }
-        Command::Epoch { file } => {
-            EpochKey::generate()?.save_new(&file)?;
-            let text = file.display().to_string();
-            context.output.print(json!({"file": file}), || text)
         }
     }
 }

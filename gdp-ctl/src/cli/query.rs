@@ -1,4 +1,4 @@
-//! `gdp-ctl query`: who publishes and reads a name. Believes neither the daemon nor the RIB: every record is verified here.
+//! `gdp-ctl query`: who publishes, reads, serves or calls a name. Believes neither the daemon nor the RIB: every record is verified here.
 
 use std::path::Path;
 
@@ -26,7 +26,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let prefix = prefix(&options.what)?;
     let (records, truncated) = ask(&mut context.client()?, &prefix)?;
     if records.is_empty() {
-        bail!("nobody publishes or reads {prefix}");
+        bail!("nobody publishes, reads, serves or calls {prefix}");
     }
     let now = unix_now();
     let mut rows = Vec::new();
@@ -79,7 +79,7 @@ fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>,
 
 fn describe(record: &Record, now: u64) -> Result<Value, gdp::cert::CertError> {
     let entity = record.verify(None, now)?.entity;
-    let role = record.role()?.to_string();
+    let role = output::role(record.role()?);
     Ok(json!({
         "name": record.name, "role": role, "entity": entity, "switch": record.switch,
         "expires_in": record.expires_in, "verified": true,

@@ -68,7 +68,10 @@ pub struct ReadCounters {
     given_up: AtomicU64,
     duplicates: AtomicU64,
     beyond: AtomicU64,
+    /// Of those delivered, what the application did not take in time.
     pub queue_full: AtomicU64,
+    /// Of those delivered, latched messages that were known.
+    pub repeats: AtomicU64,
 }
 
 impl ReadCounters {
@@ -130,6 +133,23 @@ struct Session {
     id: [u8; 16],
     inbound: Inbound<Message>,
     seen: InboundCounters,
+    /// What it was told to begin with.
+    from: u64,
+    /// The last message sent before that which came again.
+    latched: u64,
+}
+
+impl Session {
+    /// Whether a message is new to this reader; its time is that of its first sending.
+    fn is_new(&mut self, message: &mut Message) -> bool {
+        let Some(first) = message.latched else { return true };
+        message.timestamp_ns = first.timestamp_ns;
+        let new = first.sequence < self.from && first.sequence > self.latched;
+        if new {
+            self.latched = first.sequence;
+        }
+        new
+    }
 }
 
 impl Intake {
@@ -193,7 +213,8 @@ impl Intake {
                 if known.session.as_ref().is_none_or(|known| known.id != *session) {
                     let options = InboundOptions::from(&self.options);
                     let inbound = Inbound::new(self.name, *session, *sequence, rtt, options);
-                    known.session = Some(Session { id: *session, inbound, seen: InboundCounters::default() });
+                    let (seen, from) = (InboundCounters::default(), *sequence);
+                    known.session = Some(Session { id: *session, inbound, seen, from, latched: 0 });
                 }
                 true
             }
@@ -256,7 +277,7 @@ impl Intake {
             }
         }
         for heartbeat in received.heartbeats.iter().filter(|heartbeat| heartbeat.session == *id) {
-            inbound.heartbeat(steady, heartbeat.next);
+            inbound.heartbeat(steady, heartbeat.next, heartbeat.oldest);
         }
         for message in received.messages.drain(..) {
             if message.session == *id {
@@ -279,14 +300,17 @@ impl Intake {
             if let Some(challenge) = known.greeting.poll(now) {
                 tell(writer, &Feedback::Hello { name: *name, challenge });
             }
-            let Some(Session { inbound, seen, .. }) = &mut known.session else { continue };
-            while let Some(arrival) = inbound.poll(now) {
+            let Some(session) = &mut known.session else { continue };
+            while let Some(arrival) = session.inbound.poll(now) {
                 match arrival {
-                    Arrival::Message(message) => out.deliver(message, counters),
+                    Arrival::Message(mut message) => match session.is_new(&mut message) {
+                        true => out.deliver(message, counters),
+                        false => _ = out.shared.counters.repeats.fetch_add(1, Ordering::Relaxed),
+                    },
                     Arrival::Feedback(feedback) => tell(writer, &feedback),
                 }
             }
-            out.shared.counters.add(inbound.counters(), seen);
+            out.shared.counters.add(session.inbound.counters(), &mut session.seen);
         }
         if self.reader.next_deadline().is_some_and(|deadline| deadline < now) {
             self.reader.expire(now);

@@ -6,12 +6,11 @@
 //! the other way round, and never both of these.
 
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use gdp_wire::{Header, Name, forward};
-use tokio::sync::watch;
+use tokio::sync::{Notify, watch};
 use zerocopy::IntoBytes;
 
 use super::NodeError;
@@ -41,9 +40,9 @@ pub struct Outlet {
     pub pairs: Mutex<Pairs>,
     name: Name,
     status: watch::Sender<Status>,
-    /// What frames carried when there was a link last, in bytes.
-    max_payload: AtomicUsize,
     publications: Mutex<HashMap<Topic, Arc<Publication>>>,
+    /// There may be key boxes for the RIB, or latched messages for a reader.
+    pub upkeep: Notify,
     pump: Mutex<Pump>,
     turn: Condvar,
 }
@@ -94,8 +93,8 @@ impl Outlet {
             pairs: Mutex::new(Pairs::new(identity.clone())),
             name: identity.name(),
             status: watch::Sender::new(Status::Down("connecting".into())),
-            max_payload: AtomicUsize::new(max_payload),
             publications: Mutex::default(),
+            upkeep: Notify::new(),
             pump: Mutex::default(),
             turn: Condvar::new(),
         }
@@ -149,12 +148,17 @@ impl Outlet {
         publication.close(self);
     }
 
-    /// Bytes that a message's frames may carry.
-    pub fn max_payload(&self) -> usize {
-        if let Ok(attachment) = self.sending_on() {
-            self.max_payload.store(attachment.max_payload(), Ordering::Relaxed);
+    /// Bytes that the frames of a topic's messages may carry.
+    pub fn max_payload_of(&self, topic: Topic) -> usize {
+        let of_link = self.sending_on().ok().map(|attachment| attachment.max_payload());
+        let now = self.clock.now();
+        let mut uplink = lock(&self.uplink);
+        if let Some(of_link) = of_link
+            && of_link != uplink.max_payload()
+        {
+            uplink.set_max_payload(now, of_link);
         }
-        self.max_payload.load(Ordering::Relaxed)
+        uplink.max_payload_of(now, topic)
     }
 
     /// Sends what may go now, and leaves the rest to the sending thread.
@@ -241,7 +245,6 @@ impl Outlet {
     fn drain(&self, batch: &mut Batch, batches: usize) -> Option<u64> {
         let attachment = self.sending_on().ok()?;
         let max_payload = attachment.max_payload();
-        self.max_payload.store(max_payload, Ordering::Relaxed);
         for _ in 0..batches {
             let (mut next, mut chores) = (Some(0), Vec::new());
             let mut uplink = lock(&self.uplink);
@@ -324,17 +327,17 @@ impl Outlet {
             Output::Send(_) => unreachable!("frames are sent where they are found"),
             Output::Reseal { topic, message } => {
                 let Some(publication) = of(&topic) else { return };
-                let recut = publication.recut(&message, self.max_payload());
+                let recut = publication.recut(&message, self.max_payload_of(topic));
                 let mut uplink = lock(&self.uplink);
                 match recut {
                     Some(smaller) => uplink.resealed(self.clock.now(), topic, smaller),
                     None => uplink.abandon(self.clock.now(), topic, &message),
                 }
             }
-            Output::Heartbeat { topic, next } => {
+            Output::Heartbeat { topic, next, oldest } => {
                 let (Some(publication), Ok(attachment)) = (of(&topic), self.sending_on()) else { return };
                 let mut payload = Vec::new();
-                match publication.heartbeat(next, &mut payload) {
+                match publication.heartbeat(next, oldest, &mut payload) {
                     Ok(()) => self.send_one(&attachment, publication.name, &payload),
                     Err(error) => tracing::warn!(name = %publication.name, %error, "a heartbeat could not be sealed"),
                 }

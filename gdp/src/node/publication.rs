@@ -8,6 +8,7 @@ use gdp_wire::Name;
 use tokio::sync::Notify;
 
 use super::clock::unix_nanos;
+use super::latched::LatchedSamples;
 use super::options::PublishOptions;
 use super::outlet::Outlet;
 use super::state::lock;
@@ -23,6 +24,9 @@ use crate::transport::{Full, Sealed, Topic};
 
 /// A reader that is not attached any more keeps its place and its keys for so long: links come back.
 const ABSENCE: u64 = 60_000_000_000;
+
+/// Latched messages go to all readers again when one comes; however many come, not more often.
+const BETWEEN_LATCHES: u64 = 1_000_000_000;
 
 /// Readers that are absent and keep their places; of more, the one longest away loses it.
 const MOST_ABSENT: usize = 64;
@@ -48,6 +52,7 @@ struct Sealing {
     segments: Segments,
     /// Sealed, and waits for room.
     pending: Option<Sealed>,
+    latched: LatchedSamples,
     /// Boxes that could not be stored yet.
     unstored: Option<Boxes>,
 }
@@ -56,6 +61,9 @@ struct Sealing {
 struct Readers {
     known: HashMap<Name, Reader>,
     revocation: Option<Revocation>,
+    /// One was welcomed since the latched messages went again, and when that was.
+    lacks_latched: bool,
+    latched_at: Option<u64>,
 }
 
 struct Reader {
@@ -83,7 +91,8 @@ impl Publication {
         writer.set_epoch(epoch, key)?;
         let session = writer.session();
         let topic = lock(&outlet.uplink).open(outlet.clock.now(), name, session, (*options).into());
-        let sealing = Sealing { writer, ring, segments: Segments::new(), pending: None, unstored: None };
+        let (segments, latched) = (Segments::new(), LatchedSamples::new(options.latched));
+        let sealing = Sealing { writer, ring, segments, pending: None, latched, unstored: None };
         Ok(Self {
             name,
             session,
@@ -125,18 +134,48 @@ impl Publication {
             return Ok(None);
         }
         sealing.take_key()?;
-        let Sealing { writer, ring, segments, .. } = sealing;
-        let first = writer.next_sequence();
-        writer.seal_batch(unix_nanos(), drafts, outlet.max_payload(), segments)?;
+        let Sealing { writer, ring, segments, latched, pending, .. } = sealing;
+        let (first, now) = (writer.next_sequence(), unix_nanos());
+        writer.seal_batch(now, drafts, outlet.max_payload_of(self.topic), segments)?;
         ring.used(drafts.len() as u64, segments.total_bytes() as u64);
-        sealing.pending = Sealed::take(segments);
+        latched.keep(first, now, drafts);
+        *pending = Sealed::new(std::mem::take(segments));
         self.push_pending(outlet, sealing).map(|pushed| Some((first, pushed)))
     }
 
-    /// Brings what waits for room into the outbox.
+    /// Brings what waits for room into the outbox, and then what is to be sent again.
     pub fn push_waiting(&self, outlet: &Outlet) -> Result<Pushed, NodeError> {
         self.check()?;
-        self.push_pending(outlet, &mut lock(&self.sealing))
+        let sealing = &mut *lock(&self.sealing);
+        loop {
+            if let Pushed::Waits = self.push_pending(outlet, sealing)? {
+                return Ok(Pushed::Waits);
+            }
+            sealing.take_key()?;
+            let Sealing { writer, ring, segments, latched, pending, .. } = sealing;
+            let Some(sample) = latched.next_again() else { return Ok(Pushed::Taken) };
+            writer.seal_batch(unix_nanos(), &[sample.draft()], outlet.max_payload_of(self.topic), segments)?;
+            ring.used(1, segments.total_bytes() as u64);
+            *pending = Sealed::new(std::mem::take(segments));
+        }
+    }
+
+    /// Sends the latched messages again, if a reader has come that lacks them.
+    pub fn latch(&self, outlet: &Outlet) {
+        let now = outlet.clock.now();
+        {
+            let readers = &mut *lock(&self.readers);
+            let soon = readers.latched_at.is_some_and(|last| now.saturating_sub(last) < BETWEEN_LATCHES);
+            if !readers.lacks_latched || soon {
+                return;
+            }
+            (readers.lacks_latched, readers.latched_at) = (false, Some(now));
+        }
+        lock(&self.sealing).latched.again();
+        match self.push_waiting(outlet) {
+            Ok(_) => outlet.wake(),
+            Err(error) => tracing::debug!(name = %self.name, %error, "latched messages could not be sent again"),
+        }
     }
 
     fn push_pending(&self, outlet: &Outlet, sealing: &mut Sealing) -> Result<Pushed, NodeError> {
@@ -162,15 +201,15 @@ impl Publication {
             return None;
         }
         ring.used(message.last() - message.first() + 1, segments.total_bytes() as u64);
-        Sealed::take(segments)
+        Sealed::new(std::mem::take(segments))
     }
 
-    /// The payload of a frame that says that all before `next` has gone.
-    pub fn heartbeat(&self, next: u64, out: &mut Vec<u8>) -> Result<(), SealError> {
+    /// The payload of a frame that says that all before `next` has gone, and what comes before `oldest` cannot be had again.
+    pub fn heartbeat(&self, next: u64, oldest: u64, out: &mut Vec<u8>) -> Result<(), SealError> {
         let sealing = &mut *lock(&self.sealing);
         sealing.take_key()?;
         let Sealing { writer, segments, .. } = sealing;
-        writer.heartbeat(unix_nanos(), next, 1, segments)?;
+        writer.heartbeat(unix_nanos(), next, oldest, segments)?;
         out.clear();
         segments.iter().for_each(|payload| out.extend_from_slice(payload));
         segments.clear();
@@ -179,9 +218,10 @@ impl Publication {
 
     /// Answers a reader that asks which session this is.
     pub fn welcome(&self, outlet: &Outlet, reader: &Name, challenge: [u8; 16]) -> Option<Feedback> {
-        let mut readers = lock(&self.readers);
+        let readers = &mut *lock(&self.readers);
         let entry = readers.known.get_mut(reader)?;
         if entry.greeted != Some(challenge) {
+            readers.lacks_latched = true;
             // One that asks again has lost what it knew, or has reason to doubt it: it begins with what comes now.
             if entry.greeted.replace(challenge).is_some() {
                 entry.from = lock(&outlet.uplink).join(outlet.clock.now(), self.topic, *reader)?;
@@ -237,7 +277,7 @@ impl Publication {
 
     fn sweep(&self, outlet: &Outlet, readers: &mut Readers, now_unix: u64) {
         let now = outlet.clock.now();
-        let Readers { known, revocation } = readers;
+        let Readers { known, revocation, .. } = readers;
         let too_many = known.values().filter(|reader| reader.absent.is_some()).count().saturating_sub(MOST_ABSENT);
         let mut away: Vec<_> = known.iter().filter_map(|(name, reader)| Some((reader.absent?, *name))).collect();
         away.sort_unstable();

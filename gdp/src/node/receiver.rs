@@ -359,6 +359,7 @@ impl Intakes {
                 let welcome = publication.and_then(|it| it.welcome(&self.outlet, &source, *challenge));
                 if let Some(welcome) = welcome {
                     self.outlet.tell(&source, &welcome);
+                    self.outlet.upkeep.notify_one();
                 }
             }
             Feedback::Report { .. } | Feedback::Nack { .. } => {

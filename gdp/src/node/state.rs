@@ -45,8 +45,6 @@ pub struct State {
     pub counterparts: Mutex<HashMap<(Name, NameRole), Counterparts>>,
     /// Something that stands has to be stated again.
     pub unstated: Notify,
-    /// There may be key boxes for the RIB.
-    pub boxes_due: Notify,
     /// The highest serial used. Held while a statement is on its way, so that they arrive in their order.
     serial: tokio::sync::Mutex<u64>,
     commands: std::sync::mpsc::Sender<Command>,
@@ -88,7 +86,6 @@ impl State {
             statements: Mutex::default(),
             counterparts: Mutex::default(),
             unstated: Notify::new(),
-            boxes_due: Notify::new(),
             serial: tokio::sync::Mutex::new(0),
             commands,
             events,
@@ -232,7 +229,7 @@ impl State {
         if let Some((_, done)) = lock(&self.statements).get_mut(&(name, stated)) {
             *done = true;
         }
-        self.boxes_due.notify_one();
+        self.outlet.upkeep.notify_one();
         Ok(())
     }
 

@@ -52,7 +52,8 @@ impl Subscription {
         self.ended.get()
     }
 
-    /// What became of messages and segments so far; `delivered` ones may still be dropped here, as [`Self::queue_full`] says.
+    /// What became of messages and segments so far; of those `delivered`, [`Self::queue_full`] and [`Self::repeats`] did not reach the
+    /// application.
     pub fn counters(&self) -> InboundCounters {
         self.shared.counters.get()
     }
@@ -60,6 +61,13 @@ impl Subscription {
     /// Messages that were dropped because the application did not take them in time; none of a reliable name.
     pub fn queue_full(&self) -> u64 {
         self.shared.counters.queue_full.load(Ordering::Relaxed)
+    }
+}
+
+impl Subscription {
+    /// Latched messages that were sent again for others, and are known here.
+    pub fn repeats(&self) -> u64 {
+        self.shared.counters.repeats.load(Ordering::Relaxed)
     }
 }
 

@@ -2,13 +2,17 @@
 
 mod fabric;
 
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
+
+use gdp_wire::Header;
 
 use self::fabric::{Fabric, Owner, eventually};
 use super::clock::unix_nanos;
 use super::*;
 use crate::control::RefusalCode;
 use crate::crypto::Backend;
+use crate::port::SMALLEST_PATH;
 use crate::seal::tests::Random;
 use crate::seal::{Encoding, EpochKey, Segments, Writer};
 
@@ -372,6 +376,69 @@ async fn a_reader_that_takes_its_time_holds_the_publisher_and_loses_nothing() {
         assert_eq!(recv(&mut subscription).await.body[..], i.to_be_bytes());
     }
     assert_eq!(sending.await.unwrap().counters().evicted, 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn whoever_comes_later_gets_the_latched_messages_and_nobody_twice() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/map");
+    let (robot, first, late) = (fabric.node("proxy").await, fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut early = owner.subscribe(&first).await.unwrap();
+    let options = PublishOptions { latched: 2, ..PublishOptions::reliable() };
+    let mut publisher = owner.publish_as(&robot, options).await.unwrap();
+    let bodies = [vec![1; 10], vec![2; 50_000], vec![3; 10]];
+    let mut times = Vec::new();
+    for body in &bodies {
+        publisher.send(Encoding::Bytes, body).await.unwrap();
+        let message = recv(&mut early).await;
+        assert_eq!((&message.body[..], message.latched), (&body[..], None));
+        times.push(message.timestamp_ns);
+    }
+    let mut subscription = owner.subscribe(&late).await.unwrap();
+    // The second comes while the same samples are not due again yet.
+    let latest = fabric.node("proxy").await;
+    let mut another = owner.subscribe(&latest).await.unwrap();
+    for subscription in [&mut subscription, &mut another] {
+        for (body, time) in bodies.iter().zip(&times).skip(1) {
+            let message = recv(subscription).await;
+            assert_eq!((&message.body[..], message.timestamp_ns), (&body[..], *time));
+            assert!(message.latched.is_some());
+        }
+    }
+    publisher.send(Encoding::Bytes, b"new").await.unwrap();
+    for subscription in [&mut early, &mut subscription, &mut another] {
+        assert_eq!(&recv(subscription).await.body[..], b"new");
+    }
+    eventually("those that came again are known here", || early.repeats() >= 2).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_way_that_swallows_large_frames_is_sent_small_ones() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/chatter");
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut subscription = owner.subscribe(&cloud).await.unwrap();
+    let mut publisher = owner.publish(&robot).await.unwrap();
+    let (largest, swallows, name) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)), owner.name());
+    let (seen, swallowing) = (largest.clone(), swallows.clone());
+    fabric.set_fate(Some(Box::new(move |header, payload| {
+        let large = header.destination == name && payload.len() + Header::LEN > usize::from(SMALLEST_PATH);
+        seen.fetch_max(payload.len() + Header::LEN, Ordering::Relaxed);
+        !(large && swallowing.load(Ordering::Relaxed))
+    })));
+    let body = vec![7; 20_000];
+    while largest.load(Ordering::Relaxed) <= SMALLEST_PATH.into() {
+        publisher.send(Encoding::Bytes, &body).await.unwrap();
+        recv(&mut subscription).await;
+    }
+    swallows.store(true, Ordering::Relaxed);
+    for i in 0..20u8 {
+        publisher.send(Encoding::Bytes, &[i; 20_000]).await.unwrap();
+    }
+    for i in 0..20u8 {
+        assert_eq!(recv(&mut subscription).await.body[..], [i; 20_000]);
+    }
+    assert_eq!((publisher.counters().evicted, subscription.counters().given_up), (0, 0));
 }
 
 async fn recv(subscription: &mut Subscription) -> crate::seal::Message {

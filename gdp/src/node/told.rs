@@ -51,7 +51,7 @@ impl State {
             NameRole::Publisher => {
                 if let Some(publication) = lock(&self.publications).get(&name) {
                     publication.take(&self.outlet, unix_now(), events);
-                    self.boxes_due.notify_one();
+                    self.outlet.upkeep.notify_one();
                 }
             }
             NameRole::Subscriber => {
@@ -95,11 +95,13 @@ impl State {
         }
     }
 
-    /// Runs as long as the node: ends what has ended, and has the RIB store boxes as soon as there are any.
+    /// Runs as long as the node: ends what has ended, sends latched messages to readers that came, and has the RIB store boxes as
+    /// soon as there are any.
     pub async fn keep(&self) {
         loop {
             self.expire();
             let publications: Vec<_> = lock(&self.publications).values().cloned().collect();
+            publications.iter().for_each(|publication| publication.latch(&self.outlet));
             if let Ok(attachment) = self.attached_now() {
                 for publication in &publications {
                     self.store_boxes(&attachment, publication).await;
@@ -108,7 +110,7 @@ impl State {
             let next = publications.iter().map(|publication| publication.boxes_at()).min().unwrap_or(u64::MAX);
             let pause = Duration::from_nanos(next.saturating_sub(unix_nanos())).clamp(LOOK / 20, LOOK);
             tokio::select! {
-                () = self.boxes_due.notified() => {}
+                () = self.outlet.upkeep.notified() => {}
                 () = tokio::time::sleep(pause) => {}
             }
         }

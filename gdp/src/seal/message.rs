@@ -12,9 +12,12 @@ const EXTENSION_HEADER_LEN: usize = 4;
 const IN_REPLY_TO: u16 = 1;
 const IN_REPLY_TO_LEN: usize = 24;
 const ORIGIN: u16 = 2;
+const LATCHED: u16 = 3;
+const LATCHED_LEN: usize = 16;
 
 /// What is in front of the body at most, by this version.
-pub const MAX_PREAMBLE: usize = MESSAGE_HEADER_LEN + 2 * EXTENSION_HEADER_LEN + IN_REPLY_TO_LEN + MAX_ORIGIN;
+pub const MAX_PREAMBLE: usize =
+    MESSAGE_HEADER_LEN + 3 * EXTENSION_HEADER_LEN + IN_REPLY_TO_LEN + MAX_ORIGIN + LATCHED_LEN;
 
 /// A message as its writer signed it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -30,7 +33,17 @@ pub struct Message {
     pub in_reply_to: Option<MessageId>,
     /// Where a proxy had it from, as proxies understand it. Empty if the writer did not say.
     pub origin: Bytes,
+    /// Sent before, and again for readers that came later.
+    pub latched: Option<Latched>,
     pub body: Bytes,
+}
+
+/// What a message was when it was sent first, in the same session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Latched {
+    pub sequence: u64,
+    /// Unix time on the writer's clock.
+    pub timestamp_ns: u64,
 }
 
 /// A message of some writer, by session and sequence.
@@ -47,13 +60,14 @@ pub struct Draft<'a> {
     pub in_reply_to: Option<MessageId>,
     /// At most [`MAX_ORIGIN`] bytes; empty for none.
     pub origin: &'a [u8],
+    pub latched: Option<Latched>,
     pub body: &'a [u8],
 }
 
 impl<'a> Draft<'a> {
     /// Without extensions.
     pub fn new(encoding: Encoding, body: &'a [u8]) -> Self {
-        Self { encoding, in_reply_to: None, origin: &[], body }
+        Self { encoding, in_reply_to: None, origin: &[], latched: None, body }
     }
 
     /// Bytes of what is in front of the body.
@@ -64,7 +78,8 @@ impl<'a> Draft<'a> {
     fn extensions_len(&self) -> usize {
         let in_reply_to = self.in_reply_to.map_or(0, |_| EXTENSION_HEADER_LEN + IN_REPLY_TO_LEN);
         let origin = if self.origin.is_empty() { 0 } else { EXTENSION_HEADER_LEN + self.origin.len() };
-        in_reply_to + origin
+        let latched = self.latched.map_or(0, |_| EXTENSION_HEADER_LEN + LATCHED_LEN);
+        in_reply_to + origin + latched
     }
 
     /// What is in front of the body; the first [`Self::preamble_len`] bytes count. The origin has been checked.
@@ -90,6 +105,12 @@ impl<'a> Draft<'a> {
             put(&(self.origin.len() as u16).to_be_bytes());
             put(self.origin);
         }
+        if let Some(first) = self.latched {
+            put(&LATCHED.to_be_bytes());
+            put(&(LATCHED_LEN as u16).to_be_bytes());
+            put(&first.sequence.to_be_bytes());
+            put(&first.timestamp_ns.to_be_bytes());
+        }
         bytes
     }
 }
@@ -101,6 +122,7 @@ pub struct Preamble {
     pub encoding: Encoding,
     pub in_reply_to: Option<MessageId>,
     pub origin: std::ops::Range<usize>,
+    pub latched: Option<Latched>,
     pub body_at: usize,
 }
 
@@ -118,6 +140,7 @@ impl Preamble {
             encoding: u16::from_be_bytes([e0, e1]).into(),
             in_reply_to: None,
             origin: 0..0,
+            latched: None,
             body_at: MESSAGE_HEADER_LEN + extensions.len(),
         };
         let mut rest = extensions;
@@ -133,11 +156,12 @@ impl Preamble {
 
     /// The message again, given the plaintext that this was parsed from.
     pub fn draft<'a>(&self, plaintext: &'a [u8]) -> Draft<'a> {
-        let Self { encoding, in_reply_to, origin, body_at, .. } = self;
+        let Self { encoding, in_reply_to, origin, latched, body_at, .. } = self;
         Draft {
             encoding: *encoding,
             in_reply_to: *in_reply_to,
             origin: &plaintext[origin.clone()],
+            latched: *latched,
             body: &plaintext[*body_at..],
         }
     }
@@ -153,7 +177,12 @@ impl Preamble {
             ORIGIN if self.origin.is_empty() && (1..=MAX_ORIGIN).contains(&value.len()) => {
                 self.origin = at..at + value.len();
             }
-            IN_REPLY_TO | ORIGIN => return None,
+            LATCHED if self.latched.is_none() && value.len() == LATCHED_LEN => {
+                let (sequence, timestamp) = value.split_first_chunk::<8>()?;
+                let timestamp_ns = u64::from_be_bytes(timestamp.try_into().ok()?);
+                self.latched = Some(Latched { sequence: u64::from_be_bytes(*sequence), timestamp_ns });
+            }
+            IN_REPLY_TO | ORIGIN | LATCHED => return None,
             _ => {}
         }
         Some(())
@@ -204,16 +233,21 @@ mod tests {
 
     #[test]
     fn what_is_in_front_of_the_body_round_trips() {
-        let full = Draft { in_reply_to: Some(REQUEST), origin: &[5; MAX_ORIGIN], ..Draft::new(Encoding::Cdr, b"") };
-        for draft in
-            [full, Draft { in_reply_to: None, ..full }, Draft { origin: b"", ..full }, Draft { origin: b"x", ..full }]
-        {
+        let latched = Some(Latched { sequence: 4, timestamp_ns: 2 });
+        let plain = Draft::new(Encoding::Cdr, b"");
+        let full = Draft { in_reply_to: Some(REQUEST), origin: &[5; MAX_ORIGIN], latched, ..plain };
+        for draft in [
+            full,
+            Draft { in_reply_to: None, ..full },
+            Draft { origin: b"", ..full },
+            Draft { origin: b"x", latched: None, ..full },
+        ] {
             let mut plaintext = draft.preamble(3)[..draft.preamble_len()].to_vec();
             plaintext.extend(b"body");
             let preamble = Preamble::parse(&plaintext).unwrap();
             assert_eq!((preamble.timestamp_ns, preamble.encoding), (3, Encoding::Cdr));
             assert_eq!((preamble.in_reply_to, &plaintext[preamble.origin]), (draft.in_reply_to, draft.origin));
-            assert_eq!(&plaintext[preamble.body_at..], b"body");
+            assert_eq!((preamble.latched, &plaintext[preamble.body_at..]), (draft.latched, &b"body"[..]));
         }
         assert_eq!(full.preamble_len(), MAX_PREAMBLE);
     }
@@ -228,6 +262,8 @@ mod tests {
     #[test]
     fn extensions_that_make_no_sense_are_refused() {
         let reply = |len: usize| [&[0, 1, 0, len as u8][..], &[0; 24][..len.min(24)]].concat();
+        let latched = |len: usize| [&[0, 3, 0, len as u8][..], &[0; 16][..len]].concat();
+        let (latched, short_latched) = (latched(16), latched(15));
         let (reply, short, origin) = (reply(24), reply(23), [0, 2, 0, 1, 9]);
         let long_origin = [&[0, 2, 0, 65][..], &[9; 65]].concat();
         for (what, extensions) in [
@@ -238,6 +274,8 @@ mod tests {
             ("an empty origin", vec![&[0, 2, 0, 0]]),
             ("a long origin", vec![&long_origin]),
             ("two origins", vec![&origin, &origin]),
+            ("half a first sending", vec![&short_latched]),
+            ("two first sendings", vec![&latched, &latched]),
         ] {
             assert_eq!(Preamble::parse(&with_extensions(&extensions)), None, "{what}");
         }

@@ -22,7 +22,7 @@ mod writer;
 
 pub use drop_reason::DropReason;
 pub use epoch_key::EpochKey;
-pub use message::{Draft, Encoding, MAX_ORIGIN, Message, MessageId};
+pub use message::{Draft, Encoding, Latched, MAX_ORIGIN, Message, MessageId};
 pub use reader::{Heartbeat, Limits, Lost, Moment, Reader, Received};
 pub use segment::SegmentId;
 pub(crate) use segment::segment_ids;

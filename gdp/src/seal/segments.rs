@@ -37,9 +37,9 @@ impl Segments {
         })
     }
 
-    /// Takes the payloads out, one after another, and where each ends.
-    pub(crate) fn take(&mut self) -> (Vec<u8>, Vec<usize>) {
-        (std::mem::take(&mut self.buffer), std::mem::take(&mut self.ends))
+    /// The bytes of all frame payloads, one after another.
+    pub fn into_bytes(self) -> Vec<u8> {
+        self.buffer
     }
 
     /// Number of frame payloads.

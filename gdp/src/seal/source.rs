@@ -382,6 +382,7 @@ impl Source {
             encoding: preamble.encoding,
             in_reply_to: preamble.in_reply_to,
             origin,
+            latched: preamble.latched,
             body,
         });
         Ok(())

@@ -16,11 +16,11 @@ fn reliable_1_mb_at_10_hz_over_1_percent_loss_and_50_ms() {
     for seed in 0..2 {
         let faults = Faults { rate: Some(RATE), queue: Some(2 << 20), loss: 0.01, ..Faults::delay(RTT / 2) };
         let (mut sim, writer, readers) = Simulation::star(seed, faults, 1);
-        let topic = sim.publish(writer, TopicOptions::reliable(), App::new(1_000_000, 10, 21 * SECOND));
+        let topic = sim.publish(writer, TopicOptions::reliable(), App::new(1_000_000, 10, 15 * SECOND));
         sim.subscribe(readers[0], topic, RTT, InboundOptions::every());
-        sim.run(23 * SECOND);
+        sim.run(17 * SECOND);
         let reading = &sim.topics[topic].readers[&readers[0]];
-        assert_eq!(reading.delivered.len(), 210);
+        assert_eq!(reading.delivered.len(), 150);
         let serialization = 1_070_000 * 8 * SECOND / RATE;
         let p99 = percentile(&sim.latencies(topic, readers[0]), 99);
         assert!(p99 <= 4 * RTT + serialization, "{} ms", p99 / MS);
@@ -49,9 +49,9 @@ fn best_effort_1_mb_at_30_hz_over_2_percent_loss() {
     for seed in 0..2 {
         let faults = Faults { rate: Some(1000 * MBIT), queue: Some(4 << 20), loss: 0.02, ..Faults::delay(RTT / 2) };
         let (mut sim, writer, readers) = Simulation::star(seed, faults, 1);
-        let topic = sim.publish(writer, TopicOptions::best_effort(), App::new(1_000_000, 30, 5 * SECOND));
+        let topic = sim.publish(writer, TopicOptions::best_effort(), App::new(1_000_000, 30, 4 * SECOND));
         sim.subscribe(readers[0], topic, RTT, InboundOptions::newest());
-        sim.run(6 * SECOND);
+        sim.run(5 * SECOND);
         let reading = &sim.topics[topic].readers[&readers[0]];
         let counters = reading.counters();
         let latencies = sim.latencies(topic, readers[0]);
@@ -59,11 +59,11 @@ fn best_effort_1_mb_at_30_hz_over_2_percent_loss() {
         let times: Vec<u64> = reading.delivered.iter().map(|(_, at)| *at).collect();
         let stall = times.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap();
         assert!(stall < 500 * MS, "no stall: {} ms", stall / MS);
-        assert!(counters.delivered > 100, "{counters:?}");
+        assert!(counters.delivered > 80, "{counters:?}");
         // Each message is counted once, here or there.
         let dealt = counters.delivered + counters.overtaken + counters.expired + counters.given_up;
         assert_eq!(dealt, reading.next() - 1);
-        assert!(dealt >= 150 - 1, "{dealt}");
+        assert!(dealt >= 120 - 1, "{dealt}");
     }
 }
 
@@ -162,7 +162,7 @@ fn two_bulk_flows_on_one_bottleneck() {
             sim.join(left, right, bottleneck, Faults::delay(delay));
             sim.join(right, c, perfect(), perfect());
             sim.join(right, d, perfect(), perfect());
-            let until = 13 * SECOND;
+            let until = 10 * SECOND;
             let history = History { messages: 16, bytes: 64 << 20 };
             let options = TopicOptions { history, ..TopicOptions::reliable() };
             let first = sim.publish(a, options, App::new(100_000, 200, until));
@@ -176,7 +176,7 @@ fn two_bulk_flows_on_one_bottleneck() {
             };
             let (one, two) = (got(first, c), got(second, d));
             assert!(3 * one >= one + two && 3 * two >= one + two, "{one} and {two}");
-            assert!((one + two) as u64 * 800_000 / 8 >= 30 * MBIT, "the link is used: {one} + {two}");
+            assert!((one + two) as u64 * 800_000 / 5 >= 30 * MBIT, "the link is used: {one} + {two}");
         }
     }
 }
@@ -265,9 +265,9 @@ fn churn_of_readers_and_topics_leaves_memory_flat() {
     for n in 0..10_000_u64 {
         let id = uplink.open(now, name_of(99), [1; 16], TopicOptions::best_effort());
         uplink.join(now, id, name_of(1)).unwrap();
-        let message =
-            Sealed::new(vec![0; 10], vec![sealed::Frame { first: Position { sequence: 1, index: 0 }, end: 10 }], 1, 0);
-        uplink.push(now, id, message.unwrap()).unwrap();
+        let first = Position { sequence: 1, index: 0 };
+        let message = Sealed::without_bytes(vec![sealed::Frame { first, end: 10 }], 1, 0);
+        uplink.push(now, id, message).unwrap();
         if n % 2 == 0 {
             assert!(matches!(uplink.poll(now), Some(Output::Send(_))));
         }

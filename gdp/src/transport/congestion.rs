@@ -212,7 +212,7 @@ impl Path {
     }
 
     /// Bytes per second that the path was seen to take.
-    pub fn bandwidth(&self) -> u64 {
+    fn bandwidth(&self) -> u64 {
         let rate = self.rates.get();
         if self.phase == Phase::Startup {
             return rate.max(bytes_per_second(INITIAL_WINDOW, self.rtt() + self.report_interval));
@@ -274,15 +274,16 @@ impl Path {
         let rtt = self.min_rtt.unwrap_or(INITIAL_RTT);
         match self.phase {
             Phase::Drain if under_way <= self.queueless(rtt) => self.begin_steady(now),
-            Phase::Steady { step, since } if now - since >= rtt.max(self.report_interval) => {
-                // The queue that an attempt at more has made goes first.
-                if CYCLE[step] >= 100 || under_way <= self.queueless(rtt) {
-                    let step = (step + 1) % CYCLE.len();
-                    if CYCLE[step] > 100 {
-                        self.ceiling = None;
-                    }
-                    self.phase = Phase::Steady { step, since: now };
+            // The queue that an attempt at more has made goes first.
+            Phase::Steady { step, since }
+                if now - since >= rtt.max(self.report_interval)
+                    && (CYCLE[step] >= 100 || under_way <= self.queueless(rtt)) =>
+            {
+                let step = (step + 1) % CYCLE.len();
+                if CYCLE[step] > 100 {
+                    self.ceiling = None;
                 }
+                self.phase = Phase::Steady { step, since: now };
             }
             Phase::Dry { until } if now >= until => {
                 self.min_rtt_at = now;

@@ -8,6 +8,7 @@ use gdp_wire::Name;
 use super::slot::{Body, Slot};
 use super::{MS, Position};
 use crate::feedback_wire::{Feedback, MAX_MISSING, MAX_SEQUENCE};
+use crate::seal::SegmentId;
 
 /// Segments that overtake others by less than this are waited for, at least. With more than a few milliseconds to the writer and
 /// back, an eighth of that; so gaps are asked for when they are between one and two of these times old.
@@ -67,6 +68,14 @@ pub struct Segment {
     pub bytes: usize,
 }
 
+impl From<&SegmentId> for Segment {
+    fn from(id: &SegmentId) -> Self {
+        let position = Position { sequence: id.sequence, index: id.index };
+        // No message has as many segments; if one does, its last is refused.
+        Self { position, cut: id.cut, total: id.count.saturating_add(1), bytes: id.len }
+    }
+}
+
 /// What comes of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Arrival<M> {
@@ -101,7 +110,7 @@ pub struct Inbound<M> {
     next: u64,
     /// From `next` on, as far as messages are known.
     slots: VecDeque<Slot<M>>,
-    /// The writer said that all before this exist.
+    /// All before this exist: what is signed says so.
     exists: u64,
     /// The last segment that came, in the order of sending.
     highest: Position,
@@ -177,8 +186,6 @@ impl<M> Inbound<M> {
             self.plan_report(now);
             return false;
         }
-        self.exists = self.exists.max(position.sequence + 1);
-        self.overtake(position.sequence);
         if self.slot_for(now, position.sequence).is_none() || !self.make_room(position.sequence, total) {
             self.counters.beyond += 1;
             self.plan_report(now);
@@ -211,11 +218,27 @@ impl<M> Inbound<M> {
         true
     }
 
-    /// A message is complete and verified. `bytes`: of its body.
+    /// A message is complete and verified: it alone moves on what is dealt with, as holders of the session's key can make up
+    /// segments. `bytes`: of its body.
     pub fn complete(&mut self, now: u64, sequence: u64, bytes: usize, message: M) {
-        let index = sequence.wrapping_sub(self.next);
-        let Some(slot) = usize::try_from(index).ok().and_then(|index| self.slots.get_mut(index)) else { return };
+        if sequence < self.next || sequence > MAX_SEQUENCE {
+            return;
+        }
+        self.exists = self.exists.max(sequence + 1);
+        if self.options.order == Order::Newest && sequence - self.next >= self.options.messages.max(1) as u64 {
+            self.deal_with(sequence - 1, Given::Overtaken);
+        }
+        if self.slot_for(now, sequence).is_none() {
+            return;
+        }
+        let late = self.options.deadline;
+        let slot = &mut self.slots[(sequence - self.next) as usize];
         if !slot.is_open() {
+            return;
+        }
+        if self.options.order == Order::Newest && slot.known_at.saturating_add(late) <= now {
+            self.deal_with(sequence, Given::Late);
+            self.plan_report(now);
             return;
         }
         slot.body = Body::Held(message, bytes);
@@ -243,9 +266,12 @@ impl<M> Inbound<M> {
         }
     }
 
-    /// The writer says, signed, that the next message will be this one.
-    pub fn heartbeat(&mut self, now: u64, next: u64) {
+    /// The writer says, signed, that the next message will be `next`, and what comes before `oldest` cannot be repaired.
+    pub fn heartbeat(&mut self, now: u64, next: u64, oldest: u64) {
         let next = next.min(MAX_SEQUENCE);
+        if self.options.order == Order::Every {
+            self.is_gone(oldest.min(next));
+        }
         self.exists = self.exists.max(next);
         if self.options.order == Order::Every && next > self.next {
             self.slot_for(now, next - 1);
@@ -260,10 +286,8 @@ impl<M> Inbound<M> {
     pub fn feedback(&mut self, now: u64, feedback: &Feedback) {
         if let Feedback::Gone { session, oldest, .. } = feedback
             && *session == self.session
-            && *oldest > self.next
         {
-            self.deal_with(oldest - 1, Given::Up);
-            self.deliver();
+            self.is_gone((*oldest).min(MAX_SEQUENCE));
             self.plan_report(now);
         }
     }
@@ -328,6 +352,13 @@ impl<M> Inbound<M> {
         self.bytes
     }
 
+    fn is_gone(&mut self, oldest: u64) {
+        if oldest > self.next {
+            self.deal_with(oldest - 1, Given::Up);
+            self.deliver();
+        }
+    }
+
     fn patience(&self) -> u64 {
         (self.rtt / 8).max(LEAST_PATIENCE)
     }
@@ -348,7 +379,8 @@ impl<M> Inbound<M> {
 
     /// When the first message that is not dealt with is given up.
     fn deadline(&self) -> Option<u64> {
-        let slot = self.slots.front().filter(|slot| slot.is_open())?;
+        // What only unverified segments tell of may not exist.
+        let slot = self.slots.front().filter(|slot| slot.is_open() && self.next < self.exists)?;
         Some(slot.known_at.saturating_add(self.options.deadline))
     }
 
@@ -370,14 +402,6 @@ impl<M> Inbound<M> {
             self.bytes += Slot::<M>::cost(0);
         }
         (index < most).then_some(())
-    }
-
-    /// Best effort: so that the newest has a place, the oldest go.
-    fn overtake(&mut self, sequence: u64) {
-        let most = self.options.messages.max(1) as u64;
-        if self.options.order == Order::Newest && sequence - self.next >= most {
-            self.deal_with(sequence - most, Given::Overtaken);
-        }
     }
 
     /// Whether what has to be known of a message of so many segments finds room.
@@ -441,7 +465,7 @@ impl<M> Inbound<M> {
             if missing.len() == MAX_MISSING {
                 break;
             }
-            if slot.is_open() {
+            if slot.is_open() && slot.known_at.saturating_add(self.options.deadline) > now {
                 if slot.ask_again_at(wait, SLOWEST_ASKING).is_some_and(|at| at <= now) {
                     slot.forget_asked();
                 }
@@ -465,7 +489,8 @@ impl<M> Inbound<M> {
     /// When something is to be asked for, not before `from`.
     fn plan_ask(&mut self, from: u64) {
         let (wait, due) = (self.repair_time + self.repair_time / 4, self.due);
-        let open = (self.next..=due.sequence).zip(&self.slots).filter(|(_, slot)| slot.is_open());
+        let fresh = |slot: &Slot<M>| slot.is_open() && slot.known_at.saturating_add(self.options.deadline) > from;
+        let open = (self.next..=due.sequence).zip(&self.slots).filter(|(_, slot)| fresh(slot));
         let times = open.filter_map(|(sequence, slot)| {
             let end = if sequence == due.sequence { due.index } else { u32::MAX };
             if slot.has_wanted(end) {

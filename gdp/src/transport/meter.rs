@@ -22,6 +22,44 @@ impl Meter {
     }
 }
 
+/// How many bytes a second something was, over the last second or so.
+#[derive(Clone, Copy, Debug)]
+pub struct Speed {
+    since: u64,
+    bytes: u64,
+    /// In the step before.
+    before: u64,
+}
+
+/// Of [`Speed`].
+const STEP: u64 = 500_000_000;
+
+impl Speed {
+    pub fn new(now: u64) -> Self {
+        Self { since: now, bytes: 0, before: 0 }
+    }
+
+    pub fn add(&mut self, now: u64, bytes: u64) {
+        self.advance(now);
+        self.bytes += bytes;
+    }
+
+    /// Bytes per second.
+    pub fn get(&mut self, now: u64) -> u64 {
+        self.advance(now);
+        let over = STEP + (now - self.since);
+        (u128::from(self.before + self.bytes) * 1_000_000_000 / u128::from(over)) as u64
+    }
+
+    fn advance(&mut self, now: u64) {
+        let steps = (now - self.since) / STEP;
+        if steps > 0 {
+            self.before = if steps == 1 { self.bytes } else { 0 };
+            (self.bytes, self.since) = (0, self.since + steps * STEP);
+        }
+    }
+}
+
 /// How long `bytes` take at `rate` bytes a second.
 pub fn nanoseconds(bytes: u64, rate: u64) -> u64 {
     (u128::from(bytes) * 1_000_000_000 / u128::from(rate.max(1))).min(u128::from(u64::MAX)) as u64

@@ -26,6 +26,7 @@
 //! Readers are never trusted with more than their own share: the speed of a topic follows the best of its readers that report; what one
 //! of them asks for again has a budget; and none can make the writer hold more than its history.
 
+mod black_hole;
 mod congestion;
 mod inbound;
 mod meter;

@@ -130,10 +130,6 @@ impl Outbox {
         &self.counters
     }
 
-    pub fn bytes(&self) -> usize {
-        self.bytes
-    }
-
     pub fn is_reliable(&self) -> bool {
         matches!(self.reliability, Reliability::Reliable { .. })
     }
@@ -219,10 +215,10 @@ impl Outbox {
             self.expire(now, lifetime);
         }
         let fresh = self.fresh(max_payload);
-        if self.repair_next || fresh.is_none() {
-            if let Some(repair) = self.repair(max_payload) {
-                return Some(repair);
-            }
+        if (self.repair_next || fresh.is_none())
+            && let Some(repair) = self.repair(max_payload)
+        {
+            return Some(repair);
         }
         fresh
     }
@@ -303,6 +299,13 @@ impl Outbox {
             self.repairs.push_back((message.first(), frame as u32));
         }
         queued
+    }
+
+    /// Bytes of the frame payload with this segment, if it is here and went.
+    pub fn len_of(&self, position: Position) -> Option<usize> {
+        let entry = &self.entries[self.find(position.sequence)?];
+        let frame = entry.message.frame_of(position);
+        (frame < entry.sent).then(|| entry.message.len(frame))
     }
 
     /// When the frame with this segment went again, if ever.

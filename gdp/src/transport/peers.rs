@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use gdp_wire::Name;
 
+use super::black_hole::Suspicion;
 use super::congestion::{Path, Sample};
 use super::meter::Meter;
 use super::outbox::Outbox;
@@ -20,9 +21,9 @@ const SILENT: u32 = 6;
 /// A reader that fell behind a full history is not waited for this long; twice as long the next time.
 const LAG: u64 = 4_000 * MS;
 
-/// A reader may have its repairs at a quarter of what the best reader's path takes, one that lags at a sixteenth, but at this many bytes a second at
+/// A reader may have its repairs at a quarter of the speed at which the topic sends what is new, one that lags at a sixteenth, but at this many bytes a second at
 /// least, and so many nanoseconds' worth of them at once.
-const LEAST_REPAIR_RATE: u64 = 128 << 10;
+const LEAST_REPAIR_RATE: u64 = 256 << 10;
 const REPAIR_BURST: u64 = 500 * MS;
 
 /// What is looked at for a range of a Nack costs, too.
@@ -61,6 +62,7 @@ pub struct Peer {
     /// When `arrived` last moved.
     progress_at: u64,
     repairs: Meter,
+    pub suspicion: Suspicion,
     /// What was lost before this is dealt with, or says nothing of the path as it is.
     heard_since: u64,
     lost: u64,
@@ -84,6 +86,7 @@ impl Peer {
             arrived: sent,
             progress_at: now,
             repairs: Meter::new(now),
+            suspicion: Suspicion::default(),
             heard_since: now,
             lost: 0,
         }
@@ -170,7 +173,7 @@ impl Peer {
         }
     }
 
-    /// Whether so many bytes of repairs are within its budget; the best reader takes `rate` bytes a second.
+    /// Whether so many bytes of repairs are within its budget; `rate`: of what the topic sends for the first time.
     pub fn pay(&mut self, now: u64, bytes: u64, rate: u64) -> bool {
         let allowed = self.repairs.ready_at(REPAIR_BURST) <= now;
         let cost = if allowed { bytes + LOOK } else { LOOK };
@@ -221,11 +224,6 @@ impl Peers {
     pub fn leader(&self, now: u64, sent: u64) -> Option<Name> {
         let open = self.0.iter().filter(|(_, peer)| peer.is_live() && peer.has_room(sent));
         open.max_by_key(|(_, peer)| peer.path.rate(now)).map(|(name, _)| *name)
-    }
-
-    /// Bytes per second that the best path to a live reader was seen to take.
-    pub fn bandwidth(&self) -> u64 {
-        self.0.values().filter(|peer| peer.is_live()).map(|peer| peer.path.bandwidth()).max().unwrap_or(0)
     }
 
     pub fn any_live(&self) -> bool {

@@ -1,6 +1,6 @@
 //! A sealed message as the transport sees it: frame payloads, and which segments each of them carries.
 
-use crate::seal::{Segments, segment_ids};
+use crate::seal::Segments;
 
 /// The place of a segment in its session. A message's proof is behind its last body segment, so places are in the order of sending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -29,26 +29,34 @@ pub struct Frame {
 }
 
 impl Sealed {
-    /// `bytes`: the payloads one after another, divided by `frames`, in ascending order. `last`: the sequence of the last message in
-    /// it. `None` without a frame.
-    pub(crate) fn new(bytes: Vec<u8>, frames: Vec<Frame>, last: u64, cut: u16) -> Option<Self> {
-        debug_assert!(frames.is_sorted_by(|a, b| a.first < b.first && a.end < b.end));
-        let starts = std::iter::once(0).chain(frames.iter().map(|frame| frame.end));
-        let largest = frames.iter().zip(starts).map(|(frame, start)| frame.end - start).max()?;
-        Some(Self { bytes, frames, last, cut, largest })
+    /// What [`crate::seal::Writer`] made of messages. `None` if that is nothing.
+    pub fn new(segments: Segments) -> Option<Self> {
+        let mut frames = Vec::with_capacity(segments.len());
+        let (mut start, mut at, mut last, mut cut) = (0, 0, 0, 0);
+        let mut ends = segments.iter().map(<[u8]>::len);
+        for (id, bytes) in segments.segments() {
+            if at == start {
+                start += ends.next()?;
+                frames.push(Frame { first: Position { sequence: id.sequence, index: id.index }, end: start });
+            }
+            at += bytes.len();
+            (last, cut) = (id.sequence, id.cut);
+        }
+        drop(ends);
+        (at > 0).then(|| Self::from_frames(segments.into_bytes(), frames, last, cut))
     }
 
-    /// Takes what was sealed out of `segments`; `None` if that is nothing.
-    pub fn take(segments: &mut Segments) -> Option<Self> {
-        let (bytes, ends) = segments.take();
-        let last = segment_ids(&bytes[ends.len().checked_sub(2).map_or(0, |before| ends[before])..]).last()?;
-        let starts = std::iter::once(0).chain(ends.iter().copied());
-        let frame = |(start, &end): (usize, &usize)| {
-            let first = segment_ids(&bytes[start..end]).next()?;
-            Some(Frame { first: Position { sequence: first.sequence, index: first.index }, end })
-        };
-        let frames = starts.zip(&ends).map(frame).collect::<Option<_>>()?;
-        Self::new(bytes, frames, last.sequence, last.cut)
+    /// For simulations, in which a payload is its length.
+    #[cfg(test)]
+    pub(super) fn without_bytes(frames: Vec<Frame>, last: u64, cut: u16) -> Self {
+        Self::from_frames(Vec::new(), frames, last, cut)
+    }
+
+    fn from_frames(bytes: Vec<u8>, frames: Vec<Frame>, last: u64, cut: u16) -> Self {
+        debug_assert!(frames.is_sorted_by(|a, b| a.first < b.first && a.end < b.end));
+        let starts = std::iter::once(0).chain(frames.iter().map(|frame| frame.end));
+        let largest = frames.iter().zip(starts).map(|(frame, start)| frame.end - start).max().unwrap_or(0);
+        Self { bytes, frames, last, cut, largest }
     }
 
     /// The sequence of the first message in it.
@@ -110,5 +118,39 @@ impl Sealed {
 
     fn start(&self, frame: usize) -> usize {
         frame.checked_sub(1).map_or(0, |before| self.frames[before].end)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::crypto::Backend;
+    use crate::identity::SigningKey;
+    use crate::name::Name;
+    use crate::seal::{Draft, Encoding, EpochKey, Writer};
+
+    /// What is sealed is what goes, frame by frame, and every segment is found in its frame.
+    #[test]
+    fn frames_are_those_that_were_sealed() {
+        let name = Name::from_bytes([1; 32]);
+        let mut writer = Writer::new(name, name, SigningKey::for_test(1), Backend::default()).unwrap();
+        writer.set_epoch(1, &EpochKey::from_bytes([1; 32])).unwrap();
+        let bodies = [vec![1; 10], vec![2; 5000], vec![], vec![3; 64]];
+        let drafts: Vec<Draft<'_>> = bodies.iter().map(|body| Draft::new(Encoding::Bytes, body)).collect();
+        let mut segments = Segments::new();
+        writer.seal_batch(0, &drafts, 1400, &mut segments).unwrap();
+
+        let sealed = Sealed::new(segments.clone()).unwrap();
+        assert_eq!((sealed.first(), sealed.last(), sealed.cut(), sealed.frames()), (1, 4, 0, segments.len()));
+        assert_eq!(sealed.total_bytes(), segments.total_bytes());
+        for (frame, payload) in segments.iter().enumerate() {
+            assert_eq!(sealed.payload(frame), payload);
+            assert_eq!(sealed.len(frame), payload.len());
+        }
+        for (id, bytes) in segments.segments() {
+            let frame = sealed.frame_of(Position { sequence: id.sequence, index: id.index });
+            assert!(sealed.payload(frame).windows(bytes.len()).any(|window| window == bytes), "{id:?}");
+        }
+        assert!(Sealed::new(Segments::new()).is_none());
     }
 }

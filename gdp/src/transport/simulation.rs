@@ -25,8 +25,8 @@ pub struct Simulation {
     uplinks: BTreeMap<(usize, usize), Uplink>,
     pub topics: Vec<TopicSim>,
     pub max_payload: usize,
-    /// Messages are sealed again only so long after it was asked for.
-    pub events: u64,
+    /// Steps so far; there is an end to them.
+    events: u64,
 }
 
 /// A topic, its publisher and its readers.
@@ -101,7 +101,7 @@ struct Packet {
 enum Content {
     /// By which uplink it left.
     Data(usize, Vec<Rc<[Segment]>>),
-    Heartbeat(u64),
+    Heartbeat(u64, u64),
     /// To this reader.
     ToReader(usize, Feedback),
     FromReader(usize, Feedback),
@@ -218,10 +218,6 @@ impl Simulation {
 
     pub fn now(&self) -> u64 {
         self.net.now()
-    }
-
-    pub fn counts(&self, from: usize, cable: Cable) -> gdp_faults::Counts {
-        self.net.counts(from, cable)
     }
 
     pub fn topic_counters(&self, topic: usize) -> TopicCounters {
@@ -362,10 +358,10 @@ impl Simulation {
                 let smaller = self.topics[index].seal(message.first(), message.cut() + 1, max_payload);
                 self.uplink(writer, None).resealed(now, topic, smaller);
             }
-            Output::Heartbeat { topic, next } => {
+            Output::Heartbeat { topic, next, oldest } => {
                 let index = self.topics.iter().position(|sim| sim.writer == writer && sim.id == topic).unwrap();
                 self.topics[index].heartbeats += 1;
-                let packet = Packet { topic: index, content: Content::Heartbeat(next), marked: false };
+                let packet = Packet { topic: index, content: Content::Heartbeat(next, oldest), marked: false };
                 self.forward(writer, None, packet, 160);
             }
             Output::Gone { topic, reader, oldest } => {
@@ -408,9 +404,9 @@ impl Simulation {
                 parts.iter().flat_map(|part| part.iter()).for_each(|segment| reading.take(now, segment));
                 self.poll_reader(node, topic);
             }
-            Content::Heartbeat(next) if self.topics[topic].readers.contains_key(&node) => {
+            Content::Heartbeat(next, oldest) if self.topics[topic].readers.contains_key(&node) => {
                 let reading = self.topics[topic].readers.get_mut(&node).unwrap();
-                reading.inbound.heartbeat(now, *next);
+                reading.inbound.heartbeat(now, *next, *oldest);
                 self.poll_reader(node, topic);
             }
             Content::ToReader(to, feedback) if *to == node => {
@@ -430,7 +426,7 @@ impl Simulation {
                     Content::Data(_, parts) => {
                         parts.iter().flat_map(|part| part.iter()).map(|segment| segment.bytes).sum()
                     }
-                    Content::Heartbeat(_) => 160,
+                    Content::Heartbeat(..) => 160,
                     Content::ToReader(_, feedback) | Content::FromReader(_, feedback) => size_of_feedback(feedback),
                 };
                 self.forward(node, Some(from), packet, bytes);
@@ -483,7 +479,7 @@ impl Simulation {
         let topic = &self.topics[packet.topic];
         let (to, which): (Vec<usize>, usize) = match &packet.content {
             Content::Data(which, _) => (topic.readers.keys().copied().collect(), *which),
-            Content::Heartbeat(_) => (topic.readers.keys().copied().collect(), 0),
+            Content::Heartbeat(..) => (topic.readers.keys().copied().collect(), 0),
             Content::ToReader(reader, _) => (vec![*reader], 0),
             Content::FromReader(..) => (vec![topic.writer], 0),
         };
@@ -554,7 +550,7 @@ impl TopicSim {
             });
         }
         self.frames.insert((sequence, cut), described);
-        Sealed::new(Vec::new(), frames, sequence, cut).unwrap()
+        Sealed::without_bytes(frames, sequence, cut)
     }
 
     fn segments(&self, part: &Chosen) -> Rc<[Segment]> {

@@ -57,10 +57,6 @@ impl<M> Slot<M> {
         self.total
     }
 
-    pub fn has_begun(&self) -> bool {
-        self.total > 0
-    }
-
     pub fn is_open(&self) -> bool {
         matches!(self.body, Body::Open)
     }

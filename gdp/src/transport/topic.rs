@@ -2,7 +2,8 @@
 
 use gdp_wire::Name;
 
-use super::meter::{Meter, nanoseconds};
+use super::black_hole::FrameLimit;
+use super::meter::{Meter, Speed, nanoseconds};
 use super::outbox::{Chosen, History, Outbox, Overflow, Reliability};
 use super::peers::{Peer, Peers, Report, SILENCE_STEP};
 use super::sent_log::{Sent, SentLog};
@@ -69,12 +70,15 @@ pub struct TopicState {
     pauses: u64,
     paused: bool,
     pace: Meter,
+    /// Of what goes for the first time.
+    fresh: Speed,
     /// Whose path sets the pace.
     leader: Option<Name>,
     heartbeat_at: u64,
     heartbeat_interval: u64,
     look_at: u64,
     waiting: Option<Waiting>,
+    limit: FrameLimit,
 }
 
 /// A publisher waits for room.
@@ -89,8 +93,8 @@ struct Waiting {
 /// What a topic's timers bring.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Due {
-    /// The sequence that the next message will have.
-    pub heartbeat: Option<u64>,
+    /// The sequence that the next message will have, and the oldest that can be repaired.
+    pub heartbeat: Option<(u64, u64)>,
     pub room: bool,
 }
 
@@ -109,12 +113,19 @@ impl TopicState {
             pauses: 0,
             paused: true,
             pace: Meter::new(now),
+            fresh: Speed::new(now),
             leader: None,
             heartbeat_at: u64::MAX,
             heartbeat_interval: FIRST_HEARTBEAT,
             look_at: u64::MAX,
             waiting: None,
+            limit: FrameLimit::default(),
         }
+    }
+
+    /// What frames of this topic may carry, on a link that takes so much.
+    pub fn max_payload(&self, now: u64, of_link: usize) -> usize {
+        of_link.min(self.limit.max_payload(now))
     }
 
     pub fn push(&mut self, now: u64, message: Sealed) -> Result<(), Sealed> {
@@ -176,6 +187,7 @@ impl TopicState {
         self.paused = false;
         self.pace.take(now, bytes as u64, rate);
         if !chosen.repair {
+            self.fresh.add(now, bytes as u64);
             let position = chosen.message.position(chosen.frame);
             let under_way = self.leader().unwrap_or(&self.nobody).under_way(self.sent);
             self.log.add(Sent { position, at: now, total: self.sent, pauses: self.pauses }, under_way);
@@ -202,7 +214,7 @@ impl TopicState {
         if self.heartbeat_at <= now {
             let through = self.outbox.sent_through();
             if self.peers.lacks(through) {
-                due.heartbeat = Some(through + 1);
+                due.heartbeat = Some((through + 1, self.outbox.oldest()));
                 self.heartbeat_interval = (2 * self.heartbeat_interval).min(SLOWEST_HEARTBEAT);
                 self.heartbeat_at = now + self.heartbeat_interval;
                 if self.look_at == u64::MAX {
@@ -235,6 +247,7 @@ impl TopicState {
                 let report =
                     Report { acknowledged: *acknowledged, received_bytes: *received_bytes, ce: *ce, echo, delay };
                 peer.on_report(now, &report, &self.log, &self.outbox, self.sent);
+                echo.and_then(|echo| self.outbox.len_of(echo)).into_iter().for_each(|len| peer.suspicion.came(len));
                 self.leader = None;
                 self.wait(now);
                 (None, self.take_room())
@@ -247,13 +260,16 @@ impl TopicState {
     }
 
     fn on_nack(&mut self, now: u64, reader: &Name, missing: &[Missing]) -> Option<u64> {
-        let rate = self.peers.bandwidth();
+        let rate = self.fresh.get(now);
         let peer = self.peers.get_mut(reader)?;
         let too_early = now.saturating_sub(peer.path().rtt() * 3 / 4);
         for range in missing.iter().take(MAX_MISSING) {
             let queued = self.outbox.ask(range, too_early, |bytes| peer.pay(now, bytes, rate));
             let first = Position { sequence: range.sequence, index: range.first };
             peer.on_lost(queued, self.log.find(first).map_or(0, |sent| sent.at));
+        }
+        if peer.suspicion.asked(now, missing, too_early) {
+            self.limit.set(now);
         }
         let oldest = self.outbox.oldest();
         let gone = missing.first().is_some_and(|range| range.sequence < oldest);

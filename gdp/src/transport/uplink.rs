@@ -52,15 +52,17 @@ pub enum Full {
 #[derive(Clone, Debug)]
 pub enum Output {
     Send(Transmit),
-    /// Seal these messages again, for the frame size that was set last, and bring them by [`Uplink::resealed`].
+    /// Seal these messages again, for [`Uplink::max_payload_of`] the topic, and bring them by [`Uplink::resealed`].
     Reseal {
         topic: Topic,
         message: Arc<Sealed>,
     },
-    /// Tell all readers, signed, that `next` is the sequence of the next message.
+    /// Tell all readers, signed, that `next` is the sequence of the next message, and what comes before `oldest` cannot be
+    /// repaired.
     Heartbeat {
         topic: Topic,
         next: u64,
+        oldest: u64,
     },
     /// Tell this reader that what comes before `oldest` cannot be repaired.
     Gone {
@@ -251,9 +253,16 @@ impl Uplink {
         }
     }
 
-    /// Bytes of a frame's payload that go at the moment.
+    /// Bytes of a frame's payload that the link takes at the moment.
     pub fn max_payload(&self) -> usize {
         self.options.max_payload
+    }
+
+    /// Bytes of a frame's payload that messages of a topic are to be sealed for: fewer than the link takes if large frames vanish
+    /// on the way to a reader.
+    pub fn max_payload_of(&mut self, now: u64, topic: Topic) -> usize {
+        let of_link = self.options.max_payload;
+        self.topic(topic).map_or(of_link, |state| state.max_payload(now, of_link))
     }
 
     /// A frame that another uplink sends goes by this one as well, if its budget lets it: copies wait a little at most.
@@ -333,6 +342,7 @@ impl Uplink {
         slot.is_ready = false;
         let state = slot.topic.as_mut()?;
         let (name, doubled) = (state.name, state.options.doubled);
+        let max_payload = state.max_payload(now, max_payload);
         let transmit = state.take(now, max_payload, max_payload, now - since).map(|first| {
             let mut bytes = first.message.len(first.frame);
             let mut more = Vec::new();
@@ -367,8 +377,8 @@ impl Uplink {
     fn on_timer(&mut self, now: u64, topic: Topic) {
         let Some(state) = self.topic(topic) else { return };
         let due = state.on_timer(now);
-        if let Some(next) = due.heartbeat {
-            self.outputs.push_back(Output::Heartbeat { topic, next });
+        if let Some((next, oldest)) = due.heartbeat {
+            self.outputs.push_back(Output::Heartbeat { topic, next, oldest });
         }
         if due.room {
             self.outputs.push_back(Output::Room { topic });
@@ -382,7 +392,7 @@ impl Uplink {
         let Some(slot) = self.slot(topic) else { return };
         let Some(state) = &mut slot.topic else { return };
         let class = usize::from(state.options.class);
-        let Turn { may_send, at } = state.turn(now, max_payload);
+        let Turn { may_send, at } = state.turn(now, state.max_payload(now, max_payload));
         let mut resealing = Vec::new();
         while let Some(message) = state.outbox.next_to_reseal() {
             resealing.push(message);
