@@ -3,6 +3,8 @@
 //! No root: see [`evil`].
 
 mod evil;
+#[path = "malicious/flood.rs"]
+mod flood;
 #[path = "malicious/reader.rs"]
 mod reader;
 #[path = "malicious/rib.rs"]

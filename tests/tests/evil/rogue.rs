@@ -10,7 +10,7 @@ use gdp::keys::{self, KeyBox};
 use gdp::seal::{Encoding, EpochKey, Limits, Message, Moment, Reader, Received, Segments, Writer};
 use gdp::{Identity, Name};
 
-use super::{Frame, Owner, Switch};
+use super::{Frame, Owner, Switch, eventually};
 
 /// An entity that is hosted by the switch.
 pub struct Rogue {
@@ -99,6 +99,14 @@ impl Rogue {
         let heard = switch.heard(self.name());
         heard.pushes.iter().for_each(|push| self.take(&push.peers));
         heard.frames
+    }
+
+    /// Waits until it was given a key of this writer.
+    pub fn await_key(&mut self, switch: &Switch, name: Name, writer: &Identity) -> Result<()> {
+        eventually("a key for the reader", || {
+            self.listen(switch);
+            (!self.keys(name, writer).is_empty()).then_some(())
+        })
     }
 
     /// Boxes it holds, whoever they are for.

@@ -4,6 +4,7 @@ use std::collections::{BTreeSet, HashMap};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::Result;
@@ -154,6 +155,18 @@ impl Switch {
     /// Sends frames that nobody sent here.
     pub fn inject(&self, frames: &[Frame]) {
         self.0.send(&mut self.0.state(), frames);
+    }
+
+    /// Sends these frames again and again, as fast as one thread can, until told to stop.
+    pub fn flood(&self, frames: Vec<Frame>, stop: Arc<AtomicBool>) -> JoinHandle<()> {
+        let inner = self.0.clone();
+        std::thread::spawn(move || {
+            while !stop.load(Ordering::Relaxed) {
+                // Legitimate frames get their turn at the switch.
+                (0..16).for_each(|_| inner.send(&mut inner.state(), &frames));
+                std::thread::yield_now();
+            }
+        })
     }
 
     /// Asks the RIB as the entity that `proof` shows, or as nobody; deaf or not, it hears this.

@@ -19,10 +19,7 @@ fn insider(scene: &Scene) -> Result<Rogue> {
     let mut rogue = Rogue::attach(switch)?;
     let stated = rogue.state(switch, owner, NameRole::Subscriber)?;
     assert!(matches!(stated, Response::Peers(_)), "{stated:?}");
-    eventually("a key for the reader", || {
-        rogue.listen(switch);
-        (!rogue.keys(owner.name(), &scene.robot_identity).is_empty()).then_some(())
-    })?;
+    rogue.await_key(switch, owner.name(), &scene.robot_identity)?;
     Ok(rogue)
 }
 
@@ -52,11 +49,14 @@ async fn a_reader_cannot_write_though_it_holds_the_key() -> Result<()> {
     scene.switch.inject(&rogue.sealed(&mut writer, rogue.name(), b"forged", cloud)?);
     scene.drops("seal_unknown_writer", 1)?;
 
-    // In the robot's session, which it has from the frames.
+    // In the robot's session, which it has from the frames: in the place of the next message, and far ahead.
     let honest = passed.iter().find(|frame| frame.destination == name).expect("a frame of the topic");
-    let before = dropped(&scene.cloud.counters(), "seal_bad_signature");
-    scene.switch.inject(&[rogue.resealed(honest, (name, &scene.robot_identity), 1, cloud)?]);
-    scene.drops("seal_bad_signature", before + 1)?;
+    for ahead in [1, 5_000, 1 << 40] {
+        let before = dropped(&scene.cloud.counters(), "seal_bad_signature");
+        scene.switch.inject(&[rogue.resealed(honest, (name, &scene.robot_identity), ahead, cloud)?]);
+        scene.drops("seal_bad_signature", before + 1)?;
+        scene.passes(b"true").await?;
+    }
     scene.passes(b"still true").await
 }
 
@@ -163,10 +163,7 @@ async fn a_revoked_reader_reads_nothing_of_the_next_epoch() -> Result<()> {
     let serial = serial(grant.grant.serials())?;
     rogue.state_with(switch, &scene.owner, NameRole::Subscriber, gdp::control::Credential::Reader(grant.clone()))?;
     let (name, recording) = (scene.owner.name(), Recording::of(switch));
-    eventually("a key for the rogue", || {
-        rogue.listen(&scene.switch);
-        (!rogue.keys(name, &scene.robot_identity).is_empty()).then_some(())
-    })?;
+    rogue.await_key(switch, name, &scene.robot_identity)?;
     scene.passes(b"before").await?;
     let revocation = scene.owner.revocation(vec![serial])?;
     assert!(matches!(revoke(&scene.switch, &scene.owner, &revocation), Response::Done));

@@ -133,6 +133,7 @@ async fn a_revocation_that_was_heard_is_never_taken_back() -> Result<()> {
     let right = Credential::Reader(grant.clone());
     let stated = rogue.state_with(switch, owner, NameRole::Subscriber, right.clone())?;
     assert!(matches!(stated, Response::Peers(_)), "{stated:?}");
+    rogue.await_key(switch, name, &scene.robot_identity)?;
     let harmless = owner.revocation(vec![1])?;
     let revoked = owner.revocation(vec![serial(grant.grant.serials())?])?;
     let boxes = Boxes::of(switch);
