@@ -248,32 +248,23 @@ impl Intake {
         let before = *self.reader.drops();
         let result = self.reader.push(now, source, payload, &mut self.received);
         let mut verdict = Verdict::Done;
-        match result {
-            Err(reason @ (DropReason::Unvouched | DropReason::NoKey)) => {
-                if reason == DropReason::Unvouched {
-                    writer.ask(steady);
-                }
-                let times = self.reader.drops()[reason as usize] - before[reason as usize];
-                // Counted if it is of no use later.
-                self.seen_drops[reason as usize] += times;
-                verdict = Verdict::Early(reason, times);
+        if let Err(reason @ (DropReason::Unvouched | DropReason::NoKey)) = result {
+            if reason == DropReason::Unvouched {
+                writer.ask(steady);
             }
-            Err(DropReason::Duplicate) => {
-                if let Some(Session { id, inbound, .. }) = &mut writer.session {
-                    // If a report was lost, the writer has to hear that this is here.
-                    segment_ids(payload).filter(|segment| segment.session == *id).for_each(|segment| {
-                        inbound.segment(steady, &as_segment(&segment));
-                    });
-                }
-            }
-            _ => {}
+            let times = self.reader.drops()[reason as usize] - before[reason as usize];
+            // Counted if it is of no use later.
+            self.seen_drops[reason as usize] += times;
+            verdict = Verdict::Early(reason, times);
         }
         let received = &mut self.received;
         let Some(Session { id, inbound, .. }) = &mut writer.session else {
             received.clear();
             return verdict;
         };
-        for segment in received.segments.iter().filter(|segment| segment.session == *id) {
+        // Those that are repeated as well: if a report was lost, the writer has to hear that they are here. What did not open is
+        // nobody's word, so it counts for nothing.
+        for segment in received.segments.iter().chain(&received.repeated).filter(|segment| segment.session == *id) {
             inbound.segment(steady, &as_segment(segment));
         }
         for lost in received.lost.iter().filter(|lost| lost.session == *id) {
