@@ -332,7 +332,7 @@ impl Intake {
     fn take_up(&mut self, counters: &Counters) {
         while let Some(message) = self.stalled.pop_front() {
             let Self { options, queue, shared, stalled, .. } = self;
-            if let Err(message) = (Out { options, queue, shared, stalled }).offer(message, counters) {
+            if let Some(message) = (Out { options, queue, shared, stalled }).offer(message, counters) {
                 self.stalled.push_front(message);
                 return;
             }
