@@ -87,6 +87,8 @@ pub struct Received {
     /// Segments of messages that opened and were not here before. Any holder of the key may have made them: whether the
     /// writer did is known once the message is complete.
     pub segments: Vec<SegmentId>,
+    /// Segments that opened and that nothing needs: they are here already, or their message was delivered.
+    pub repeated: Vec<SegmentId>,
     /// But for those that were not complete in time: [`Limits::deadline`] is the caller's.
     pub lost: Vec<Lost>,
 }
@@ -96,6 +98,7 @@ impl Received {
         self.messages.clear();
         self.heartbeats.clear();
         self.segments.clear();
+        self.repeated.clear();
         self.lost.clear();
     }
 }
@@ -210,7 +213,13 @@ impl Reader {
         let mut rest = payload;
         loop {
             let (taken, behind) = match Segment::split(rest) {
-                Ok((segment, behind)) => take(source.as_deref_mut(), &mut push, &segment, behind),
+                Ok((segment, behind)) => {
+                    let (taken, behind) = take(source.as_deref_mut(), &mut push, &segment, behind);
+                    if taken == Err(DropReason::Duplicate) {
+                        push.out.repeated.push(segment.id());
+                    }
+                    (taken, behind)
+                }
                 Err(reason) => (Err(reason), &[][..]),
             };
             if let Err(reason) = taken {
