@@ -27,6 +27,7 @@ mod publication;
 mod publisher;
 mod reading;
 mod receiver;
+mod services;
 mod shared_entry;
 mod state;
 mod subscription;
@@ -34,7 +35,7 @@ mod supervisor;
 mod target;
 mod told;
 
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use gdp_wire::Name;
@@ -42,10 +43,8 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
 use self::clock::unix_now;
-use self::intake::Intake;
 use self::publication::Publication;
-use self::reading::Reading;
-use self::receiver::{Command, Receiver};
+use self::receiver::Receiver;
 use self::state::{State, Statement, lock};
 use self::supervisor::Supervisor;
 use crate::cert::{AdCert, CertError, Issued, Reading as Grant};
@@ -62,6 +61,7 @@ pub use feedback::{Feedback, FrameError};
 pub use gdp_wire::ErrorCode;
 pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOptions};
 pub use publisher::Publisher;
+pub use services::{Call, Client, Server};
 pub use subscription::Subscription;
 pub use target::{LinkTarget, LinkTargetError};
 
@@ -113,6 +113,10 @@ pub enum NodeError {
     Already { name: Name, stated: Stated },
     #[error(transparent)]
     Keys(#[from] RingError),
+    #[error("no server of {0:#} is attached at the moment; call again later")]
+    NoServer(Name),
+    #[error("{0} calls wait for their replies already; wait for some, or give some up")]
+    TooManyCalls(usize),
     #[error("the switch answered another question: {0}")]
     Protocol(&'static str),
     #[error("the node is closed")]
@@ -124,13 +128,28 @@ pub enum NodeError {
 pub enum Stated {
     Published,
     Subscribed,
+    Served,
+    Called,
 }
 
 impl Stated {
+    const ALL: [Self; 4] = [Self::Published, Self::Subscribed, Self::Served, Self::Called];
+
     fn role(self) -> NameRole {
         match self {
             Self::Published => NameRole::Publisher,
             Self::Subscribed => NameRole::Subscriber,
+            Self::Served => NameRole::Server,
+            Self::Called => NameRole::Caller,
+        }
+    }
+
+    fn of(role: NameRole) -> Self {
+        match role {
+            NameRole::Publisher => Self::Published,
+            NameRole::Subscriber => Self::Subscribed,
+            NameRole::Server => Self::Served,
+            NameRole::Caller => Self::Called,
         }
     }
 }
@@ -140,6 +159,8 @@ impl std::fmt::Display for Stated {
         f.write_str(match self {
             Self::Published => "published",
             Self::Subscribed => "subscribed to",
+            Self::Served => "served",
+            Self::Called => "called",
         })
     }
 }
@@ -187,23 +208,11 @@ impl Node {
             return Err(CertError::WrongEntity { expected: entity, got: claims.entity }.into());
         }
         let name = claims.name;
-        state.begin(name, Stated::Published, Statement::Publish { proof, ad_cert })?;
-        let publication = match Publication::new(name, &state.identity, &options, &state.outlet) {
-            Ok(publication) => Arc::new(publication),
-            Err(error) => {
-                state.withdraw(name, Stated::Published);
-                return Err(error);
-            }
-        };
-        state.outlet.open(publication.clone());
-        lock(&state.publications).insert(name, publication.clone());
-        state.command(Command::Publish { publication: publication.clone() });
+        state.begin(name, Stated::Published, Statement::Write { proof, ad_cert })?;
+        let publication = state.open(name, Stated::Published, &options)?;
         // From here on, dropping the publisher ends the statement.
         let publisher = Publisher::new(self.0.clone(), publication.clone(), state.feedback.of(name));
-        let attachment = state.attached().await?;
-        state.state(&attachment, name, Stated::Published).await?;
-        // So that readers which are there have the key before the first message.
-        state.store_boxes(&attachment, &publication).await;
+        self.make_known(name, Stated::Published, Some(&publication)).await?;
         Ok(publisher)
     }
 
@@ -216,17 +225,56 @@ impl Node {
     ) -> Result<Subscription, NodeError> {
         let state = &self.0.state;
         let name = grant.verify(&proof, state.identity.name(), None, unix_now())?.name;
-        state.begin(name, Stated::Subscribed, Statement::Subscribe { proof, grant })?;
-        let (sender, queue) = mpsc::channel(options.queue.max(1));
-        let (shared, ended) = (Arc::<intake::Shared>::default(), Arc::<OnceLock<CertError>>::default());
-        lock(&state.readings).insert(name, Reading::new(name, &state.identity));
-        lock(&state.subscriptions).insert(name, ended.clone());
-        let intake = Intake::new(name, options, sender, shared.clone());
-        state.command(Command::Subscribe { name, intake: Box::new(intake) });
-        let subscription = Subscription::new(self.0.clone(), name, queue, shared, ended);
-        let attachment = state.attached().await?;
-        state.state(&attachment, name, Stated::Subscribed).await?;
+        state.begin(name, Stated::Subscribed, Statement::Read { proof, grant })?;
+        let (queue, ended) = state.read(name, options);
+        let subscription = Subscription::new(self.0.clone(), queue, ended);
+        self.make_known(name, Stated::Subscribed, None).await?;
         Ok(subscription)
+    }
+
+    /// Answers calls to a name: `ad_cert` shows that its owner allows it. Those who call it share no key: neither requests nor replies
+    /// can be read by another of them.
+    pub async fn serve(&self, proof: NameProof, ad_cert: Issued<AdCert>) -> Result<Server, NodeError> {
+        let state = &self.0.state;
+        let claims = ad_cert.verify(&proof, None, unix_now())?;
+        let (name, entity) = (claims.name, state.identity.name());
+        if claims.entity != entity {
+            return Err(CertError::WrongEntity { expected: entity, got: claims.entity }.into());
+        }
+        state.begin(name, Stated::Served, Statement::Write { proof, ad_cert })?;
+        let (queue, _) = state.read(name, SubscribeOptions::reliable());
+        let server = Server::new(self.0.clone(), queue);
+        self.make_known(name, Stated::Served, None).await?;
+        Ok(server)
+    }
+
+    /// Calls a name: `grant` shows that its owner allows it.
+    pub async fn client(&self, proof: NameProof, grant: Grant) -> Result<Client, NodeError> {
+        let state = &self.0.state;
+        let name = grant.verify(&proof, state.identity.name(), None, unix_now())?.name;
+        state.begin(name, Stated::Called, Statement::Read { proof, grant })?;
+        state.open_inbox();
+        let publication = state.open(name, Stated::Called, &PublishOptions::reliable())?;
+        let client = Client::new(self.0.clone(), publication.clone());
+        self.make_known(name, Stated::Called, Some(&publication)).await?;
+        Ok(client)
+    }
+
+    /// States something to the RIB, and has keys for what is sent stored there: so those who are there have them before the first
+    /// message.
+    async fn make_known(
+        &self,
+        name: Name,
+        stated: Stated,
+        publication: Option<&Arc<Publication>>,
+    ) -> Result<(), NodeError> {
+        let state = &self.0.state;
+        let attachment = state.attached().await?;
+        state.state(&attachment, name, stated).await?;
+        if let Some(publication) = publication {
+            state.store_boxes(&attachment, publication).await;
+        }
+        Ok(())
     }
 
     /// Who publishes and reads the names with this prefix, as far as it verifies: as many as fit an answer, from the one behind

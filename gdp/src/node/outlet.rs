@@ -2,8 +2,8 @@
 //! may go at once themselves, so that a message on an idle link is handed to no other thread; the sending thread does what has to
 //! wait. Frames are stamped when they leave, never before.
 //!
-//! Locks: each for a moment, none across an await. Who holds [`Publication`]'s may take [`Outlet::uplink`] or [`Outlet::pairs`], never
-//! the other way round, and never both of these.
+//! Locks: each for a moment, none across an await. Who holds one of [`Publication`]'s may take [`Outlet::uplink`] or [`Outlet::pairs`],
+//! never the other way round, and never both of these.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};

@@ -121,13 +121,24 @@ impl Publication {
         self.room.notify_waiters();
     }
 
+    /// Whether this entity may read, as far as is known.
+    pub fn is_reader(&self, entity: &Name) -> bool {
+        lock(&self.readers).known.contains_key(entity)
+    }
+
     /// Readers that are attached.
     pub fn readers(&self) -> usize {
         lock(&self.readers).known.values().filter(|reader| reader.absent.is_none()).count()
     }
 
-    /// Seals messages under one signature, unless one waits for room still. Returns the sequence of the first.
-    pub fn push(&self, outlet: &Outlet, drafts: &[Draft<'_>]) -> Result<Option<(u64, Pushed)>, NodeError> {
+    /// Seals messages under one signature, unless one waits for room still. Returns the sequence of the first, which `begun` is
+    /// told before anything can go.
+    pub fn push(
+        &self,
+        outlet: &Outlet,
+        drafts: &[Draft<'_>],
+        begun: &mut Option<impl FnOnce(u64)>,
+    ) -> Result<Option<(u64, Pushed)>, NodeError> {
         self.check()?;
         let sealing = &mut *lock(&self.sealing);
         if sealing.pending.is_some() {
@@ -139,6 +150,9 @@ impl Publication {
         writer.seal_batch(now, drafts, outlet.max_payload_of(self.topic), segments)?;
         ring.used(drafts.len() as u64, segments.total_bytes() as u64);
         latched.keep(first, now, drafts);
+        if let Some(begun) = begun.take() {
+            begun(first);
+        }
         *pending = Sealed::new(std::mem::take(segments));
         self.push_pending(outlet, sealing).map(|pushed| Some((first, pushed)))
     }
@@ -332,8 +346,9 @@ impl Publication {
     /// Nothing is published any more.
     pub fn close(&self, outlet: &Outlet) {
         lock(&outlet.uplink).close(self.topic);
+        let readers = std::mem::take(&mut lock(&self.readers).known);
         let mut pairs = lock(&outlet.pairs);
-        lock(&self.readers).known.drain().for_each(|(reader, _)| pairs.part(&reader));
+        readers.keys().for_each(|reader| pairs.part(reader));
     }
 }
 

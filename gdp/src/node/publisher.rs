@@ -63,22 +63,32 @@ impl Publisher {
     }
 
     async fn try_send(&mut self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
-        let Self { node, publication, batch, .. } = self;
-        let outlet = &node.state.outlet;
-        match outlet.sending_on() {
-            Err(NodeError::Detached(_)) if publication.waits_for_links() => {}
-            link => drop(link?),
-        }
-        loop {
-            // One that was cancelled may be waiting still.
+        send_through(&self.publication, &self.node.state.outlet, &mut self.batch, messages, |_| {}).await
+    }
+}
+
+/// Seals messages and sends them; waits for room if it must. `begun` is told the sequence of the first before anything goes.
+pub(super) async fn send_through(
+    publication: &Publication,
+    outlet: &Outlet,
+    batch: &mut Batch,
+    messages: &[Draft<'_>],
+    begun: impl FnOnce(u64),
+) -> Result<u64, NodeError> {
+    match outlet.sending_on() {
+        Err(NodeError::Detached(_)) if publication.waits_for_links() => {}
+        link => drop(link?),
+    }
+    let mut begun = Some(begun);
+    loop {
+        // One that was cancelled may be waiting still.
+        until_taken(publication, outlet, batch).await?;
+        let Some((first, pushed)) = publication.push(outlet, messages, &mut begun)? else { continue };
+        outlet.send(batch);
+        if let Pushed::Waits = pushed {
             until_taken(publication, outlet, batch).await?;
-            let Some((first, pushed)) = publication.push(outlet, messages)? else { continue };
-            outlet.send(batch);
-            if let Pushed::Waits = pushed {
-                until_taken(publication, outlet, batch).await?;
-            }
-            return Ok(first);
         }
+        return Ok(first);
     }
 }
 

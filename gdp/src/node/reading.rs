@@ -1,16 +1,19 @@
 //! A name that this node reads, as far as it is about who writes it and with which keys: what the RIB told and was verified goes in,
 //! what the receiving thread is to believe comes out. No I/O.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
 
 use gdp_wire::Name;
 
 use super::intake::Change;
-use crate::cert::{CertError, Revocation, Signed};
+use crate::cert::{Revocation, Signed};
 use crate::crypto::PUBLIC_KEY_LEN;
 use crate::identity::Identity;
-use crate::keys::{KeyBox, KeyStore, Opened, StoreError};
+use crate::keys::{KeyBox, KeyStore, StoreError};
 use crate::peers::{Counterpart, PeerEvent};
+
+/// Boxes of writers that are not known yet, which may be told of in another message.
+const MAX_EARLY: usize = 64;
 
 /// Writers of one name that are believed at once.
 pub const MAX_WRITERS: usize = 256;
@@ -21,6 +24,7 @@ pub struct Reading {
     /// Those that are believed, attached or not: forgetting one would forget which of its messages were delivered.
     writers: HashMap<Name, Counterpart>,
     revocation: Option<Revocation>,
+    early: VecDeque<Signed<KeyBox>>,
 }
 
 /// What follows for the node.
@@ -36,7 +40,13 @@ pub enum Effect {
 
 impl Reading {
     pub fn new(name: Name, reader: &Identity) -> Self {
-        Self { name, keys: KeyStore::new(name, reader), writers: HashMap::new(), revocation: None }
+        Self {
+            name,
+            keys: KeyStore::new(name, reader),
+            writers: HashMap::new(),
+            revocation: None,
+            early: VecDeque::new(),
+        }
     }
 
     /// Takes what the RIB told at `now` (Unix nanoseconds).
@@ -44,12 +54,11 @@ impl Reading {
         let mut effects = Vec::new();
         for event in events {
             match event {
-                PeerEvent::Joined(writer) => self.join(writer, &mut effects),
-                PeerEvent::KeyBox(signed) => match self.open(now, &signed) {
-                    Ok(Some((writer, opened))) => effects.push(Effect::Change(Change::Key { writer, opened })),
-                    Ok(None) => {}
-                    Err(error) => tracing::warn!(name = %self.name, %error, "a key box is of no use"),
-                },
+                PeerEvent::Joined(writer) => {
+                    self.join(writer, &mut effects);
+                    std::mem::take(&mut self.early).into_iter().for_each(|signed| self.open(now, signed, &mut effects));
+                }
+                PeerEvent::KeyBox(signed) => self.open(now, signed, &mut effects),
                 PeerEvent::Revoked(revocation) => self.revocation = Some(revocation),
                 PeerEvent::Refused(error) => {
                     tracing::warn!(name = %self.name, %error, "the RIB told of a writer that does not verify");
@@ -81,6 +90,10 @@ impl Reading {
         effects
     }
 
+    pub fn knows(&self, writer: &Name) -> bool {
+        self.writers.contains_key(writer)
+    }
+
     pub fn writers(&self) -> impl Iterator<Item = &Name> {
         self.writers.keys()
     }
@@ -100,10 +113,25 @@ impl Reading {
         self.writers.insert(entity, writer);
     }
 
-    fn open(&mut self, now: u64, signed: &Signed<KeyBox>) -> Result<Option<(Name, Opened)>, StoreError> {
+    fn open(&mut self, now: u64, signed: Signed<KeyBox>, effects: &mut Vec<Effect>) {
+        match self.try_open(now, &signed) {
+            Ok(Some(Some(key))) => effects.push(Effect::Change(key)),
+            Ok(Some(None)) => {}
+            Ok(None) => {
+                if self.early.len() == MAX_EARLY {
+                    self.early.pop_front();
+                }
+                self.early.push_back(signed);
+            }
+            Err(error) => tracing::warn!(name = %self.name, %error, "a key box is of no use"),
+        }
+    }
+
+    /// What follows of a box, if its writer is known.
+    fn try_open(&mut self, now: u64, signed: &Signed<KeyBox>) -> Result<Option<Option<Change>>, StoreError> {
         let claimed = signed.claims_unverified()?.writer;
-        let unknown = || CertError::Malformed(format!("a key box of {claimed:#}, which is not known as a writer"));
-        let writer = self.writers.get(&claimed).ok_or_else(unknown)?;
-        Ok(self.keys.take(now, claimed, &writer.key, signed)?.map(|opened| (claimed, opened)))
+        let Some(writer) = self.writers.get(&claimed) else { return Ok(None) };
+        let opened = self.keys.take(now, claimed, &writer.key, signed)?;
+        Ok(Some(opened.map(|opened| Change::Key { writer: claimed, opened })))
     }
 }

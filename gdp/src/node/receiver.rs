@@ -24,7 +24,7 @@ use crate::feedback_wire::Feedback;
 use crate::keys::PairError;
 use crate::link::KeyedEntry;
 use crate::port::{DataSocket, InFrame, RecvBatch};
-use crate::seal::DropReason;
+use crate::seal::{DropReason, SEGMENT_VERSION};
 
 /// How long the thread sleeps at most.
 const TICK: Duration = Duration::from_millis(100);
@@ -318,7 +318,8 @@ impl Intakes {
             let (name, source) = (header.destination, header.source);
             let payload = &rest[..header.payload_len().into()];
             let marked = congested || header.flags & ECN == CONGESTED;
-            if name == self.outlet.name() {
+            // What comes for this node's own name is what counterparts tell it, or segments: replies.
+            if name == self.outlet.name() && payload.first() != Some(&SEGMENT_VERSION) {
                 self.hear(source, payload, &counters);
                 continue;
             }

@@ -1,7 +1,7 @@
 //! What a node states to the RIB, and the link it states it on: shared by the application's handles, the supervisor and its
 //! tasks. Requests go out from here; when, is the supervisor's business.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 use std::time::Duration;
 
@@ -11,10 +11,14 @@ use tokio::sync::{Notify, mpsc};
 use super::clock::unix_now;
 use super::counters::Counters;
 use super::feedback::Feedbacks;
+use super::intake::{Intake, Shared};
+use super::options::{PublishOptions, SubscribeOptions};
 use super::outlet::{Outlet, Status};
 use super::publication::Publication;
 use super::reading::Reading;
 use super::receiver::Command;
+use super::services::Pending;
+use super::subscription::Queue;
 use super::supervisor::{Attachment, Event};
 use super::{NodeError, Stated};
 use crate::cert::{AdCert, Advert, AdvertOp, CertError, Issued, Reading as Grant, Revocation, RtCert, Signed, issue};
@@ -22,6 +26,7 @@ use crate::control::{EntityRequest, NameRole, Record, RecordPlace, RefusalCode, 
 use crate::identity::Identity;
 use crate::name::{NamePrefix, NameProof};
 use crate::peers::Counterparts;
+use crate::seal::MessageId;
 
 /// Seconds that certificates for the switch and statements to the RIB hold; they are renewed long before.
 pub const LIFETIME: u32 = 24 * 3600;
@@ -37,6 +42,10 @@ pub struct State {
     pub outlet: Arc<Outlet>,
     pub publications: Mutex<HashMap<Name, Arc<Publication>>>,
     pub readings: Mutex<HashMap<Name, Reading>>,
+    /// Calls that wait for their replies.
+    pub calls: Mutex<HashMap<MessageId, Pending>>,
+    /// Whether replies are taken.
+    pub inbox_opened: Mutex<bool>,
     /// Why subscriptions ended.
     pub subscriptions: Mutex<HashMap<Name, Arc<OnceLock<CertError>>>>,
     /// Everything the RIB is to know, stated again after each reconnection; and whether it was, on the present link.
@@ -54,14 +63,16 @@ pub struct State {
 /// The right to a name, as it is shown to the RIB.
 #[derive(Clone)]
 pub enum Statement {
-    Publish { proof: NameProof, ad_cert: Issued<AdCert> },
-    Subscribe { proof: NameProof, grant: Grant },
+    /// Publishes or serves.
+    Write { proof: NameProof, ad_cert: Issued<AdCert> },
+    /// Subscribes or calls.
+    Read { proof: NameProof, grant: Grant },
 }
 
 impl Statement {
     fn proof(&self) -> &NameProof {
         match self {
-            Self::Publish { proof, .. } | Self::Subscribe { proof, .. } => proof,
+            Self::Write { proof, .. } | Self::Read { proof, .. } => proof,
         }
     }
 }
@@ -82,6 +93,8 @@ impl State {
             counters,
             publications: Mutex::default(),
             readings: Mutex::default(),
+            calls: Mutex::default(),
+            inbox_opened: Mutex::default(),
             subscriptions: Mutex::default(),
             statements: Mutex::default(),
             counterparts: Mutex::default(),
@@ -133,34 +146,65 @@ impl State {
 
     /// Whether this node's own right in a name holds under a revocation of it.
     pub fn check_own(&self, name: Name, role: NameRole, revocation: &Revocation) -> Result<(), CertError> {
-        let statements = lock(&self.statements);
-        let stated = |stated| statements.get(&(name, stated)).map(|(statement, _)| statement);
-        let now = unix_now();
-        match role {
-            NameRole::Publisher => match stated(Stated::Published) {
-                Some(Statement::Publish { proof, ad_cert }) => ad_cert.verify(proof, Some(revocation), now).map(drop),
-                _ => Ok(()),
-            },
-            NameRole::Subscriber => match stated(Stated::Subscribed) {
-                Some(Statement::Subscribe { proof, grant }) => {
-                    grant.verify(proof, self.identity.name(), Some(revocation), now).map(drop)
-                }
-                _ => Ok(()),
-            },
-            NameRole::Server | NameRole::Caller => Ok(()),
+        let (statements, now) = (lock(&self.statements), unix_now());
+        match statements.get(&(name, Stated::of(role))) {
+            Some((Statement::Write { proof, ad_cert }, _)) => ad_cert.verify(proof, Some(revocation), now).map(drop),
+            Some((Statement::Read { proof, grant }, _)) => {
+                grant.verify(proof, self.identity.name(), Some(revocation), now).map(drop)
+            }
+            None => Ok(()),
         }
     }
 
     pub fn begin(&self, name: Name, stated: Stated, statement: Statement) -> Result<(), NodeError> {
         let counterparts = Counterparts::new(*statement.proof(), stated.role())?;
-        match lock(&self.statements).entry((name, stated)) {
-            std::collections::hash_map::Entry::Occupied(_) => Err(NodeError::Already { name, stated }),
-            std::collections::hash_map::Entry::Vacant(entry) => {
-                lock(&self.counterparts).insert((name, stated.role()), counterparts);
-                entry.insert((statement, false));
-                Ok(())
-            }
+        let (mut known, mut statements) = (lock(&self.counterparts), lock(&self.statements));
+        // What it sends to the name is one stream, and what it takes of it is another.
+        let same_way = |other: &Stated| other.role().sends() == stated.role().sends();
+        let mut taken = Stated::ALL.into_iter().filter(same_way);
+        if let Some(stated) = taken.find(|other| statements.contains_key(&(name, *other))) {
+            return Err(NodeError::Already { name, stated });
         }
+        known.insert((name, stated.role()), counterparts);
+        statements.insert((name, stated), (statement, false));
+        Ok(())
+    }
+
+    /// The names that something is stated about.
+    pub fn stated_names(&self) -> HashSet<Name> {
+        lock(&self.statements).keys().map(|(name, _)| *name).collect()
+    }
+
+    /// A publication for what was begun.
+    pub fn open(&self, name: Name, stated: Stated, options: &PublishOptions) -> Result<Arc<Publication>, NodeError> {
+        let publication = Publication::new(name, &self.identity, options, &self.outlet);
+        let publication = Arc::new(publication.inspect_err(|_| self.withdraw(name, stated))?);
+        self.register(publication.clone());
+        Ok(publication)
+    }
+
+    pub fn register(&self, publication: Arc<Publication>) {
+        self.outlet.open(publication.clone());
+        lock(&self.publications).insert(publication.name, publication.clone());
+        self.command(Command::Publish { publication });
+    }
+
+    pub fn unregister(&self, name: Name) {
+        if let Some(publication) = lock(&self.publications).remove(&name) {
+            self.command(Command::Unpublish { name });
+            self.outlet.close(&publication);
+        }
+    }
+
+    /// What comes of a name, and why it ended.
+    pub fn read(&self, name: Name, options: SubscribeOptions) -> (Queue, Arc<OnceLock<CertError>>) {
+        let (sender, receiver) = mpsc::channel(options.queue.max(1));
+        let (shared, ended) = (Arc::<Shared>::default(), Arc::<OnceLock<CertError>>::default());
+        lock(&self.readings).insert(name, Reading::new(name, &self.identity));
+        lock(&self.subscriptions).insert(name, ended.clone());
+        let intake = Intake::new(name, options, sender, shared.clone());
+        self.command(Command::Subscribe { name, intake: Box::new(intake) });
+        (Queue::new(name, receiver, shared), ended)
     }
 
     /// A handle was dropped. The RIB is told by the supervisor, or by the loss of the link.
@@ -168,7 +212,7 @@ impl State {
         lock(&self.statements).remove(&(name, stated));
         lock(&self.counterparts).remove(&(name, stated.role()));
         match stated {
-            Stated::Subscribed => {
+            Stated::Subscribed | Stated::Served => {
                 lock(&self.subscriptions).remove(&name);
                 if let Some(reading) = lock(&self.readings).remove(&name) {
                     let mut pairs = lock(&self.outlet.pairs);
@@ -176,12 +220,9 @@ impl State {
                 }
                 self.command(Command::Unsubscribe { name });
             }
-            Stated::Published => {
+            Stated::Published | Stated::Called => {
                 self.feedback.forget(&name);
-                if let Some(publication) = lock(&self.publications).remove(&name) {
-                    self.command(Command::Unpublish { name });
-                    self.outlet.close(&publication);
-                }
+                self.unregister(name);
             }
         }
         self.withdraw_later(name, stated);
@@ -220,8 +261,8 @@ impl State {
         let Some((statement, false)) = lock(&self.statements).get(&(name, stated)).cloned() else { return Ok(()) };
         let op = stated.role().op();
         let response = self.ask_signed(attachment, &mut serial, op, name, |advert| match statement.clone() {
-            Statement::Publish { proof, ad_cert } => EntityRequest::Advertise { proof, ad_cert, advert },
-            Statement::Subscribe { proof, grant } => EntityRequest::Subscribe { proof, grant, advert },
+            Statement::Write { proof, ad_cert } => EntityRequest::Advertise { proof, ad_cert, advert },
+            Statement::Read { proof, grant } => EntityRequest::Subscribe { proof, grant, advert },
         });
         let Response::Peers(peers) = response.await? else { return Err(NodeError::Protocol("to a statement")) };
         // Something newer may have come before; then the RIB tells the whole once more.
@@ -254,7 +295,7 @@ impl State {
         }
         let request = |advert| EntityRequest::Withdraw { advert };
         self.ask_signed(attachment, &mut serial, AdvertOp::Withdraw, name, request).await?;
-        for other in [Stated::Published, Stated::Subscribed] {
+        for other in Stated::ALL {
             if let Some((_, done)) = lock(&self.statements).get_mut(&(name, other)) {
                 *done = false;
                 self.unstated.notify_one();

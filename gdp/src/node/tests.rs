@@ -12,9 +12,10 @@ use super::clock::unix_nanos;
 use super::*;
 use crate::control::RefusalCode;
 use crate::crypto::Backend;
+use crate::keys;
 use crate::port::SMALLEST_PATH;
 use crate::seal::tests::Random;
-use crate::seal::{Encoding, EpochKey, Segments, Writer};
+use crate::seal::{Encoding, EpochKey, Limits, Reader, Segments, Writer};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn messages_arrive_by_name() {
@@ -449,6 +450,92 @@ async fn large_frames_that_vanish_are_noticed_without_any_word_of_the_reader() {
         }
     }
     assert!(swallows.0.load(Ordering::Relaxed) > 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn calls_are_answered_and_no_caller_reads_anothers() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/add_two_ints");
+    let (robot, one, two) = (fabric.node("proxy").await, fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut server = owner.serve(&robot).await;
+    let (first, second) = (owner.client(&one).await, owner.client(&two).await);
+    // As if the other caller saw all frames: the fabric is not what keeps them apart.
+    let taped = Arc::new(Mutex::new(Vec::new()));
+    let (tape, names) = (taped.clone(), [owner.name(), one.name()]);
+    fabric.set_fate(Some(Box::new(move |header, payload| {
+        if names.contains(&header.destination) {
+            lock(&tape).push((header.destination, header.source, payload.to_vec()));
+        }
+        true
+    })));
+    let serving = tokio::spawn(async move {
+        let mut callers = Vec::new();
+        for _ in 0..20 {
+            let call = server.recv().await.unwrap();
+            callers.push(call.client());
+            let reply = [&b"re: "[..], call.body()].concat();
+            call.reply(Encoding::Bytes, &reply).await.unwrap();
+        }
+        (server, callers)
+    });
+    for i in 0..10u8 {
+        let (large, small) = (vec![i; 5000], [i]);
+        let (a, b) = tokio::join!(first.call(Encoding::Bytes, &large), second.call(Encoding::Bytes, &small));
+        assert_eq!(a.unwrap().body[..], [&b"re: "[..], &large].concat());
+        assert_eq!(b.unwrap().body[..], [&b"re: "[..], &[i]].concat());
+    }
+    let (server, callers) = serving.await.unwrap();
+    assert_eq!(callers.iter().filter(|caller| **caller == one.name()).count(), 10);
+
+    // The second has a right of its own, and every box that is for it.
+    let mut readers = Vec::new();
+    for (name, writer) in [(owner.name(), &one), (one.name(), &robot)] {
+        let mut reader = Reader::new(name, Backend::default(), Limits::default());
+        let key = writer.0.state.identity.key().verify_key();
+        reader.authorise(writer.name(), key).unwrap();
+        let reader_key = (two.name(), two.0.state.identity.box_key());
+        for signed in fabric.all_boxes() {
+            for of in [owner.name(), one.name(), two.name()] {
+                if let Ok((epoch, key)) = keys::open(&signed, of, (writer.name(), &key), reader_key) {
+                    reader.set_key(&writer.name(), epoch, key).unwrap();
+                }
+            }
+        }
+        readers.push((name, writer.name(), reader));
+    }
+    let now = crate::seal::Moment { steady_ns: 0, unix_ns: unix_nanos() };
+    let tape = lock(&taped).clone();
+    for (name, writer, reader) in &mut readers {
+        let mut received = crate::seal::Received::default();
+        let frames = tape.iter().filter(|(to, source, payload)| to == name && source == writer && payload[0] == 2);
+        let mut seen = 0;
+        for (_, source, payload) in frames {
+            seen += 1;
+            reader.push(now, *source, payload, &mut received).unwrap_err();
+        }
+        assert!(seen >= 10 && received.messages.is_empty() && received.segments.is_empty(), "{seen}");
+    }
+    drop(server);
+    eventually("nobody serves", || first.servers() == 0).await;
+    assert!(matches!(first.call(Encoding::Bytes, b"x").await, Err(NodeError::NoServer(_))));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_call_that_is_given_up_is_forgotten() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/slow");
+    let (robot, one) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut server = owner.serve(&robot).await;
+    let client = owner.client(&one).await;
+    let given_up = tokio::time::timeout(Duration::from_millis(200), client.call(Encoding::Bytes, b"late"));
+    assert!(given_up.await.is_err());
+    assert!(lock(&one.0.state.calls).is_empty());
+    server.recv().await.unwrap().reply(Encoding::Bytes, b"too late").await.unwrap();
+    let (call, reply) = tokio::join!(client.call(Encoding::Bytes, b"next"), async {
+        server.recv().await.unwrap().reply(Encoding::Bytes, b"in time").await
+    });
+    reply.unwrap();
+    assert_eq!(&call.unwrap().body[..], b"in time");
 }
 
 /// How many frames were swallowed for being large.

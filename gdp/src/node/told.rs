@@ -8,6 +8,7 @@ use gdp_wire::Name;
 
 use super::NodeError;
 use super::clock::{unix_nanos, unix_now};
+use super::options::PublishOptions;
 use super::publication::Publication;
 use super::reading::Effect;
 use super::receiver::Command;
@@ -17,12 +18,19 @@ use crate::cert::CertError;
 use crate::control::{EntityRequest, NameRole, Peers, Response};
 use crate::peers::{OutOfStep, PeerEvent};
 
+fn joined(events: &[PeerEvent]) -> Vec<PeerEvent> {
+    events.iter().filter(|event| matches!(event, PeerEvent::Joined(_))).cloned().collect()
+}
+
 /// How often it is looked for what has ended.
 const LOOK: Duration = Duration::from_secs(1);
 
 impl State {
     /// Takes what the RIB told of the counterparts in a name; `None` if this node has no such part in it.
     pub fn take_peers(&self, name: Name, role: NameRole, peers: &Peers) -> Option<Result<(), OutOfStep>> {
+        if name == self.identity.name() && role == NameRole::Subscriber {
+            return self.take_boxes(peers);
+        }
         // Held throughout, so that what follows comes in the order in which it was told.
         let mut all = lock(&self.counterparts);
         let counterparts = all.get_mut(&(name, role))?;
@@ -47,38 +55,87 @@ impl State {
         {
             self.end(name, role, error);
         }
-        match role {
-            NameRole::Publisher => {
-                if let Some(publication) = lock(&self.publications).get(&name) {
-                    publication.take(&self.outlet, unix_now(), events);
-                    self.outlet.upkeep.notify_one();
-                }
-            }
-            NameRole::Subscriber => {
-                let effects = lock(&self.readings).get_mut(&name).map(|reading| reading.take(unix_nanos(), events));
-                self.carry_out(name, effects.unwrap_or_default());
-            }
-            NameRole::Server | NameRole::Caller => {}
+        if role == NameRole::Caller {
+            // Its servers reply to this node's own name.
+            self.take_writers(self.identity.name(), joined(&events));
         }
+        if role.sends() {
+            if let Some(publication) = lock(&self.publications).get(&name) {
+                publication.take(&self.outlet, unix_now(), events);
+                self.outlet.upkeep.notify_one();
+            }
+            return;
+        }
+        let callers = if role == NameRole::Server { joined(&events) } else { Vec::new() };
+        self.take_writers(name, events);
+        for event in callers {
+            self.open_replies(&name, event);
+        }
+    }
+
+    fn take_writers(&self, name: Name, events: Vec<PeerEvent>) {
+        let effects = lock(&self.readings).get_mut(&name).map(|reading| reading.take(unix_nanos(), events));
+        self.carry_out(name, effects.unwrap_or_default());
+    }
+
+    /// Keys of what is sent to this node's own name; to be verified as those of any name.
+    fn take_boxes(&self, peers: &Peers) -> Option<Result<(), OutOfStep>> {
+        let own = self.identity.name();
+        if !lock(&self.readings).contains_key(&own) {
+            return None;
+        }
+        self.take_writers(own, peers.boxes.iter().cloned().map(PeerEvent::KeyBox).collect());
+        Some(Ok(()))
+    }
+
+    /// Replies to a caller go to its own name, under a key for it alone.
+    fn open_replies(&self, served: &Name, event: PeerEvent) {
+        let PeerEvent::Joined(caller) = &event else { return };
+        let entity = caller.entity;
+        if !lock(&self.readings).get(served).is_some_and(|reading| reading.knows(&entity)) {
+            return;
+        }
+        let known = lock(&self.publications).get(&entity).cloned();
+        let publication = match known {
+            Some(publication) => publication,
+            None => match Publication::new(entity, &self.identity, &PublishOptions::reliable(), &self.outlet) {
+                Ok(publication) => {
+                    let publication = Arc::new(publication);
+                    self.register(publication.clone());
+                    publication
+                }
+                Err(error) => return tracing::error!(caller = %entity, %error, "it cannot be answered"),
+            },
+        };
+        publication.take(&self.outlet, unix_now(), [event]);
+        self.outlet.upkeep.notify_one();
+    }
+
+    /// Ends what was opened for callers that are none any more.
+    fn close_replies(&self) {
+        let (statements, publications) =
+            (self.stated_names(), lock(&self.publications).keys().copied().collect::<Vec<_>>());
+        let replies = publications.into_iter().filter(|name| !statements.contains(name));
+        let ended: Vec<Name> = {
+            let readings = lock(&self.readings);
+            replies.filter(|caller| !readings.values().any(|reading| reading.knows(caller))).collect()
+        };
+        ended.into_iter().for_each(|caller| self.unregister(caller));
     }
 
     /// This node's own right in a name has been revoked.
     fn end(&self, name: Name, role: NameRole, error: CertError) {
         tracing::warn!(%name, %error, "the owner has revoked the right of this node as a {role}");
-        match role {
-            NameRole::Publisher => {
-                if let Some(publication) = lock(&self.publications).get(&name) {
-                    publication.end(error);
-                }
+        if role.sends() {
+            if let Some(publication) = lock(&self.publications).get(&name) {
+                publication.end(error);
             }
-            NameRole::Subscriber => {
-                if let Some(ended) = lock(&self.subscriptions).get(&name) {
-                    let _ = ended.set(error);
-                }
-                self.command(Command::Unsubscribe { name });
-            }
-            NameRole::Server | NameRole::Caller => {}
+            return;
         }
+        if let Some(ended) = lock(&self.subscriptions).get(&name) {
+            let _ = ended.set(error);
+        }
+        self.command(Command::Unsubscribe { name });
     }
 
     pub(super) fn carry_out(&self, name: Name, effects: Vec<Effect>) {
@@ -133,6 +190,7 @@ impl State {
             ended.push((*name, reading.expire(unix_nanos())));
         }
         ended.into_iter().for_each(|(name, effects)| self.carry_out(name, effects));
+        self.close_replies();
     }
 
     /// Brings the boxes of a publication to the RIB, as far as there are any.

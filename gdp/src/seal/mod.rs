@@ -28,6 +28,7 @@ pub use segment::SegmentId;
 pub(crate) use segment::segment_ids;
 pub use segments::Segments;
 pub(crate) use window::Window;
+pub(crate) use wire::VERSION as SEGMENT_VERSION;
 pub use wire::{MAX_BATCH, MAX_CUT, MIN_PAYLOAD};
 pub use writer::{MAX_SEGMENTS, SealError, Writer};
 

@@ -12,7 +12,7 @@ use gdp_wire::{Header, LinkEntry, Name, forward};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::card::NameCard;
-use crate::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Revocation, Signed, issue};
+use crate::cert::{AdCert, Advert, Grantee, Issued, Mode, ReadGrant, Reading, Revocation, Signed, issue};
 use crate::control::{
     Credential, EntityRequest, NameRole, Peers, PeersExtent, PeersPush, Record, Refusal, RefusalCode, Request, Response,
 };
@@ -21,7 +21,8 @@ use crate::keys::KeyBox;
 use crate::link::{Link, LinkIds};
 use crate::name::NameProof;
 use crate::node::{
-    Node, NodeConfig, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription, lock, unix_now,
+    Client, Node, NodeConfig, NodeError, PublishOptions, Publisher, Server, SubscribeOptions, Subscription, lock,
+    unix_now,
 };
 use crate::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
 
@@ -152,6 +153,10 @@ impl Fabric {
         self.tell(name).await;
     }
 
+    pub fn all_boxes(&self) -> Vec<Signed<KeyBox>> {
+        lock(&self.rib).boxes.values().flatten().cloned().collect()
+    }
+
     /// What was stored for a reader of a name.
     pub fn boxes(&self, name: Name, reader: &Node) -> Vec<KeyBox> {
         let rib = lock(&self.rib);
@@ -246,9 +251,20 @@ impl Owner {
         serial: u64,
         options: SubscribeOptions,
     ) -> Result<Subscription, NodeError> {
+        node.subscribe(self.card.proof(), self.grant(node, serial), options).await
+    }
+
+    pub async fn serve(&self, node: &Node) -> Server {
+        node.serve(self.card.proof(), self.ad_cert(node.name())).await.unwrap()
+    }
+
+    pub async fn client(&self, node: &Node) -> Client {
+        node.client(self.card.proof(), self.grant(node, 1)).await.unwrap()
+    }
+
+    fn grant(&self, node: &Node, serial: u64) -> Reading {
         let (name, to, not_after) = (self.name(), Grantee::Entity(node.name()), unix_now() + 60);
-        let grant = issue(&self.key, &ReadGrant { name, to, serial, not_before: 0, not_after }).unwrap().into();
-        node.subscribe(self.card.proof(), grant, options).await
+        issue(&self.key, &ReadGrant { name, to, serial, not_before: 0, not_after }).unwrap().into()
     }
 
     /// Takes back the certificates with these serials.
@@ -320,13 +336,9 @@ impl Rib {
         if let Some(code) = self.refuse {
             return (Refusal::new(code, "as the test wants it").into(), Vec::new());
         }
-        let (role, proof, credential, advert) = match request {
-            EntityRequest::Advertise { proof, ad_cert, advert } => {
-                (NameRole::Publisher, proof, Credential::Writer(ad_cert), advert)
-            }
-            EntityRequest::Subscribe { proof, grant, advert } => {
-                (NameRole::Subscriber, proof, Credential::Reader(grant), advert)
-            }
+        let (proof, credential, advert) = match request {
+            EntityRequest::Advertise { proof, ad_cert, advert } => (proof, Credential::Writer(ad_cert), advert),
+            EntityRequest::Subscribe { proof, grant, advert } => (proof, Credential::Reader(grant), advert),
             EntityRequest::Withdraw { advert } => {
                 let name = advert.claims_unverified().unwrap().name;
                 for ((of, _), records) in &mut self.records {
@@ -337,7 +349,8 @@ impl Rib {
             _ => unreachable!("answered above"),
         };
         let name = proof.name().unwrap();
-        let switch = advert.claims_unverified().unwrap().switch;
+        let Advert { switch, op, .. } = advert.claims_unverified().unwrap();
+        let role = NameRole::of(op).unwrap();
         let record = Record { name, proof, entity: link.peer().proof, switch, credential, advert, expires_in: 60 };
         let records = self.records.entry((name, role)).or_default();
         records.retain(|other| other.entity != record.entity);
@@ -363,7 +376,18 @@ impl Rib {
             names.push(name);
         }
         names.dedup();
-        names.into_iter().flat_map(|name| self.pushes_to(name, NameRole::Subscriber)).collect()
+        let takers = [NameRole::Subscriber, NameRole::Server];
+        let mut pushes: Pushes =
+            names.iter().flat_map(|name| takers.map(|role| self.pushes_to(*name, role))).flatten().collect();
+        for entity in names {
+            // What comes to an entity's own name.
+            if let Some(link) = self.link_of(&entity) {
+                let (role, switch) = (NameRole::Subscriber, entity);
+                let peers = self.peers(entity, role, entity);
+                pushes.push((link, PeersPush { switch, entity, name: entity, role, peers }));
+            }
+        }
+        pushes
     }
 
     /// All counterparts of somebody in a name, as this RIB tells of them.
@@ -373,16 +397,14 @@ impl Rib {
         let (run, generation, gone) = (self.run, self.generation, Vec::new());
         let records = self.of(name, role.counterpart()).to_vec();
         let boxes = match role {
-            NameRole::Subscriber => self.boxes.get(&(name, entity)).cloned().unwrap_or_default(),
+            NameRole::Subscriber | NameRole::Server => self.boxes.get(&(name, entity)).cloned().unwrap_or_default(),
             _ => Vec::new(),
         };
         Peers { run, generation, extent, records, gone, revocation: self.revocations.get(&name).cloned(), boxes }
     }
 
     fn pushes(&mut self, name: Name) -> Pushes {
-        let mut pushes = self.pushes_to(name, NameRole::Publisher);
-        pushes.extend(self.pushes_to(name, NameRole::Subscriber));
-        pushes
+        NameRole::ALL.into_iter().flat_map(|role| self.pushes_to(name, role)).collect()
     }
 
     fn pushes_to(&mut self, name: Name, role: NameRole) -> Pushes {
@@ -419,7 +441,8 @@ fn forward_frame(frame: &[u8], rib: &mut Rib, data: &crate::port::DataSocket) {
     if rib.fate.as_mut().is_some_and(|fate| !fate(&header, payload)) {
         return;
     }
-    let readers = rib.of(header.destination, NameRole::Subscriber).iter().map(|record| record.entity.name().unwrap());
+    let readers = [NameRole::Subscriber, NameRole::Server].map(|role| rib.of(header.destination, role)).concat();
+    let readers = readers.iter().map(|record| record.entity.name().unwrap());
     // An entity is reached under its own name.
     let takers: Vec<Link> = readers.chain([header.destination]).filter_map(|taker| rib.link_of(&taker)).collect();
     for link in takers {
