@@ -1,0 +1,102 @@
+//! Nodes of the SDK at a whole daemon: what two callers of one service get, and what is left when the server goes.
+
+use std::path::Path;
+use std::time::{Duration, Instant, SystemTime};
+
+use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp::link::RekeySchedule;
+use gdp::node::{Client, NodeError, Server};
+use gdp::seal::Encoding;
+use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
+use gdp_ctl::config::{Config, DataPlane};
+use gdp_ctl::serve::{Running, start};
+
+const PATIENCE: Duration = Duration::from_secs(20);
+
+#[tokio::test(flavor = "multi_thread")]
+async fn callers_get_their_own_replies_and_are_told_when_nobody_serves() {
+    let folder = tempfile::tempdir().unwrap();
+    let switch = start(config(folder.path())).await.unwrap();
+    let owner = Owner::new();
+    let server = owner.serve(&node(&switch).await).await;
+    let (one, two) = (owner.client(&node(&switch).await).await, owner.client(&node(&switch).await).await);
+    let serving = tokio::spawn(answer(server, 21));
+    for i in 0..10u8 {
+        for (client, body) in [(&one, vec![i; 3]), (&two, vec![i; 30_000])] {
+            let reply = tokio::time::timeout(PATIENCE, client.call(Encoding::Cdr, &body)).await.unwrap().unwrap();
+            assert_eq!((&reply.body[..], reply.encoding), (&body[..], Encoding::Cdr));
+        }
+    }
+    // One that comes later is served as well.
+    let late = owner.client(&node(&switch).await).await;
+    tokio::time::timeout(PATIENCE, late.call(Encoding::Cdr, b"late")).await.unwrap().unwrap();
+    drop(serving.await.unwrap());
+    let deadline = Instant::now() + PATIENCE;
+    while one.servers() > 0 {
+        assert!(Instant::now() < deadline, "the server is gone");
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    assert!(matches!(one.call(Encoding::Cdr, b"").await, Err(NodeError::NoServer(_))));
+    switch.stop().await;
+}
+
+/// Sends so many requests back.
+async fn answer(mut server: Server, count: usize) -> Server {
+    for _ in 0..count {
+        let call = server.recv().await.unwrap();
+        let (encoding, body) = (call.encoding(), call.body().clone());
+        call.reply(encoding, &body).await.unwrap();
+    }
+    server
+}
+
+struct Owner {
+    key: SigningKey,
+    card: NameCard,
+}
+
+impl Owner {
+    fn new() -> Self {
+        let key = SigningKey::generate().unwrap();
+        let card = NameCard::create(key.verify_key(), "service", "/echo", "T", None).unwrap();
+        Self { key, card }
+    }
+
+    async fn serve(&self, node: &Node) -> Server {
+        let (name, entity, mode, scope) = (self.card.name(), node.name(), Mode::Unicast, Vec::new());
+        let claims = AdCert { name, entity, mode, scope, serial: 1, not_before: 0, not_after: tomorrow() };
+        node.serve(self.card.proof(), issue(&self.key, &claims).unwrap().into()).await.unwrap()
+    }
+
+    async fn client(&self, node: &Node) -> Client {
+        let (name, to, not_after) = (self.card.name(), Grantee::Entity(node.name()), tomorrow());
+        let grant = issue(&self.key, &ReadGrant { name, to, serial: 1, not_before: 0, not_after }).unwrap();
+        node.client(self.card.proof(), grant.into()).await.unwrap()
+    }
+}
+
+async fn node(switch: &Running) -> Node {
+    let link = format!("udp://{}", switch.udp_addr().unwrap()).parse().unwrap();
+    Node::connect(NodeConfig::new(Identity::generate("proxy").unwrap(), link)).await.unwrap()
+}
+
+fn config(folder: &Path) -> Config {
+    Config {
+        identity: folder.join("s1.pem"),
+        socket: folder.join("s1.sock"),
+        interfaces: Some(Vec::new()),
+        bpffs: None,
+        udp: Some("127.0.0.1:0".parse().unwrap()),
+        data_plane: DataPlane::Userspace,
+        rib: true,
+        uplink: None,
+        neighbours: Vec::new(),
+        ebpf_object: None,
+        fib_capacity: 1024,
+        rekey: RekeySchedule::default(),
+    }
+}
+
+fn tomorrow() -> u64 {
+    SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_secs() + 24 * 3600
+}
