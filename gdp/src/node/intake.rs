@@ -332,7 +332,7 @@ impl Intake {
     fn take_up(&mut self, counters: &Counters) {
         while let Some(message) = self.stalled.pop_front() {
             let Self { options, queue, shared, stalled, .. } = self;
-            if let Err(message) = (Out { options, queue, shared, stalled }).offer(message, counters) {
+            if let Some(message) = (Out { options, queue, shared, stalled }).offer(message, counters) {
                 self.stalled.push_front(message);
                 return;
             }
@@ -369,8 +369,8 @@ struct Out<'a> {
 
 impl Out<'_> {
     fn deliver(&mut self, message: Message, counters: &Counters) {
-        let refused = if self.stalled.is_empty() { self.offer(message, counters) } else { Err(message) };
-        let Err(message) = refused else { return };
+        let refused = if self.stalled.is_empty() { self.offer(message, counters) } else { Some(message) };
+        let Some(message) = refused else { return };
         if self.options.reliable {
             self.stalled.push_back(message);
             self.shared.stalled.store(true, Ordering::Relaxed);
@@ -380,12 +380,12 @@ impl Out<'_> {
         }
     }
 
-    /// A message that is larger than all there is room for is taken if nothing else is there.
-    fn offer(&self, message: Message, counters: &Counters) -> Result<(), Message> {
+    /// Returns the message if there is no room for it. One that is larger than all the room is taken if nothing else is there.
+    fn offer(&self, message: Message, counters: &Counters) -> Option<Message> {
         let length = message.body.len();
         let queued = self.shared.queued_bytes.load(Ordering::Relaxed);
         if queued > 0 && queued.saturating_add(length) > self.options.queue_bytes {
-            return Err(message);
+            return Some(message);
         }
         match self.queue.try_reserve() {
             Ok(place) => {
@@ -393,9 +393,9 @@ impl Out<'_> {
                 self.shared.queued_bytes.fetch_add(length, Ordering::Relaxed);
                 counters.messages_received.add(1);
                 place.send(message);
-                Ok(())
+                None
             }
-            Err(_) => Err(message),
+            Err(_) => Some(message),
         }
     }
 }
