@@ -9,6 +9,8 @@ mod flood;
 mod reader;
 #[path = "malicious/rib.rs"]
 mod rib;
+#[path = "malicious/services.rs"]
+mod services;
 #[path = "malicious/switch.rs"]
 mod switch;
 
