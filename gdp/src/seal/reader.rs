@@ -116,7 +116,6 @@ pub struct Shared {
     pub name: Name,
     pub backend: Backend,
     pub limits: Limits,
-    pub vouch_on_sight: bool,
     /// Bytes charged to all assemblies.
     pub memory: usize,
     pub drops: [u64; DropReason::COUNT],
@@ -142,15 +141,8 @@ const SCRATCH_LEN: usize = wire::MAX_PLAINTEXT + wire::proof_len(wire::MAX_DEPTH
 
 impl Reader {
     pub fn new(name: Name, backend: Backend, limits: Limits) -> Self {
-        let shared = Shared {
-            name,
-            backend,
-            limits,
-            vouch_on_sight: false,
-            memory: 0,
-            drops: [0; DropReason::COUNT],
-            next_deadline: u64::MAX,
-        };
+        let shared =
+            Shared { name, backend, limits, memory: 0, drops: [0; DropReason::COUNT], next_deadline: u64::MAX };
         Self { sources: HashMap::new(), shared, scratch: vec![0; SCRATCH_LEN].into() }
     }
 
@@ -188,12 +180,6 @@ impl Reader {
         let source = self.sources.get_mut(writer).ok_or(DropReason::UnknownWriter)?;
         source.vouch(&mut self.shared, session, from_sequence);
         Ok(())
-    }
-
-    /// Takes every session that opens for one that its writer vouches for, from its beginning, if its signatures hold.
-    /// Recordings that are not older than [`Limits::max_age`] pass.
-    pub fn vouch_on_sight(&mut self) {
-        self.shared.vouch_on_sight = true;
     }
 
     pub fn writers(&self) -> impl Iterator<Item = &Name> {
