@@ -35,7 +35,9 @@ async fn another_client_reads_neither_requests_nor_replies() -> Result<()> {
     let reply = sealed(&server, client.name(), &replies, b"home", other.name())?;
     let frames = [request, reply].concat();
     switch.inject(&frames);
-    [&mut server, &mut client, &mut other].map(|entity| drop(entity.listen(&switch)));
+    for entity in [&mut server, &mut client, &mut other] {
+        entity.listen(&switch);
+    }
     assert_eq!(bodies(&server.read(name, &client.identity, &frames)?), [b"where to?"]);
     assert_eq!(bodies(&client.read(client.name(), &server.identity, &frames)?), [b"home"]);
 

@@ -12,6 +12,9 @@ use tokio::time::timeout;
 
 use crate::evil::{Frame, Owner, Recording, SOON, Scene, dropped, eventually, node};
 
+/// What becomes of a payload.
+type Alter = Box<dyn Fn(&mut Vec<u8>) + Send>;
+
 /// Messages of a test.
 const COUNT: u8 = 30;
 
@@ -27,7 +30,7 @@ async fn what_a_switch_alters_is_dropped() -> Result<()> {
         }
     };
     let cut = |payload: &mut Vec<u8>| _ = payload.pop();
-    let cases: [(&str, Box<dyn Fn(&mut Vec<u8>) + Send>, &str); _] = [
+    let cases: [(&str, Alter, &str); _] = [
         ("version", Box::new(flip(0)), "seal_bad_header"),
         ("flags", Box::new(flip(1)), "seal_bad_header"),
         ("length", Box::new(flip(2)), "seal_bad_header"),
