@@ -187,17 +187,14 @@ impl Node {
             return Err(CertError::WrongEntity { expected: entity, got: claims.entity }.into());
         }
         let name = claims.name;
-        state.begin(name, Stated::Published, Statement::Publish { proof, ad_cert })?;
-        let publication = match Publication::new(name, &state.identity, &options, &state.outlet) {
-            Ok(publication) => Arc::new(publication),
-            Err(error) => {
-                state.withdraw(name, Stated::Published);
-                return Err(error);
-            }
+        let publication = Arc::new(Publication::new(name, &state.identity, &options, &state.outlet)?);
+        let register = || {
+            state.outlet.open(publication.clone());
+            lock(&state.publications).insert(name, publication.clone());
+            state.command(Command::Publish { publication: publication.clone() });
         };
-        state.outlet.open(publication.clone());
-        lock(&state.publications).insert(name, publication.clone());
-        state.command(Command::Publish { publication: publication.clone() });
+        let begun = state.begin(name, Stated::Published, Statement::Publish { proof, ad_cert }, register);
+        begun.inspect_err(|_| publication.close(&state.outlet))?;
         // From here on, dropping the publisher ends the statement.
         let publisher = Publisher::new(self.0.clone(), publication.clone(), state.feedback.of(name));
         let attachment = state.attached().await?;
@@ -216,13 +213,14 @@ impl Node {
     ) -> Result<Subscription, NodeError> {
         let state = &self.0.state;
         let name = grant.verify(&proof, state.identity.name(), None, unix_now())?.name;
-        state.begin(name, Stated::Subscribed, Statement::Subscribe { proof, grant })?;
         let (sender, queue) = mpsc::channel(options.queue.max(1));
         let (shared, ended) = (Arc::<intake::Shared>::default(), Arc::<OnceLock<CertError>>::default());
-        lock(&state.readings).insert(name, Reading::new(name, &state.identity));
-        lock(&state.subscriptions).insert(name, ended.clone());
         let intake = Intake::new(name, options, sender, shared.clone());
-        state.command(Command::Subscribe { name, intake: Box::new(intake) });
+        state.begin(name, Stated::Subscribed, Statement::Subscribe { proof, grant }, || {
+            lock(&state.readings).insert(name, Reading::new(name, &state.identity));
+            lock(&state.subscriptions).insert(name, ended.clone());
+            state.command(Command::Subscribe { name, intake: Box::new(intake) });
+        })?;
         let subscription = Subscription::new(self.0.clone(), name, queue, shared, ended);
         let attachment = state.attached().await?;
         state.state(&attachment, name, Stated::Subscribed).await?;

@@ -151,12 +151,21 @@ impl State {
         }
     }
 
-    pub fn begin(&self, name: Name, stated: Stated, statement: Statement) -> Result<(), NodeError> {
+    /// Takes in what the application states, unless it is stated already. `register` puts in place what the RIB's answer is for: it
+    /// is called before anybody can state it, as the supervisor's tasks may do at once.
+    pub fn begin(
+        &self,
+        name: Name,
+        stated: Stated,
+        statement: Statement,
+        register: impl FnOnce(),
+    ) -> Result<(), NodeError> {
         let counterparts = Counterparts::new(*statement.proof(), stated.role())?;
         match lock(&self.statements).entry((name, stated)) {
             std::collections::hash_map::Entry::Occupied(_) => Err(NodeError::Already { name, stated }),
             std::collections::hash_map::Entry::Vacant(entry) => {
                 lock(&self.counterparts).insert((name, stated.role()), counterparts);
+                register();
                 entry.insert((statement, false));
                 Ok(())
             }
