@@ -54,8 +54,8 @@ pub struct TopicConfig {
     #[serde(default)]
     pub qos: Qos,
     /// Refused with the remedy: earlier versions shared a secret file here.
-    #[serde(default, rename = "key", deserialize_with = "no_key")]
-    _key: (),
+    #[serde(default, rename = "key")]
+    _key: NoKey,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize, serde::Serialize)]
@@ -65,6 +65,18 @@ pub enum Direction {
     Out,
     /// From the fabric to local ROS nodes.
     In,
+}
+
+/// What no file says.
+#[derive(Debug, Default)]
+struct NoKey;
+
+impl<'de> Deserialize<'de> for NoKey {
+    fn deserialize<D: Deserializer<'de>>(_: D) -> Result<Self, D::Error> {
+        Err(de::Error::custom(
+            "there is no `key` any more: writers give each reader its keys. Remove it here, and the file on every machine",
+        ))
+    }
 }
 
 /// A DDS domain id that has ports.
@@ -153,12 +165,6 @@ impl Config {
 
 fn from_text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<LinkTarget, D::Error> {
     String::deserialize(deserializer)?.parse().map_err(de::Error::custom)
-}
-
-fn no_key<'de, D: Deserializer<'de>>(_: D) -> Result<(), D::Error> {
-    Err(de::Error::custom(
-        "there is no `key` any more: writers give each reader its keys. Remove this line, and the file on every machine",
-    ))
 }
 
 #[cfg(test)]

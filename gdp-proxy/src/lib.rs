@@ -4,7 +4,6 @@
 //! them together, [`stats`] counts. The fabric is the SDK's business (`gdp::node`): nothing here seals, signs or routes.
 #![deny(unsafe_code)]
 
-mod backlog;
 pub mod config;
 mod delivery;
 pub mod material;

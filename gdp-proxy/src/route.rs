@@ -1,29 +1,30 @@
 //! One topic in one direction. Each route has a thread of its own, so a slow topic holds up nobody else's; within it a
-//! message goes straight from one side to the other, without a queue or a wake-up in between unless the far side is busy.
+//! message goes straight from one side to the other, without a queue or a wake-up in between. A topic whose right has ended is
+//! asked for again and again, and the others go on.
 
 use std::collections::BTreeSet;
 use std::convert::Infallible;
 use std::fmt::Display;
-use std::pin::pin;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use gdp::cert::{AdCert, Issued, Reading};
-use gdp::node::{ErrorCode, Feedback, FrameError, NodeError, Publisher};
+use gdp::node::{ErrorCode, Feedback, FrameError, NodeError, Publisher, Subscription};
 use gdp::seal::{Encoding, Message};
 use gdp::{Name, NameCard, Node};
+use tokio::time::{Interval, MissedTickBehavior};
 
-use crate::backlog::Backlog;
 use crate::config::{Direction, TopicConfig};
 use crate::delivery;
 use crate::material::{Permission, TopicMaterial};
-use crate::ros2::{
-    Arrived, Domain, Qos, RawReader, RawSample, RawWriter, RosError, TopicName, TypeName, Unreadable, WriteError,
-};
-use crate::stats::{Drop, RouteCounters, RouteStats};
+use crate::ros2::{Arrived, Domain, Qos, RawReader, RawSample, RawWriter, RosError, TopicName, TypeName, WriteError};
+use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
 
 /// Between attempts to have a name published or subscribed: doubled from the first to the second.
 const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(30));
+
+/// How old what the statistics say of the fabric may be.
+const LOOK: Duration = Duration::from_secs(1);
 
 pub struct Route {
     topic: TopicName,
@@ -40,6 +41,7 @@ struct Progress {
     status: String,
     /// Of the publisher, once there is one.
     feedback: Option<Arc<Feedback>>,
+    fabric: FabricCounters,
 }
 
 impl Route {
@@ -50,16 +52,22 @@ impl Route {
             qos: config.qos,
             name: material.card.name(),
             counters: RouteCounters::default(),
-            progress: Mutex::new(Progress { kind: material.kind.clone(), status: "starting".into(), feedback: None }),
+            progress: Mutex::new(Progress {
+                kind: material.kind.clone(),
+                status: "starting".into(),
+                feedback: None,
+                fabric: FabricCounters::None,
+            }),
         }
     }
 
     pub fn stats(&self) -> RouteStats {
-        let progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        let progress = self.progress();
         let (kind, status) = (progress.kind.as_ref().map(TypeName::to_string), progress.status.clone());
         let refused = progress.feedback.as_ref().map(|feedback| feedback.errors()).unwrap_or_default();
         RouteStats {
             refused,
+            fabric: progress.fabric.by_name(),
             ..RouteStats::new(self.topic.to_string(), kind, status, self.direction, self.name, &self.counters)
         }
     }
@@ -74,9 +82,9 @@ impl Route {
             Some(kind) => kind,
             None => self.learn_type(domain).await,
         };
-        match material.permission {
-            Permission::Publish(cert) => self.run_out(domain, node, &kind, &material.card, &cert).await,
-            Permission::Read(grant) => self.run_in(domain, node, &kind, &material.card, &grant).await,
+        match &material.permission {
+            Permission::Publish(cert) => self.run_out(domain, node, &kind, &material.card, cert).await,
+            Permission::Read(grant) => self.run_in(domain, node, &kind, &material.card, grant).await,
         }
     }
 
@@ -88,18 +96,24 @@ impl Route {
         card: &NameCard,
         cert: &Issued<AdCert>,
     ) -> Result<Infallible, RouteError> {
-        // First the fabric, then DDS: a latched message that comes at once has somewhere to go.
-        let mut pause = RETRY.0;
-        let mut publisher = loop {
-            match node.publish(card.proof(), cert.clone(), delivery::publish_options(&self.qos)).await {
-                Ok(publisher) => break publisher,
-                Err(error) => self.pause_after(error, &mut pause).await,
-            }
-        };
-        let reader = domain.reader(&self.topic, kind, self.qos)?;
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner).feedback = Some(publisher.feedback().clone());
-        self.is_up();
-        self.carry_out(&reader, &mut publisher).await
+        let (mut reader, mut pause) = (None, RETRY.0);
+        loop {
+            let error = match node.publish(card.proof(), cert.clone(), delivery::publish_options(&self.qos)).await {
+                Ok(mut publisher) => {
+                    // First the fabric, then DDS: a latched message that comes at once has somewhere to go.
+                    let reader = match &reader {
+                        Some(reader) => reader,
+                        None => reader.insert(domain.reader(&self.topic, kind, self.qos)?),
+                    };
+                    self.progress().feedback = Some(publisher.feedback().clone());
+                    pause = RETRY.0;
+                    self.is_up();
+                    self.carry_out(reader, &mut publisher).await?
+                }
+                Err(error) => error,
+            };
+            self.pause_after(error, &mut pause).await;
+        }
     }
 
     async fn run_in(
@@ -113,16 +127,17 @@ impl Route {
         // First DDS, then the fabric, likewise.
         let mut writer = domain.writer(&self.topic, kind, self.qos)?;
         let mut pause = RETRY.0;
-        let mut subscription = loop {
-            match node.subscribe(card.proof(), grant.clone(), delivery::subscribe_options(&self.qos)).await {
-                Ok(subscription) => break subscription,
-                Err(error) => self.pause_after(error, &mut pause).await,
-            }
-        };
-        self.is_up();
         loop {
-            let message = subscription.recv().await.ok_or(RouteError::NodeClosed)?;
-            self.carry_in(message, node.name(), &mut writer).await;
+            let options = delivery::subscribe_options(&self.qos);
+            let error = match node.subscribe(card.proof(), grant.clone(), options).await {
+                Ok(mut subscription) => {
+                    pause = RETRY.0;
+                    self.is_up();
+                    self.carry_all_in(&mut subscription, node.name(), &mut writer).await?
+                }
+                Err(error) => error,
+            };
+            self.pause_after(error, &mut pause).await;
         }
     }
 
@@ -130,7 +145,7 @@ impl Route {
         self.set_status("waiting for a local publisher, to learn the type");
         let kind = domain.type_of(&self.topic).await;
         tracing::info!(topic = %self.topic, %kind, "learnt the type");
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner).kind = Some(kind.clone());
+        self.progress().kind = Some(kind.clone());
         kind
     }
 
@@ -143,51 +158,68 @@ impl Route {
         *pause = (*pause * 2).min(RETRY.1);
     }
 
-    async fn carry_out(&self, reader: &RawReader, publisher: &mut Publisher) -> Result<Infallible, RouteError> {
-        let mut backlog = Backlog::new(self.qos.depth.get().into());
-        let mut told = BTreeSet::new();
+    /// Returns when the right to publish has ended, with the reason.
+    async fn carry_out(&self, reader: &RawReader, publisher: &mut Publisher) -> Result<NodeError, RouteError> {
+        let (mut told, mut ticks) = (BTreeSet::new(), ticks());
         loop {
             if let Some(error) = publisher.feedback().last()
                 && told.insert(error.code.as_str())
             {
                 self.tell(error);
             }
-            let Some(message) = backlog.pop() else {
-                self.keep(reader.recv().await, &mut backlog);
-                continue;
+            self.progress().fabric = FabricCounters::Out(publisher.counters());
+            let arrived = tokio::select! {
+                arrived = reader.recv() => arrived,
+                _ = ticks.tick() => continue,
             };
-            let began = Instant::now();
-            let mut sending = pin!(publisher.send(Encoding::Cdr, &message));
-            // RustDDS holds few messages and drops more without a word: they are taken over while the fabric is busy.
-            let sent = loop {
-                tokio::select! {
-                    biased;
-                    sent = &mut sending => break sent,
-                    arrived = reader.recv() => self.keep(arrived, &mut backlog),
+            let Arrived { sample, written_ns } = match arrived {
+                Ok(arrived) => arrived,
+                Err(error) => {
+                    self.drop(Drop::Unreadable, error);
+                    continue;
                 }
             };
-            match sent {
+            if let Some(written_ns) = written_ns {
+                self.counters.arrival.record_since(written_ns);
+            }
+            let began = Instant::now();
+            // Waits for nothing: what finds no room replaces older messages.
+            match publisher.send(Encoding::Cdr, &sample.bytes).await {
                 Ok(_) => {
                     self.counters.handling.record(began.elapsed());
-                    self.counters.passed(message.len());
+                    self.counters.passed(sample.bytes.len());
                 }
                 Err(NodeError::Closed) => return Err(RouteError::NodeClosed),
+                Err(error @ NodeError::Cert(_)) => {
+                    self.drop(Drop::SendFailed, &error);
+                    return Ok(error);
+                }
                 Err(error) => self.drop(Drop::SendFailed, error),
             }
         }
     }
 
-    fn keep(&self, arrived: Result<Arrived, Unreadable>, backlog: &mut Backlog) {
-        match arrived {
-            Ok(Arrived { sample, written_ns }) => {
-                if let Some(written_ns) = written_ns {
-                    self.counters.arrival.record_since(written_ns);
-                }
-                for _ in 0..backlog.push(sample.bytes) {
-                    self.drop(Drop::QueueFull, "the fabric takes messages more slowly than they come");
+    /// Returns when the right to read has ended, with the reason.
+    async fn carry_all_in(
+        &self,
+        subscription: &mut Subscription,
+        own: Name,
+        writer: &mut RawWriter,
+    ) -> Result<NodeError, RouteError> {
+        let mut ticks = ticks();
+        loop {
+            self.progress().fabric = FabricCounters::In(subscription.counters(), subscription.queue_full());
+            let received = tokio::select! {
+                received = subscription.recv() => received,
+                _ = ticks.tick() => continue,
+            };
+            match received {
+                Some(message) => self.carry_in(message, own, writer).await,
+                None => {
+                    let ended = subscription.ended().cloned();
+                    return ended.map(NodeError::from).ok_or(RouteError::NodeClosed);
                 }
             }
-            Err(error) => self.drop(Drop::Unreadable, error),
         }
     }
 
@@ -228,14 +260,24 @@ impl Route {
         }
     }
 
+    fn progress(&self) -> MutexGuard<'_, Progress> {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn is_up(&self) {
         tracing::info!(topic = %self.topic, direction = ?self.direction, name = %self.name, "carrying");
         self.set_status("up");
     }
 
     fn set_status(&self, status: &str) {
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner).status = status.into();
+        self.progress().status = status.into();
     }
+}
+
+fn ticks() -> Interval {
+    let mut ticks = tokio::time::interval(LOOK);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    ticks
 }
 
 /// Why a route ended.

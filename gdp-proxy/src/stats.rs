@@ -8,16 +8,15 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use gdp::Name;
 use gdp::node::NodeCounters;
+use gdp::transport::{InboundCounters, TopicCounters};
 use serde::Serialize;
 
 use crate::config::Direction;
 use crate::timing::{Percentiles, Timing};
 
-/// Why a message did not cross. What the fabric drops is in the node's counters.
+/// Why a message did not cross. What the fabric drops is in [`FabricCounters`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Drop {
-    /// The fabric took messages more slowly than they came, and newer ones pushed this one out.
-    QueueFull,
     /// A local message is not XCDR version 1.
     Unreadable,
     /// The fabric did not take the message.
@@ -35,8 +34,7 @@ pub enum Drop {
 }
 
 impl Drop {
-    const ALL: [Self; 8] = [
-        Self::QueueFull,
+    const ALL: [Self; 7] = [
         Self::Unreadable,
         Self::SendFailed,
         Self::WrongEncoding,
@@ -48,7 +46,6 @@ impl Drop {
 
     pub fn as_str(self) -> &'static str {
         match self {
-            Self::QueueFull => "queue_full",
             Self::Unreadable => "unreadable",
             Self::SendFailed => "send_failed",
             Self::WrongEncoding => "wrong_encoding",
@@ -94,6 +91,41 @@ impl RouteCounters {
     }
 }
 
+/// What the fabric did with the topic's messages on this side, since the route came up last.
+#[derive(Clone, Copy)]
+pub enum FabricCounters {
+    None,
+    Out(TopicCounters),
+    /// With the messages that did not find room on their way to DDS.
+    In(InboundCounters, u64),
+}
+
+impl FabricCounters {
+    pub fn by_name(&self) -> BTreeMap<&'static str, u64> {
+        match self {
+            Self::None => BTreeMap::new(),
+            Self::Out(of) => BTreeMap::from([
+                ("messages", of.messages),
+                ("replaced", of.replaced),
+                ("expired", of.expired),
+                ("evicted", of.evicted),
+                ("frames", of.frames),
+                ("frames_repeated", of.repeated),
+                ("frames_over_budget", of.over_budget),
+            ]),
+            Self::In(of, queue_full) => BTreeMap::from([
+                ("delivered", of.delivered),
+                ("queue_full", *queue_full),
+                ("overtaken", of.overtaken),
+                ("expired", of.expired),
+                ("given_up", of.given_up),
+                ("segments_duplicate", of.duplicates),
+                ("segments_beyond", of.beyond),
+            ]),
+        }
+    }
+}
+
 /// One topic, as the statistics file shows it.
 #[derive(Serialize)]
 pub struct RouteStats {
@@ -108,6 +140,8 @@ pub struct RouteStats {
     pub messages: u64,
     pub bytes: u64,
     pub drops: BTreeMap<&'static str, u64>,
+    /// See `gdp::transport::TopicCounters` of what goes `out`, `InboundCounters` of what comes `in`.
+    pub fabric: BTreeMap<&'static str, u64>,
     /// `out`: what the switch said of frames it refused. A hint: it says few of those that are due.
     pub refused: BTreeMap<&'static str, u64>,
     pub latency_us: StageLatency,
@@ -143,6 +177,7 @@ impl RouteStats {
             messages,
             bytes,
             drops: counters.drops(),
+            fabric: BTreeMap::new(),
             refused: BTreeMap::new(),
             latency_us,
         }
@@ -234,7 +269,7 @@ mod tests {
             let topic = &read["topics"][0];
             assert_eq!((&topic["messages"], &topic["bytes"]), (&sent.into(), &(68 * sent).into()));
             assert_eq!((&topic["direction"], &topic["name"]), (&"out".into(), &"07".repeat(32).into()));
-            assert_eq!(topic["drops"]["queue_full"], 0);
+            assert_eq!(topic["drops"]["send_failed"], 0);
         }
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }

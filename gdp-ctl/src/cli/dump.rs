@@ -6,7 +6,7 @@ use gdp::name::NamePrefix;
 use serde_json::{Value, json};
 
 use super::Context;
-use super::output::{role, short, table};
+use super::output::{short, table};
 use crate::admin::{Client, ClientError, Request};
 
 #[derive(Debug, Subcommand)]
@@ -112,7 +112,7 @@ fn keep(entries: &mut Vec<Value>, prefix: Option<&NamePrefix>) {
 
 fn describe(record: Value) -> Result<Value, ClientError> {
     let record: Record = serde_json::from_value(record).map_err(|e| ClientError::Malformed(e.to_string()))?;
-    let role = role(record.role().map_err(|e| ClientError::Malformed(e.to_string()))?);
+    let role = record.role().map_err(|e| ClientError::Malformed(e.to_string()))?.to_string();
     let entity = record.entity.name().map_err(|e| ClientError::Malformed(e.to_string()))?;
     Ok(json!({
         "name": record.name, "role": role, "entity": entity, "switch": record.switch, "expires_in": record.expires_in,

@@ -6,7 +6,6 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
 use anyhow::Context;
-use gdp::control::NameRole;
 use serde_json::Value;
 
 pub struct Output {
@@ -55,16 +54,6 @@ pub fn table<const N: usize>(heading: [&str; N], rows: &[[String; N]]) -> String
     };
     let lines = std::iter::once(line(heading)).chain(rows.iter().map(|row| line(row.each_ref().map(String::as_str))));
     lines.collect::<Vec<_>>().join("\n")
-}
-
-/// What an entity is to a name.
-pub fn role(role: NameRole) -> &'static str {
-    match role {
-        NameRole::Publisher => "writer",
-        NameRole::Server => "server",
-        NameRole::Subscriber => "reader",
-        NameRole::Caller => "caller",
-    }
 }
 
 /// A name in a JSON value, in its short form.

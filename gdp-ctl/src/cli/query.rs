@@ -79,7 +79,7 @@ fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>,
 
 fn describe(record: &Record, now: u64) -> Result<Value, gdp::cert::CertError> {
     let entity = record.verify(None, now)?.entity;
-    let role = output::role(record.role()?);
+    let role = record.role()?.to_string();
     Ok(json!({
         "name": record.name, "role": role, "entity": entity, "switch": record.switch,
         "expires_in": record.expires_in, "verified": true,

@@ -248,32 +248,23 @@ impl Intake {
         let before = *self.reader.drops();
         let result = self.reader.push(now, source, payload, &mut self.received);
         let mut verdict = Verdict::Done;
-        match result {
-            Err(reason @ (DropReason::Unvouched | DropReason::NoKey)) => {
-                if reason == DropReason::Unvouched {
-                    writer.ask(steady);
-                }
-                let times = self.reader.drops()[reason as usize] - before[reason as usize];
-                // Counted if it is of no use later.
-                self.seen_drops[reason as usize] += times;
-                verdict = Verdict::Early(reason, times);
+        if let Err(reason @ (DropReason::Unvouched | DropReason::NoKey)) = result {
+            if reason == DropReason::Unvouched {
+                writer.ask(steady);
             }
-            Err(DropReason::Duplicate) => {
-                if let Some(Session { id, inbound, .. }) = &mut writer.session {
-                    // If a report was lost, the writer has to hear that this is here.
-                    segment_ids(payload).filter(|segment| segment.session == *id).for_each(|segment| {
-                        inbound.segment(steady, &as_segment(&segment));
-                    });
-                }
-            }
-            _ => {}
+            let times = self.reader.drops()[reason as usize] - before[reason as usize];
+            // Counted if it is of no use later.
+            self.seen_drops[reason as usize] += times;
+            verdict = Verdict::Early(reason, times);
         }
         let received = &mut self.received;
         let Some(Session { id, inbound, .. }) = &mut writer.session else {
             received.clear();
             return verdict;
         };
-        for segment in received.segments.iter().filter(|segment| segment.session == *id) {
+        // Those that are repeated as well: if a report was lost, the writer has to hear that they are here. What did not open is
+        // nobody's word, so it counts for nothing.
+        for segment in received.segments.iter().chain(&received.repeated).filter(|segment| segment.session == *id) {
             inbound.segment(steady, &as_segment(segment));
         }
         for lost in received.lost.iter().filter(|lost| lost.session == *id) {
@@ -341,7 +332,7 @@ impl Intake {
     fn take_up(&mut self, counters: &Counters) {
         while let Some(message) = self.stalled.pop_front() {
             let Self { options, queue, shared, stalled, .. } = self;
-            if let Err(message) = (Out { options, queue, shared, stalled }).offer(message, counters) {
+            if let Some(message) = (Out { options, queue, shared, stalled }).offer(message, counters) {
                 self.stalled.push_front(message);
                 return;
             }
@@ -378,8 +369,8 @@ struct Out<'a> {
 
 impl Out<'_> {
     fn deliver(&mut self, message: Message, counters: &Counters) {
-        let refused = if self.stalled.is_empty() { self.offer(message, counters) } else { Err(message) };
-        let Err(message) = refused else { return };
+        let refused = if self.stalled.is_empty() { self.offer(message, counters) } else { Some(message) };
+        let Some(message) = refused else { return };
         if self.options.reliable {
             self.stalled.push_back(message);
             self.shared.stalled.store(true, Ordering::Relaxed);
@@ -389,12 +380,12 @@ impl Out<'_> {
         }
     }
 
-    /// A message that is larger than all there is room for is taken if nothing else is there.
-    fn offer(&self, message: Message, counters: &Counters) -> Result<(), Message> {
+    /// Returns the message if there is no room for it. One that is larger than all the room is taken if nothing else is there.
+    fn offer(&self, message: Message, counters: &Counters) -> Option<Message> {
         let length = message.body.len();
         let queued = self.shared.queued_bytes.load(Ordering::Relaxed);
         if queued > 0 && queued.saturating_add(length) > self.options.queue_bytes {
-            return Err(message);
+            return Some(message);
         }
         match self.queue.try_reserve() {
             Ok(place) => {
@@ -402,9 +393,9 @@ impl Out<'_> {
                 self.shared.queued_bytes.fetch_add(length, Ordering::Relaxed);
                 counters.messages_received.add(1);
                 place.send(message);
-                Ok(())
+                None
             }
-            Err(_) => Err(message),
+            Err(_) => Some(message),
         }
     }
 }

@@ -42,10 +42,10 @@ pub struct PublishOptions {
 }
 
 impl PublishOptions {
-    /// The newest message, for 200 ms.
+    /// The newest message, for half a second.
     pub fn best_effort() -> Self {
         Self {
-            reliability: Reliability::BestEffort { lifetime: Duration::from_millis(200) },
+            reliability: Reliability::BestEffort { lifetime: Duration::from_millis(500) },
             history: 8,
             history_bytes: 64 << 20,
             class: 3,

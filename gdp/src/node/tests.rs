@@ -419,19 +419,7 @@ async fn a_way_that_swallows_large_frames_is_sent_small_ones() {
     let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
     let mut subscription = owner.subscribe(&cloud).await.unwrap();
     let mut publisher = owner.publish(&robot).await.unwrap();
-    let (largest, swallows, name) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)), owner.name());
-    let (seen, swallowing) = (largest.clone(), swallows.clone());
-    fabric.set_fate(Some(Box::new(move |header, payload| {
-        let large = header.destination == name && payload.len() + Header::LEN > usize::from(SMALLEST_PATH);
-        seen.fetch_max(payload.len() + Header::LEN, Ordering::Relaxed);
-        !(large && swallowing.load(Ordering::Relaxed))
-    })));
-    let body = vec![7; 20_000];
-    while largest.load(Ordering::Relaxed) <= SMALLEST_PATH.into() {
-        publisher.send(Encoding::Bytes, &body).await.unwrap();
-        recv(&mut subscription).await;
-    }
-    swallows.store(true, Ordering::Relaxed);
+    let swallows = Swallows::begin(&fabric, &mut publisher, &mut subscription).await;
     for i in 0..20u8 {
         publisher.send(Encoding::Bytes, &[i; 20_000]).await.unwrap();
     }
@@ -439,6 +427,54 @@ async fn a_way_that_swallows_large_frames_is_sent_small_ones() {
         assert_eq!(recv(&mut subscription).await.body[..], [i; 20_000]);
     }
     assert_eq!((publisher.counters().evicted, subscription.counters().given_up), (0, 0));
+    assert!(swallows.0.load(Ordering::Relaxed) > 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn large_frames_that_vanish_are_noticed_without_any_word_of_the_reader() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/camera");
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut subscription = owner.subscribe_as(&cloud, SubscribeOptions::best_effort()).await.unwrap();
+    let mut publisher = owner.publish_as(&robot, PublishOptions::best_effort()).await.unwrap();
+    let swallows = Swallows::begin(&fabric, &mut publisher, &mut subscription).await;
+    // A multiple of what frames carry: none of them is small.
+    let body = vec![7; 200_000];
+    let deadline = tokio::time::Instant::now() + Duration::from_secs(10);
+    loop {
+        assert!(tokio::time::Instant::now() < deadline, "{:?} {:?}", publisher.counters(), robot.counters());
+        publisher.send(Encoding::Bytes, &body).await.unwrap();
+        if tokio::time::timeout(Duration::from_millis(500), subscription.recv()).await.is_ok() {
+            break;
+        }
+    }
+    assert!(swallows.0.load(Ordering::Relaxed) > 0);
+}
+
+/// How many frames were swallowed for being large.
+struct Swallows(Arc<AtomicUsize>);
+
+impl Swallows {
+    /// Begins once large frames are sent at all: a new link begins with small ones.
+    async fn begin(fabric: &Fabric, publisher: &mut Publisher, subscription: &mut Subscription) -> Self {
+        let [seen, begun] = [false; 2].map(|flag| Arc::new(AtomicBool::new(flag)));
+        let swallowed = Arc::<AtomicUsize>::default();
+        let (name, of_fate) = (publisher.name(), (seen.clone(), Arc::clone(&swallowed), begun.clone()));
+        fabric.set_fate(Some(Box::new(move |header, payload| {
+            let (seen, swallowed, begun) = &of_fate;
+            let large = header.destination == name && payload.len() + Header::LEN > usize::from(SMALLEST_PATH);
+            seen.fetch_or(large, Ordering::Relaxed);
+            let vanishes = large && begun.load(Ordering::Relaxed);
+            swallowed.fetch_add(usize::from(vanishes), Ordering::Relaxed);
+            !vanishes
+        })));
+        while !seen.load(Ordering::Relaxed) {
+            publisher.send(Encoding::Bytes, &[7; 20_000]).await.unwrap();
+            recv(subscription).await;
+        }
+        begun.store(true, Ordering::Relaxed);
+        Self(swallowed)
+    }
 }
 
 async fn recv(subscription: &mut Subscription) -> crate::seal::Message {

@@ -87,6 +87,8 @@ pub struct Received {
     /// Segments of messages that opened and were not here before. Any holder of the key may have made them: whether the
     /// writer did is known once the message is complete.
     pub segments: Vec<SegmentId>,
+    /// Segments that opened and that nothing needs: they are here already, or their message was delivered.
+    pub repeated: Vec<SegmentId>,
     /// But for those that were not complete in time: [`Limits::deadline`] is the caller's.
     pub lost: Vec<Lost>,
 }
@@ -96,6 +98,7 @@ impl Received {
         self.messages.clear();
         self.heartbeats.clear();
         self.segments.clear();
+        self.repeated.clear();
         self.lost.clear();
     }
 }
@@ -113,7 +116,6 @@ pub struct Shared {
     pub name: Name,
     pub backend: Backend,
     pub limits: Limits,
-    pub vouch_on_sight: bool,
     /// Bytes charged to all assemblies.
     pub memory: usize,
     pub drops: [u64; DropReason::COUNT],
@@ -139,15 +141,8 @@ const SCRATCH_LEN: usize = wire::MAX_PLAINTEXT + wire::proof_len(wire::MAX_DEPTH
 
 impl Reader {
     pub fn new(name: Name, backend: Backend, limits: Limits) -> Self {
-        let shared = Shared {
-            name,
-            backend,
-            limits,
-            vouch_on_sight: false,
-            memory: 0,
-            drops: [0; DropReason::COUNT],
-            next_deadline: u64::MAX,
-        };
+        let shared =
+            Shared { name, backend, limits, memory: 0, drops: [0; DropReason::COUNT], next_deadline: u64::MAX };
         Self { sources: HashMap::new(), shared, scratch: vec![0; SCRATCH_LEN].into() }
     }
 
@@ -187,12 +182,6 @@ impl Reader {
         Ok(())
     }
 
-    /// Takes every session that opens for one that its writer vouches for, from its beginning, if its signatures hold.
-    /// Recordings that are not older than [`Limits::max_age`] pass.
-    pub fn vouch_on_sight(&mut self) {
-        self.shared.vouch_on_sight = true;
-    }
-
     pub fn writers(&self) -> impl Iterator<Item = &Name> {
         self.sources.keys()
     }
@@ -210,7 +199,13 @@ impl Reader {
         let mut rest = payload;
         loop {
             let (taken, behind) = match Segment::split(rest) {
-                Ok((segment, behind)) => take(source.as_deref_mut(), &mut push, &segment, behind),
+                Ok((segment, behind)) => {
+                    let (taken, behind) = take(source.as_deref_mut(), &mut push, &segment, behind);
+                    if taken == Err(DropReason::Duplicate) {
+                        push.out.repeated.push(segment.id());
+                    }
+                    (taken, behind)
+                }
                 Err(reason) => (Err(reason), &[][..]),
             };
             if let Err(reason) = taken {

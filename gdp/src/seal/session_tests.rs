@@ -71,7 +71,7 @@ fn sessions_that_nobody_vouched_for_displace_none_that_somebody_did() {
     let slow = f.seal(&mut writer, &[1; 2000], 1400);
     assert_eq!(refusal(&mut reader, &f, &slow[0]), None);
     let memory = reader.memory();
-    for i in 0..100 {
+    for i in 100..200 {
         let mut insider = f.writer_in([i; 16], &SigningKey::for_test(66));
         for frame in f.seal(&mut insider, &[6; 2000], 1400) {
             assert_eq!(refusal(&mut reader, &f, &frame), Some(DropReason::Unvouched));

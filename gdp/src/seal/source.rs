@@ -188,8 +188,7 @@ impl Source {
             }
         };
 
-        let vouched = self.sessions[at].from.or(push.shared.vouch_on_sight.then_some(0));
-        if header.sequence < vouched.ok_or(DropReason::Unvouched)? {
+        if header.sequence < self.sessions[at].from.ok_or(DropReason::Unvouched)? {
             return Err(DropReason::Stale);
         }
         if header.kind == Kind::Heartbeat {
@@ -396,11 +395,7 @@ impl Source {
         session.window.record(sequence);
         session.last_used = self.clock;
         let freed = session.give_up(sequence);
-        let (id, first) = (session.id, session.from.is_none());
         self.free(shared, freed);
-        if first {
-            self.vouch(shared, id, 0);
-        }
         Ok(())
     }
 

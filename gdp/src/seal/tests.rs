@@ -5,6 +5,7 @@ use super::*;
 use crate::crypto::Backend;
 use crate::identity::{Identity, SigningKey};
 use crate::name::Name;
+use std::cell::Cell;
 
 #[test]
 fn messages_of_any_size_cross_between_all_back_ends() {
@@ -50,8 +51,8 @@ fn a_small_message_is_one_frame_and_a_full_tail_shares_one_with_the_proof() {
 
 #[test]
 fn order_does_not_matter_and_duplicates_do_no_harm() {
-    let f = Fixture::new();
     for seed in 1..50 {
+        let f = Fixture::new();
         let mut random = Random(seed);
         let (mut writer, mut reader) = (f.writer(), f.reader());
         let mut frames = Vec::new();
@@ -182,6 +183,7 @@ fn one_writer_cannot_use_up_another_ones_memory() {
     let mut out = Received::default();
     let mut other = f.writer_of(&f.other);
     f.introduce(&mut reader, &f.other);
+    f.vouch(&mut reader, &f.other);
     let honest = f.seal(&mut other, &[2; 10_000], 1400);
     reader.push(at(0), f.other.name(), &honest[0], &mut out).unwrap();
     let mut greedy = f.writer();
@@ -231,6 +233,8 @@ pub struct Fixture {
     pub writing: Backend,
     pub reading: Backend,
     pub limits: Limits,
+    /// Writers begun so far.
+    pub begun: Cell<u8>,
 }
 
 impl Fixture {
@@ -243,6 +247,7 @@ impl Fixture {
             writing: Backend::default(),
             reading: Backend::default(),
             limits: limits(),
+            begun: Cell::new(0),
         }
     }
 
@@ -255,7 +260,14 @@ impl Fixture {
     }
 
     pub fn writer_of(&self, entity: &Identity) -> Writer {
-        self.with_epoch(Writer::new(self.name, entity.name(), entity.key().clone(), self.writing).unwrap())
+        self.begun.set(self.begun.get() + 1);
+        let session = Self::session(self.begun.get());
+        self.with_epoch(Writer::with_session(self.name, entity.name(), entity.key(), self.writing, session).unwrap())
+    }
+
+    /// Of the `n`th writer.
+    fn session(n: u8) -> [u8; 16] {
+        [n; 16]
     }
 
     /// A writer in the name of the entity, in a session of the caller's choice, that signs with any key.
@@ -268,11 +280,18 @@ impl Fixture {
         writer
     }
 
-    /// Knows the entity and its key, and takes its sessions as they come.
+    /// Knows the entity and its key, and the sessions of the first writers.
     pub fn reader(&self) -> Reader {
         let mut reader = self.strict_reader();
-        reader.vouch_on_sight();
+        self.vouch(&mut reader, &self.entity);
         reader
+    }
+
+    /// The entity vouches for the sessions of the first writers.
+    pub fn vouch(&self, reader: &mut Reader, entity: &Identity) {
+        for n in 1..=self.limits.max_sessions as u8 {
+            reader.vouch(&entity.name(), Self::session(n), 0).unwrap();
+        }
     }
 
     /// Wants to hear of each session from its writer.

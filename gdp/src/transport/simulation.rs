@@ -354,7 +354,7 @@ impl Simulation {
             }
             Output::Reseal { topic, message } => {
                 let index = self.topics.iter().position(|sim| sim.writer == writer && sim.id == topic).unwrap();
-                let max_payload = self.max_payload;
+                let max_payload = self.uplink(writer, None).max_payload_of(now, topic);
                 let smaller = self.topics[index].seal(message.first(), message.cut() + 1, max_payload);
                 self.uplink(writer, None).resealed(now, topic, smaller);
             }

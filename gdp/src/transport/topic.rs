@@ -2,7 +2,7 @@
 
 use gdp_wire::Name;
 
-use super::black_hole::FrameLimit;
+use super::black_hole::{FrameLimit, LEAST_PAYLOAD};
 use super::meter::{Meter, Speed, nanoseconds};
 use super::outbox::{Chosen, History, Outbox, Overflow, Reliability};
 use super::peers::{Peer, Peers, Report, SILENCE_STEP};
@@ -79,6 +79,8 @@ pub struct TopicState {
     look_at: u64,
     waiting: Option<Waiting>,
     limit: FrameLimit,
+    /// Large frames went since a reader last told of what came.
+    large_unheard: bool,
 }
 
 /// A publisher waits for room.
@@ -120,6 +122,7 @@ impl TopicState {
             look_at: u64::MAX,
             waiting: None,
             limit: FrameLimit::default(),
+            large_unheard: false,
         }
     }
 
@@ -184,6 +187,7 @@ impl TopicState {
         }
         self.sent_at = now;
         self.sent += bytes as u64;
+        self.large_unheard |= bytes > LEAST_PAYLOAD;
         self.paused = false;
         self.pace.take(now, bytes as u64, rate);
         if !chosen.repair {
@@ -229,7 +233,15 @@ impl TopicState {
         if self.find_rate(now).is_none() {
             let (sent, last) = (self.sent, self.sent_at);
             let blocked = self.peers.live().chain([&mut self.nobody]);
-            blocked.filter(|peer| peer.overdue_at(last) <= now).for_each(|peer| peer.forget_under_way(now, sent));
+            let mut unheard = false;
+            for peer in blocked.filter(|peer| peer.overdue_at(last) <= now) {
+                // Once may be an accident.
+                unheard |= peer.path().is_silent();
+                peer.forget_under_way(now, sent);
+            }
+            if unheard && self.large_unheard && !self.peers.is_empty() {
+                self.limit.set(now);
+            }
         }
         due
     }
@@ -247,6 +259,7 @@ impl TopicState {
                 let report =
                     Report { acknowledged: *acknowledged, received_bytes: *received_bytes, ce: *ce, echo, delay };
                 peer.on_report(now, &report, &self.log, &self.outbox, self.sent);
+                self.large_unheard &= echo.is_none();
                 echo.and_then(|echo| self.outbox.len_of(echo)).into_iter().for_each(|len| peer.suspicion.came(len));
                 self.leader = None;
                 self.wait(now);

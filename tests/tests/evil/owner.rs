@@ -1,0 +1,73 @@
+//! Owners of names.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use anyhow::Result;
+use gdp::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Reading, Revocation, Signed, issue};
+use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::{Name, NameCard, Node, SigningKey};
+
+/// The owner of one name, and all it gives out.
+pub struct Owner {
+    pub key: SigningKey,
+    pub card: NameCard,
+    numbers: AtomicU64,
+}
+
+impl Owner {
+    pub fn new(topic: &str) -> Result<Self> {
+        let key = SigningKey::generate()?;
+        let card = NameCard::create(key.verify_key(), "topic", topic, "T", None)?;
+        Ok(Self { key, card, numbers: AtomicU64::new(1) })
+    }
+
+    /// Somebody who knows the card, but whose key is another.
+    pub fn impostor(&self) -> Result<Self> {
+        Ok(Self { key: SigningKey::generate()?, card: self.card.clone(), numbers: AtomicU64::new(1) })
+    }
+
+    pub fn name(&self) -> Name {
+        self.card.name()
+    }
+
+    pub fn ad_cert(&self, entity: Name) -> Result<Issued<AdCert>> {
+        let (name, (serial, not_after)) = (self.name(), now());
+        let (mode, scope, not_before) = (Mode::Multicast, vec![], 0);
+        Ok(issue(&self.key, &AdCert { name, entity, mode, scope, serial, not_before, not_after })?.into())
+    }
+
+    pub fn grant(&self, entity: Name) -> Result<Reading> {
+        let (name, (serial, not_after)) = (self.name(), now());
+        let (to, not_before) = (Grantee::Entity(entity), 0);
+        Ok(issue(&self.key, &ReadGrant { name, to, serial, not_before, not_after })?.into())
+    }
+
+    /// Takes back what has one of these serials, under the next number.
+    pub fn revocation(&self, mut revoked: Vec<u64>) -> Result<Signed<Revocation>> {
+        revoked.sort_unstable();
+        let number = self.numbers.fetch_add(1, Ordering::Relaxed);
+        Ok(issue(&self.key, &Revocation { name: self.name(), number, floor: 0, revoked })?)
+    }
+
+    pub async fn publish(&self, node: &Node, options: PublishOptions) -> Result<Publisher> {
+        let ad_cert = self.ad_cert(node.name())?;
+        Ok(node.publish(self.card.proof(), ad_cert, options).await?)
+    }
+
+    pub async fn subscribe(&self, node: &Node, options: SubscribeOptions) -> Result<Subscription> {
+        let grant = self.grant(node.name())?;
+        Ok(node.subscribe(self.card.proof(), grant, options).await?)
+    }
+}
+
+/// A serial, and an end of validity in an hour.
+fn now() -> (u64, u64) {
+    let time = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    (time.as_nanos() as u64, time.as_secs() + 3600)
+}
+
+/// The serial of the first certificate in it.
+pub fn serial(serials: Result<Vec<(&'static str, u64)>, gdp::cert::CertError>) -> Result<u64> {
+    Ok(serials?[0].1)
+}

@@ -1,0 +1,113 @@
+//! What most tests begin with: a robot that publishes a name, and a cloud that reads it.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use gdp::node::{NodeCounters, PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::seal::{Encoding, Message};
+use gdp::{Identity, Node};
+use tokio::time::timeout;
+
+use super::{Frame, Owner, SOON, Switch, dropped, eventually, node};
+
+/// Declared in the order in which it ends.
+pub struct Scene {
+    pub publisher: Publisher,
+    pub subscription: Subscription,
+    pub robot: Node,
+    pub cloud: Node,
+    pub robot_identity: Identity,
+    pub cloud_identity: Identity,
+    pub owner: Owner,
+    pub switch: Switch,
+}
+
+impl Scene {
+    /// The newest message counts.
+    pub async fn best_effort() -> Result<Self> {
+        Self::set(PublishOptions::best_effort(), SubscribeOptions::best_effort()).await
+    }
+
+    /// Every message counts.
+    pub async fn reliable() -> Result<Self> {
+        Self::set(PublishOptions::reliable(), SubscribeOptions::reliable()).await
+    }
+
+    /// Set, and one message has come through.
+    pub async fn set(publishing: PublishOptions, reading: SubscribeOptions) -> Result<Self> {
+        let (switch, owner) = (Switch::start()?, Owner::new("/chatter")?);
+        let (robot_identity, cloud_identity) = (Identity::generate("proxy")?, Identity::generate("proxy")?);
+        let (robot, cloud) = (node(&switch, &robot_identity).await?, node(&switch, &cloud_identity).await?);
+        let subscription = owner.subscribe(&cloud, reading).await?;
+        let publisher = owner.publish(&robot, publishing).await?;
+        let mut scene = Self { publisher, subscription, robot, cloud, robot_identity, cloud_identity, owner, switch };
+        scene.passes(b"first").await?;
+        Ok(scene)
+    }
+
+    pub async fn send(&mut self, body: &[u8]) -> Result<()> {
+        self.publisher.send(Encoding::Bytes, body).await?;
+        Ok(())
+    }
+
+    /// The next message that the application gets.
+    pub async fn next(&mut self) -> Result<Message> {
+        match timeout(SOON, self.subscription.recv()).await {
+            Ok(Some(message)) => Ok(message),
+            Ok(None) => bail!("the node is closed"),
+            Err(_) => bail!("no message: robot {:?}, cloud {:?}", self.robot.counters(), self.cloud.counters()),
+        }
+    }
+
+    /// The robot says this, and the cloud hears it as the next thing.
+    pub async fn passes(&mut self, body: &[u8]) -> Result<()> {
+        self.send(body).await?;
+        let message = self.next().await?;
+        assert_eq!(&message.body[..], body, "something else was delivered");
+        assert_eq!(message.writer, self.robot_identity.name());
+        Ok(())
+    }
+
+    /// What has been delivered that nobody has asked for yet.
+    pub async fn delivered(&mut self) -> Vec<Message> {
+        let mut messages = Vec::new();
+        while let Ok(Some(message)) = timeout(Duration::from_millis(1), self.subscription.recv()).await {
+            messages.push(message);
+        }
+        messages
+    }
+
+    /// Waits until the cloud has dropped as many for this reason.
+    pub fn drops(&self, reason: &str, at_least: u64) -> Result<NodeCounters> {
+        drops(&self.cloud, reason, at_least)
+    }
+}
+
+/// Waits until a node has dropped as many for this reason.
+pub fn drops(node: &Node, reason: &str, at_least: u64) -> Result<NodeCounters> {
+    let enough = || Some(node.counters()).filter(|counters| dropped(counters, reason) >= at_least);
+    eventually(&format!("{reason} to reach {at_least}"), enough).with_context(|| format!("{:?}", node.counters()))
+}
+
+/// Frames that passed the switch.
+#[derive(Clone, Default)]
+pub struct Recording(Arc<Mutex<Vec<Frame>>>);
+
+impl Recording {
+    pub fn add(&self, frames: &[Frame]) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(frames);
+    }
+
+    pub fn frames(&self) -> Vec<Frame> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Of everything that passes from now on; takes the place of what the switch did to frames before.
+    pub fn of(switch: &Switch) -> Self {
+        let recording = Self::default();
+        let adding = recording.clone();
+        switch.tamper(move |frames| adding.add(frames));
+        recording
+    }
+}

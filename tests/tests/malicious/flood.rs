@@ -1,0 +1,83 @@
+//! An attacker that sends as much as it can on a link that legitimate traffic uses as well. At which rate that passes is measured by
+//! `cargo xtask bench transport`; here, that it passes, and that memory stays what it was.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Context, Result};
+use gdp::control::{NameRole, Response};
+use gdp::crypto::{self, Backend};
+use gdp::seal::Writer;
+use gdp::{Identity, Name};
+
+use crate::evil::{Frame, Recording, Rogue, Scene, drops};
+
+/// Frames of a flood, at least.
+const FRAMES: u64 = 20_000;
+
+/// What the process may take more, in KiB: what waits for a key or a writer is 2 MiB, sockets and recordings not much.
+const MEMORY: u64 = 48 << 10;
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_flood_of_what_is_not_authentic_stops_nobody_and_takes_no_memory() -> Result<()> {
+    let mut scene = Scene::reliable().await?;
+    let mut rogue = Rogue::attach(&scene.switch)?;
+    let stated = rogue.state(&scene.switch, &scene.owner, NameRole::Subscriber)?;
+    assert!(matches!(stated, Response::Peers(_)), "{stated:?}");
+    let recording = Recording::of(&scene.switch);
+    scene.passes(b"before").await?;
+    let (topic, robot, cloud) = (scene.owner.name(), scene.robot.name(), scene.cloud.name());
+    let honest = recording.frames().into_iter().find(|frame| frame.destination == topic).context("no frame")?;
+    scene.switch.tamper(|_| {});
+    let to_cloud = |destination: Name, source: Name, payload: Vec<u8>| Frame {
+        destination,
+        source,
+        flags: 0,
+        payload,
+        to: vec![cloud],
+    };
+    // Each kind goes as far as it can before it is refused.
+    let mut changed = honest.payload.clone();
+    let last = changed.len() - 1;
+    changed[last] ^= 1;
+    let mut far = Writer::new(topic, robot, rogue.identity.key().clone(), Backend::default())?;
+    far.set_epoch(7, &gdp::seal::EpochKey::generate()?)?;
+    let kinds = [
+        ("seal_forged", vec![to_cloud(topic, robot, changed)]),
+        ("seal_unknown_writer", vec![to_cloud(topic, Identity::generate("proxy")?.name(), honest.payload.clone())]),
+        ("seal_no_key", rogue.sealed(&mut far, robot, &[1; 900], cloud)?),
+        ("seal_duplicate", vec![honest.clone()]),
+        ("drop_feedback_forged", vec![to_cloud(cloud, robot, [&[1][..], &crypto::random::<100>()?].concat())]),
+    ];
+    let before = resident()?;
+    for (reason, mut frames) in kinds {
+        frames.iter_mut().for_each(|frame| frame.to = vec![cloud]);
+        let ends = Arc::new(AtomicBool::new(false));
+        let flood = scene.switch.flood(frames, ends.clone());
+        let mut passed = 0u32;
+        let flooded = loop {
+            scene.passes(&passed.to_be_bytes()).await.context(reason)?;
+            passed += 1;
+            let now = scene.cloud.counters();
+            // What comes when the kernel's queue is full is lost before anybody sees it.
+            if passed >= 100 && now.frames_received + now.drops.get("drop_socket_full").copied().unwrap_or(0) >= FRAMES
+            {
+                break now;
+            }
+        };
+        ends.store(true, Ordering::Relaxed);
+        flood.join().ok().context("the flood failed")?;
+        assert!(flooded.frames_received > 0);
+        drops(&scene.cloud, reason, 1000)?;
+    }
+    let grown = resident()?.saturating_sub(before);
+    assert!(grown < MEMORY, "{grown} KiB more than before");
+    Ok(())
+}
+
+/// Of this process, in KiB.
+fn resident() -> Result<u64> {
+    let status = std::fs::read_to_string("/proc/self/status")?;
+    let line = status.lines().find(|line| line.starts_with("VmRSS:")).context("no VmRSS")?;
+    Ok(line.split_whitespace().nth(1).context("no number")?.parse()?)
+}
