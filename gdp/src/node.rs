@@ -208,8 +208,7 @@ impl Node {
             return Err(CertError::WrongEntity { expected: entity, got: claims.entity }.into());
         }
         let name = claims.name;
-        state.begin(name, Stated::Published, Statement::Write { proof, ad_cert })?;
-        let publication = state.open(name, Stated::Published, &options)?;
+        let publication = state.open(name, Stated::Published, Statement::Write { proof, ad_cert }, &options)?;
         // From here on, dropping the publisher ends the statement.
         let publisher = Publisher::new(self.0.clone(), publication.clone(), state.feedback.of(name));
         self.make_known(name, Stated::Published, Some(&publication)).await?;
@@ -225,8 +224,7 @@ impl Node {
     ) -> Result<Subscription, NodeError> {
         let state = &self.0.state;
         let name = grant.verify(&proof, state.identity.name(), None, unix_now())?.name;
-        state.begin(name, Stated::Subscribed, Statement::Read { proof, grant })?;
-        let (queue, ended) = state.read(name, options);
+        let (queue, ended) = state.read(name, Stated::Subscribed, Statement::Read { proof, grant }, options)?;
         let subscription = Subscription::new(self.0.clone(), queue, ended);
         self.make_known(name, Stated::Subscribed, None).await?;
         Ok(subscription)
@@ -241,8 +239,8 @@ impl Node {
         if claims.entity != entity {
             return Err(CertError::WrongEntity { expected: entity, got: claims.entity }.into());
         }
-        state.begin(name, Stated::Served, Statement::Write { proof, ad_cert })?;
-        let (queue, _) = state.read(name, SubscribeOptions::reliable());
+        let (statement, options) = (Statement::Write { proof, ad_cert }, SubscribeOptions::reliable());
+        let (queue, _) = state.read(name, Stated::Served, statement, options)?;
         let server = Server::new(self.0.clone(), queue);
         self.make_known(name, Stated::Served, None).await?;
         Ok(server)
@@ -252,9 +250,9 @@ impl Node {
     pub async fn client(&self, proof: NameProof, grant: Grant) -> Result<Client, NodeError> {
         let state = &self.0.state;
         let name = grant.verify(&proof, state.identity.name(), None, unix_now())?.name;
-        state.begin(name, Stated::Called, Statement::Read { proof, grant })?;
         state.open_inbox();
-        let publication = state.open(name, Stated::Called, &PublishOptions::reliable())?;
+        let (statement, options) = (Statement::Read { proof, grant }, PublishOptions::reliable());
+        let publication = state.open(name, Stated::Called, statement, &options)?;
         let client = Client::new(self.0.clone(), publication.clone());
         self.make_known(name, Stated::Called, Some(&publication)).await?;
         Ok(client)

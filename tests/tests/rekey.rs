@@ -169,8 +169,10 @@ impl Scene {
         let [robot, cloud] = [0, 1].map(|i: usize| self.nodes[i].0.counters());
         for (from, to) in [(&robot, &cloud), (&cloud, &robot)] {
             ensure!(from.messages_sent == messages && to.messages_received == messages, "{from:?} {to:?}");
-            ensure!(from.frames_sent == to.frames_received && from.frames_sent > 2 * messages, "{from:?} {to:?}");
-            ensure!(to.drops.is_empty(), "{to:?}");
+            ensure!(to.frames_received > 2 * messages, "{from:?} {to:?}");
+            // What was late and asked for again comes twice; what the other end says first may come before it is known here.
+            let harmless = ["seal_duplicate", "drop_feedback_unknown"];
+            ensure!(to.drops.keys().all(|reason| harmless.contains(reason)), "{to:?}");
         }
         Ok(())
     }

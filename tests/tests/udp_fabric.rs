@@ -45,24 +45,23 @@ fn messages_cross_three_carriers_without_leaving_the_kernel() -> Result<()> {
 
     let reader = Inside::new(&site.far, ROOT)?;
     let reading = reader.run(Node::connect(NodeConfig::new(far, "udp://[2001:db8:3::9]:31415".parse()?)))??;
-    let subscribe = reading.subscribe(card.proof(), grant, SubscribeOptions::best_effort());
+    let subscribe = reading.subscribe(card.proof(), grant, SubscribeOptions::reliable());
     let mut subscription = reader.runtime.block_on(subscribe)?;
     let writer = Inside::new(&site.robot, ROOT)?;
     let writing = writer.run(Node::connect(NodeConfig::new(robot, "eth://e0".parse()?)))??;
-    let mut publisher = writer.runtime.block_on(writing.publish(card.proof(), cert, PublishOptions::best_effort()))?;
-    let mut exchange = |body: &[u8]| -> Result<bool> {
+    let mut publisher = writer.runtime.block_on(writing.publish(card.proof(), cert, PublishOptions::reliable()))?;
+    let mut exchange = |body: &[u8]| -> Result<()> {
         writer.runtime.block_on(publisher.send(Encoding::Bytes, body))?;
-        let next =
-            reader.runtime.block_on(async { tokio::time::timeout(Duration::from_secs(1), subscription.recv()).await });
-        let Ok(message) = next else { return Ok(false) };
-        ensure!(message.context("a live subscription")?.body == body, "another message");
-        Ok(true)
+        let next = reader.runtime.block_on(async { tokio::time::timeout(SOON, subscription.recv()).await });
+        let message = next.context("not received")?.context("a live subscription")?;
+        ensure!(message.body == body, "another message");
+        Ok(())
     };
-    wait_for("a first message", SOON, || Ok(exchange(b"first")?.then_some(())))?;
-    // The first of such size may be lost: what the path takes is learnt from that.
-    wait_for("a large message", SOON, || Ok(exchange(&vec![7; 1 << 18])?.then_some(())))?;
+    exchange(b"first").context("a first message")?;
+    // What the path takes is learnt from its first frames.
+    exchange(&vec![7; 1 << 18]).context("a large message")?;
     for i in 0..50u32 {
-        ensure!(exchange(&i.to_be_bytes())?, "message {i} was lost");
+        exchange(&i.to_be_bytes()).with_context(|| format!("message {i}"))?;
     }
     for (switch, to) in [(&edge, "forwarded"), (&cloud, "delivered")] {
         let status = switch.status();

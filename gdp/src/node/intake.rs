@@ -303,10 +303,14 @@ impl Intake {
             let Some(session) = &mut known.session else { continue };
             while let Some(arrival) = session.inbound.poll(now) {
                 match arrival {
-                    Arrival::Message(mut message) => match session.is_new(&mut message) {
-                        true => out.deliver(message, counters),
-                        false => _ = out.shared.counters.repeats.fetch_add(1, Ordering::Relaxed),
-                    },
+                    Arrival::Message(mut message) => {
+                        // First: who has the message may look.
+                        out.shared.counters.add(session.inbound.counters(), &mut session.seen);
+                        match session.is_new(&mut message) {
+                            true => out.deliver(message, counters),
+                            false => _ = out.shared.counters.repeats.fetch_add(1, Ordering::Relaxed),
+                        }
+                    }
                     Arrival::Feedback(feedback) => tell(writer, &feedback),
                 }
             }

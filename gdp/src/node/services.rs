@@ -156,7 +156,7 @@ impl State {
         if std::mem::replace(&mut *opened, true) {
             return;
         }
-        let (mut queue, _) = self.read(own, SubscribeOptions::reliable());
+        let (mut queue, _) = self.listen(own, SubscribeOptions::reliable());
         let state = self.clone();
         tokio::spawn(async move {
             while let Some(reply) = queue.recv(&state).await {

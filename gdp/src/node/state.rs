@@ -156,7 +156,15 @@ impl State {
         }
     }
 
-    pub fn begin(&self, name: Name, stated: Stated, statement: Statement) -> Result<(), NodeError> {
+    /// Takes in what the application states, unless it is stated already. `register` puts in place what the RIB's answer is for: it
+    /// is called before anybody can state it, as the supervisor's tasks may do at once.
+    pub fn begin(
+        &self,
+        name: Name,
+        stated: Stated,
+        statement: Statement,
+        register: impl FnOnce(),
+    ) -> Result<(), NodeError> {
         let counterparts = Counterparts::new(*statement.proof(), stated.role())?;
         let (mut known, mut statements) = (lock(&self.counterparts), lock(&self.statements));
         // What it sends to the name is one stream, and what it takes of it is another.
@@ -166,6 +174,7 @@ impl State {
             return Err(NodeError::Already { name, stated });
         }
         known.insert((name, stated.role()), counterparts);
+        register();
         statements.insert((name, stated), (statement, false));
         Ok(())
     }
@@ -175,11 +184,17 @@ impl State {
         lock(&self.statements).keys().map(|(name, _)| *name).collect()
     }
 
-    /// A publication for what was begun.
-    pub fn open(&self, name: Name, stated: Stated, options: &PublishOptions) -> Result<Arc<Publication>, NodeError> {
-        let publication = Publication::new(name, &self.identity, options, &self.outlet);
-        let publication = Arc::new(publication.inspect_err(|_| self.withdraw(name, stated))?);
-        self.register(publication.clone());
+    /// A publication for what is stated.
+    pub fn open(
+        &self,
+        name: Name,
+        stated: Stated,
+        statement: Statement,
+        options: &PublishOptions,
+    ) -> Result<Arc<Publication>, NodeError> {
+        let publication = Arc::new(Publication::new(name, &self.identity, options, &self.outlet)?);
+        let begun = self.begin(name, stated, statement, || self.register(publication.clone()));
+        begun.inspect_err(|_| publication.close(&self.outlet))?;
         Ok(publication)
     }
 
@@ -196,8 +211,21 @@ impl State {
         }
     }
 
-    /// What comes of a name, and why it ended.
-    pub fn read(&self, name: Name, options: SubscribeOptions) -> (Queue, Arc<OnceLock<CertError>>) {
+    /// What comes of what is stated, and why it ended.
+    pub fn read(
+        &self,
+        name: Name,
+        stated: Stated,
+        statement: Statement,
+        options: SubscribeOptions,
+    ) -> Result<(Queue, Arc<OnceLock<CertError>>), NodeError> {
+        let mut listening = None;
+        self.begin(name, stated, statement, || listening = Some(self.listen(name, options)))?;
+        listening.ok_or(NodeError::Closed)
+    }
+
+    /// What comes for a name, and why it ended.
+    pub fn listen(&self, name: Name, options: SubscribeOptions) -> (Queue, Arc<OnceLock<CertError>>) {
         let (sender, receiver) = mpsc::channel(options.queue.max(1));
         let (shared, ended) = (Arc::<Shared>::default(), Arc::<OnceLock<CertError>>::default());
         lock(&self.readings).insert(name, Reading::new(name, &self.identity));
@@ -209,8 +237,7 @@ impl State {
 
     /// A handle was dropped. The RIB is told by the supervisor, or by the loss of the link.
     pub fn withdraw(&self, name: Name, stated: Stated) {
-        lock(&self.statements).remove(&(name, stated));
-        lock(&self.counterparts).remove(&(name, stated.role()));
+        // The statement last: until then nobody else can begin the same.
         match stated {
             Stated::Subscribed | Stated::Served => {
                 lock(&self.subscriptions).remove(&name);
@@ -225,6 +252,8 @@ impl State {
                 self.unregister(name);
             }
         }
+        lock(&self.counterparts).remove(&(name, stated.role()));
+        lock(&self.statements).remove(&(name, stated));
         self.withdraw_later(name, stated);
     }
 

@@ -1,7 +1,9 @@
 //! Whether messages at a fixed rate get through while an attacker floods the link that they come by: frames that a key made, which
-//! the attacker has not. Both ends share one CPU; the attacker has the other.
+//! the attacker has not. Both ends share one CPU; the attacker has the other. With what the floods made the receiving end drop, and
+//! what memory they cost.
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -39,22 +41,36 @@ const LOAD: Load = Load { bytes: 1_000, every: Some(Duration::from_millis(1)) };
 
 pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     let site = Site::build(Cable::Tapped, bench)?;
-    let floods = RefCell::new(Vec::new());
+    let rounds = RefCell::new(Vec::new());
     let contenders = FLOODS.map(|(series, flood)| {
-        let (site, floods) = (&site, &floods);
+        let (site, rounds) = (&site, &rounds);
         Contender::new(series, "messages, arrived", move || {
             let (seen, rate) = beside(site, flood, bench)?;
-            floods.borrow_mut().push((series, rate));
             let lane = &seen.lanes[0];
-            Ok(lane.sample(lane.rate))
+            let sample = lane.sample(lane.rate);
+            rounds.borrow_mut().push((series, rate, seen));
+            Ok(sample)
         })
     });
     let mut measures = alternate(bench.rounds, contenders.into())?;
-    let floods = floods.into_inner();
-    for (series, _) in &FLOODS[1..] {
-        // The first round was to warm up.
-        let rates = floods.iter().filter(|(of, _)| of == series).map(|(_, rate)| *rate).skip(1);
-        measures.push(Measure::new(series, "frames of the attacker, sent", rates.collect()));
+    let rounds = rounds.into_inner();
+    // The first round was to warm up.
+    let of = |series: &'static str| rounds.iter().filter(move |(of, ..)| *of == series).skip(1);
+    let (mut memory, mut drops) = (Vec::new(), Vec::new());
+    for (series, flood) in &FLOODS {
+        if flood.is_some() {
+            let rates = of(series).map(|(_, rate, _)| *rate).collect();
+            measures.push(Measure::new(series, "frames of the attacker, sent", rates));
+        }
+        for (index, case) in ["before", "after"].into_iter().enumerate() {
+            let resident = of(series).map(|(.., seen)| seen.resident[index]).collect();
+            memory.push(Measure::new(series, case, resident));
+        }
+        let reasons: BTreeSet<&str> = of(series).flat_map(|(.., seen)| seen.drops.keys().copied()).collect();
+        for reason in reasons {
+            let rates = of(series).map(|(.., seen)| seen.drops.get(reason).copied().unwrap_or(0.0)).collect();
+            drops.push(Measure::new(series, reason, rates));
+        }
     }
     let title = "A thousand messages of 1 kB per second, beside a flood on their link";
     let figure = Figure::new("transport-flood", title, Unit::MessagesPerSecond, measures);
@@ -62,6 +78,8 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
         FLOODS[1..]
             .iter()
             .fold(figure, |figure, (series, _)| figure.compare(series, CALM, |_| Some(Aim::AtLeast(0.98)))),
+        Figure::new("transport-flood-drops", "What the receiving end dropped", Unit::FramesPerSecond, drops),
+        Figure::new("transport-flood-memory", "Resident memory of both ends", Unit::Bytes, memory),
     ])
 }
 

@@ -4,48 +4,63 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Result;
-use gdp::cert::{AdCert, Mode, ReadGrant, issue};
-use gdp::node::{NodeError, Publisher, SubscribeOptions, Subscription};
-use gdp::seal::{Encoding, EpochKey};
+use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::seal::Encoding;
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
 use tokio::sync::oneshot;
 
 use crate::lane::{Lane, Sender};
-use crate::run::Close;
+use crate::run::Carrier;
 use crate::site::{End, Ends};
 
 pub const BEST_EFFORT: &str = "gdp, best effort";
+pub const RELIABLE: &str = "gdp, reliable";
 
 /// Between messages that ask whether the path is there.
 const PROBES: Duration = Duration::from_millis(5);
 
-pub fn best_effort(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Close> {
+pub fn best_effort(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Carrier> {
+    open(ends, lanes, PublishOptions::best_effort(), SubscribeOptions::best_effort())
+}
+
+pub fn reliable(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Carrier> {
+    open(ends, lanes, PublishOptions::reliable(), SubscribeOptions::reliable())
+}
+
+/// The first lane is of a higher class than those beside it.
+fn open(ends: &Ends, lanes: &[Arc<Lane>], publish: PublishOptions, subscribe: SubscribeOptions) -> Result<Carrier> {
     let owner = SigningKey::generate()?;
     let identities = [Identity::generate("proxy")?, Identity::generate("proxy")?];
     let (writer, reader) = (identities[0].name(), identities[1].name());
     let [robot, cloud] = identities;
     let (robot, cloud) = (connect(&ends.robot, robot)?, connect(&ends.cloud, cloud)?);
     for (index, lane) in lanes.iter().enumerate() {
-        let key = EpochKey::generate()?;
         let card = NameCard::create(owner.verify_key(), "topic", &format!("/lane/{index}"), "bytes", None)?;
-        let (name, not_before, not_after) = (card.name(), 0, 4_000_000_000);
-        let grant = issue(&owner, &ReadGrant { name, entity: reader, not_before, not_after })?;
-        let cert = AdCert { name, entity: writer, mode: Mode::Unicast, scope: vec![], not_before, not_after };
-        let cert = issue(&owner, &cert)?;
+        let (name, serial, not_before, not_after) = (card.name(), 1, 0, 4_000_000_000);
+        let grant = ReadGrant { name, to: Grantee::Entity(reader), serial, not_before, not_after };
+        let grant = issue(&owner, &grant)?.into();
+        let cert = AdCert { name, entity: writer, mode: Mode::Unicast, scope: vec![], serial, not_before, not_after };
+        let cert = issue(&owner, &cert)?.into();
 
-        let (node, proof, opener) = (cloud.clone(), card.proof(), key.clone());
-        let subscribe = async move { node.subscribe(proof, grant, &opener, SubscribeOptions::default()).await };
-        let subscription = ends.cloud.inside.run(subscribe)??;
+        let (node, proof) = (cloud.clone(), card.proof());
+        let subscribed = async move { node.subscribe(proof, grant, subscribe).await };
+        let subscription = ends.cloud.inside.run(subscribed)??;
+        let options = PublishOptions { class: if index == 0 { publish.class + 1 } else { publish.class }, ..publish };
         let (node, proof) = (robot.clone(), card.proof());
-        let publisher = ends.robot.inside.run(async move { node.publish(proof, cert, &key).await })??;
+        let publisher = ends.robot.inside.run(async move { node.publish(proof, cert, options).await })??;
         let (first, there) = oneshot::channel();
         ends.cloud.inside.runtime.spawn(receive(lane.clone(), subscription, first));
         ends.robot.inside.runtime.spawn(send(lane.clone(), publisher, there));
     }
-    Ok(Box::pin(async move {
-        robot.close().await;
-        cloud.close().await;
-    }))
+    let counted = cloud.clone();
+    Ok(Carrier {
+        drops: Box::new(move || counted.counters().drops),
+        close: Box::pin(async move {
+            robot.close().await;
+            cloud.close().await;
+        }),
+    })
 }
 
 fn connect(end: &End, identity: Identity) -> Result<Node> {
@@ -79,10 +94,6 @@ struct Ours(Publisher);
 
 impl Sender for Ours {
     async fn send(&mut self, body: &[u8]) -> Result<()> {
-        match self.0.send(Encoding::Bytes, body).await {
-            // Lost, as may happen to any.
-            Err(NodeError::NoRoom { .. }) => Ok(()),
-            sent => Ok(sent.map(drop)?),
-        }
+        Ok(self.0.send(Encoding::Bytes, body).await.map(drop)?)
     }
 }

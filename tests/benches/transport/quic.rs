@@ -9,7 +9,7 @@ use quinn::crypto::rustls::{QuicClientConfig, QuicServerConfig};
 use quinn::{ClientConfig, Endpoint, RecvStream, SendStream, ServerConfig, TransportConfig};
 
 use crate::lane::{self, Lane, Sender};
-use crate::run::Close;
+use crate::run::Carrier;
 use crate::site::Ends;
 use crate::tls;
 
@@ -21,17 +21,17 @@ pub const BBR: &str = "quinn (BBR)";
 
 const PORT: u16 = 4433;
 
-pub fn cubic(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Close> {
+pub fn cubic(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Carrier> {
     open(ends, lanes, TransportConfig::default())
 }
 
-pub fn bbr(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Close> {
+pub fn bbr(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Carrier> {
     let mut transport = TransportConfig::default();
     transport.congestion_controller_factory(Arc::new(BbrConfig::default()));
     open(ends, lanes, transport)
 }
 
-fn open(ends: &Ends, lanes: &[Arc<Lane>], transport: TransportConfig) -> Result<Close> {
+fn open(ends: &Ends, lanes: &[Arc<Lane>], transport: TransportConfig) -> Result<Carrier> {
     let (server, client) = tls::configs()?;
     let server = ServerConfig::with_crypto(Arc::new(QuicServerConfig::try_from(server)?));
     let mut client = ClientConfig::new(Arc::new(QuicClientConfig::try_from(client)?));
@@ -61,7 +61,7 @@ fn open(ends: &Ends, lanes: &[Arc<Lane>], transport: TransportConfig) -> Result<
             }
         });
     }
-    Ok(Box::pin(async move {
+    Ok(Carrier::closed_by(async move {
         endpoint.close(0u32.into(), b"");
         endpoint.wait_idle().await;
     }))

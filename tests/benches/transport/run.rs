@@ -1,5 +1,6 @@
 //! A contender's messages over a site for a while.
 
+use std::collections::BTreeMap;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -10,17 +11,35 @@ use gdp_tests::wait::wait_for;
 
 use crate::lane::{Lane, Load, Received};
 use crate::site::{Ends, Site};
-use crate::usage::Meter;
+use crate::usage::{self, Meter};
 
-/// Starts what carries messages from the robot to the cloud, lane by lane; returns what ends it.
-pub type Open = fn(&Ends, &[Arc<Lane>]) -> Result<Close>;
+/// Starts what carries messages from the robot to the cloud, lane by lane.
+pub type Open = fn(&Ends, &[Arc<Lane>]) -> Result<Carrier>;
 
-pub type Close = Pin<Box<dyn Future<Output = ()> + Send>>;
+pub struct Carrier {
+    /// What the cloud has dropped so far, by reason, if it counts that.
+    pub drops: Box<dyn Fn() -> Drops>,
+    /// Ends it.
+    pub close: Pin<Box<dyn Future<Output = ()> + Send>>,
+}
+
+pub type Drops = BTreeMap<&'static str, u64>;
+
+impl Carrier {
+    /// One that counts no drops.
+    pub fn closed_by(close: impl Future<Output = ()> + Send + 'static) -> Self {
+        Self { drops: Box::new(Drops::new), close: Box::pin(close) }
+    }
+}
 
 /// What was seen in a while.
 pub struct Seen {
     /// CPUs that both ends had busy in the mean.
     pub cpus: f64,
+    /// What the cloud dropped per second, by reason.
+    pub drops: BTreeMap<&'static str, f64>,
+    /// Bytes of memory that this process has resident, with both ends in it: as the while began, and as it ended.
+    pub resident: [f64; 2],
     /// One for each lane.
     pub lanes: Vec<SeenLane>,
 }
@@ -54,7 +73,7 @@ pub fn run(site: &Site, open: Open, loads: &[Load], cpus: [usize; 2], duration: 
     let ends = site.ends(cpus)?;
     let meter = Meter::new(site.chain())?;
     let lanes: Vec<Arc<Lane>> = loads.iter().copied().map(Lane::new).collect();
-    let close = open(&ends, &lanes)?;
+    let Carrier { drops, close } = open(&ends, &lanes)?;
 
     let begun = Instant::now();
     wait_for("first messages", 2 * FIRST, || {
@@ -65,11 +84,16 @@ pub fn run(site: &Site, open: Open, loads: &[Load], cpus: [usize; 2], duration: 
     std::thread::sleep(WARM_UP);
     lanes.iter().for_each(|lane| drop(lane.take_latencies()));
     let before: Vec<Received> = lanes.iter().map(|lane| lane.received()).collect();
+    let (resident, dropped) = (usage::resident()?, drops());
     let (start, cpu) = (Instant::now(), meter.total()?);
     std::thread::sleep(duration);
     let cpu = meter.total()?.saturating_sub(cpu);
     let after: Vec<Received> = lanes.iter().map(|lane| lane.received()).collect();
-    let cpus = cpu.as_secs_f64() / start.elapsed().as_secs_f64();
+    let seconds = start.elapsed().as_secs_f64();
+    let cpus = cpu.as_secs_f64() / seconds;
+    let resident = [resident, usage::resident()?];
+    let since = |(reason, count)| (reason, (count - dropped.get(reason).copied().unwrap_or(0)) as f64 / seconds);
+    let drops = drops().into_iter().map(since).collect();
     lanes.iter().try_for_each(|lane| lane.check())?;
 
     lanes.iter().for_each(|lane| lane.stop());
@@ -85,7 +109,7 @@ pub fn run(site: &Site, open: Open, loads: &[Load], cpus: [usize; 2], duration: 
         let (sent, lost) = (lane.sent(), lane.sent().saturating_sub(lane.received().count));
         SeenLane { rate, bytes_per_second: rate * lane.bytes() as f64, latencies, sent, lost }
     });
-    Ok(Seen { cpus, lanes: seen.collect() })
+    Ok(Seen { cpus, drops, resident, lanes: seen.collect() })
 }
 
 /// Waits until no more arrives.

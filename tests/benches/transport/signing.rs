@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
 use gdp::crypto::Backend;
-use gdp::seal::{Encoding, EpochKey, Limits, Reader, Segments, Writer};
+use gdp::seal::{Draft, Encoding, EpochKey, Limits, Moment, Reader, Received, Segments, Writer};
 use gdp::{Identity, Name};
 use gdp_tests::measure::cpu;
 use gdp_tests::measure::figure::{Aim, Figure, Unit};
@@ -12,10 +12,15 @@ use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 
 use crate::Bench;
 
+/// When all is signed and read.
+const UNIX_NS: u64 = 1;
+
 const BODY: [u8; 64] = [0x5a; 64];
 
 /// Of a frame on a link of 1500 B.
 const PAYLOAD: usize = 1400;
+
+const EPOCH: u32 = 1;
 
 /// Messages under one signature.
 const BATCHES: [usize; 5] = [1, 8, 64, 256, 1024];
@@ -79,34 +84,39 @@ impl Pair {
     fn new(batch: usize) -> Result<Self> {
         let (name, identity, key) = (Name::from_bytes([7; 32]), Identity::generate("proxy")?, EpochKey::generate()?);
         let from = identity.name();
-        let writer = Writer::new(name, from, &key, identity.key().clone(), Backend::default())?;
-        let mut reader = Reader::new(name, &key, Backend::default(), Limits::default());
+        let mut writer = Writer::new(name, from, identity.key().clone(), Backend::default())?;
+        writer.set_epoch(EPOCH, &key)?;
+        let mut reader = Reader::new(name, Backend::default(), Limits::default());
         reader.authorise(from, identity.key().verify_key())?;
+        let vouched = reader.set_key(&from, EPOCH, key).and_then(|()| reader.vouch(&from, writer.session(), 1));
+        ensure!(vouched.is_ok(), "{vouched:?}");
         Ok(Self { writer, reader, from, batch, segments: Segments::new() })
     }
 
     /// Messages per second of the half that is timed; the other one is done beside it.
     fn rate(&mut self, what: What, duration: Duration) -> Result<Sample> {
-        let messages = vec![(Encoding::Bytes, &BODY[..]); self.batch];
-        let (mut spent, mut count, mut out) = (Duration::ZERO, 0, Vec::new());
+        let messages = vec![Draft::new(Encoding::Bytes, &BODY); self.batch];
+        let (mut spent, mut count, mut out) = (Duration::ZERO, 0, Received::default());
         let begun = Instant::now();
         while spent < duration {
             let start = Instant::now();
-            self.writer.seal_batch(1, &messages, PAYLOAD, &mut self.segments)?;
+            self.writer.seal_batch(UNIX_NS, &messages, PAYLOAD, &mut self.segments)?;
             if what == What::Seal {
                 spent += start.elapsed();
                 count += self.batch;
                 continue;
             }
-            let (start, now) = (Instant::now(), begun.elapsed().as_nanos() as u64);
+            let start = Instant::now();
+            let now = Moment { steady_ns: begun.elapsed().as_nanos() as u64, unix_ns: UNIX_NS };
             out.clear();
             for payload in self.segments.iter() {
                 let taken = self.reader.push(now, self.from, payload, &mut out);
                 ensure!(taken.is_ok(), "{taken:?}");
             }
             spent += start.elapsed();
-            ensure!(out.len() == self.batch, "{} of {} messages were opened", out.len(), self.batch);
-            count += out.len();
+            let opened = out.messages.len();
+            ensure!(opened == self.batch, "{opened} of {} messages were opened", self.batch);
+            count += opened;
         }
         Ok(Sample { value: count as f64 / spent.as_secs_f64(), ..Sample::default() })
     }

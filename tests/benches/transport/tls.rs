@@ -11,7 +11,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio_rustls::{TlsAcceptor, TlsConnector};
 
 use crate::lane::{self, Lane, Sender};
-use crate::run::Close;
+use crate::run::Carrier;
 use crate::site::Ends;
 
 /// With the congestion controller that is Linux's default.
@@ -25,15 +25,15 @@ pub const CLOUD: &str = "cloud";
 
 const PORT: u16 = 4443;
 
-pub fn cubic(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Close> {
+pub fn cubic(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Carrier> {
     open(ends, lanes, "cubic")
 }
 
-pub fn bbr(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Close> {
+pub fn bbr(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Carrier> {
     open(ends, lanes, "bbr")
 }
 
-fn open(ends: &Ends, lanes: &[Arc<Lane>], congestion: &'static str) -> Result<Close> {
+fn open(ends: &Ends, lanes: &[Arc<Lane>], congestion: &'static str) -> Result<Carrier> {
     let (server, client) = configs()?;
     let (acceptor, connector) = (TlsAcceptor::from(Arc::new(server)), TlsConnector::from(Arc::new(client)));
     let address = SocketAddr::from((ends.cloud.address, PORT));
@@ -58,7 +58,7 @@ fn open(ends: &Ends, lanes: &[Arc<Lane>], congestion: &'static str) -> Result<Cl
         ends.robot.inside.runtime.spawn(lane.clone().feed(stream));
     }
     // Whoever drops the sockets closes them.
-    Ok(Box::pin(async {}))
+    Ok(Carrier::closed_by(async {}))
 }
 
 /// Sets the congestion controller.

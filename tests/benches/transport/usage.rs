@@ -1,4 +1,4 @@
-//! CPU time: of this process's threads in a site's namespaces, and of the kernel's threads that finish what interrupts began. What an
+//! Memory of this process, and CPU time: of this process's threads in a site's namespaces, and of the kernel's threads that finish what interrupts began. What an
 //! interrupt does itself is counted to the thread that it interrupts, which is one of those on an otherwise idle machine.
 
 use std::fs;
@@ -40,6 +40,13 @@ impl Meter {
         }
         self.kernel.iter().try_fold(total, |total, thread| Ok(total + time(thread)?))
     }
+}
+
+/// Bytes of memory that this process has resident.
+pub fn resident() -> Result<f64> {
+    let status = fs::read_to_string("/proc/self/status")?;
+    let kilobytes = status.lines().find_map(|line| line.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB"));
+    Ok(1024.0 * kilobytes.context("no VmRSS in /proc/self/status")?.parse::<f64>()?)
 }
 
 fn time(thread: &Path) -> Result<Duration> {

@@ -37,6 +37,7 @@ pub enum Unit {
     NamesPerSecond,
     MessagesPerSecond,
     BytesPerSecond,
+    Bytes,
     Nanoseconds,
     Milliseconds,
     /// Of CPU time.
@@ -212,7 +213,7 @@ impl Unit {
         match self {
             Self::FramesPerSecond | Self::NamesPerSecond => format!("{:.3}", value / 1e6),
             Self::MessagesPerSecond => format!("{:.2}", value / 1e3),
-            Self::BytesPerSecond => format!("{:.1}", value / 1e6),
+            Self::BytesPerSecond | Self::Bytes => format!("{:.1}", value / 1e6),
             Self::Nanoseconds => format!("{value:.1}"),
             Self::Milliseconds | Self::SecondsPerGigabyte => format!("{value:.2}"),
         }
@@ -224,6 +225,7 @@ impl Unit {
             Self::NamesPerSecond => "M names/s",
             Self::MessagesPerSecond => "k messages/s",
             Self::BytesPerSecond => "MB/s",
+            Self::Bytes => "MB",
             Self::Nanoseconds => "ns",
             Self::Milliseconds => "ms",
             Self::SecondsPerGigabyte => "s/GB",

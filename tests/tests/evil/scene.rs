@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use gdp::node::{NodeCounters, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp::seal::{Encoding, Message};
-use gdp::{Identity, Node};
+use gdp::{Identity, Name, Node};
 use tokio::time::timeout;
 
 use super::{Frame, Owner, SOON, Switch, dropped, eventually, node};
@@ -101,6 +101,12 @@ impl Recording {
 
     pub fn frames(&self) -> Vec<Frame> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The last that went there.
+    pub fn last(&self, destination: Name) -> Option<Frame> {
+        let frames = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        frames.iter().rev().find(|frame| frame.destination == destination).cloned()
     }
 
     /// Of everything that passes from now on; takes the place of what the switch did to frames before.

@@ -1,6 +1,6 @@
 //! The switch and its RIB: see the module above.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::HashMap;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -199,11 +199,6 @@ impl Switch {
     pub fn records(&self) -> Vec<Record> {
         let now = self.0.now();
         self.0.state().rib.records(now, None, usize::MAX).0
-    }
-
-    /// Entities that have a link.
-    pub fn attached(&self) -> BTreeSet<Name> {
-        self.0.state().links.values().map(|line| line.link.peer().name).collect()
     }
 
     /// An entity is here from now on, without a link; what it hears is kept.

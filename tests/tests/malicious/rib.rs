@@ -7,7 +7,7 @@ use gdp::cert::Signed;
 use gdp::control::{Credential, EntityRequest, NameRole, Response};
 use gdp::crypto::Backend;
 use gdp::keys::{self, KeyBox};
-use gdp::node::SubscribeOptions;
+use gdp::node::{PublishOptions, SubscribeOptions};
 use gdp::seal::{Encoding, EpochKey, Writer};
 use gdp::{Identity, Name};
 
@@ -179,6 +179,28 @@ async fn a_revocation_that_is_withheld_holds_once_it_is_heard() -> Result<()> {
     let _ = scene.publisher.send(Encoding::Bytes, b"revoked").await;
     scene.drops("seal_unknown_writer", 1)?;
     assert!(scene.delivered().await.is_empty());
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_rib_that_withholds_a_key_withholds_what_is_said_and_no_more() -> Result<()> {
+    let mut scene = Scene::reliable().await?;
+    let (name, cloud) = (scene.owner.name(), scene.cloud.name());
+    scene.switch.lie(move |entity, about, _, peers| {
+        if (entity, about) == (cloud, name) {
+            peers.boxes.clear();
+        }
+    });
+    // Another robot, whose key the cloud is not given.
+    let robot = node(&scene.switch, &Identity::generate("proxy")?).await?;
+    let mut publisher = scene.owner.publish(&robot, PublishOptions::reliable()).await?;
+    publisher.send(Encoding::Bytes, b"unread").await?;
+    scene.drops("seal_no_key", 1)?;
+    scene.passes(b"from the robot whose key it has").await?;
+    // Once it is, nothing is lost.
+    scene.switch.lie(|_, _, _, _| {});
+    scene.switch.restart_rib();
+    assert_eq!(&scene.next().await?.body[..], b"unread");
     Ok(())
 }
 
