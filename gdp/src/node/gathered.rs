@@ -13,14 +13,20 @@ const MOST_BYTES: usize = 64 << 10;
 /// A larger one fills frames of its own.
 const SMALL: usize = 4096;
 
-#[derive(Default)]
 pub struct Gathered {
+    most: usize,
     bodies: Vec<u8>,
     /// Encodings, and where in `bodies` each ends.
     ends: Vec<(Encoding, usize)>,
 }
 
 impl Gathered {
+    /// For a reliable topic that keeps so many messages, or another: a good part of a history is not to go at once.
+    pub fn new(history: Option<usize>) -> Self {
+        let most = history.map_or(MOST, |history| (history / 4).clamp(1, MOST));
+        Self { most, bodies: Vec::new(), ends: Vec::new() }
+    }
+
     /// Whether these can wait here: one, small and without extensions, so that sealing it cannot fail for what it is.
     pub fn takes(drafts: &[Draft<'_>]) -> bool {
         matches!(drafts, [only] if only.body.len() <= SMALL && only.origin.is_empty() && only.in_reply_to.is_none())
@@ -40,7 +46,7 @@ impl Gathered {
     }
 
     pub fn is_full(&self) -> bool {
-        self.ends.len() >= MOST || self.bodies.len() >= MOST_BYTES
+        self.ends.len() >= self.most || self.bodies.len() >= MOST_BYTES
     }
 
     pub fn drafts(&self) -> Vec<Draft<'_>> {

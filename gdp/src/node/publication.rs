@@ -100,7 +100,8 @@ impl Publication {
         let session = writer.session();
         let topic = lock(&outlet.uplink).open(outlet.clock.now(), name, session, (*options).into());
         let (segments, latched) = (Segments::new(), LatchedSamples::new(options.latched));
-        let gathered = Gathered::default();
+        let is_reliable = matches!(options.reliability, Reliability::Reliable { .. });
+        let gathered = Gathered::new(is_reliable.then_some(options.history));
         let sealing = Sealing {
             writer,
             ring,
@@ -118,7 +119,7 @@ impl Publication {
             topic,
             room: Notify::new(),
             boxing: tokio::sync::Mutex::default(),
-            is_reliable: matches!(options.reliability, Reliability::Reliable { .. }),
+            is_reliable,
             sealing: Mutex::new(sealing),
             readers: Mutex::default(),
             ended: OnceLock::new(),
@@ -192,7 +193,7 @@ impl Publication {
         if sealing.gathered.is_empty() {
             return Ok(Pushed::Taken);
         }
-        let mut gathered = std::mem::take(&mut sealing.gathered);
+        let mut gathered = std::mem::replace(&mut sealing.gathered, Gathered::new(None));
         let sealed = sealing.seal(outlet.clock.now(), &gathered.drafts(), outlet.max_payload_of(self.topic));
         gathered.clear();
         sealing.gathered = gathered;
