@@ -16,6 +16,7 @@ mod clock;
 mod counters;
 mod feedback;
 mod frame_size;
+mod gathered;
 mod greeting;
 mod held;
 mod intake;
@@ -314,6 +315,8 @@ impl Node {
 
     /// Detaches: the switch is told, and withdraws everything at once. Publishers and subscriptions are of no use after.
     pub async fn close(&self) {
+        let publications: Vec<_> = lock(&self.0.state.publications).values().cloned().collect();
+        publications.iter().for_each(|publication| publication.finish(&self.0.state.outlet));
         self.0.stop.send_replace(true);
         let task = lock(&self.0.supervisor).take();
         if let Some(task) = task {

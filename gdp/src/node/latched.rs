@@ -53,6 +53,10 @@ impl LatchedSamples {
         self.again = ends.map(|(first, last)| (first.first.sequence, last.first.sequence));
     }
 
+    pub fn has_again(&self) -> bool {
+        self.again.is_some()
+    }
+
     /// The next that is to be sent again, once.
     pub fn next_again(&mut self) -> Option<&Sample> {
         let (from, through) = self.again.take()?;

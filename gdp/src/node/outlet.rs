@@ -3,9 +3,10 @@
 //! wait. Frames are stamped when they leave, never before.
 //!
 //! Locks: each for a moment, none across an await. Who holds one of [`Publication`]'s may take [`Outlet::uplink`] or [`Outlet::pairs`],
-//! never the other way round, and never both of these.
+//! never the other way round, and never both of these. Who holds [`Outlet::sending`] may take any of them; publishers try, and never
+//! wait for it.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -45,6 +46,8 @@ pub struct Outlet {
     pub upkeep: Notify,
     pump: Mutex<Pump>,
     turn: Condvar,
+    /// Held by whoever sends, so that frames go in the order in which they were taken from the uplink.
+    sending: Mutex<Batch>,
 }
 
 #[derive(Clone)]
@@ -66,10 +69,12 @@ struct Pump {
     stop: bool,
     /// What others found to do while they sent.
     chores: Vec<Output>,
+    /// Topics whose small messages wait for others, and until when: in the order of time.
+    gathering: VecDeque<(u64, Topic)>,
 }
 
 /// Room for the frames of one batch, kept from one to the next.
-pub struct Batch {
+struct Batch {
     transmits: Vec<Transmit>,
     headers: Box<[Header; BATCH]>,
     /// Payloads that are put together from several.
@@ -77,7 +82,7 @@ pub struct Batch {
 }
 
 impl Batch {
-    pub fn new() -> Self {
+    fn new() -> Self {
         Self { transmits: Vec::with_capacity(BATCH), headers: Box::new([Header::default(); BATCH]), joined: Vec::new() }
     }
 }
@@ -97,6 +102,7 @@ impl Outlet {
             upkeep: Notify::new(),
             pump: Mutex::default(),
             turn: Condvar::new(),
+            sending: Mutex::new(Batch::new()),
         }
     }
 
@@ -162,8 +168,12 @@ impl Outlet {
     }
 
     /// Sends what may go now, and leaves the rest to the sending thread.
-    pub fn send(&self, batch: &mut Batch) {
-        let next = self.drain(batch, OWN_BATCHES);
+    pub fn send(&self) {
+        let next = match self.sending.try_lock() {
+            Ok(mut batch) => self.drain(&mut batch, OWN_BATCHES),
+            // Who sends at the moment may have looked already.
+            Err(_) => Some(0),
+        };
         self.plan(next);
     }
 
@@ -199,6 +209,12 @@ impl Outlet {
         }
     }
 
+    /// Seals at this time what a topic has gathered.
+    pub fn gather(&self, topic: Topic, until: u64) {
+        lock(&self.pump).gathering.push_back((until, topic));
+        self.plan(Some(until));
+    }
+
     /// Something changed that the sending thread is to look at.
     pub fn wake(&self) {
         self.plan(Some(0));
@@ -218,16 +234,16 @@ impl Outlet {
 
     /// The sending thread: runs until it is stopped.
     pub fn pump(&self) {
-        let mut batch = Batch::new();
         loop {
-            let next = self.drain(&mut batch, usize::MAX);
+            let next = self.drain(&mut lock(&self.sending), usize::MAX);
             let mut pump = lock(&self.pump);
             if pump.stop {
                 return;
             }
             let chores = std::mem::take(&mut pump.chores);
-            if chores.is_empty() && !pump.again {
-                let until = next.unwrap_or(u64::MAX);
+            let gathered = pump.gathering.front().map_or(u64::MAX, |(until, _)| *until);
+            let until = next.unwrap_or(u64::MAX).min(gathered);
+            if chores.is_empty() && !pump.again && until > self.clock.now() {
                 pump.asleep = Some(until);
                 let time = Duration::from_nanos(until.saturating_sub(self.clock.now()));
                 let waited = self.turn.wait_timeout_while(pump, time, |pump| !pump.again && !pump.stop);
@@ -235,7 +251,11 @@ impl Outlet {
                 pump.asleep = None;
             }
             pump.again = false;
+            let now = self.clock.now();
+            let due = pump.gathering.partition_point(|(until, _)| *until <= now);
+            let due: Vec<Topic> = pump.gathering.drain(..due).map(|(_, topic)| topic).collect();
             drop(pump);
+            due.into_iter().for_each(|topic| self.seal_gathered(topic, now));
             chores.into_iter().for_each(|chore| self.do_chore(chore));
         }
     }
@@ -319,6 +339,13 @@ impl Outlet {
         let sent = attachment.data.send_batch([frame]);
         self.counters.frames_sent.add(sent.sent as u64);
         self.counters.frames_unsent.add(sent.lost as u64);
+    }
+
+    fn seal_gathered(&self, topic: Topic, due: u64) {
+        let Some(publication) = lock(&self.publications).get(&topic).cloned() else { return };
+        if let Err(error) = publication.seal_gathered(self, due) {
+            tracing::warn!(name = %publication.name, %error, "messages are lost that waited for others");
+        }
     }
 
     fn do_chore(&self, chore: Output) {

@@ -8,6 +8,7 @@ use gdp_wire::Name;
 use tokio::sync::Notify;
 
 use super::clock::unix_nanos;
+use super::gathered::{GATHERING, Gathered};
 use super::latched::LatchedSamples;
 use super::options::PublishOptions;
 use super::outlet::Outlet;
@@ -50,6 +51,11 @@ struct Sealing {
     writer: Writer,
     ring: KeyRing,
     segments: Segments,
+    /// Comes next; empty while something is pending. The first of it waits until then.
+    gathered: Gathered,
+    gathered_until: u64,
+    /// When something was sealed last.
+    sealed_at: u64,
     /// Sealed, and waits for room.
     pending: Option<Sealed>,
     latched: LatchedSamples,
@@ -79,6 +85,8 @@ struct Reader {
 /// What became of a message.
 pub enum Pushed {
     Taken,
+    /// It waits for others. The first that does says until when: then [`Publication::seal_gathered`] is to be called.
+    Gathered(Option<u64>),
     /// It waits for room.
     Waits,
 }
@@ -92,14 +100,26 @@ impl Publication {
         let session = writer.session();
         let topic = lock(&outlet.uplink).open(outlet.clock.now(), name, session, (*options).into());
         let (segments, latched) = (Segments::new(), LatchedSamples::new(options.latched));
-        let sealing = Sealing { writer, ring, segments, pending: None, latched, unstored: None };
+        let is_reliable = matches!(options.reliability, Reliability::Reliable { .. });
+        let gathered = Gathered::new(is_reliable.then_some(options.history));
+        let sealing = Sealing {
+            writer,
+            ring,
+            segments,
+            gathered,
+            gathered_until: 0,
+            sealed_at: 0,
+            pending: None,
+            latched,
+            unstored: None,
+        };
         Ok(Self {
             name,
             session,
             topic,
             room: Notify::new(),
             boxing: tokio::sync::Mutex::default(),
-            is_reliable: matches!(options.reliability, Reliability::Reliable { .. }),
+            is_reliable,
             sealing: Mutex::new(sealing),
             readers: Mutex::default(),
             ended: OnceLock::new(),
@@ -131,8 +151,8 @@ impl Publication {
         lock(&self.readers).known.values().filter(|reader| reader.absent.is_none()).count()
     }
 
-    /// Seals messages under one signature, unless one waits for room still. Returns the sequence of the first, which `begun` is
-    /// told before anything can go.
+    /// Seals messages under one signature, or gathers what is small and comes soon after another; unless one waits for room still.
+    /// Returns the sequence of the first, which `begun` is told before anything can go.
     pub fn push(
         &self,
         outlet: &Outlet,
@@ -144,17 +164,53 @@ impl Publication {
         if sealing.pending.is_some() {
             return Ok(None);
         }
-        sealing.take_key()?;
-        let Sealing { writer, ring, segments, latched, pending, .. } = sealing;
-        let (first, now) = (writer.next_sequence(), unix_nanos());
-        writer.seal_batch(now, drafts, outlet.max_payload_of(self.topic), segments)?;
-        ring.used(drafts.len() as u64, segments.total_bytes() as u64);
-        latched.keep(first, now, drafts);
-        if let Some(begun) = begun.take() {
-            begun(first);
+        let (now, taken) = (outlet.clock.now(), |first| move |pushed| Some((first, pushed)));
+        if Gathered::takes(drafts) && now.saturating_sub(sealing.sealed_at) < GATHERING {
+            let first = sealing.writer.next_sequence() + sealing.gathered.len() as u64;
+            let begins = sealing.gathered.is_empty();
+            if begins {
+                sealing.gathered_until = now + GATHERING;
+            }
+            sealing.gathered.push(&drafts[0]);
+            begun.take().into_iter().for_each(|begun| begun(first));
+            if sealing.gathered.is_full() {
+                return self.seal_all(outlet, sealing).map(taken(first));
+            }
+            return Ok(Some((first, Pushed::Gathered(begins.then_some(sealing.gathered_until)))));
         }
-        *pending = Sealed::new(std::mem::take(segments));
-        self.push_pending(outlet, sealing).map(|pushed| Some((first, pushed)))
+        if let Pushed::Waits = self.seal_all(outlet, sealing)? {
+            return Ok(None);
+        }
+        let first = sealing.writer.next_sequence();
+        sealing.seal(now, drafts, outlet.max_payload_of(self.topic))?;
+        begun.take().into_iter().for_each(|begun| begun(first));
+        self.push_pending(outlet, sealing).map(taken(first))
+    }
+
+    /// Seals what was gathered and waits no longer than until `due`.
+    pub fn seal_gathered(&self, outlet: &Outlet, due: u64) -> Result<Pushed, NodeError> {
+        self.check()?;
+        let sealing = &mut *lock(&self.sealing);
+        if sealing.gathered_until > due { Ok(Pushed::Taken) } else { self.seal_all(outlet, sealing) }
+    }
+
+    /// What was gathered waits for nothing more.
+    pub fn finish(&self, outlet: &Outlet) {
+        if self.seal_gathered(outlet, u64::MAX).is_ok() {
+            outlet.send();
+        }
+    }
+
+    fn seal_all(&self, outlet: &Outlet, sealing: &mut Sealing) -> Result<Pushed, NodeError> {
+        if sealing.gathered.is_empty() {
+            return Ok(Pushed::Taken);
+        }
+        let mut gathered = std::mem::replace(&mut sealing.gathered, Gathered::new(None));
+        let sealed = sealing.seal(outlet.clock.now(), &gathered.drafts(), outlet.max_payload_of(self.topic));
+        gathered.clear();
+        sealing.gathered = gathered;
+        sealed?;
+        self.push_pending(outlet, sealing)
     }
 
     /// Brings what waits for room into the outbox, and then what is to be sent again.
@@ -163,6 +219,12 @@ impl Publication {
         let sealing = &mut *lock(&self.sealing);
         loop {
             if let Pushed::Waits = self.push_pending(outlet, sealing)? {
+                return Ok(Pushed::Waits);
+            }
+            // What was gathered has its sequences already.
+            if sealing.latched.has_again()
+                && let Pushed::Waits = self.seal_all(outlet, sealing)?
+            {
                 return Ok(Pushed::Waits);
             }
             sealing.take_key()?;
@@ -353,6 +415,18 @@ impl Publication {
 }
 
 impl Sealing {
+    /// Seals what comes next.
+    fn seal(&mut self, now: u64, drafts: &[Draft<'_>], max_payload: usize) -> Result<(), SealError> {
+        self.take_key()?;
+        let Self { writer, ring, segments, latched, pending, sealed_at, .. } = self;
+        let (first, timestamp_ns) = (writer.next_sequence(), unix_nanos());
+        writer.seal_batch(timestamp_ns, drafts, max_payload, segments)?;
+        ring.used(drafts.len() as u64, segments.total_bytes() as u64);
+        latched.keep(first, timestamp_ns, drafts);
+        (*pending, *sealed_at) = (Sealed::new(std::mem::take(segments)), now);
+        Ok(())
+    }
+
     /// Seals with the ring's current key from now on.
     fn take_key(&mut self) -> Result<(), SealError> {
         let (epoch, key) = self.ring.current();

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use gdp_wire::Name;
 
-use super::outlet::{Batch, Outlet};
+use super::outlet::Outlet;
 use super::publication::{Publication, Pushed};
 use super::state::lock;
 use super::{Feedback, Handle, NodeError, Stated};
@@ -17,12 +17,11 @@ pub struct Publisher {
     node: Arc<Handle>,
     publication: Arc<Publication>,
     feedback: Arc<Feedback>,
-    batch: Batch,
 }
 
 impl Publisher {
     pub(super) fn new(node: Arc<Handle>, publication: Arc<Publication>, feedback: Arc<Feedback>) -> Self {
-        Self { node, publication, feedback, batch: Batch::new() }
+        Self { node, publication, feedback }
     }
 
     pub fn name(&self) -> Name {
@@ -44,7 +43,7 @@ impl Publisher {
         lock(&self.node.state.outlet.uplink).counters(self.publication.topic).unwrap_or_default()
     }
 
-    /// Seals one message and sends it as [`PublishOptions`](super::PublishOptions) say: `Ok` says that it is on its way or waits for
+    /// Seals one message and sends it; those that come within 100 µs of one another share a signature and frames. It goes as [`PublishOptions`](super::PublishOptions) say: `Ok` says that it is on its way or waits for
     /// its turn. Returns the sequence number. Waits only if the name is reliable and the history full; a message that it was
     /// cancelled in waiting for is sent all the same. While the link to the switch is lost, what is best effort fails at once, and
     /// what is reliable is kept; but to a switch whose daemon fell silent frames are sent on, as long as its data plane answers
@@ -63,7 +62,7 @@ impl Publisher {
     }
 
     async fn try_send(&mut self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
-        send_through(&self.publication, &self.node.state.outlet, &mut self.batch, messages, |_| {}).await
+        send_through(&self.publication, &self.node.state.outlet, messages, |_| {}).await
     }
 }
 
@@ -71,7 +70,6 @@ impl Publisher {
 pub(super) async fn send_through(
     publication: &Publication,
     outlet: &Outlet,
-    batch: &mut Batch,
     messages: &[Draft<'_>],
     begun: impl FnOnce(u64),
 ) -> Result<u64, NodeError> {
@@ -82,18 +80,23 @@ pub(super) async fn send_through(
     let mut begun = Some(begun);
     loop {
         // One that was cancelled may be waiting still.
-        until_taken(publication, outlet, batch).await?;
+        until_taken(publication, outlet).await?;
         let Some((first, pushed)) = publication.push(outlet, messages, &mut begun)? else { continue };
-        outlet.send(batch);
-        if let Pushed::Waits = pushed {
-            until_taken(publication, outlet, batch).await?;
+        match pushed {
+            Pushed::Gathered(None) => {}
+            Pushed::Gathered(Some(until)) => outlet.gather(publication.topic, until),
+            Pushed::Taken => outlet.send(),
+            Pushed::Waits => {
+                outlet.send();
+                until_taken(publication, outlet).await?;
+            }
         }
         return Ok(first);
     }
 }
 
 /// Returns once nothing waits for room any more.
-async fn until_taken(publication: &Publication, outlet: &Outlet, batch: &mut Batch) -> Result<(), NodeError> {
+async fn until_taken(publication: &Publication, outlet: &Outlet) -> Result<(), NodeError> {
     loop {
         let mut room = pin!(publication.room.notified());
         room.as_mut().enable();
@@ -103,13 +106,14 @@ async fn until_taken(publication: &Publication, outlet: &Outlet, batch: &mut Bat
         if let Pushed::Taken = publication.push_waiting(outlet)? {
             return Ok(());
         }
-        outlet.send(batch);
+        outlet.send();
         room.await;
     }
 }
 
 impl Drop for Publisher {
     fn drop(&mut self) {
+        self.publication.finish(&self.node.state.outlet);
         self.node.state.withdraw(self.publication.name, Stated::Published);
     }
 }

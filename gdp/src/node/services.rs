@@ -8,7 +8,6 @@ use gdp_wire::Name;
 use tokio::sync::oneshot;
 
 use super::options::SubscribeOptions;
-use super::outlet::Batch;
 use super::publication::Publication;
 use super::publisher::send_through;
 use super::state::{State, lock};
@@ -75,7 +74,7 @@ impl Call {
         let publication = lock(&state.publications).get(&writer).cloned().ok_or_else(gone)?;
         let in_reply_to = Some(MessageId { session, sequence });
         let draft = Draft { in_reply_to, ..Draft::new(encoding, body) };
-        send_through(&publication, &state.outlet, &mut Batch::new(), &[draft], |_| {}).await.map(drop)
+        send_through(&publication, &state.outlet, &[draft], |_| {}).await.map(drop)
     }
 }
 
@@ -125,7 +124,7 @@ impl Client {
             lock(&state.calls).insert(id, Pending { publication: self.publication.clone(), reply });
         };
         let draft = Draft::new(encoding, body);
-        send_through(&self.publication, &state.outlet, &mut Batch::new(), &[draft], begun).await?;
+        send_through(&self.publication, &state.outlet, &[draft], begun).await?;
         replied.await.map_err(|_| NodeError::Closed)
     }
 }

@@ -16,6 +16,7 @@ use crate::keys;
 use crate::port::SMALLEST_PATH;
 use crate::seal::tests::Random;
 use crate::seal::{Encoding, EpochKey, Limits, Reader, Segments, Writer};
+use crate::transport::TopicCounters;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn messages_arrive_by_name() {
@@ -356,6 +357,53 @@ async fn a_revoked_writer_is_not_believed_and_sends_no_more() {
     fabric.revoke(owner.revocation(1, vec![1])).await;
     let error = publisher.send(Encoding::Bytes, b"x").await.unwrap_err();
     assert!(matches!(error, NodeError::Cert(CertError::Revoked { serial: 1, .. })), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn small_messages_one_upon_another_share_signatures_and_frames_and_keep_their_order() {
+    const BURSTS: u32 = 5;
+    const BURST: u32 = 100;
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/chatter");
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut subscription = owner.subscribe(&cloud).await.unwrap();
+    let mut publisher = owner.publish(&robot).await.unwrap();
+    for burst in 0..BURSTS {
+        for i in 0..BURST {
+            let number = burst * BURST + i;
+            let sequence = publisher.send(Encoding::Bytes, &number.to_be_bytes()).await.unwrap();
+            assert_eq!(sequence, u64::from(number) + u64::from(burst) + 1);
+        }
+        // One that is not small comes after those that wait, and each of them alone.
+        publisher.send(Encoding::Bytes, &[burst as u8; 20_000]).await.unwrap();
+        for i in 0..BURST {
+            let message = recv(&mut subscription).await;
+            assert_eq!(message.body[..], (burst * BURST + i).to_be_bytes());
+        }
+        assert_eq!(recv(&mut subscription).await.body[..], [burst as u8; 20_000]);
+    }
+    // Alone, a message of four bytes is a frame.
+    let large = 20_000_u64.div_ceil(1000) * u64::from(BURSTS);
+    let TopicCounters { frames, repeated, .. } = publisher.counters();
+    assert!(frames - repeated < large + u64::from(BURSTS * BURST) * 2 / 3, "{frames} frames");
+    drop(publisher);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_waits_for_company_goes_when_its_publisher_ends() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/chatter");
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut subscription = owner.subscribe(&cloud).await.unwrap();
+    let mut publisher = owner.publish(&robot).await.unwrap();
+    publisher.send(Encoding::Bytes, b"who asks which session it is, is answered").await.unwrap();
+    recv(&mut subscription).await;
+    for body in [b"one", b"two"] {
+        publisher.send(Encoding::Bytes, body).await.unwrap();
+    }
+    drop(publisher);
+    assert_eq!(recv(&mut subscription).await.body[..], *b"one");
+    assert_eq!(recv(&mut subscription).await.body[..], *b"two");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -27,7 +27,7 @@ pub enum Overflow {
 /// How much a topic keeps. A message that is larger than all of it is taken if nothing else is there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct History {
-    /// Best effort: of messages that have not begun to go. Reliable: of all.
+    /// Best effort: of messages that have not begun to go; those under one signature count as one. Reliable: of all.
     pub messages: usize,
     pub bytes: usize,
 }
@@ -99,6 +99,8 @@ pub struct Outbox {
     /// In the order of sequences.
     entries: VecDeque<Entry>,
     bytes: usize,
+    /// Messages in the entries.
+    messages: u64,
     last: u64,
     /// Entries before this one have all been sent.
     cursor: usize,
@@ -117,6 +119,7 @@ impl Outbox {
             history,
             entries: VecDeque::new(),
             bytes: 0,
+            messages: 0,
             last: 0,
             cursor: 0,
             repairs: VecDeque::new(),
@@ -153,10 +156,10 @@ impl Outbox {
         self.entries.front().map_or(self.last + 1, |entry| entry.message.first())
     }
 
-    /// Whether a message of so many bytes finds room, or the oldest may go for it.
-    pub fn has_room(&self, bytes: usize, acknowledged: u64) -> bool {
+    /// Whether so many messages, of so many bytes, find room, or the oldest may go for them.
+    pub fn has_room(&self, messages: u64, bytes: usize, acknowledged: u64) -> bool {
         let oldest_may_go = |entry: &Entry| entry.is_sent() && entry.message.last() <= acknowledged;
-        let full = self.entries.len() >= self.history.messages.max(1) || self.bytes + bytes > self.history.bytes;
+        let full = self.messages + messages > self.history.messages as u64 || self.bytes + bytes > self.history.bytes;
         !full || self.entries.is_empty() || self.entries.front().is_some_and(oldest_may_go)
     }
 
@@ -168,6 +171,7 @@ impl Outbox {
     /// `acknowledged`: what every reader that is waited for has; `by_all`: what every live one has. Gives the message back if the caller has to wait.
     pub fn push(&mut self, now: u64, message: Sealed, acknowledged: u64, by_all: u64) -> Result<(), Sealed> {
         debug_assert!(message.first() > self.last);
+        let count = message.last() - message.first() + 1;
         let fits =
             |outbox: &Self| outbox.bytes + message.total_bytes() <= outbox.history.bytes || outbox.entries.is_empty();
         match self.reliability {
@@ -181,7 +185,7 @@ impl Outbox {
                 }
             }
             Reliability::Reliable { overflow } => {
-                while self.entries.len() >= self.history.messages.max(1) || !fits(self) {
+                while self.messages + count > self.history.messages as u64 || !fits(self) {
                     let Some(oldest) = self.entries.front() else { break };
                     let may_go = oldest.is_sent() && oldest.message.last() <= acknowledged;
                     if !may_go && overflow == Overflow::Block {
@@ -194,7 +198,8 @@ impl Outbox {
                 }
             }
         }
-        self.counters.messages += message.last() - message.first() + 1;
+        self.counters.messages += count;
+        self.messages += count;
         self.last = message.last();
         self.bytes += message.total_bytes();
         let message = Arc::new(message);
@@ -379,6 +384,7 @@ impl Outbox {
     fn remove(&mut self, index: usize) {
         if let Some(entry) = self.entries.remove(index) {
             self.bytes -= entry.message.total_bytes();
+            self.messages -= entry.messages();
             if index < self.cursor {
                 self.cursor -= 1;
             }

@@ -86,7 +86,8 @@ pub struct TopicState {
 /// A publisher waits for room.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
-    /// For a message of so many bytes.
+    /// For so many messages, of so many bytes.
+    messages: u64,
     bytes: usize,
     /// When a reader that is waited for will have been for too long.
     again_at: u64,
@@ -133,8 +134,11 @@ impl TopicState {
 
     pub fn push(&mut self, now: u64, message: Sealed) -> Result<(), Sealed> {
         let result = self.outbox.push(now, message, self.peers.acknowledged(), self.peers.acknowledged_by_all());
-        self.waiting =
-            result.as_ref().err().map(|message| Waiting { bytes: message.total_bytes(), again_at: u64::MAX });
+        self.waiting = result.as_ref().err().map(|message| Waiting {
+            messages: message.last() - message.first() + 1,
+            bytes: message.total_bytes(),
+            again_at: u64::MAX,
+        });
         self.wait(now);
         if self.peers.is_empty() {
             self.outbox.skip_all();
@@ -291,8 +295,8 @@ impl TopicState {
 
     /// Whether a publisher that waits for room now finds some.
     fn take_room(&mut self) -> bool {
-        let Some(Waiting { bytes, .. }) = self.waiting else { return false };
-        let room = self.outbox.has_room(bytes, self.peers.acknowledged());
+        let Some(Waiting { messages, bytes, .. }) = self.waiting else { return false };
+        let room = self.outbox.has_room(messages, bytes, self.peers.acknowledged());
         if room {
             self.waiting = None;
         }
