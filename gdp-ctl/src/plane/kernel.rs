@@ -322,16 +322,20 @@ impl KernelPlane {
             links: links.into_iter().filter(|link| link.id != 0).collect(),
             routes: self.routes().collect(),
             next_hops,
-            ports: self.ports_there().collect(),
+            ports: self.ports_there().map_err(update("PORTS"))?,
             groups: self.groups.found(),
         }))
     }
 
     /// The ports whose interfaces are there, with those.
-    fn ports_there(&self) -> impl Iterator<Item = (u32, u32)> {
-        self.ports
-            .keys()
-            .filter_map(|port| port.ok().and_then(|port| Some((port, self.ports.get(port, 0).ok()?.if_index))))
+    fn ports_there(&self) -> Result<Vec<(u32, u32)>, MapError> {
+        let mut there = Vec::new();
+        for port in self.ports.keys() {
+            let port = port?;
+            // The kernel takes out an interface that is deleted.
+            there.extend(self.ports.get(port, 0).ok().map(|value| (port, value.if_index)));
+        }
+        Ok(there)
     }
 
     /// Attaches the switch to an interface of this network namespace.
@@ -439,9 +443,10 @@ impl KernelPlane {
         if self.uncounted.is_some() {
             return;
         }
-        let interfaces: Vec<u32> = self.ports_there().map(|(_, ifindex)| ifindex).collect();
         let started = self.losses.start(&mut self.ebpf, self.pins.as_ref());
-        self.uncounted = started.and_then(|()| self.losses.watch(&interfaces)).err();
+        let ports = started.and_then(|()| Ok(self.ports_there()?));
+        let interfaces = ports.map(|ports| ports.into_iter().map(|(_, ifindex)| ifindex).collect::<Vec<_>>());
+        self.uncounted = interfaces.and_then(|interfaces| self.losses.watch(&interfaces)).err();
     }
 
     /// Frames that were lost after a redirect, by interface.
@@ -470,14 +475,20 @@ impl KernelPlane {
     pub fn set_group(&mut self, group: u32, members: &[Member], served: u64) -> Result<(), UpdateError> {
         let interfaces = members.iter().map(|member| member.interface);
         let new: HashSet<u32> = interfaces.filter(|interface| !self.copied_to.contains(interface)).collect();
-        self.copied_to.extend(&new);
-        let ports: Vec<_> = self.ports_there().filter(|(_, ifindex)| new.contains(ifindex)).collect();
+        let wait = !new.is_empty() && self.have_copies_leave_by(&new)?;
+        self.groups.set(group, members, served, wait)
+    }
+
+    /// Gives the ports to these interfaces the program of copies; whether there are any.
+    fn have_copies_leave_by(&mut self, new: &HashSet<u32>) -> Result<bool, UpdateError> {
+        let mut ports = self.ports_there().map_err(update("PORTS"))?;
+        ports.retain(|(_, ifindex)| new.contains(ifindex));
+        self.copied_to.extend(new);
         let written = ports.iter().try_for_each(|(port, ifindex)| self.write_port(*port, *ifindex));
         if written.is_err() {
             self.copied_to.retain(|interface| !new.contains(interface));
-            return written;
         }
-        self.groups.set(group, members, served, !ports.is_empty())
+        written.map(|()| !ports.is_empty())
     }
 
     /// Says that no route leads to the group any more.

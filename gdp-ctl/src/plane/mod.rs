@@ -878,7 +878,9 @@ impl Planes {
         let mut links: Vec<&LinkEntry> = tables.members(group).filter_map(|id| tables.link(id)).collect();
         let neighbours = links.iter().filter(|link| link.role == LinkRole::Switch as u32).count();
         let makes_copies = self.groups.makes_copies(group, neighbours);
-        links.retain(|_| makes_copies);
+        if !makes_copies {
+            links.clear();
+        }
         let mut served = if kernel.has_generic() || !makes_copies { 0 } else { u64::MAX };
         for link in links {
             match self.egress_interface(link) {
