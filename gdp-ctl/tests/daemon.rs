@@ -1,24 +1,25 @@
 //! Whole daemons on loopback UDP, without root: what two applications publish and read through them, and what is left when
 //! one of them, or a link, or a daemon is gone.
 
+mod switch;
+
 use std::net::{SocketAddr, UdpSocket};
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime};
 
 use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, Mode, ReadGrant, Reading, RtCert, issue};
 use gdp::control::{EntityRequest, Request, Response};
-use gdp::link::{Link, LinkIds, RekeySchedule};
+use gdp::link::{Link, LinkIds};
 use gdp::node::{NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp::port::{LinkAddr, OutFrame, Port, PortConfig};
 use gdp::seal::Encoding;
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
-use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
+use gdp_ctl::config::{Config, Neighbour, Place, Via};
 use gdp_ctl::serve::{Running, start};
 use gdp_wire::table::PORT_USERSPACE;
 use gdp_wire::{Header, Name, forward};
+use switch::{PATIENCE, config, wait};
 use zerocopy::IntoBytes;
-
-const PATIENCE: Duration = Duration::from_secs(20);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn two_applications_meet_at_one_switch() {
@@ -286,31 +287,6 @@ async fn next(subscription: &mut Subscription) -> gdp::seal::Message {
 
 async fn fib_names(switch: &Running) -> u64 {
     switch.status().await["fib"]["names"].as_u64().unwrap()
-}
-
-async fn wait(what: &str, condition: impl AsyncFn() -> bool) {
-    let deadline = Instant::now() + PATIENCE;
-    while !condition().await {
-        assert!(Instant::now() < deadline, "waited in vain for {what}");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
-}
-
-fn config(folder: &Path, label: &str) -> Config {
-    Config {
-        identity: folder.join(format!("{label}.pem")),
-        socket: folder.join(format!("{label}.sock")),
-        interfaces: Some(Vec::new()),
-        bpffs: None,
-        udp: Some("127.0.0.1:0".parse().unwrap()),
-        data_plane: DataPlane::Userspace,
-        rib: true,
-        uplink: None,
-        neighbours: Vec::new(),
-        ebpf_object: None,
-        fib_capacity: 1024,
-        rekey: RekeySchedule::default(),
-    }
 }
 
 /// s1 – s2 – s3, over UDP; s3 is the RIB.

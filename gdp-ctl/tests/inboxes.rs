@@ -1,28 +1,27 @@
 //! Two entities at a whole daemon, without the SDK's node: they reach each other under their own names for as long as they are
 //! counterparts, are told of each other and of keys, and a revocation parts them at once.
 
-use std::path::Path;
+mod switch;
+
 use std::time::{Duration, Instant, SystemTime};
 
 use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Mode, ReadGrant, Revocation, RtCert, issue};
 use gdp::control::{EntityRequest, NameRole, Peers, RefusalCode, Request, Response};
 use gdp::keys::KeyBox;
-use gdp::link::{Link, RekeySchedule};
+use gdp::link::Link;
 use gdp::peers::{Counterparts, PeerEvent};
 use gdp::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
 use gdp::{Identity, NameCard, SigningKey};
-use gdp_ctl::config::{Config, DataPlane};
 use gdp_ctl::serve::{Running, start};
 use gdp_wire::table::PORT_USERSPACE;
 use gdp_wire::{Header, Name, forward};
+use switch::{PATIENCE, config, wait};
 use zerocopy::{FromBytes, IntoBytes};
-
-const PATIENCE: Duration = Duration::from_secs(20);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn counterparts_meet_in_their_inboxes_until_one_is_revoked() {
     let folder = tempfile::tempdir().unwrap();
-    let switch = start(config(folder.path())).await.unwrap();
+    let switch = start(config(folder.path(), "s1")).await.unwrap();
     let owner = SigningKey::generate().unwrap();
     let card = NameCard::create(owner.verify_key(), "topic", "/cmd_vel", "T", None).unwrap();
     let (name, proof) = (card.name(), card.proof());
@@ -64,11 +63,8 @@ async fn counterparts_meet_in_their_inboxes_until_one_is_revoked() {
     assert_eq!(cloud.told().await[0], PeerEvent::Revoked(revocation.clone()), "who is revoked knows why");
     assert_eq!(robot.told().await, [PeerEvent::Revoked(revocation), PeerEvent::Left(cloud.name())]);
     cloud.send(robot.name());
-    let deadline = Instant::now() + PATIENCE;
-    while switch.status().await["counters"]["drop_no_route"].as_u64().unwrap_or_default() == 0 {
-        assert!(Instant::now() < deadline, "it still reaches the robot: {}", switch.status().await);
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
+    let dropped = async || switch.status().await["counters"]["drop_no_route"].as_u64().unwrap_or_default() > 0;
+    wait("frames not to reach the robot any more", dropped).await;
     cloud.serial += 1;
     let Response::Refused(refusal) = cloud.ask(subscribe(&cloud)).await else { panic!("it reads again") };
     assert_eq!(refusal.code, RefusalCode::Revoked);
@@ -155,23 +151,6 @@ impl Endpoint {
                 return (header.source, header.destination);
             }
         }
-    }
-}
-
-fn config(folder: &Path) -> Config {
-    Config {
-        identity: folder.join("s1.pem"),
-        socket: folder.join("s1.sock"),
-        interfaces: Some(Vec::new()),
-        bpffs: None,
-        udp: Some("127.0.0.1:0".parse().unwrap()),
-        data_plane: DataPlane::Userspace,
-        rib: true,
-        uplink: None,
-        neighbours: Vec::new(),
-        ebpf_object: None,
-        fib_capacity: 1024,
-        rekey: RekeySchedule::default(),
     }
 }
 

@@ -1,22 +1,20 @@
 //! Nodes of the SDK at a whole daemon: what two callers of one service get, and what is left when the server goes.
 
-use std::path::Path;
-use std::time::{Duration, Instant, SystemTime};
+mod switch;
+
+use std::time::SystemTime;
 
 use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
-use gdp::link::RekeySchedule;
 use gdp::node::{Client, NodeError, Server};
 use gdp::seal::Encoding;
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
-use gdp_ctl::config::{Config, DataPlane};
 use gdp_ctl::serve::{Running, start};
-
-const PATIENCE: Duration = Duration::from_secs(20);
+use switch::{PATIENCE, config, wait};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn callers_get_their_own_replies_and_are_told_when_nobody_serves() {
     let folder = tempfile::tempdir().unwrap();
-    let switch = start(config(folder.path())).await.unwrap();
+    let switch = start(config(folder.path(), "s1")).await.unwrap();
     let owner = Owner::new();
     let server = owner.serve(&node(&switch).await).await;
     let (one, two) = (owner.client(&node(&switch).await).await, owner.client(&node(&switch).await).await);
@@ -31,11 +29,7 @@ async fn callers_get_their_own_replies_and_are_told_when_nobody_serves() {
     let late = owner.client(&node(&switch).await).await;
     tokio::time::timeout(PATIENCE, late.call(Encoding::Cdr, b"late")).await.unwrap().unwrap();
     drop(serving.await.unwrap());
-    let deadline = Instant::now() + PATIENCE;
-    while one.servers() > 0 {
-        assert!(Instant::now() < deadline, "the server is gone");
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
+    wait("the server to be gone", async || one.servers() == 0).await;
     assert!(matches!(one.call(Encoding::Cdr, b"").await, Err(NodeError::NoServer(_))));
     switch.stop().await;
 }
@@ -78,23 +72,6 @@ impl Owner {
 async fn node(switch: &Running) -> Node {
     let link = format!("udp://{}", switch.udp_addr().unwrap()).parse().unwrap();
     Node::connect(NodeConfig::new(Identity::generate("proxy").unwrap(), link)).await.unwrap()
-}
-
-fn config(folder: &Path) -> Config {
-    Config {
-        identity: folder.join("s1.pem"),
-        socket: folder.join("s1.sock"),
-        interfaces: Some(Vec::new()),
-        bpffs: None,
-        udp: Some("127.0.0.1:0".parse().unwrap()),
-        data_plane: DataPlane::Userspace,
-        rib: true,
-        uplink: None,
-        neighbours: Vec::new(),
-        ebpf_object: None,
-        fib_capacity: 1024,
-        rekey: RekeySchedule::default(),
-    }
 }
 
 fn tomorrow() -> u64 {
