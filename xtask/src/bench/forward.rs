@@ -1,23 +1,17 @@
 //! What forwarding costs: XDP beside a bare redirect, the kernel's IPv4 routers and a forwarder on packet sockets. The
 //! measurements themselves are a bench target of `gdp-tests`, which has the eBPF loader; here it is built and run.
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 
-use crate::setup::{self, Part};
-use crate::workspace::{self, Profile};
-use crate::{build, shell};
+use crate::{build, shell, workspace};
 
 #[derive(clap::Args)]
 pub struct Options {
     /// One JSON object on stdout instead of tables
     #[arg(long)]
     json: bool,
-    /// Only this row of the figures (can be given several times); an unknown one lists all
-    #[arg(long, value_name = "ROW")]
-    only: Vec<String>,
-    /// Draw the plots in docs/plots anew
-    #[arg(long)]
-    plots: bool,
+    #[command(flatten)]
+    rows: super::Rows,
     /// Whatever is compared is measured this often, in turn
     #[arg(long, default_value_t = 7)]
     rounds: u32,
@@ -27,26 +21,11 @@ pub struct Options {
 }
 
 pub fn run(options: Options) -> Result<()> {
-    if !workspace::is_root() {
-        bail!("network namespaces need root");
-    }
-    setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces])?;
-    build::ebpf()?;
+    let mut command = super::target("forward")?;
     build::ebpf_untagged()?;
-    let mut command = shell::cargo();
-    command.args(["bench", "--profile", Profile::Release.name(), "--workspace", "--bench", "forward", "--"]);
-    command.arg("--ebpf-object").arg(workspace::ebpf_object());
     command.arg("--untagged-object").arg(workspace::ebpf_untagged_object());
     command.arg("--bench-object").arg(workspace::ebpf_bench_object());
-    command.args(["--rounds", &options.rounds.to_string(), "--milliseconds", &options.milliseconds.to_string()]);
-    for row in &options.only {
-        command.args(["--only", row]);
-    }
-    if options.plots {
-        command.arg("--plots").arg(workspace::root().join("docs/plots"));
-    }
-    if options.json {
-        command.arg("--json");
-    }
+    options.rows.pass(&mut command);
+    super::pass(&mut command, options.rounds, options.milliseconds, options.json);
     shell::run(&mut command)
 }
