@@ -256,12 +256,15 @@ impl Link {
     /// What carries data frames to the peer. Over UDP it follows the addresses of both sides.
     pub fn carrier(&self) -> Carrier {
         let inner = &*self.0;
+        // An endpoint takes frames from a socket; a switch before the kernel would join them.
+        let joins = if inner.peer.role == Role::Endpoint { Carrier::CHECKSUM } else { 0 };
         match inner.place {
             Place::Ethernet { vlan, local_mac, peer_mac, .. } => {
                 Carrier { vlan, ..Carrier::ethernet(peer_mac, local_mac) }
             }
             Place::Udp { bound, pair: Some(pair) } => Carrier {
                 kind: Carrier::UDP4,
+                flags: joins,
                 peer_port: inner.connection.remote_address().port().to_be(),
                 local_port: bound.port().to_be(),
                 peer_ip: ip_words(pair.peer_ip.into()).1,
@@ -277,7 +280,7 @@ impl Link {
                 let (local_kind, local_ip) = ip_words(local);
                 Carrier {
                     kind,
-                    flags: if inner.zero_checksum { Carrier::ZERO_CHECKSUM } else { 0 },
+                    flags: joins | if inner.zero_checksum { Carrier::ZERO_CHECKSUM } else { 0 },
                     peer_port: peer.port().to_be(),
                     local_port: bound.port().to_be(),
                     peer_ip,

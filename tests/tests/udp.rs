@@ -58,31 +58,64 @@ fn frames_cross_between_ethernet_and_both_kinds_of_udp_in_userspace() -> Result<
 fn what_the_kernel_sends_is_right_to_the_bit() -> Result<()> {
     let mut site = Site::build(Wanted::Xdp)?;
     let cable = PacketSocket::open(&site.router, "s0")?;
-    let payload = vec![0x5a; 500];
-    site.send(ROBOT, INET, &payload)?;
-    let v4 = cable.receive(SOON, |frame| is_data(frame, 0x0800, 42))?;
-    ensure!(v4.len() == 14 + 20 + 8 + 96 + 500);
-    ensure!(v4[..12] == [2, 0, 0, 0, 2, 2, 2, 0, 0, 0, 2, 1], "to the router: {v4:02x?}");
-    ensure!(internet_checksum(&v4[14..34]) == 0, "the header's checksum");
-    ensure!(v4[14..16] == [0x45, 0] && v4[16..18] == 624u16.to_be_bytes());
-    ensure!(v4[20..22] == [0x40, 0], "not to be fragmented");
-    ensure!((v4[22], v4[23]) == (64, 17));
-    ensure!(v4[26..34] == [10, 1, 0, 1, 10, 2, 0, 9]);
-    ensure!(v4[34..36] == PORT.to_be_bytes() && v4[38..42] == [2, 0x5c, 0, 0], "UDP: {:02x?}", &v4[34..42]);
+    // Endings of one to four bytes, and more than the kernel sums up at once.
+    for length in [500, 501, 502, 503, 1100] {
+        let payload: Vec<u8> = (0..length).map(|i| (i * 7) as u8).collect();
+        let frame = 96 + length;
+        site.send(ROBOT, INET, &payload)?;
+        let v4 = cable.receive(SOON, |frame| is_data(frame, 0x0800, 42))?;
+        ensure!(v4.len() == 14 + 20 + 8 + frame);
+        ensure!(v4[..12] == [2, 0, 0, 0, 2, 2, 2, 0, 0, 0, 2, 1], "to the router: {v4:02x?}");
+        ensure!(internet_checksum(&v4[14..34]) == 0, "the header's checksum");
+        ensure!(v4[14..16] == [0x45, 0] && v4[16..18] == (28 + frame as u16).to_be_bytes());
+        ensure!(v4[20..22] == [0x40, 0], "not to be fragmented");
+        ensure!((v4[22], v4[23]) == (64, 17));
+        ensure!(v4[26..34] == [10, 1, 0, 1, 10, 2, 0, 9]);
+        ensure!(v4[34..36] == PORT.to_be_bytes() && v4[38..40] == (8 + frame as u16).to_be_bytes());
+        ensure!(udp_checksum_holds(&v4, 26..34), "{length} bytes: {:02x?}", &v4[34..42]);
 
-    site.send(ROBOT, INET6, &payload)?;
-    let v6 = cable.receive(SOON, |frame| is_data(frame, 0x86dd, 62))?;
-    ensure!(v6.len() == 14 + 40 + 8 + 96 + 500);
-    ensure!(v6[14..18] == [0x60, 0, 0, 0] && v6[18..20] == 604u16.to_be_bytes() && v6[20..22] == [17, 64]);
-    ensure!(v6[54..56] == PORT.to_be_bytes() && v6[58..62] == [2, 0x5c, 0, 0], "UDP: {:02x?}", &v6[54..62]);
-    site.received(INET, &payload)?;
-    site.received(INET6, &payload)?;
+        site.send(ROBOT, INET6, &payload)?;
+        let v6 = cable.receive(SOON, |frame| is_data(frame, 0x86dd, 62))?;
+        ensure!(v6.len() == 14 + 40 + 8 + frame);
+        ensure!(v6[14..18] == [0x60, 0, 0, 0] && v6[18..20] == (8 + frame as u16).to_be_bytes());
+        ensure!(v6[20..22] == [17, 64]);
+        ensure!(v6[54..56] == PORT.to_be_bytes() && v6[58..60] == (8 + frame as u16).to_be_bytes());
+        ensure!(udp_checksum_holds(&v6, 22..54), "{length} bytes: {:02x?}", &v6[54..62]);
+        site.received(INET, &payload)?;
+        site.received(INET6, &payload)?;
+    }
+    ensure!(site.count(Counter::Delivered)? == (10, 0));
+    Ok(())
+}
+
+/// A switch takes datagrams before its kernel would look at checksums, or join them.
+#[test]
+fn datagrams_to_a_switch_have_no_checksum() -> Result<()> {
+    let mut site = Site::build(Wanted::Xdp)?;
+    let cable = PacketSocket::open(&site.router, "s0")?;
+    for (to, ethertype, at) in [(INET, 0x0800, 42), (INET6, 0x86dd, 62)] {
+        let (mut entry, address) = site.at_switch(to);
+        entry.carrier.flags &= !Carrier::CHECKSUM;
+        site.planes.set_link(entry, address)?;
+        site.send(ROBOT, to, b"unchecked")?;
+        let sent = cable.receive(SOON, |frame| is_data(frame, ethertype, at))?;
+        ensure!(sent[at - 2..at] == [0, 0], "{:02x?}", &sent[at - 8..at]);
+        site.received(to, b"unchecked")?;
+    }
     ensure!(site.count(Counter::Delivered)? == (2, 0));
     Ok(())
 }
 
+/// With the pseudo headers of RFC 768 and RFC 8200; `addresses`: where they are in the packet, right before UDP.
+fn udp_checksum_holds(packet: &[u8], addresses: std::ops::Range<usize>) -> bool {
+    let udp = addresses.end;
+    let length = (packet.len() - udp) as u32;
+    let summed = [&packet[addresses], &length.to_be_bytes(), &[0, 0, 0, 17], &packet[udp..]].concat();
+    packet[udp + 6..udp + 8] != [0, 0] && internet_checksum(&summed) == 0
+}
+
 #[test]
-fn a_peer_that_wants_checksums_gets_them_from_userspace() -> Result<()> {
+fn a_peer_that_refuses_datagrams_without_checksums_is_sent_to_from_userspace() -> Result<()> {
     let mut site = Site::build(Wanted::Xdp)?;
     let cable = PacketSocket::open(&site.router, "s0")?;
     let (mut entry, to) = site.at_switch(INET6);
@@ -90,10 +123,7 @@ fn a_peer_that_wants_checksums_gets_them_from_userspace() -> Result<()> {
     site.planes.set_link(entry, to)?;
     site.send(ROBOT, INET6, b"checked")?;
     let sent = cable.receive(SOON, |frame| is_data(frame, 0x86dd, 62))?;
-    // The pseudo header of RFC 8200, section 8.1.
-    let length = (sent.len() - 54) as u32;
-    let summed = [&sent[22..54], &length.to_be_bytes(), &[0, 0, 0, 17], &sent[54..]].concat();
-    ensure!(sent[60..62] != [0, 0] && internet_checksum(&summed) == 0, "{:02x?}", &sent[54..62]);
+    ensure!(udp_checksum_holds(&sent, 22..54), "{:02x?}", &sent[54..62]);
     site.received(INET6, b"checked")?;
     // A frame is counted once it was sent, so it may arrive before.
     wait_for("the counts", SOON, || {

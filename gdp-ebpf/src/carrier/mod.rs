@@ -3,6 +3,7 @@
 //!
 //! One file for each carrier, with how it is taken off (`find`) and put on (`dress`). Called by `main.rs`.
 
+mod checksum;
 pub mod ethernet;
 pub mod udp4;
 pub mod udp6;
@@ -12,6 +13,7 @@ use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::table::PORT_ROUTED;
 use gdp_wire::{Carrier, Header, LinkEntry};
 
+use self::udp4::Udp;
 use crate::next_hop::NextHop;
 use crate::packet::{self, Packet};
 
@@ -63,7 +65,12 @@ pub fn exchange(
     if !packet::cut(context, behind) {
         return false;
     }
-    match carrier.kind {
+    let udp = match carrier.kind {
+        Carrier::UDP4 => udp4::LEN - size_of::<Udp>(),
+        Carrier::UDP6 => udp6::LEN - size_of::<Udp>(),
+        _ => 0,
+    };
+    let dressed = match carrier.kind {
         Carrier::UDP4 => {
             packet::shift(context, at, udp4::LEN)
                 && udp4::dress(context, carrier, link.port == PORT_ROUTED, hop, class, length as u16)
@@ -75,7 +82,11 @@ pub fn exchange(
             packet::shift(context, at, ethernet::TAGGED_LEN) && ethernet::dress_tagged(context, carrier, class)
         }
         _ => packet::shift(context, at, ethernet::LEN) && ethernet::dress(context, carrier),
+    };
+    if dressed && udp > 0 && carrier.flags & Carrier::CHECKSUM != 0 {
+        checksum::write(context, carrier, udp, length + size_of::<Udp>());
     }
+    dressed
 }
 
 /// The traffic class of a frame, 0 to 7.
