@@ -11,7 +11,7 @@ const MOST: usize = 64;
 const MOST_BYTES: usize = 64 << 10;
 
 /// A larger one fills frames of its own.
-const SMALL: usize = 4096;
+const SMALL: usize = 16 << 10;
 
 pub struct Gathered {
     most: usize,

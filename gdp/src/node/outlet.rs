@@ -266,7 +266,7 @@ impl Outlet {
         let attachment = self.sending_on().ok()?;
         let max_payload = attachment.max_payload();
         for _ in 0..batches {
-            let (mut next, mut chores) = (Some(0), Vec::new());
+            let (mut next, mut chores, mut rooms) = (Some(0), Vec::new(), Vec::new());
             let mut uplink = lock(&self.uplink);
             let now = self.clock.now();
             if uplink.max_payload() != max_payload {
@@ -275,6 +275,8 @@ impl Outlet {
             while batch.transmits.len() < BATCH {
                 match uplink.poll(now) {
                     Some(Output::Send(transmit)) => batch.transmits.push(transmit),
+                    // Publishers are to be ready again before all that goes now has gone.
+                    Some(room @ Output::Room { .. }) => rooms.push(room),
                     Some(chore) => chores.push(chore),
                     None => {
                         next = uplink.next_wake();
@@ -283,6 +285,7 @@ impl Outlet {
                 }
             }
             drop(uplink);
+            rooms.into_iter().for_each(|room| self.do_chore(room));
             self.send_frames(&attachment, batch);
             if !chores.is_empty() {
                 let mut pump = lock(&self.pump);

@@ -52,6 +52,25 @@ impl Publisher {
         self.send_batch(&[Draft::new(encoding, body)]).await
     }
 
+    /// Returns when a message that is sent next goes right behind the one that goes at the moment: it would replace none that still
+    /// waits, and wait for no room itself. For publishers of what is best effort that can make messages faster than they go, and had
+    /// rather not seal what newer ones replace. What goes nowhere has its turn at once.
+    pub async fn ready(&self) -> Result<(), NodeError> {
+        let outlet = &self.node.state.outlet;
+        loop {
+            let mut room = pin!(self.publication.room.notified());
+            room.as_mut().enable();
+            self.publication.check()?;
+            if let Err(NodeError::Closed) = outlet.sending_on() {
+                return Err(NodeError::Closed);
+            }
+            if lock(&outlet.uplink).has_turn(self.publication.topic) {
+                return Ok(());
+            }
+            room.await;
+        }
+    }
+
     /// Several messages under one signature; small ones share frames. Returns the sequence number of the first.
     pub async fn send_batch(&mut self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
         let counters = self.node.state.counters.clone();

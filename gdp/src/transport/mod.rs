@@ -56,3 +56,5 @@ mod cases;
 mod properties;
 #[cfg(test)]
 mod simulation;
+#[cfg(test)]
+mod turns;

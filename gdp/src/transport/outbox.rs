@@ -163,6 +163,11 @@ impl Outbox {
         !full || self.entries.is_empty() || self.entries.front().is_some_and(oldest_may_go)
     }
 
+    /// Whether messages wait that have not begun to go.
+    pub fn has_waiting(&self) -> bool {
+        self.begun() < self.entries.len()
+    }
+
     /// The last sequence of the oldest message, if that has gone.
     pub fn oldest_sent(&self) -> Option<u64> {
         self.entries.front().filter(|oldest| oldest.is_sent()).map(|oldest| oldest.message.last())
@@ -181,7 +186,10 @@ impl Outbox {
                     self.drop_entry(self.begun());
                 }
                 while !fits(self) {
-                    self.drop_entry(0);
+                    // What has gone goes first; what goes at the moment, last.
+                    let begun = self.begun();
+                    let next = if self.cursor == 0 && begun < self.entries.len() { begun } else { 0 };
+                    self.drop_entry(next);
                 }
             }
             Reliability::Reliable { overflow } => {

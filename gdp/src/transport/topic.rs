@@ -78,6 +78,8 @@ pub struct TopicState {
     heartbeat_interval: u64,
     look_at: u64,
     waiting: Option<Waiting>,
+    /// A publisher wants to know when what it sends would replace nothing.
+    wants_turn: bool,
     limit: FrameLimit,
     /// Large frames went since a reader last told of what came.
     large_unheard: bool,
@@ -122,6 +124,7 @@ impl TopicState {
             heartbeat_interval: FIRST_HEARTBEAT,
             look_at: u64::MAX,
             waiting: None,
+            wants_turn: false,
             limit: FrameLimit::default(),
             large_unheard: false,
         }
@@ -144,6 +147,17 @@ impl TopicState {
             self.outbox.skip_all();
         }
         result
+    }
+
+    /// Whether a message would go right behind the one that goes now. If not, [`Self::take_turn`] says when one would.
+    pub fn has_turn(&mut self) -> bool {
+        self.wants_turn = self.outbox.has_waiting();
+        !self.wants_turn
+    }
+
+    /// Whether a publisher that waits for its turn has it now.
+    pub fn take_turn(&mut self) -> bool {
+        self.wants_turn && self.has_turn()
     }
 
     pub fn join(&mut self, now: u64, reader: Name) -> bool {

@@ -70,7 +70,7 @@ pub enum Output {
         reader: Name,
         oldest: u64,
     },
-    /// A publisher that waits may try again.
+    /// A publisher that waits for room, or for its turn, may try again.
     Room {
         topic: Topic,
     },
@@ -191,6 +191,12 @@ impl Uplink {
         let result = state.push(now, message).map_err(Full::Wait);
         self.settle(now, topic);
         result
+    }
+
+    /// Whether a message would go right behind the one that goes now, replacing none and waiting for none. If not,
+    /// [`Output::Room`] comes when one would.
+    pub fn has_turn(&mut self, topic: Topic) -> bool {
+        self.topic(topic).is_none_or(TopicState::has_turn)
     }
 
     /// A reader that the certificates allow is there: what is pushed from now on is for it, too. Returns the sequence it is to be
@@ -393,6 +399,7 @@ impl Uplink {
         let Some(state) = &mut slot.topic else { return };
         let class = usize::from(state.options.class);
         let Turn { may_send, at } = state.turn(now, state.max_payload(now, max_payload));
+        let has_turn = state.take_turn();
         let mut resealing = Vec::new();
         while let Some(message) = state.outbox.next_to_reseal() {
             resealing.push(message);
@@ -409,6 +416,9 @@ impl Uplink {
             self.ready[class].push_back((topic, now));
         }
         self.outputs.extend(resealing.into_iter().map(|message| Output::Reseal { topic, message }));
+        if has_turn {
+            self.outputs.push_back(Output::Room { topic });
+        }
     }
 
     fn slot(&mut self, topic: Topic) -> Option<&mut Slot> {

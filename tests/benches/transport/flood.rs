@@ -92,7 +92,7 @@ fn beside(site: &Site, flood: Option<(Forgery, u32)>, bench: &Bench) -> Result<(
             let (tap, attacker, ended) = (&tap, &attacker, &ended);
             scope.spawn(move || attack(tap, attacker, forgery, rate, ended))
         });
-        let seen = run::run(site, ours::best_effort, &[LOAD], [cpu::SENDER; 2], bench.long_duration());
+        let seen = run::run(site, ours::best_effort_on_ethernet, &[LOAD], [cpu::SENDER; 2], bench.long_duration());
         ended.store(true, Ordering::Relaxed);
         let rate = match attack.map(|attack| attack.join()) {
             Some(Ok(rate)) => rate?,

@@ -87,11 +87,12 @@ const ROWS: [(&str, Row<Bench>); 4] =
     [("throughput", throughput::run), ("latency", latency::run), ("signing", signing::run), ("flood", flood::run)];
 
 /// Who carries messages, by the names in the figures: what is ours first.
-const TRANSPORTS: [(&str, Open); 4] = [
+const TRANSPORTS: [(&str, Open); 5] = [
     (ours::BEST_EFFORT, ours::best_effort),
     (ours::RELIABLE, ours::reliable),
     (quic::CUBIC, quic::cubic),
     (tls::CUBIC, tls::cubic),
+    (ours::ETHERNET, ours::reliable_on_ethernet),
 ];
 
 fn main() -> Result<()> {

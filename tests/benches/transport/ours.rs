@@ -16,25 +16,48 @@ use crate::site::{End, Ends};
 
 pub const BEST_EFFORT: &str = "gdp, best effort";
 pub const RELIABLE: &str = "gdp, reliable";
+pub const ETHERNET: &str = "gdp, reliable, Ethernet";
 
 /// Between messages that ask whether the path is there.
 const PROBES: Duration = Duration::from_millis(5);
 
+/// What carries frames to the switch and from it.
+#[derive(Clone, Copy)]
+enum Over {
+    /// As with the others.
+    Udp,
+    Ethernet,
+}
+
 pub fn best_effort(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Carrier> {
-    open(ends, lanes, PublishOptions::best_effort(), SubscribeOptions::best_effort())
+    open(ends, lanes, Over::Udp, PublishOptions::best_effort(), SubscribeOptions::best_effort())
 }
 
 pub fn reliable(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Carrier> {
-    open(ends, lanes, PublishOptions::reliable(), SubscribeOptions::reliable())
+    open(ends, lanes, Over::Udp, PublishOptions::reliable(), SubscribeOptions::reliable())
+}
+
+pub fn best_effort_on_ethernet(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Carrier> {
+    open(ends, lanes, Over::Ethernet, PublishOptions::best_effort(), SubscribeOptions::best_effort())
+}
+
+pub fn reliable_on_ethernet(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Carrier> {
+    open(ends, lanes, Over::Ethernet, PublishOptions::reliable(), SubscribeOptions::reliable())
 }
 
 /// The first lane is of a higher class than those beside it.
-fn open(ends: &Ends, lanes: &[Arc<Lane>], publish: PublishOptions, subscribe: SubscribeOptions) -> Result<Carrier> {
+fn open(
+    ends: &Ends,
+    lanes: &[Arc<Lane>],
+    over: Over,
+    publish: PublishOptions,
+    subscribe: SubscribeOptions,
+) -> Result<Carrier> {
     let owner = SigningKey::generate()?;
     let identities = [Identity::generate("proxy")?, Identity::generate("proxy")?];
     let (writer, reader) = (identities[0].name(), identities[1].name());
     let [robot, cloud] = identities;
-    let (robot, cloud) = (connect(&ends.robot, robot)?, connect(&ends.cloud, cloud)?);
+    let (robot, cloud) = (connect(&ends.robot, over, robot)?, connect(&ends.cloud, over, cloud)?);
     for (index, lane) in lanes.iter().enumerate() {
         let card = NameCard::create(owner.verify_key(), "topic", &format!("/lane/{index}"), "bytes", None)?;
         let (name, serial, not_before, not_after) = (card.name(), 1, 0, 4_000_000_000);
@@ -51,7 +74,8 @@ fn open(ends: &Ends, lanes: &[Arc<Lane>], publish: PublishOptions, subscribe: Su
         let publisher = ends.robot.inside.run(async move { node.publish(proof, cert, options).await })??;
         let (first, there) = oneshot::channel();
         ends.cloud.inside.runtime.spawn(receive(lane.clone(), subscription, first));
-        ends.robot.inside.runtime.spawn(send(lane.clone(), publisher, there));
+        let sender = Ours { publisher, reliable: subscribe.reliable };
+        ends.robot.inside.runtime.spawn(send(lane.clone(), sender, there));
     }
     let counted = cloud.clone();
     Ok(Carrier {
@@ -63,8 +87,12 @@ fn open(ends: &Ends, lanes: &[Arc<Lane>], publish: PublishOptions, subscribe: Su
     })
 }
 
-fn connect(end: &End, identity: Identity) -> Result<Node> {
-    let config = NodeConfig::new(identity, format!("eth://{}", end.interface).parse()?);
+fn connect(end: &End, over: Over, identity: Identity) -> Result<Node> {
+    let switch = match over {
+        Over::Udp => format!("udp://{}", end.switch),
+        Over::Ethernet => format!("eth://{}", end.interface),
+    };
+    let config = NodeConfig::new(identity, switch.parse()?);
     Ok(end.inside.run(Node::connect(config))??)
 }
 
@@ -79,8 +107,7 @@ async fn receive(lane: Arc<Lane>, mut subscription: Subscription, first: oneshot
 }
 
 /// The lane's messages, as soon as one gets through.
-async fn send(lane: Arc<Lane>, publisher: Publisher, mut there: oneshot::Receiver<()>) {
-    let mut sender = Ours(publisher);
+async fn send(lane: Arc<Lane>, mut sender: Ours, mut there: oneshot::Receiver<()>) {
     loop {
         lane.note(sender.send(b"?").await);
         if tokio::time::timeout(PROBES, &mut there).await.is_ok() {
@@ -90,10 +117,17 @@ async fn send(lane: Arc<Lane>, publisher: Publisher, mut there: oneshot::Receive
     lane.feed(sender).await;
 }
 
-struct Ours(Publisher);
+struct Ours {
+    publisher: Publisher,
+    reliable: bool,
+}
 
 impl Sender for Ours {
     async fn send(&mut self, body: &[u8]) -> Result<()> {
-        Ok(self.0.send(Encoding::Bytes, body).await.map(drop)?)
+        // What is reliable waits for room by itself; what is not would replace what has not gone yet.
+        if !self.reliable {
+            self.publisher.ready().await?;
+        }
+        Ok(self.publisher.send(Encoding::Bytes, body).await.map(drop)?)
     }
 }

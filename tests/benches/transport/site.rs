@@ -1,6 +1,6 @@
 //! The network of all contenders, and the switch in it.
 
-use std::net::Ipv4Addr;
+use std::net::{Ipv4Addr, SocketAddr};
 
 use anyhow::{Context, Result, ensure};
 use gdp::link::RekeySchedule;
@@ -40,6 +40,8 @@ pub struct End {
     /// Its interface.
     pub interface: &'static str,
     pub address: Ipv4Addr,
+    /// Where the switch takes frames over UDP.
+    pub switch: SocketAddr,
 }
 
 /// Where messages come from, and where they go.
@@ -47,6 +49,9 @@ pub struct Ends {
     pub robot: End,
     pub cloud: End,
 }
+
+/// Of the switch, for frames over UDP.
+const PORT: u16 = 31_415;
 
 const SEED: u64 = 12;
 
@@ -60,7 +65,7 @@ impl Site {
             identity: files.path().join("s1.pem"),
             socket: files.path().join("s1.sock"),
             interfaces: Some(vec!["l0".into(), "r0".into()]),
-            udp: None,
+            udp: Some((Ipv4Addr::UNSPECIFIED, PORT).into()),
             data_plane: DataPlane::Xdp,
             rib: true,
             uplink: None,
@@ -82,13 +87,16 @@ impl Site {
     /// New ends on these CPUs.
     pub fn ends(&self, [robot, cloud]: [usize; 2]) -> Result<Ends> {
         let (from, to) = self.chain.ip_ends();
-        let end = |namespace: &Namespace, cpu, interface, address: String| {
+        // Its address on either subnet: the switch is the second host of the robot's, and the first of the cloud's.
+        let [from, to]: [Ipv4Addr; 2] = [from.parse()?, to.parse()?];
+        let switch = |end: Ipv4Addr, host| (Ipv4Addr::from_octets([10, 9, end.octets()[2], host]), PORT).into();
+        let end = |namespace: &Namespace, cpu, interface, address, switch| {
             let inside = Inside::new(namespace, ROOT)?;
             inside.run(async move { cpu::pin(cpu) })??;
-            anyhow::Ok(End { inside, interface, address: address.parse()? })
+            anyhow::Ok(End { inside, interface, address, switch })
         };
-        let robot = end(self.chain.robot(), robot, "r0", from)?;
-        Ok(Ends { robot, cloud: end(self.chain.cloud(), cloud, "l0", to)? })
+        let robot = end(self.chain.robot(), robot, "r0", from, switch(from, 2))?;
+        Ok(Ends { robot, cloud: end(self.chain.cloud(), cloud, "l0", to, switch(to, 1))? })
     }
 
     pub fn chain(&self) -> &Chain {

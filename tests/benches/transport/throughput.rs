@@ -53,11 +53,13 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     let throughput = Figure::new("transport-throughput", title, Unit::BytesPerSecond, measures)
         .compare(ours::BEST_EFFORT, quic::CUBIC, ahead)
         .compare(ours::RELIABLE, quic::CUBIC, ahead)
+        .compare(ours::ETHERNET, quic::CUBIC, |_| None)
         .compare(ours::BEST_EFFORT, tls::CUBIC, |_| None)
         .compare(ours::RELIABLE, tls::CUBIC, |_| None);
     let cost = Figure::new("transport-cpu", "CPU time of both ends", Unit::SecondsPerGigabyte, costs)
         .compare(ours::BEST_EFFORT, quic::CUBIC, |_| None)
         .compare(ours::RELIABLE, quic::CUBIC, |_| None)
+        .compare(ours::ETHERNET, quic::CUBIC, |_| None)
         .compare(ours::BEST_EFFORT, tls::CUBIC, |_| None)
         .compare(ours::RELIABLE, tls::CUBIC, |_| None);
     Ok(vec![throughput, cost])
