@@ -270,6 +270,28 @@ async fn of_best_effort_messages_each_is_accounted_for() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_publisher_that_waits_for_its_turn_replaces_nothing() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/camera");
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let _subscription = owner.subscribe(&cloud).await.unwrap();
+    let mut publisher = owner.publish_as(&robot, PublishOptions::best_effort()).await.unwrap();
+    eventually("the reader is known", || publisher.readers() == 1).await;
+    for _ in 0..100 {
+        publisher.ready().await.unwrap();
+        publisher.send(Encoding::Bytes, &[7; 50_000]).await.unwrap();
+    }
+    let TopicCounters { messages, replaced, .. } = publisher.counters();
+    assert_eq!((messages, replaced), (100, 0));
+    for _ in 0..100 {
+        publisher.send(Encoding::Bytes, &[7; 50_000]).await.unwrap();
+    }
+    assert!(publisher.counters().replaced > 0, "as it is without waiting");
+    robot.close().await;
+    assert!(matches!(publisher.ready().await, Err(NodeError::Closed)));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn recorded_messages_of_yesterday_are_not_read_by_a_restarted_reader() {
     let fabric = Fabric::start().await;
     let owner = Owner::new("/cmd_vel");
