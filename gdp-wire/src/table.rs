@@ -8,7 +8,7 @@ use crate::{Name, replay};
 
 /// The version of everything a data plane keeps in memory that outlives a daemon: the maps, and what their entries mean. To
 /// be raised with every change of meaning; of sizes as well, though a daemon compares those itself.
-pub const ABI: u32 = 4;
+pub const ABI: u32 = 5;
 
 /// Links a switch can have at once; the low bits of a link id are the index of its entry.
 pub const MAX_LINKS: u32 = 1024;

@@ -161,9 +161,9 @@ impl Worker {
     fn decide(&mut self) {
         let mut counts = [0u64; Counter::COUNT];
         let tables = self.shared.tables.read().unwrap_or_else(PoisonError::into_inner);
-        for (index, InFrame { bytes: frame, .. }) in self.batch.frames().enumerate() {
+        for (index, InFrame { bytes: frame, congested, .. }) in self.batch.frames().enumerate() {
             let arrived = Header::read_from_prefix(frame).ok().map(|(header, _)| (header.link_id(), header.tag()));
-            let outcome = handle(frame, &tables);
+            let outcome = handle(frame, congested, &tables);
             let counter = match outcome {
                 Outcome::Send { to, length, counter, .. } => {
                     self.sends.push(Send { frame: index, to, length, header: None, counter });

@@ -60,8 +60,8 @@ pub struct UserTables {
     link_memory: LinkMemory,
 }
 
-/// Decides about a GDP frame (without what carried it) and rewrites it for its next link.
-pub fn handle(frame: &mut [u8], tables: &UserTables) -> Outcome {
+/// Decides about a GDP frame (without what carried it) and rewrites it for its next link. `congested`: what carried it was marked.
+pub fn handle(frame: &mut [u8], congested: bool, tables: &UserTables) -> Outcome {
     match frame.first().copied().map(forward::classify) {
         Some(Kind::Headed) => {}
         Some(Kind::Control) => return Outcome::Control,
@@ -71,7 +71,7 @@ pub fn handle(frame: &mut [u8], tables: &UserTables) -> Outcome {
     // A copy, because a frame may lie anywhere.
     let Ok((mut header, _)) = Header::read_from_prefix(frame) else { return Outcome::Drop(Counter::Truncated) };
     let ingress = header.link_id();
-    let (link, length, counter) = match forward::decide(&mut header, frame.len(), tables) {
+    let (link, length, counter) = match forward::decide(&mut header, frame.len(), congested, tables) {
         Verdict::Send(link, counter) => (link.id, header.frame_len(), counter),
         Verdict::Answer(link, counter) => (link.id, Header::LEN, counter),
         Verdict::Copies(group) => {

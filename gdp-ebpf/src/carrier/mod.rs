@@ -10,7 +10,7 @@ pub mod udp6;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::table::PORT_ROUTED;
-use gdp_wire::{Carrier, Header, LinkEntry};
+use gdp_wire::{Carrier, LinkEntry};
 
 use crate::next_hop::NextHop;
 use crate::packet::{self, Packet};
@@ -24,6 +24,8 @@ pub struct Carried {
     pub available: usize,
     /// Whether it may also be QUIC.
     pub over_udp: bool,
+    /// Whether a router marked what carries it (CE, RFC 3168).
+    pub congested: bool,
 }
 
 /// The frame in a packet of `length` bytes; `None` if it is none of ours. `ethertype`: of GDP frames, in host order.
@@ -48,14 +50,14 @@ pub fn is_quic(carried: &Carried, first_byte: u8) -> bool {
 }
 
 /// Makes a packet whose frame lies `at` one that carries the frame's first `length` bytes on `link`; `false` if there is no room.
-/// References into the packet are void after. `behind`: bytes of the packet behind those.
+/// References into the packet are void after. `behind`: bytes of the packet behind those; `traffic`: see `gdp_wire::Header::ip_traffic`.
 #[inline(always)]
 pub fn exchange(
     context: &XdpContext,
     at: usize,
     length: usize,
     behind: usize,
-    class: u8,
+    traffic: u8,
     link: &LinkEntry,
     hop: &NextHop,
 ) -> bool {
@@ -66,20 +68,14 @@ pub fn exchange(
     match carrier.kind {
         Carrier::UDP4 => {
             packet::shift(context, at, udp4::LEN)
-                && udp4::dress(context, carrier, link.port == PORT_ROUTED, hop, class, length as u16)
+                && udp4::dress(context, carrier, link.port == PORT_ROUTED, hop, traffic, length as u16)
         }
         Carrier::UDP6 => {
-            packet::shift(context, at, udp6::LEN) && udp6::dress(context, carrier, hop, class, length as u16)
+            packet::shift(context, at, udp6::LEN) && udp6::dress(context, carrier, hop, traffic, length as u16)
         }
         _ if carrier.vlan != 0 => {
-            packet::shift(context, at, ethernet::TAGGED_LEN) && ethernet::dress_tagged(context, carrier, class)
+            packet::shift(context, at, ethernet::TAGGED_LEN) && ethernet::dress_tagged(context, carrier, traffic)
         }
         _ => packet::shift(context, at, ethernet::LEN) && ethernet::dress(context, carrier),
     }
-}
-
-/// The traffic class of a frame, 0 to 7.
-#[inline(always)]
-pub fn class_of(header: &Header) -> u8 {
-    header.flags >> 2 & 7
 }

@@ -8,7 +8,7 @@ use gdp_wire::{Carrier, LocalAddress};
 
 use super::Carried;
 use super::ethernet::{self, Ethernet};
-use super::udp4::{HOP_LIMIT, UDP, Udp};
+use super::udp4::{HOP_LIMIT, UDP, Udp, is_marked};
 use crate::local;
 use crate::next_hop::NextHop;
 use crate::packet::Packet;
@@ -37,7 +37,8 @@ pub fn find(packet: &Packet, length: usize) -> Option<Carried> {
     let udp = packet.get::<Udp>(ethernet::LEN + size_of::<Ipv6>())?;
     // SAFETY: `get` checked the bounds.
     let (ip, udp) = unsafe { (&*ip, &*udp) };
-    if u32::from_be(ip.version_class) >> 28 != 6 || ip.next != UDP {
+    let version_class = u32::from_be(ip.version_class);
+    if version_class >> 28 != 6 || ip.next != UDP {
         return None;
     }
     let to = LocalAddress { ip: ip.destination, port: udp.destination, kind: Carrier::UDP6.into() };
@@ -49,12 +50,13 @@ pub fn find(packet: &Packet, length: usize) -> Option<Carried> {
         at: LEN,
         available: udp_length - size_of::<Udp>(),
         over_udp: true,
+        congested: is_marked((version_class >> 20) as u8),
     })
 }
 
 /// `length`: of the frame.
 #[inline(always)]
-pub fn dress(context: &XdpContext, carrier: &Carrier, hop: &NextHop, class: u8, length: u16) -> bool {
+pub fn dress(context: &XdpContext, carrier: &Carrier, hop: &NextHop, traffic: u8, length: u16) -> bool {
     let packet = Packet::of(context);
     let (Some(ethernet), Some(ip), Some(udp)) = (
         packet.get::<Ethernet>(0),
@@ -67,7 +69,7 @@ pub fn dress(context: &XdpContext, carrier: &Carrier, hop: &NextHop, class: u8, 
     // SAFETY: `get` checked the bounds.
     unsafe {
         ethernet::address(ethernet, hop.destination(), hop.source(), ethernet::IPV6);
-        (*ip).version_class = (6 << 28 | u32::from(class) << 25).to_be();
+        (*ip).version_class = (6 << 28 | u32::from(traffic) << 20).to_be();
         (*ip).length = length;
         (*ip).next = UDP;
         (*ip).hop_limit = HOP_LIMIT;

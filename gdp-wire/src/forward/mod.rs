@@ -60,10 +60,10 @@ pub fn classify(first_byte: u8) -> Kind {
 }
 
 /// Decides what happens to a frame of which `available` bytes are there, header included, and rewrites its header
-/// accordingly. What lies behind the payload, as Ethernet pads short frames, is no part of the frame: whoever carries the verdict
+/// accordingly. `congested`: a router has marked what carried it (CE, RFC 3168). What lies behind the payload, as Ethernet pads short frames, is no part of the frame: whoever carries the verdict
 /// out leaves it behind. If the verdict is [`Verdict::Notice`], [`Verdict::Slow`] or [`Verdict::Drop`], the header is unchanged.
 #[inline(always)]
-pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, tables: &'t T) -> Verdict<'t> {
+pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, congested: bool, tables: &'t T) -> Verdict<'t> {
     let Arrival { link: ingress, window, count } = match arrival(header, available, tables) {
         Ok(arrival) => arrival,
         Err(counter) => return Verdict::Drop(counter),
@@ -75,6 +75,9 @@ pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, tables: &'t 
     }
     if !replay::take(&window, count) {
         return Verdict::Drop(Counter::Replayed);
+    }
+    if congested && fate.goes_on() && !mark(header) {
+        return Verdict::Drop(Counter::Congested);
     }
     match fate.what {
         What::Send => {
@@ -105,6 +108,14 @@ struct Fate<'t> {
     set: u8,
     counter: Counter,
     refusal: Refusal,
+}
+
+impl Fate<'_> {
+    /// Whether the frame leaves for who is to read it.
+    #[inline(always)]
+    fn goes_on(&self) -> bool {
+        matches!(self.what, What::Send | What::Copy)
+    }
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -161,6 +172,17 @@ pub fn stamp(header: &mut Header, link: &LinkEntry, count: u64) {
     header.set_link_counter(count as u32);
     let key = if second { link.tx_keys[1] } else { link.tx_keys[0] };
     header.set_tag(siphash24(key, &header.tagged_words(count)));
+}
+
+/// Takes a router's mark over into the frame, whose header goes all the way to the reader; `false` if its writer does not take
+/// marks, so that only a loss tells it (RFC 6040, section 4.2).
+#[inline(always)]
+fn mark(header: &mut Header) -> bool {
+    let takes_marks = header.flags & Header::ECN != 0;
+    if takes_marks {
+        header.flags |= Header::CONGESTED;
+    }
+    takes_marks
 }
 
 /// What changes in a frame on its way through a switch, whatever link it leaves by.
