@@ -651,24 +651,23 @@ fn congestion() -> Vec<Case> {
             ("it is no code point of the writer's if only what carries the frame has it", 0b10, 0, 0),
         ] {
             let sent = from(by).bits(bit(EAST)).with(|f| f.flags = flags).in_datagram(outer);
-            cases.push(
-                sent.case(&format!("{name}, from {label}"), sends(&sent, EAST, bit(EAST)).with(|f| f.flags = leaves)),
-            );
+            let left = sent.clone().with(|f| f.flags = leaves);
+            cases.push(sent.case(&format!("{name}, from {label}"), sends(&left, EAST, bit(EAST))));
         }
         let marked = |to: u64| from(by).bits(to).with(|f| f.flags = 0b10).in_datagram(0b11);
         let deaf = |to: u64| marked(to).with(|f| f.flags = 0x1c);
         let to = if by == INET { INET6 } else { INET };
         let (onward, both, slow) = (marked(bit(to)), marked(bit(EAST) | 1), marked(bit(UNRESOLVED)));
-        let copy = |by: u32, bits: u64| CopyOut {
-            frame: Some(Bytes::new(&sends(&both, by, bits).with(|f| f.flags = 0b11).0.bytes())),
+        let with_mark = |sent: &Sent, by, bits| sends(&sent.clone().with(|f| f.flags = 0b11), by, bits);
+        let copy = |by, bits| CopyOut {
+            frame: Some(Bytes::new(&with_mark(&both, by, bits).0.bytes())),
             counter: "forwarded".into(),
         };
         let echo = deaf(7).with(|f| (f.version_type, f.hop_limit, f.payload) = (0x14, 1, vec![]));
         let answer = sends(&echo, by, 7).with(|f| (f.hop_limit, f.egress_set) = (1, 1));
         let nowhere = marked(1 << 62);
-        let with_mark = |sent: &Sent, by| sends(sent, by, bit(by)).with(|f| f.flags = 0b11);
         cases.extend([
-            onward.case(&format!("from datagram to datagram, from {label}"), with_mark(&onward, to)),
+            onward.case(&format!("from datagram to datagram, from {label}"), with_mark(&onward, to, bit(to))),
             both.case(&format!("into each copy, from {label}"), copied(vec![copy(WEST, 1), copy(EAST, bit(EAST))])),
             deaf(bit(EAST)).case(
                 &format!("only a loss tells a writer that does not take marks, from {label}"),
@@ -676,7 +675,7 @@ fn congestion() -> Vec<Case> {
             ),
             deaf(bit(EAST) | 1).case(&format!("and one for all copies, from {label}"), drop("drop_congested")),
             Case {
-                userspace: Some(with_mark(&slow, UNRESOLVED).into()),
+                userspace: Some(with_mark(&slow, UNRESOLVED, bit(UNRESOLVED)).into()),
                 ..slow.case(&format!("by the plane that can send it, from {label}"), pass("slow"))
             },
             Case {

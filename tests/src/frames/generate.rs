@@ -94,11 +94,9 @@ impl Generator {
     fn carried(&mut self) -> Vec<u8> {
         let mut frame = self.gdp();
         frame.carrier = self.random.one_of(&self.carriers);
+        let any = self.random.word() as u8;
         if let Carrier::Udp { class, .. } = &mut frame.carrier {
-            *class = {
-                let any = self.random.word() as u8;
-                self.random.one_of(&[0, 0b10, 0b10, 0b11, any])
-            };
+            *class = self.random.one_of(&[0, 0b10, 0b10, 0b11, any]);
         }
         frame.ethertype = match self.random.below(64) {
             0 => self.random.one_of(&[0x0800, 0x86dd, 0x8100, 0x88b6, 0]),
@@ -163,10 +161,8 @@ impl Generator {
             frame.flags = 0x40;
         }
         // Class and ECN.
-        frame.flags |= {
-            let any = 0x1f & random.word() as u8;
-            random.one_of(&[0, 0, 0b10, 0b10, 0b11, any])
-        };
+        let any = random.word() as u8 & 0x1f;
+        frame.flags |= random.one_of(&[0, 0, 0b10, 0b10, 0b11, any]);
         if random.one_in(5) {
             match random.below(10) {
                 0 => frame.version_type = random.word() as u8,
