@@ -770,6 +770,10 @@ fn other_datagrams() -> Vec<Case> {
         let name = format!("only {length} bytes of a frame in a datagram");
         cases.push(raw(&name, &padded(&part(length)), drop("drop_truncated")));
     }
+    let mut misleading = part(34);
+    misleading[42 + 6] = 13;
+    let name = "what is missing comes before a wrong header length";
+    cases.push(raw(name, &padded(&padded(&padded(&padded(&misleading)))), drop("drop_truncated")));
     cases
 }
 
