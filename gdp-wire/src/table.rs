@@ -312,6 +312,9 @@ pub trait Tables {
     /// that is not the last.
     fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool;
 
+    /// Whether frames wait long in this plane before they leave by the link: then those that take marks are marked.
+    fn has_queue(&self, link: &LinkEntry) -> bool;
+
     /// Whether an error may go to the neighbour on this link now: [`COMPLAINT_INTERVAL_NS`] after the last.
     fn may_complain(&self, link: &LinkEntry) -> bool;
 

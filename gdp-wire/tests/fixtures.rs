@@ -32,6 +32,33 @@ fn every_case_through_decide() {
 }
 
 #[test]
+fn frames_that_wait_are_marked_if_they_take_marks() {
+    let run = |sent: &Sent| {
+        let tables = PlainTables::<false>::new(&switch()).with_queues(&[EAST, INET]);
+        Expected::from(tables.run(&sent.frame.bytes()))
+    };
+    for (flags, leaves) in [(0b10, 0b11), (0b01, 0b11), (0b11, 0b11), (0, 0), (5 << 2, 5 << 2)] {
+        let to = |id: u32| from(JUMBO).bits(1 << link(id).reach[0]).with(|f| f.flags = flags);
+        for id in [EAST, INET] {
+            let left = to(id).with(|f| f.flags = leaves);
+            assert_eq!(run(&to(id)), sends(&left, id, left.frame.egress_bits).into(), "{flags:#b} to {id:#x}");
+        }
+        assert_eq!(run(&to(WEST)), sends(&to(WEST), WEST, 1).into(), "{flags:#b} by a link without a queue");
+        let both = to(WEST).bits(1 << 3 | 1);
+        let copy =
+            |frame: Forwarded| CopyOut { frame: Some(Bytes::new(&frame.0.bytes())), counter: "forwarded".into() };
+        let east = sends(&both.clone().with(|f| f.flags = leaves), EAST, 1 << 3);
+        assert_eq!(
+            run(&both),
+            copied(vec![copy(sends(&both, WEST, 1)), copy(east)]),
+            "each copy as its link is: {flags:#b}"
+        );
+    }
+    let refused = from(WEST).bits(1 << 62);
+    assert_eq!(run(&refused), refused.error("drop_no_egress", 1, 0));
+}
+
+#[test]
 fn every_counter_has_a_case() {
     let cases = fixtures::read().cases;
     // What a redirect loses is known only after it.

@@ -6,7 +6,8 @@
 //!    writer        switch        switch        reader
 //! ```
 //!
-//! One of the three cables is slow, and marks packets of IP that wait for it. Each is Ethernet, or has addresses and UDP.
+//! Each of the cables is Ethernet, or has addresses and UDP. One is slow, and marks packets of IP that wait for it; or the first
+//! switch has a slow interface.
 
 use std::time::Duration;
 
@@ -19,11 +20,12 @@ use gdp::transport::TopicCounters;
 use gdp::{NameCard, Node, NodeConfig, SigningKey};
 use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
 use gdp_ctl::serve::{Running, start};
-use gdp_faults::{Counts, Faults};
+use gdp_faults::Faults;
 use gdp_tests::Tools;
 use gdp_tests::chain::{Chain, ChainOptions};
-use gdp_tests::netns::Namespace;
+use gdp_tests::netns::{Namespace, execute};
 use gdp_tests::wait::wait_for;
+use gdp_tests::wire::Wire;
 use serde_json::Value;
 
 use inside::{Inside, ROOT};
@@ -67,19 +69,32 @@ fn the_userspace_plane_carries_marks_on_too() -> Result<()> {
 
 #[test]
 fn nobody_speaks_of_congestion_where_nothing_is_marked() -> Result<()> {
-    let (told, wire) = Site::build([V4, ETHERNET, V6], 1, DataPlane::Xdp)?.carry_messages()?;
-    ensure!(wire.marked > 0, "packets waited: {wire:?}");
+    let site = Site::build([V4, ETHERNET, V6], Some(1), DataPlane::Xdp)?;
+    let (told, wire) = (site.carry_messages()?, site.marked());
+    ensure!(wire > 0, "packets waited");
     // There is no IP on that cable, and the frame's own header is under its tag.
     ensure!((told.marked, told.slowed) == (0, 0), "{told:?}");
     Ok(())
 }
 
+/// A switch in user space marks frames itself that wait for an interface of Ethernet, where nobody else does.
+#[test]
+fn the_userspace_plane_marks_what_waits() -> Result<()> {
+    let site = Site::build([ETHERNET; 3], None, DataPlane::Userspace)?;
+    let command = "qdisc add dev r0 root tbf rate 40mbit burst 10kb limit 8mb";
+    execute(site.chain.switches()[0].command("tc")?.args(command.split(' ')))?;
+    let told = site.carry_messages()?;
+    ensure!(told.marked > 0 && told.slowed > 0, "{told:?}");
+    Ok(())
+}
+
 fn marks_arrive(cables: [Cable; 3], slow: usize, data_plane: DataPlane) -> Result<()> {
     let context = || format!("{cables:?}, the cable {slow} is slow, {data_plane:?}");
-    let (told, wire) = Site::build(cables, slow, data_plane)?.carry_messages().with_context(context)?;
+    let site = Site::build(cables, Some(slow), data_plane)?;
+    let (told, wire) = (site.carry_messages().with_context(context)?, site.marked());
     // Others are QUIC's.
-    let most = (wire.marked / 2 + 1)..=wire.marked;
-    ensure!(wire.marked > 0 && most.contains(&told.marked), "{}: {wire:?}, {told:?}", context());
+    let most = (wire / 2 + 1)..=wire;
+    ensure!(wire > 0 && most.contains(&told.marked), "{}: {wire} marks, {told:?}", context());
     ensure!(told.slowed > 0, "{}: {told:?}", context());
     Ok(())
 }
@@ -125,6 +140,7 @@ fn interface(end: usize) -> &'static str {
 struct Site {
     // Order is the order of the end.
     switches: Vec<(Running, Inside)>,
+    wire: Option<Wire>,
     chain: Chain,
     cables: [Cable; 3],
     data_plane: DataPlane,
@@ -132,8 +148,9 @@ struct Site {
 }
 
 impl Site {
-    fn build(cables: [Cable; 3], slow: usize, data_plane: DataPlane) -> Result<Self> {
-        let chain = Chain::build(ChainOptions { switches: 2, wire: Some(slow), ..Default::default() })?;
+    /// `slow`: the cable that is.
+    fn build(cables: [Cable; 3], slow: Option<usize>, data_plane: DataPlane) -> Result<Self> {
+        let chain = Chain::build(ChainOptions { switches: 2, wire: slow, ..Default::default() })?;
         chain.nodes().iter().try_for_each(Namespace::enable_ipv6)?;
         for (number, cable) in cables.into_iter().enumerate().filter(|(_, cable)| *cable != ETHERNET) {
             let length = if cable == V6 { 64 } else { 24 };
@@ -144,7 +161,7 @@ impl Site {
             }
         }
         let files = tempfile::tempdir()?;
-        let mut site = Self { switches: vec![], chain, cables, data_plane, files };
+        let mut site = Self { switches: vec![], wire: None, chain, cables, data_plane, files };
         for i in [0, 1] {
             let inside = Inside::new(&site.chain.switches()[i], ROOT)?;
             let running = inside.run(start(site.config(i)?))??;
@@ -154,7 +171,16 @@ impl Site {
             let linked = |i| site.status(i)["links"].as_array().is_some_and(|links| links.len() == 1);
             Ok((linked(0) && linked(1)).then_some(()))
         })?;
+        if slow.is_some() {
+            let slow = Faults { rate: Some(40_000_000), mark_above: Some(6_000), ..Faults::default() };
+            site.wire = Some(site.chain.disturb_wire([slow, Faults::default()], SEED)?);
+        }
         Ok(site)
+    }
+
+    /// Frames that waited for the slow cable.
+    fn marked(&self) -> u64 {
+        self.wire.as_ref().map_or(0, |wire| wire.counts(0).marked)
     }
 
     fn config(&self, i: usize) -> Result<Config> {
@@ -187,8 +213,8 @@ impl Site {
         inside.runtime.block_on(running.status())
     }
 
-    /// From the robot to the cloud, as fast as they go: what the writer was told of the way, and what the slow cable did.
-    fn carry_messages(self) -> Result<(TopicCounters, Counts)> {
+    /// From the robot to the cloud, as fast as they go: what the writer was told of the way.
+    fn carry_messages(&self) -> Result<TopicCounters> {
         const MESSAGES: usize = 100;
         const LENGTH: usize = 40_000;
         let owner = SigningKey::generate()?;
@@ -210,8 +236,6 @@ impl Site {
         let mut publisher = writer.runtime.block_on(writing.publish(card.proof(), cert, PublishOptions::reliable()))?;
         let before = [0, 1].map(|i| self.onward(i));
 
-        let slow = Faults { rate: Some(40_000_000), mark_above: Some(6_000), ..Faults::default() };
-        let wire = self.chain.disturb_wire([slow, Faults::default()], SEED)?;
         let received = reader.runtime.spawn(async move {
             for i in 0..MESSAGES {
                 let next = tokio::time::timeout(SOON, subscription.recv()).await;
@@ -225,8 +249,7 @@ impl Site {
         }
         let _subscription = reader.runtime.block_on(received)??;
         let told = publisher.counters();
-        let counts = wire.counts(0);
-        wire.check()?;
+        self.wire.iter().try_for_each(Wire::check)?;
 
         for (i, before) in before.into_iter().enumerate() {
             let [before, after] = [before, self.onward(i)];
@@ -240,7 +263,7 @@ impl Site {
         }
         writer.runtime.block_on(writing.close());
         reader.runtime.block_on(reading.close());
-        Ok((told, counts))
+        Ok(told)
     }
 
     /// Frames that a switch sent on, in the kernel and in user space.

@@ -12,6 +12,7 @@ use gdp_wire::{Counter, FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::link_memory::LinkMemory;
+use super::queues::Queues;
 
 /// What becomes of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,6 +59,7 @@ pub struct UserTables {
     next_hops: [u32; EGRESS_SET_SIZE as usize],
     own_bit: u64,
     link_memory: LinkMemory,
+    queues: Queues,
 }
 
 /// Decides about a GDP frame (without what carried it) and rewrites it for its next link. `congested`: what carried it was marked.
@@ -119,6 +121,7 @@ impl UserTables {
             next_hops: [0; EGRESS_SET_SIZE as usize],
             own_bit: 0,
             link_memory,
+            queues: Queues::default(),
         }
     }
 
@@ -188,6 +191,10 @@ impl UserTables {
         Some((header, self.address(id)?))
     }
 
+    pub fn queues(&self) -> &Queues {
+        &self.queues
+    }
+
     fn address(&self, id: u32) -> Option<LinkAddr> {
         self.links[link_index(id) as usize].as_ref().map(|(_, to)| *to)
     }
@@ -241,6 +248,10 @@ impl Tables for UserTables {
 
     fn can_copy(&self, _: u32, _: u64, _: usize) -> bool {
         true
+    }
+
+    fn has_queue(&self, link: &LinkEntry) -> bool {
+        self.address(link.id).is_some_and(|to| self.queues.is_long_to(to))
     }
 
     fn may_complain(&self, link: &LinkEntry) -> bool {

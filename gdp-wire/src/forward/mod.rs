@@ -82,6 +82,7 @@ pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, congested: b
     match fate.what {
         What::Send => {
             travel(header, ingress, fate.bits, fate.set);
+            wait(header, fate.link, tables);
             stamp(header, fate.link, tables.next_count(fate.link));
             Verdict::Send(fate.link, fate.counter)
         }
@@ -174,8 +175,8 @@ pub fn stamp(header: &mut Header, link: &LinkEntry, count: u64) {
     header.set_tag(siphash24(key, &header.tagged_words(count)));
 }
 
-/// Takes a router's mark over into the frame, whose header goes all the way to the reader; `false` if its writer does not take
-/// marks, so that only a loss tells it (RFC 6040, section 4.2).
+/// Marks a frame that met congestion, in the header that goes all the way to the reader; `false` if its writer does not take marks, so that only
+/// a loss tells it (RFC 6040, section 4.2).
 #[inline(always)]
 fn mark(header: &mut Header) -> bool {
     let takes_marks = header.flags & Header::ECN != 0;
@@ -183,6 +184,14 @@ fn mark(header: &mut Header) -> bool {
         header.flags |= Header::CONGESTED;
     }
     takes_marks
+}
+
+/// Marks a frame that waits long before it leaves by `link`, if it takes marks.
+#[inline(always)]
+fn wait<T: Tables>(header: &mut Header, link: &LinkEntry, tables: &T) {
+    if tables.has_queue(link) {
+        mark(header);
+    }
 }
 
 /// What changes in a frame on its way through a switch, whatever link it leaves by.
