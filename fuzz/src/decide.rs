@@ -83,7 +83,7 @@ fn check_sent<'s>(packet: &[u8], sent: &[u8], switch: &'s Switch) -> (&'s Link, 
         assert_eq!((came[0], left[2] + 1), (0x10, came[2]), "the hop limit falls by one");
         let length = usize::from(u16::from_be_bytes([came[4], came[5]]));
         assert_eq!(*rest, payload[..length], "the payload changed");
-        let marked = switch.find(packet).is_some_and(|place| place.congested);
+        let marked = switch.find(packet).is_some_and(|place| place.class & ECN == ECN);
         assert!(came[1] & ECN != 0 || !marked, "only a loss tells its writer of congestion");
         let ecn = if marked { ECN } else { came[1] & ECN };
         assert_eq!(left[1] & (CLASS | ECN), came[1] & CLASS | ecn, "the class or the code point is another");

@@ -179,7 +179,8 @@ fn forward_frame(context: &XdpContext, header: &mut Header, carried: Carried, le
 fn forward_headed(context: &XdpContext, header: &mut Header, tag: u64, carried: Carried, length: usize) -> Outcome {
     let in_one_buffer = length == context.data_end() - context.data();
     let tables = Maps { context, length: header.frame_len(), in_one_buffer, next_hop: NextHop::new() };
-    let verdict = forward::decide(header, carried.available, carried.congested, &tables);
+    let traffic = carrier::traffic(&Packet::of(context), &carried);
+    let verdict = forward::decide(header, carried.available, traffic, &tables);
     // An answer has no payload, so this is its length as well.
     let frame = header.frame_len();
     let behind = length - carried.at - frame;

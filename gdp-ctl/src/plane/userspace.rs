@@ -73,7 +73,8 @@ pub fn handle(frame: &mut [u8], congested: bool, tables: &UserTables) -> Outcome
     // A copy, because a frame may lie anywhere.
     let Ok((mut header, _)) = Header::read_from_prefix(frame) else { return Outcome::Drop(Counter::Truncated) };
     let ingress = header.link_id();
-    let (link, length, counter) = match forward::decide(&mut header, frame.len(), congested, tables) {
+    let traffic = if congested { Header::CONGESTED } else { 0 };
+    let (link, length, counter) = match forward::decide(&mut header, frame.len(), traffic, tables) {
         Verdict::Send(link, counter) => (link.id, header.frame_len(), counter),
         Verdict::Answer(link, counter) => (link.id, Header::LEN, counter),
         Verdict::Copies(group) => {

@@ -43,7 +43,7 @@ pub fn ethertype(packet: &Packet) -> Option<u16> {
 
 #[inline(always)]
 pub fn find(length: usize) -> Option<Carried> {
-    Some(Carried { at: LEN, available: length - LEN, over_udp: false, congested: false })
+    Some(Carried { at: LEN, available: length - LEN, over_udp: false })
 }
 
 /// A tagged frame is ours on a VLAN that GDP runs on; others, IP among them, are the host's.
@@ -57,7 +57,6 @@ pub fn find_tagged(context: &XdpContext, packet: &Packet, length: usize, etherty
         at: TAGGED_LEN,
         available: length - TAGGED_LEN,
         over_udp: false,
-        congested: false,
     })
 }
 

@@ -24,8 +24,6 @@ pub struct Carried {
     pub available: usize,
     /// Whether it may also be QUIC.
     pub over_udp: bool,
-    /// Whether a router marked what carries it (CE, RFC 3168).
-    pub congested: bool,
 }
 
 /// The frame in a packet of `length` bytes; `None` if it is none of ours. `ethertype`: of GDP frames, in host order.
@@ -47,6 +45,17 @@ pub fn find(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32
 #[inline(always)]
 pub fn is_quic(carried: &Carried, first_byte: u8) -> bool {
     carried.over_udp && first_byte >= FIRST_QUIC_BYTE
+}
+
+/// The byte that IP has for DSCP and ECN in what carries a frame; 0 on Ethernet. Read anew: what [`find`] might hand over, the
+/// compiler spills also where there is nothing of it, which the verifier refuses.
+#[inline(always)]
+pub fn traffic(packet: &Packet, carried: &Carried) -> u8 {
+    match carried.at {
+        udp4::LEN => udp4::traffic(packet),
+        udp6::LEN => udp6::traffic(packet),
+        _ => 0,
+    }
 }
 
 /// Makes a packet whose frame lies `at` one that carries the frame's first `length` bytes on `link`; `false` if there is no room.

@@ -69,14 +69,14 @@ pub fn find(packet: &Packet, length: usize) -> Option<Carried> {
         at: LEN,
         available: udp_length - size_of::<Udp>(),
         over_udp: true,
-        congested: is_marked(ip.traffic),
     })
 }
 
-/// Whether a router with a long queue set both ECN bits (RFC 3168) of the byte that IP has for them.
+/// The byte for DSCP and ECN.
 #[inline(always)]
-pub fn is_marked(traffic: u8) -> bool {
-    traffic & 3 == 3
+pub fn traffic(packet: &Packet) -> u8 {
+    // SAFETY: `get` checked the bounds.
+    packet.get::<Ipv4>(ethernet::LEN).map_or(0, |ip| unsafe { (*ip).traffic })
 }
 
 /// What is in front of a frame, if there is room for it.

@@ -8,7 +8,7 @@ use gdp_wire::{Carrier, LocalAddress};
 
 use super::Carried;
 use super::ethernet::{self, Ethernet};
-use super::udp4::{HOP_LIMIT, UDP, Udp, is_marked};
+use super::udp4::{HOP_LIMIT, UDP, Udp};
 use crate::local;
 use crate::next_hop::NextHop;
 use crate::packet::Packet;
@@ -37,8 +37,7 @@ pub fn find(packet: &Packet, length: usize) -> Option<Carried> {
     let udp = packet.get::<Udp>(ethernet::LEN + size_of::<Ipv6>())?;
     // SAFETY: `get` checked the bounds.
     let (ip, udp) = unsafe { (&*ip, &*udp) };
-    let version_class = u32::from_be(ip.version_class);
-    if version_class >> 28 != 6 || ip.next != UDP {
+    if u32::from_be(ip.version_class) >> 28 != 6 || ip.next != UDP {
         return None;
     }
     let to = LocalAddress { ip: ip.destination, port: udp.destination, kind: Carrier::UDP6.into() };
@@ -50,8 +49,14 @@ pub fn find(packet: &Packet, length: usize) -> Option<Carried> {
         at: LEN,
         available: udp_length - size_of::<Udp>(),
         over_udp: true,
-        congested: is_marked((version_class >> 20) as u8),
     })
+}
+
+/// The byte for DSCP and ECN.
+#[inline(always)]
+pub fn traffic(packet: &Packet) -> u8 {
+    // SAFETY: `get` checked the bounds.
+    packet.get::<Ipv6>(ethernet::LEN).map_or(0, |ip| unsafe { (u32::from_be((*ip).version_class) >> 20) as u8 })
 }
 
 /// `length`: of the frame.

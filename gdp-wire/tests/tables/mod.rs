@@ -69,7 +69,7 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
 
     /// What becomes of an Ethernet frame.
     pub fn run(&self, frame: &[u8]) -> Fate {
-        let Some(Place { at, length, over_udp, congested }) = self.switch.find(frame) else {
+        let Some(Place { at, length, over_udp, class }) = self.switch.find(frame) else {
             return Fate::new(Verdict::Pass, Counter::Foreign);
         };
         let gdp = &frame[at..at + length];
@@ -94,7 +94,7 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             }
             Fate::sent(self.carried(link, header, payload), counter)
         };
-        match forward::decide(&mut header, length, congested, self) {
+        match forward::decide(&mut header, length, class, self) {
             forward::Verdict::Send(link, counter) => send(link, &header, payload, counter),
             forward::Verdict::Answer(link, counter) => send(link, &header, &[], counter),
             forward::Verdict::Copies(group) => Fate::copied(self.copies(&header, payload, group, ingress)),

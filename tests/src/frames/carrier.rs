@@ -24,8 +24,8 @@ pub struct Place {
     /// Bytes of it, and perhaps of padding.
     pub length: usize,
     pub over_udp: bool,
-    /// Both ECN bits of IP are set (RFC 3168).
-    pub congested: bool,
+    /// IPv4's type of service or IPv6's traffic class; 0 on Ethernet.
+    pub class: u8,
 }
 
 impl Carrier {
@@ -55,17 +55,11 @@ impl Carrier {
 /// Finds the frame in a packet for the given addresses and VLANs, as a reader of the RFCs would.
 pub fn find(packet: &[u8], ethertype: u16, own: &[SocketAddr], vlans: &[u16]) -> Option<Place> {
     let word = |at: usize| Some(u16::from_be_bytes([*packet.get(at)?, *packet.get(at + 1)?]));
-    let directly =
-        |at: usize| Some(Place { at, length: packet.len().checked_sub(at)?, over_udp: false, congested: false });
+    let directly = |at: usize| Some(Place { at, length: packet.len().checked_sub(at)?, over_udp: false, class: 0 });
     let datagram = |at: usize, end: usize, to: SocketAddr, class: u8| {
         let length = usize::from(word(at + 4)?);
         let fits = length >= 8 && at + length <= end && end <= packet.len();
-        (fits && own.contains(&to)).then(|| Place {
-            at: at + 8,
-            length: length - 8,
-            over_udp: true,
-            congested: class & 3 == 3,
-        })
+        (fits && own.contains(&to)).then(|| Place { at: at + 8, length: length - 8, over_udp: true, class })
     };
     match word(12)? {
         found if found == ethertype => directly(14),
@@ -76,7 +70,12 @@ pub fn find(packet: &[u8], ethertype: u16, own: &[SocketAddr], vlans: &[u16]) ->
         }
         0x86dd if packet.get(14)? >> 4 == 6 && *packet.get(20)? == 17 => {
             let to = Ipv6Addr::from(<[u8; 16]>::try_from(packet.get(38..54)?).ok()?);
-            datagram(54, 54 + usize::from(word(18)?), SocketAddrV6::new(to, word(56)?, 0, 0).into(), packet[15] >> 4)
+            datagram(
+                54,
+                54 + usize::from(word(18)?),
+                SocketAddrV6::new(to, word(56)?, 0, 0).into(),
+                packet[14] << 4 | packet[15] >> 4,
+            )
         }
         _ => None,
     }
