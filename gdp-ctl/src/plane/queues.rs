@@ -2,8 +2,8 @@
 //! than they come. The forwarder's threads ask their sockets and write it here; the tables tell the forwarding decision, which marks
 //! frames that take marks.
 //!
-//! Over UDP this is the business of queueing disciplines and routers: they know the queue of each path, and mark what carries the frame.
-//! Of a frame directly on Ethernet they know nothing.
+//! Over UDP that is for queueing disciplines and routers to do: they know the queue of each path, of which the one socket has many, and
+//! mark what carries the frame. They mark no frame that is directly on Ethernet.
 
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,8 +11,8 @@ use std::sync::{PoisonError, RwLock};
 
 use gdp::port::LinkAddr;
 
-/// Bytes of the kernel's memory that are a queue, about 57 full frames: less than a batch that was just handed over, so it is to be asked for before.
-/// At 100 Mb/s they take 7 ms.
+/// Bytes of the kernel's memory that are a queue: about 57 full frames, which take 7 ms at 100 Mb/s. A batch that was just handed
+/// over may be more, so queues are to be asked for before that.
 const LONG: usize = 128 << 10;
 
 /// Interfaces whose queue was long when it was last asked for.

@@ -59,7 +59,8 @@ pub fn traffic(packet: &Packet, carried: &Carried) -> u8 {
 }
 
 /// Makes a packet whose frame lies `at` one that carries the frame's first `length` bytes on `link`; `false` if there is no room.
-/// References into the packet are void after. `behind`: bytes of the packet behind those; `traffic`: see `gdp_wire::Header::ip_traffic`.
+/// References into the packet are void after. `behind`: bytes of the packet behind those; `traffic`: as
+/// `gdp_wire::Header::ip_traffic` says.
 #[inline(always)]
 pub fn exchange(
     context: &XdpContext,

@@ -60,8 +60,9 @@ pub fn classify(first_byte: u8) -> Kind {
 }
 
 /// Decides what happens to a frame of which `available` bytes are there, header included, and rewrites its header
-/// accordingly. `traffic`: the byte that IP has for DSCP and ECN in what carried it, of which a router's mark counts (CE, RFC 3168); 0 on Ethernet. What lies behind the payload, as Ethernet pads short frames, is no part of the frame: whoever carries the verdict
-/// out leaves it behind. If the verdict is [`Verdict::Notice`], [`Verdict::Slow`] or [`Verdict::Drop`], the header is unchanged.
+/// accordingly. `traffic`: the byte that IP has for DSCP and ECN in what carried it, of which only a router's mark counts (CE,
+/// RFC 3168); 0 on Ethernet. What lies behind the payload, as Ethernet pads short frames, is no part of the frame: whoever carries
+/// the verdict out leaves it behind. If the verdict is [`Verdict::Notice`], [`Verdict::Slow`] or [`Verdict::Drop`], the header is unchanged.
 #[inline(always)]
 pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, traffic: u8, tables: &'t T) -> Verdict<'t> {
     let Arrival { link: ingress, window, count } = match arrival(header, available, tables) {
@@ -170,8 +171,8 @@ pub fn stamp(header: &mut Header, link: &LinkEntry, count: u64) {
     header.set_tag(siphash24(key, &header.tagged_words(count)));
 }
 
-/// Takes a router's mark over into the header, which goes all the way to the reader; `false` if what carried the frame was marked, and its writer
-/// does not take marks, so that only a loss tells it (RFC 6040, section 4.2). `traffic`: of what carried it.
+/// Takes a router's mark over into the header, which goes all the way to the reader; `false` if what carried the frame was marked,
+/// and its writer does not take marks, so that only a loss tells it (RFC 6040, section 4.2). `traffic`: of what carried it.
 ///
 /// By arithmetic: with a branch for the mark and one for who takes it, the kernel's verifier would look at half as many states again.
 #[inline(always)]
