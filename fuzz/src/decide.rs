@@ -19,6 +19,10 @@ const MAX_FRAMES: usize = 16;
 const ETHERNET: usize = 14;
 const HEADER: usize = 96;
 
+/// Of a header's flags.
+const CLASS: u8 = 0x1c;
+const ECN: u8 = 0x03;
+
 /// Option of a frame: the neighbour made it, so its tag is good.
 pub const TAGGED: u8 = 1;
 /// Option of a frame: it comes twice.
@@ -79,9 +83,14 @@ fn check_sent<'s>(packet: &[u8], sent: &[u8], switch: &'s Switch) -> (&'s Link, 
         assert_eq!((came[0], left[2] + 1), (0x10, came[2]), "the hop limit falls by one");
         let length = usize::from(u16::from_be_bytes([came[4], came[5]]));
         assert_eq!(*rest, payload[..length], "the payload changed");
+        let marked = switch.find(packet).is_some_and(|place| place.class & ECN == ECN);
+        assert!(came[1] & ECN != 0 || !marked, "only a loss tells its writer of congestion");
+        let ecn = if marked { ECN } else { came[1] & ECN };
+        assert_eq!(left[1] & (CLASS | ECN), came[1] & CLASS | ecn, "the class or the code point is another");
         assert_ne!(link.id, ingress.id, "back to where it came from");
         assert!(sent.len() <= link.mtu as usize, "longer than the link takes");
     } else {
+        assert_eq!(left[1] & ECN, 0, "an answer takes no marks");
         assert_eq!((link.id, rest.len()), (ingress.id, 0), "an answer goes to who is answered, and is short");
         let answers_what_it_may = (left[0], came[0]) == (0x12, 0x10) || (left[0], came[0], came[3]) == (0x14, 0x14, 0);
         assert!(answers_what_it_may, "type {:#x} answers type {:#x}", left[0], came[0]);

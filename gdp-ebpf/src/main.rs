@@ -179,7 +179,8 @@ fn forward_frame(context: &XdpContext, header: &mut Header, carried: Carried, le
 fn forward_headed(context: &XdpContext, header: &mut Header, tag: u64, carried: Carried, length: usize) -> Outcome {
     let in_one_buffer = length == context.data_end() - context.data();
     let tables = Maps { context, length: header.frame_len(), in_one_buffer, next_hop: NextHop::new() };
-    let verdict = forward::decide(header, carried.available, &tables);
+    let traffic = carrier::traffic(&Packet::of(context), &carried);
+    let verdict = forward::decide(header, carried.available, traffic, &tables);
     // An answer has no payload, so this is its length as well.
     let frame = header.frame_len();
     let behind = length - carried.at - frame;
@@ -197,8 +198,8 @@ fn forward_headed(context: &XdpContext, header: &mut Header, tag: u64, carried: 
         Verdict::Notice(_) | Verdict::Slow => return Outcome::Passed(Counter::Slow),
         Verdict::Drop(counter) => return Outcome::Dropped(counter),
     };
-    let class = carrier::class_of(header);
-    if !carrier::exchange(context, carried.at, frame, behind, class, link, &tables.next_hop) {
+    let traffic = Header::ip_traffic(header.flags);
+    if !carrier::exchange(context, carried.at, frame, behind, traffic, link, &tables.next_hop) {
         return Outcome::Dropped(Counter::RedirectFailed);
     }
     if ports::redirect(tables.port_of(link)) {
@@ -248,10 +249,10 @@ fn copy(context: &XdpContext, header: &mut Header, place: GroupPlace) -> Option<
             return None;
         }
     };
-    let class = carrier::class_of(header);
+    let traffic = Header::ip_traffic(header.flags);
     let can_ask = link.port != PORT_ROUTED || next_hop::asks_at_egress();
     let leaves_here = can_ask && tables.can_send(link) && tables.port_of(link) == place.interface;
-    if leaves_here && carrier::exchange(context, ethernet::LEN, frame, 0, class, link, &tables.next_hop) {
+    if leaves_here && carrier::exchange(context, ethernet::LEN, frame, 0, traffic, link, &tables.next_hop) {
         return Some(counter);
     }
     if link.port == PORT_ROUTED {

@@ -80,6 +80,12 @@ impl Tables for Maps<'_> {
         self.in_one_buffer && length <= MAX_COPIED_FRAME && bits & !groups::served(group) == 0
     }
 
+    /// What is redirected is in no queue of this program's: an interface that is behind drops.
+    #[inline(always)]
+    fn has_queue(&self, _: &LinkEntry) -> bool {
+        false
+    }
+
     #[inline(always)]
     fn may_complain(&self, link: &LinkEntry) -> bool {
         links::may_complain(link)

@@ -112,6 +112,8 @@ impl FabricCounters {
                 ("frames", of.frames),
                 ("frames_repeated", of.repeated),
                 ("frames_over_budget", of.over_budget),
+                ("frames_marked", of.marked),
+                ("slowed", of.slowed),
             ]),
             Self::In(of, queue_full) => BTreeMap::from([
                 ("delivered", of.delivered),

@@ -76,6 +76,8 @@ counters! {
     SplitHorizon = "drop_split_horizon",
     /// Dropped: larger than the next link's MTU.
     TooBig = "drop_too_big",
+    /// Dropped: a router marked what carried the frame (congestion experienced), and its writer does not take marks.
+    Congested = "drop_congested",
     /// Dropped: the decision was to redirect, and the kernel refused.
     RedirectFailed = "drop_redirect_failed",
     /// Dropped after the decision: the interface it was redirected to did not take it. It is counted already, as

@@ -128,6 +128,12 @@ impl Header {
     /// Flag: the frame came into this domain from another one, so it does not leave for a third.
     pub const FOREIGN: u8 = 0x40;
 
+    /// Flags: the code point of RFC 3168. 0: whoever wrote the frame does not take marks (Not-ECT).
+    pub const ECN: u8 = 0x03;
+
+    /// Code point: the frame met congestion (CE).
+    pub const CONGESTED: u8 = 0x03;
+
     /// [`Header::egress_set`] of an echo that wants an answer.
     pub const ASKS: u8 = 0;
 
@@ -149,6 +155,7 @@ impl Header {
     /// Turns an echo that wants an answer into that answer. Its payload is left out, so it is never larger than what drew it.
     #[inline(always)]
     pub fn become_answer(&mut self) {
+        self.flags &= !Self::ECN;
         self.egress_set = Self::ANSWERS;
         self.payload_len = 0;
     }
@@ -157,7 +164,7 @@ impl Header {
     #[inline(always)]
     pub fn become_error(&mut self, code: ErrorCode, mtu: u32) {
         self.version_type = FrameType::Error.first_byte();
-        self.flags &= !Self::FOREIGN;
+        self.flags &= !(Self::FOREIGN | Self::ECN);
         self.hop_limit = 1;
         self.egress_set = code as u8;
         self.payload_len = 0;
@@ -183,6 +190,13 @@ impl Header {
             source,
             ..Self::default()
         }
+    }
+
+    /// The byte that IP has for this (DSCP and ECN) in what carries a frame with these flags: the class selector of its traffic class
+    /// (RFC 2474), and its code point (RFC 6040, normal mode).
+    #[inline(always)]
+    pub const fn ip_traffic(flags: u8) -> u8 {
+        (flags & 0x1c) << 3 | flags & Self::ECN
     }
 
     /// Payload bytes behind the header.
@@ -329,6 +343,16 @@ mod tests {
         assert_eq!(bytes[24..32], [0x80, 0, 0, 0, 0, 0, 0, 2]);
         assert!(bytes[32..64].iter().all(|b| *b == 0xd0) && bytes[64..].iter().all(|b| *b == 0x50));
         assert_eq!(Header::read_from_bytes(bytes).as_ref(), Ok(&header));
+    }
+
+    #[test]
+    fn class_and_ecn_are_where_ip_has_them() {
+        // Flags that IP does not know: none of the three.
+        for flags in [0, 0x20, 0x40, 0x80, 0xe0] {
+            assert_eq!(Header::ip_traffic(flags), 0);
+            assert_eq!(Header::ip_traffic(flags | 5 << 2 | 0b10), 0b1010_0010);
+            assert_eq!(Header::ip_traffic(flags | 7 << 2 | Header::CONGESTED), 0b1110_0011);
+        }
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::{Name, replay};
 
 /// The version of everything a data plane keeps in memory that outlives a daemon: the maps, and what their entries mean. To
 /// be raised with every change of meaning; of sizes as well, though a daemon compares those itself.
-pub const ABI: u32 = 4;
+pub const ABI: u32 = 5;
 
 /// Links a switch can have at once; the low bits of a link id are the index of its entry.
 pub const MAX_LINKS: u32 = 1024;
@@ -313,6 +313,9 @@ pub trait Tables {
     /// Whether this plane can copy a frame of `length` bytes to those links of a group that `bits` lead to. Asked only of a plane
     /// that is not the last.
     fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool;
+
+    /// Whether frames wait long in this plane before they leave by the link: then those that take marks are marked.
+    fn has_queue(&self, link: &LinkEntry) -> bool;
 
     /// Whether an error may go to the neighbour on this link now: [`COMPLAINT_INTERVAL_NS`] after the last.
     fn may_complain(&self, link: &LinkEntry) -> bool;

@@ -32,6 +32,33 @@ fn every_case_through_decide() {
 }
 
 #[test]
+fn frames_that_wait_are_marked_if_they_take_marks() {
+    let run = |sent: &Sent| {
+        let tables = PlainTables::<false>::new(&switch()).with_queues(&[EAST, INET]);
+        Expected::from(tables.run(&sent.frame.bytes()))
+    };
+    for (flags, leaves) in [(0b10, 0b11), (0b01, 0b11), (0b11, 0b11), (0, 0), (5 << 2, 5 << 2)] {
+        let to = |id: u32| from(JUMBO).bits(1 << link(id).reach[0]).with(|f| f.flags = flags);
+        for id in [EAST, INET] {
+            let left = to(id).with(|f| f.flags = leaves);
+            assert_eq!(run(&to(id)), sends(&left, id, left.frame.egress_bits).into(), "{flags:#b} to {id:#x}");
+        }
+        assert_eq!(run(&to(WEST)), sends(&to(WEST), WEST, 1).into(), "{flags:#b} by a link without a queue");
+        let both = to(WEST).bits(1 << 3 | 1);
+        let copy =
+            |frame: Forwarded| CopyOut { frame: Some(Bytes::new(&frame.0.bytes())), counter: "forwarded".into() };
+        let east = sends(&both.clone().with(|f| f.flags = leaves), EAST, 1 << 3);
+        assert_eq!(
+            run(&both),
+            copied(vec![copy(sends(&both, WEST, 1)), copy(east)]),
+            "each copy as its link is: {flags:#b}"
+        );
+    }
+    let refused = from(WEST).bits(1 << 62);
+    assert_eq!(run(&refused), refused.error("drop_no_egress", 1, 0));
+}
+
+#[test]
 fn every_counter_has_a_case() {
     let cases = fixtures::read().cases;
     // What a redirect loses is known only after it.
@@ -202,6 +229,7 @@ fn cases() -> Vec<Case> {
         echoes_and_errors(),
         other_frames(),
         crossings(),
+        congestion(),
         slow_carriers(),
         other_datagrams(),
     ]
@@ -588,8 +616,8 @@ fn crossings() -> Vec<Case> {
     for by in ways {
         for to in ways.into_iter().filter(|to| *to != by) {
             let (from_label, to_label) = (link(by).label, link(to).label);
-            // Traffic class 5.
-            let sent = from(by).bits(bit(to)).with(|f| (f.flags, f.payload) = (5 << 2, vec![0x5a; 333]));
+            // Traffic class 5, of a writer that takes marks.
+            let sent = from(by).bits(bit(to)).with(|f| (f.flags, f.payload) = (5 << 2 | 0b10, vec![0x5a; 333]));
             cases.push(sent.case(&format!("from {from_label} to {to_label}"), sends(&sent, to, bit(to))));
         }
         let label = link(by).label;
@@ -629,6 +657,76 @@ fn crossings() -> Vec<Case> {
         writes.clone().with(|f| f.key = [1, 2]).case("forged, over UDP", drop("drop_bad_tag")),
         writes.with(|f| f.link_id = INET).case("moved to another link, over UDP", drop("drop_bad_tag")),
     ]);
+    cases
+}
+
+/// Marks of routers in what carries frames (RFC 3168): they go on in the frame's header, and from there into what carries it next.
+fn congestion() -> Vec<Case> {
+    let bit = |id: u32| 1u64 << link(id).reach[0];
+    let mut cases = Vec::new();
+    for by in [INET, INET6] {
+        let label = link(by).label;
+        for (name, outer, flags, leaves) in [
+            ("a mark is taken over into the header", 0b11, 5 << 2 | 0b10, 5 << 2 | 0b11),
+            ("also if its writer has the other code point", 0b11, 0b01, 0b11),
+            ("and whatever DSCP a router has made of the class", 0xff, 0b10, 0b11),
+            ("marked twice", 0b11, 0b11, 0b11),
+            ("a mark that is in the header stays", 0b10, 0b11, 0b11),
+            ("also if a tunnel forgets the code point", 0, 0b11, 0b11),
+            ("the other code point is no mark", 0b01, 0b10, 0b10),
+            ("no mark", 0b10, 0b10, 0b10),
+            ("it is no code point of the writer's if only what carries the frame has it", 0b10, 0, 0),
+        ] {
+            let sent = from(by).bits(bit(EAST)).with(|f| f.flags = flags).in_datagram(outer);
+            let left = sent.clone().with(|f| f.flags = leaves);
+            cases.push(sent.case(&format!("{name}, from {label}"), sends(&left, EAST, bit(EAST))));
+        }
+        let marked = |to: u64| from(by).bits(to).with(|f| f.flags = 0b10).in_datagram(0b11);
+        let deaf = |to: u64| marked(to).with(|f| f.flags = 0x1c);
+        let to = if by == INET { INET6 } else { INET };
+        let (onward, both, slow) = (marked(bit(to)), marked(bit(EAST) | 1), marked(bit(UNRESOLVED)));
+        let with_mark = |sent: &Sent, by, bits| sends(&sent.clone().with(|f| f.flags = 0b11), by, bits);
+        let copy = |by, bits| CopyOut {
+            frame: Some(Bytes::new(&with_mark(&both, by, bits).0.bytes())),
+            counter: "forwarded".into(),
+        };
+        let echo = deaf(7).with(|f| (f.version_type, f.hop_limit, f.payload) = (0x14, 1, vec![]));
+        let answer = sends(&echo, by, 7).with(|f| (f.hop_limit, f.egress_set) = (1, 1));
+        let nowhere = marked(1 << 62);
+        cases.extend([
+            onward.case(&format!("from datagram to datagram, from {label}"), with_mark(&onward, to, bit(to))),
+            both.case(&format!("into each copy, from {label}"), copied(vec![copy(WEST, 1), copy(EAST, bit(EAST))])),
+            deaf(bit(EAST)).case(
+                &format!("only a loss tells a writer that does not take marks, from {label}"),
+                drop("drop_congested"),
+            ),
+            deaf(bit(EAST) | 1).case(&format!("and one for all copies, from {label}"), drop("drop_congested")),
+            Case {
+                userspace: Some(with_mark(&slow, UNRESOLVED, bit(UNRESOLVED)).into()),
+                ..slow.case(&format!("by the plane that can send it, from {label}"), pass("slow"))
+            },
+            Case {
+                userspace: Some(drop("drop_congested")),
+                ..deaf(bit(UNRESOLVED)).case(&format!("and dropped by that plane, from {label}"), pass("slow"))
+            },
+            marked(bit(EAST))
+                .with(|f| f.tag = Some(1))
+                .case(&format!("marked and forged, from {label}"), drop("drop_bad_tag")),
+            echo.case(
+                &format!("an echo is answered, marked or not, from {label}"),
+                Expected { counter: "echoed".into(), ..answer.into() },
+            ),
+            nowhere.case(
+                &format!("an error takes no marks and has none, from {label}"),
+                nowhere.clone().with(|f| f.flags = 0).error("drop_no_egress", 1, 0),
+            ),
+        ]);
+    }
+    // Priority 7, and that it may be dropped first.
+    let tagged = from(TAGGED).bits(bit(EAST)).with(|f| (f.carrier, f.flags) = (Carrier::Vlan(0xf005), 0b10));
+    cases.push(tagged.case("what a VLAN says of priority is no mark", sends(&tagged, EAST, bit(EAST))));
+    let in_header = from(WEST).bits(bit(INET6)).with(|f| f.flags = 0b11);
+    cases.push(in_header.case("from Ethernet a mark goes on in both headers", sends(&in_header, INET6, bit(INET6))));
     cases
 }
 
@@ -699,6 +797,10 @@ fn other_datagrams() -> Vec<Case> {
         let name = format!("only {length} bytes of a frame in a datagram");
         cases.push(raw(&name, &padded(&part(length)), drop("drop_truncated")));
     }
+    let mut misleading = part(34);
+    misleading[42 + 6] = 13;
+    let name = "what is missing comes before a wrong header length";
+    cases.push(raw(name, &padded(&padded(&padded(&padded(&misleading)))), drop("drop_truncated")));
     cases
 }
 
@@ -729,6 +831,14 @@ impl Sent {
 
     fn with(mut self, change: impl FnOnce(&mut Frame)) -> Self {
         change(&mut self.frame);
+        self
+    }
+
+    /// As it arrives over UDP: with this byte of IP, whatever the frame's header says.
+    fn in_datagram(mut self, traffic: u8) -> Self {
+        if let Carrier::Udp { class, .. } = &mut self.frame.carrier {
+            *class = traffic;
+        }
         self
     }
 

@@ -89,7 +89,7 @@ fn frames_that_come_to_both_planes_at_once_are_taken_once() -> Result<()> {
             for round in frames.chunks(FRAMES) {
                 together.wait();
                 sent.extend(round.iter().rev().map(|frame| {
-                    let outcome = handle(&mut frame[14..].to_vec(), &tables);
+                    let outcome = handle(&mut frame[14..].to_vec(), false, &tables);
                     (matches!(outcome, Outcome::Send { .. }), outcome)
                 }));
                 let start = sent.len() - round.len();

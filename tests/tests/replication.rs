@@ -17,7 +17,7 @@ use gdp_tests::netns::Door;
 use gdp_tests::process::Process;
 use gdp_tests::wait::wait_for;
 use gdp_wire::table::{MAX_COPIED_FRAME, MAX_COPIES};
-use gdp_wire::{Counter, LinkEntry, Name};
+use gdp_wire::{Counter, LinkEntry, LocalAddress, Name};
 
 use serde_json::{Value, json};
 use star::{Far, Leaf, OWN_BIT, Plane, SOON, Star, Switch, WRITER, check_copy, readers, xdp};
@@ -365,6 +365,8 @@ fn every_fixture_with_copies() -> Result<()> {
     }
     plane.attach(ports[0], Mode::Native)?;
     plane.set_config(switch.config())?;
+    let addresses = switch.own_addresses().into_iter().map(|own| LocalAddress::new(own.ip(), own.port()));
+    plane.set_addresses(&addresses.collect())?;
     for link in switch.links() {
         let port = ports.get(link.port as usize).copied().unwrap_or(link.port);
         plane.set_link(&LinkEntry { port, ..link })?;

@@ -16,6 +16,9 @@ use super::notices::Notices;
 use super::tally::Tally;
 use super::userspace::{CopyOut, Outcome, UserTables, copies, handle};
 
+/// Frames that a thread hands to an interface before it looks again whether they wait there, if they did not.
+const LOOK: usize = 16;
+
 /// How long a thread takes to notice that it should end.
 const NOTICE: Duration = Duration::from_millis(100);
 
@@ -96,6 +99,7 @@ impl Forwarder {
             stop: stop.clone(),
             batch: RecvBatch::new(largest),
             sends: Vec::with_capacity(BATCH),
+            unseen: Vec::new(),
         };
         let thread = std::thread::Builder::new().name("gdp-forward".into()).spawn(move || worker.run())?;
         Ok(Self { medium, shared: shared.clone(), stop, thread: Some(thread) })
@@ -111,6 +115,9 @@ impl Drop for Forwarder {
     fn drop(&mut self) {
         self.stop();
         sockets(&self.shared, |sockets| sockets.remove(&self.medium));
+        if let Medium::Ethernet(ifindex) = self.medium {
+            self.shared.tables.read().unwrap_or_else(PoisonError::into_inner).queues().note(ifindex, 0);
+        }
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
@@ -124,6 +131,8 @@ struct Worker {
     batch: RecvBatch,
     /// What is to be sent of the batch.
     sends: Vec<Send>,
+    /// Frames handed to each interface since its queue was looked at.
+    unseen: Vec<(u32, usize)>,
 }
 
 /// A frame of the batch, or a copy of it.
@@ -147,6 +156,7 @@ impl Worker {
             match received {
                 Ok(0) => {}
                 Ok(_) => {
+                    self.look_at_queues();
                     self.decide();
                     self.send();
                 }
@@ -158,12 +168,27 @@ impl Worker {
         }
     }
 
+    /// Before more is handed over: what is still there waits.
+    fn look_at_queues(&mut self) {
+        let shared = &self.shared;
+        let tables = shared.tables.read().unwrap_or_else(PoisonError::into_inner);
+        self.unseen.retain(|(ifindex, frames)| {
+            if *frames < LOOK && !tables.queues().is_long(*ifindex) {
+                return true;
+            }
+            let sockets = shared.sockets.read().unwrap_or_else(PoisonError::into_inner);
+            let waiting = sockets.get(&Medium::Ethernet(*ifindex)).map_or(0, |socket| socket.send_queue());
+            tables.queues().note(*ifindex, waiting);
+            false
+        });
+    }
+
     fn decide(&mut self) {
         let mut counts = [0u64; Counter::COUNT];
         let tables = self.shared.tables.read().unwrap_or_else(PoisonError::into_inner);
-        for (index, InFrame { bytes: frame, .. }) in self.batch.frames().enumerate() {
+        for (index, InFrame { bytes: frame, congested, .. }) in self.batch.frames().enumerate() {
             let arrived = Header::read_from_prefix(frame).ok().map(|(header, _)| (header.link_id(), header.tag()));
-            let outcome = handle(frame, &tables);
+            let outcome = handle(frame, congested, &tables);
             let counter = match outcome {
                 Outcome::Send { to, length, counter, .. } => {
                     self.sends.push(Send { frame: index, to, length, header: None, counter });
@@ -216,6 +241,13 @@ impl Worker {
             let mut intended = [0u64; Counter::COUNT];
             let here = self.sends.iter().filter(|send| Medium::from(send.to) == medium);
             here.clone().for_each(|send| intended[send.counter as usize] += 1);
+            if let Medium::Ethernet(ifindex) = medium {
+                let frames = here.clone().count();
+                match self.unseen.iter_mut().find(|(of, _)| *of == ifindex) {
+                    Some((_, unseen)) => *unseen += frames,
+                    None => self.unseen.push((ifindex, frames)),
+                }
+            }
             let frames = here.map(|send| {
                 let frame = &self.batch.frame(send.frame)[..send.length];
                 match &send.header {

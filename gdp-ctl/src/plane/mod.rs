@@ -11,6 +11,7 @@
 //! - [`fib`]: the names in the kernel, and room for more of them
 //! - [`groups`]: which links take copies of a frame; [`kernel_groups`] and [`group_places`]: what the kernel holds of them
 //! - [`link_memory`]: what the two planes share; this and the FIB are [`mapping`]s
+//! - [`queues`]: where frames wait to be sent
 //! - [`notices`]: what neighbours say to this node itself
 //! - [`host_pair`]: the interfaces between the switch and endpoints on its own host
 //! - [`udp`]: which addresses and interfaces carry links over UDP
@@ -35,6 +36,7 @@ pub mod netlink;
 pub mod notices;
 pub mod object;
 pub mod pins;
+pub mod queues;
 pub mod tally;
 pub mod udp;
 pub mod userspace;

@@ -12,6 +12,7 @@ use gdp_wire::{Counter, FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::link_memory::LinkMemory;
+use super::queues::Queues;
 
 /// What becomes of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,10 +59,11 @@ pub struct UserTables {
     next_hops: [u32; EGRESS_SET_SIZE as usize],
     own_bit: u64,
     link_memory: LinkMemory,
+    queues: Queues,
 }
 
-/// Decides about a GDP frame (without what carried it) and rewrites it for its next link.
-pub fn handle(frame: &mut [u8], tables: &UserTables) -> Outcome {
+/// Decides about a GDP frame (without what carried it) and rewrites it for its next link. `congested`: what carried it was marked.
+pub fn handle(frame: &mut [u8], congested: bool, tables: &UserTables) -> Outcome {
     match frame.first().copied().map(forward::classify) {
         Some(Kind::Headed) => {}
         Some(Kind::Control) => return Outcome::Control,
@@ -71,7 +73,8 @@ pub fn handle(frame: &mut [u8], tables: &UserTables) -> Outcome {
     // A copy, because a frame may lie anywhere.
     let Ok((mut header, _)) = Header::read_from_prefix(frame) else { return Outcome::Drop(Counter::Truncated) };
     let ingress = header.link_id();
-    let (link, length, counter) = match forward::decide(&mut header, frame.len(), tables) {
+    let traffic = if congested { Header::CONGESTED } else { 0 };
+    let (link, length, counter) = match forward::decide(&mut header, frame.len(), traffic, tables) {
         Verdict::Send(link, counter) => (link.id, header.frame_len(), counter),
         Verdict::Answer(link, counter) => (link.id, Header::LEN, counter),
         Verdict::Copies(group) => {
@@ -119,6 +122,7 @@ impl UserTables {
             next_hops: [0; EGRESS_SET_SIZE as usize],
             own_bit: 0,
             link_memory,
+            queues: Queues::default(),
         }
     }
 
@@ -188,6 +192,10 @@ impl UserTables {
         Some((header, self.address(id)?))
     }
 
+    pub fn queues(&self) -> &Queues {
+        &self.queues
+    }
+
     fn address(&self, id: u32) -> Option<LinkAddr> {
         self.links[link_index(id) as usize].as_ref().map(|(_, to)| *to)
     }
@@ -241,6 +249,10 @@ impl Tables for UserTables {
 
     fn can_copy(&self, _: u32, _: u64, _: usize) -> bool {
         true
+    }
+
+    fn has_queue(&self, link: &LinkEntry) -> bool {
+        self.address(link.id).is_some_and(|to| self.queues.is_long_to(to))
     }
 
     fn may_complain(&self, link: &LinkEntry) -> bool {

@@ -69,13 +69,13 @@ pub fn dress(context: &XdpContext, carrier: &Carrier) -> bool {
 }
 
 #[inline(always)]
-pub fn dress_tagged(context: &XdpContext, carrier: &Carrier, class: u8) -> bool {
+pub fn dress_tagged(context: &XdpContext, carrier: &Carrier, traffic: u8) -> bool {
     let packet = Packet::of(context);
     let (Some(ethernet), Some(tag)) = (packet.get::<Ethernet>(0), packet.get::<Tag>(LEN)) else { return false };
     // SAFETY: `get` checked the bounds.
     unsafe {
         address(ethernet, carrier.peer_mac, carrier.local_mac, VLAN);
-        (*tag).control = (carrier.vlan & 0xfff | u16::from(class) << 13).to_be();
+        (*tag).control = (carrier.vlan & 0xfff | u16::from(traffic >> 5) << 13).to_be();
         (*tag).ethertype = (config::get().ethertype as u16).to_be();
     }
     true

@@ -11,7 +11,7 @@ pub mod udp6;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::table::PORT_ROUTED;
-use gdp_wire::{Carrier, Header, LinkEntry};
+use gdp_wire::{Carrier, LinkEntry};
 
 use self::udp4::Udp;
 use crate::next_hop::NextHop;
@@ -49,15 +49,27 @@ pub fn is_quic(carried: &Carried, first_byte: u8) -> bool {
     carried.over_udp && first_byte >= FIRST_QUIC_BYTE
 }
 
+/// The byte that IP has for DSCP and ECN in what carries a frame; 0 on Ethernet. Read anew: what [`find`] might hand over, the
+/// compiler spills also where there is nothing of it, which the verifier refuses.
+#[inline(always)]
+pub fn traffic(packet: &Packet, carried: &Carried) -> u8 {
+    match carried.at {
+        udp4::LEN => udp4::traffic(packet),
+        udp6::LEN => udp6::traffic(packet),
+        _ => 0,
+    }
+}
+
 /// Makes a packet whose frame lies `at` one that carries the frame's first `length` bytes on `link`; `false` if there is no room.
-/// References into the packet are void after. `behind`: bytes of the packet behind those.
+/// References into the packet are void after. `behind`: bytes of the packet behind those; `traffic`: as
+/// `gdp_wire::Header::ip_traffic` says.
 #[inline(always)]
 pub fn exchange(
     context: &XdpContext,
     at: usize,
     length: usize,
     behind: usize,
-    class: u8,
+    traffic: u8,
     link: &LinkEntry,
     hop: &NextHop,
 ) -> bool {
@@ -73,13 +85,13 @@ pub fn exchange(
     let dressed = match carrier.kind {
         Carrier::UDP4 => {
             packet::shift(context, at, udp4::LEN)
-                && udp4::dress(context, carrier, link.port == PORT_ROUTED, hop, class, length as u16)
+                && udp4::dress(context, carrier, link.port == PORT_ROUTED, hop, traffic, length as u16)
         }
         Carrier::UDP6 => {
-            packet::shift(context, at, udp6::LEN) && udp6::dress(context, carrier, hop, class, length as u16)
+            packet::shift(context, at, udp6::LEN) && udp6::dress(context, carrier, hop, traffic, length as u16)
         }
         _ if carrier.vlan != 0 => {
-            packet::shift(context, at, ethernet::TAGGED_LEN) && ethernet::dress_tagged(context, carrier, class)
+            packet::shift(context, at, ethernet::TAGGED_LEN) && ethernet::dress_tagged(context, carrier, traffic)
         }
         _ => packet::shift(context, at, ethernet::LEN) && ethernet::dress(context, carrier),
     };
@@ -87,10 +99,4 @@ pub fn exchange(
         checksum::write(context, carrier, udp, length + size_of::<Udp>());
     }
     dressed
-}
-
-/// The traffic class of a frame, 0 to 7.
-#[inline(always)]
-pub fn class_of(header: &Header) -> u8 {
-    header.flags >> 2 & 7
 }

@@ -29,7 +29,7 @@ const FRAGMENT: u16 = 0x3fff;
 #[repr(C)]
 struct Ipv4 {
     version_length: u8,
-    class: u8,
+    traffic: u8,
     length: u16,
     id: u16,
     fragment: u16,
@@ -72,6 +72,13 @@ pub fn find(packet: &Packet, length: usize) -> Option<Carried> {
     })
 }
 
+/// The byte for DSCP and ECN.
+#[inline(always)]
+pub fn traffic(packet: &Packet) -> u8 {
+    // SAFETY: `get` checked the bounds.
+    packet.get::<Ipv4>(ethernet::LEN).map_or(0, |ip| unsafe { (*ip).traffic })
+}
+
 /// What is in front of a frame, if there is room for it.
 #[inline(always)]
 fn headers(packet: &Packet) -> Option<(*mut Ethernet, *mut Ipv4, *mut Udp)> {
@@ -103,14 +110,13 @@ pub fn turn_back(packet: &Packet) -> bool {
 
 /// `length`: of the frame. `routed`: whether `hop` says which stations it goes between, and not the carrier.
 #[inline(always)]
-pub fn dress(context: &XdpContext, carrier: &Carrier, routed: bool, hop: &NextHop, class: u8, length: u16) -> bool {
+pub fn dress(context: &XdpContext, carrier: &Carrier, routed: bool, hop: &NextHop, traffic: u8, length: u16) -> bool {
     let packet = Packet::of(context);
     let Some((ethernet, ip, udp)) = headers(&packet) else { return false };
-    let class = class << 5;
     let (ip_length, fragment) = ((length + HEADERS as u16).to_be(), DO_NOT_FRAGMENT.to_be());
     let (source, destination) = (carrier.local_ip[0], carrier.peer_ip[0]);
     let words = [
-        u16::from_ne_bytes([VERSION_LENGTH, class]) as u32,
+        u16::from_ne_bytes([VERSION_LENGTH, traffic]) as u32,
         ip_length as u32,
         fragment as u32,
         u16::from_ne_bytes([HOP_LIMIT, UDP]) as u32,
@@ -132,7 +138,7 @@ pub fn dress(context: &XdpContext, carrier: &Carrier, routed: bool, hop: &NextHo
         }
         *ip = Ipv4 {
             version_length: VERSION_LENGTH,
-            class,
+            traffic,
             length: ip_length,
             id: 0,
             fragment,

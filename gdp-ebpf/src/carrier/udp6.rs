@@ -52,9 +52,16 @@ pub fn find(packet: &Packet, length: usize) -> Option<Carried> {
     })
 }
 
+/// The byte for DSCP and ECN.
+#[inline(always)]
+pub fn traffic(packet: &Packet) -> u8 {
+    // SAFETY: `get` checked the bounds.
+    packet.get::<Ipv6>(ethernet::LEN).map_or(0, |ip| unsafe { (u32::from_be((*ip).version_class) >> 20) as u8 })
+}
+
 /// `length`: of the frame.
 #[inline(always)]
-pub fn dress(context: &XdpContext, carrier: &Carrier, hop: &NextHop, class: u8, length: u16) -> bool {
+pub fn dress(context: &XdpContext, carrier: &Carrier, hop: &NextHop, traffic: u8, length: u16) -> bool {
     let packet = Packet::of(context);
     let (Some(ethernet), Some(ip), Some(udp)) = (
         packet.get::<Ethernet>(0),
@@ -67,7 +74,7 @@ pub fn dress(context: &XdpContext, carrier: &Carrier, hop: &NextHop, class: u8, 
     // SAFETY: `get` checked the bounds.
     unsafe {
         ethernet::address(ethernet, hop.destination(), hop.source(), ethernet::IPV6);
-        (*ip).version_class = (6 << 28 | u32::from(class) << 25).to_be();
+        (*ip).version_class = (6 << 28 | u32::from(traffic) << 20).to_be();
         (*ip).length = length;
         (*ip).next = UDP;
         (*ip).hop_limit = HOP_LIMIT;

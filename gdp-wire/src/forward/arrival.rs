@@ -45,11 +45,12 @@ fn well_formed(header: &Header, available: usize) -> Result<FrameType, Counter> 
         Some(FrameType::Control) | None => return Err(Counter::Unknown),
         Some(frame_type) => frame_type,
     };
-    if header.header_words as usize * 8 != Header::LEN {
-        return Err(Counter::Unknown);
-    }
+    // First, because in a datagram with padding behind it part of the header may be what is behind.
     if header.frame_len() > available {
         return Err(Counter::Truncated);
+    }
+    if header.header_words as usize * 8 != Header::LEN {
+        return Err(Counter::Unknown);
     }
     Ok(frame_type)
 }

@@ -1,6 +1,6 @@
 //! What becomes of a frame at each link of a group.
 
-use super::{is_foreign, stamp};
+use super::{is_foreign, stamp, wait};
 use crate::table::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole};
 
@@ -36,6 +36,7 @@ pub fn copy<T: Tables>(header: &mut Header, length: usize, link: &LinkEntry, ing
         return Copy::Drop(Counter::TooBig);
     }
     header.set_egress_bits(if link.role == LinkRole::Switch as u32 { bits } else { 0 });
+    wait(header, link, tables);
     stamp(header, link, tables.next_count(link));
     Copy::Send(counter)
 }

@@ -30,6 +30,8 @@ pub struct PlainTables<const KERNEL: bool> {
     /// Egress bits that the kernel copies for, by group.
     served: HashMap<u32, u64>,
     makes_copies: bool,
+    /// Links that frames wait for.
+    queues: HashSet<u32>,
 }
 
 impl<const KERNEL: bool> PlainTables<KERNEL> {
@@ -49,6 +51,7 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             windows: switch.links.iter().map(|link| (link.id, window(&link.taken))).collect(),
             served: switch.kernel_groups().map(|(group, _, served)| (group, served)).collect(),
             makes_copies: true,
+            queues: HashSet::new(),
         }
     }
 
@@ -58,9 +61,15 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
         Self { makes_copies: false, ..self }
     }
 
+    /// Of a switch where frames wait before they leave by these links.
+    #[allow(dead_code, reason = "each test that includes this uses a part of it")]
+    pub fn with_queues(self, links: &[u32]) -> Self {
+        Self { queues: links.iter().copied().collect(), ..self }
+    }
+
     /// What becomes of an Ethernet frame.
     pub fn run(&self, frame: &[u8]) -> Fate {
-        let Some(Place { at, length, over_udp }) = self.switch.find(frame) else {
+        let Some(Place { at, length, over_udp, class }) = self.switch.find(frame) else {
             return Fate::new(Verdict::Pass, Counter::Foreign);
         };
         let gdp = &frame[at..at + length];
@@ -85,7 +94,7 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             }
             Fate::sent(self.carried(link, header, payload), counter)
         };
-        match forward::decide(&mut header, length, self) {
+        match forward::decide(&mut header, length, class, self) {
             forward::Verdict::Send(link, counter) => send(link, &header, payload, counter),
             forward::Verdict::Answer(link, counter) => send(link, &header, &[], counter),
             forward::Verdict::Copies(group) => Fate::copied(self.copies(&header, payload, group, ingress)),
@@ -163,6 +172,10 @@ impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
     fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool {
         let served = self.served.get(&group).copied().unwrap_or(0);
         length <= MAX_COPIED_FRAME && bits & !served == 0
+    }
+
+    fn has_queue(&self, link: &LinkEntry) -> bool {
+        self.queues.contains(&link.id)
     }
 
     fn may_complain(&self, _: &LinkEntry) -> bool {

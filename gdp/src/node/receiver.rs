@@ -428,7 +428,7 @@ mod tests {
         for source in 0..50 {
             let mut header = Header::data(NAME, Name::from_bytes([source; 32]), 0);
             forward::stamp(&mut header, &link.current.entry, source.into());
-            assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
+            assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }, false));
         }
         intakes.take(&mut batch, &link);
         let counters = intakes.outlet.counters.snapshot(0);
@@ -441,7 +441,7 @@ mod tests {
         let mut batch = RecvBatch::new(1500);
         let mut header = Header::data(intakes.outlet.name(), Name::from_bytes([9; 32]), 0);
         forward::stamp(&mut header, &link.current.entry, 1);
-        assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
+        assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }, false));
         intakes.take(&mut batch, &link);
         let drops = intakes.outlet.counters.snapshot(0).drops;
         assert_eq!(drops, BTreeMap::from([("drop_feedback_unknown", 1)]));
@@ -456,7 +456,7 @@ mod tests {
             for count in counts {
                 let mut header = Header::data(NAME, Name::from_bytes([9; 32]), 0);
                 forward::stamp(&mut header, &entry, *count);
-                assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
+                assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }, false));
             }
             intakes.take(&mut batch, link);
             intakes.outlet.counters.refused[Counter::Replayed as usize].get()
@@ -479,7 +479,7 @@ mod tests {
             header.egress_set = code;
             forward::stamp(&mut header, &link.current.entry, count.into());
             let mut batch = RecvBatch::new(1500);
-            assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }));
+            assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }, false));
             intakes.take(&mut batch, &link);
         };
         take(1, node, ErrorCode::TooBig as u8);

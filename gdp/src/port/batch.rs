@@ -66,7 +66,7 @@ impl RecvBatch {
     }
 
     /// Takes a copy of a frame that came another way; `false` when [`BATCH`] frames are there.
-    pub(crate) fn push(&mut self, frame: &[u8], from: LinkAddr) -> bool {
+    pub(crate) fn push(&mut self, frame: &[u8], from: LinkAddr, congested: bool) -> bool {
         if self.places.len() >= BATCH {
             return false;
         }
@@ -76,7 +76,7 @@ impl RecvBatch {
             self.storage.resize(end, 0);
         }
         self.storage[at..end].copy_from_slice(frame);
-        self.places.push(Place { at, length: frame.len(), from, congested: false });
+        self.places.push(Place { at, length: frame.len(), from, congested });
         true
     }
 

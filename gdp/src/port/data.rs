@@ -86,6 +86,11 @@ impl DataSocket {
         total
     }
 
+    /// Bytes of the kernel's memory that hold frames which the interface has not sent yet.
+    pub fn send_queue(&self) -> usize {
+        sys::send_queue(self.as_fd())
+    }
+
     /// Frames that arrived and were dropped because nobody took them in time.
     pub fn receive_drops(&self) -> u64 {
         let strays = match &self.kind {

@@ -7,6 +7,8 @@ use std::os::fd::{AsRawFd, BorrowedFd};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
+use gdp_wire::Header;
+
 use super::LinkAddr;
 use super::batch::{BATCH, OutFrame};
 use super::control::Control;
@@ -198,11 +200,10 @@ impl<'a> Chunk<'a> {
     }
 }
 
-/// The byte of IP that goes with a frame: the class selector of its traffic class (RFC 2474), and its ECN bits. On Ethernet the
-/// frame's own header has both.
+/// The byte of IP that goes with a frame. On Ethernet the frame's own header has what it says.
 fn traffic(frame: OutFrame) -> u8 {
     match (frame.to, frame.head) {
-        (LinkAddr::Udp(_), [_, flags, ..]) => (flags >> 2 & 7) << 5 | flags & 3,
+        (LinkAddr::Udp(_), [_, flags, ..]) => Header::ip_traffic(*flags),
         _ => 0,
     }
 }

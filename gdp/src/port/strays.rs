@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Waker};
 
-use quinn::udp::RecvMeta;
+use quinn::udp::{EcnCodepoint, RecvMeta};
 
 use super::batch::RecvBatch;
 use super::sys::Event;
@@ -18,9 +18,16 @@ use super::{LinkAddr, UDP_MTU};
 const QUEUE: usize = 1024;
 const LONGEST: usize = UDP_MTU as usize;
 
+/// A data frame.
+struct Stray {
+    from: LinkAddr,
+    congested: bool,
+    bytes: Vec<u8>,
+}
+
 /// Data frames that quinn's task found.
 pub struct Frames {
-    queue: Mutex<VecDeque<(LinkAddr, Vec<u8>)>>,
+    queue: Mutex<VecDeque<Stray>>,
     /// How long the queue is, to be asked without the lock.
     length: AtomicUsize,
     wake: Arc<Event>,
@@ -46,13 +53,13 @@ impl Frames {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    pub fn put(&self, from: LinkAddr, frame: &[u8]) {
+    pub fn put(&self, from: LinkAddr, congested: bool, frame: &[u8]) {
         let mut queue = lock(&self.queue);
         if queue.len() >= QUEUE || frame.len() > LONGEST {
             self.dropped.fetch_add(1, Ordering::Relaxed);
             return;
         }
-        queue.push_back((from, frame.to_vec()));
+        queue.push_back(Stray { from, congested, bytes: frame.to_vec() });
         self.length.store(queue.len(), Ordering::Release);
         drop(queue);
         self.wake.set();
@@ -61,8 +68,8 @@ impl Frames {
     /// Moves what waits into `batch`, as far as there is room.
     pub fn take(&self, batch: &mut RecvBatch) {
         let mut queue = lock(&self.queue);
-        while let Some((from, frame)) = queue.front()
-            && batch.push(frame, *from)
+        while let Some(Stray { from, congested, bytes }) = queue.front()
+            && batch.push(bytes, *from, *congested)
         {
             queue.pop_front();
         }
@@ -76,16 +83,16 @@ pub struct Packets(Mutex<Waiting>);
 
 #[derive(Default)]
 struct Waiting {
-    packets: VecDeque<(SocketAddr, Vec<u8>)>,
+    packets: VecDeque<(SocketAddr, Option<EcnCodepoint>, Vec<u8>)>,
     /// Of the task that would take them.
     waker: Option<Waker>,
 }
 
 impl Packets {
-    pub fn put(&self, from: SocketAddr, packet: &[u8]) {
+    pub fn put(&self, from: SocketAddr, ecn: Option<EcnCodepoint>, packet: &[u8]) {
         let mut waiting = lock(&self.0);
         if waiting.packets.len() < QUEUE && packet.len() <= LONGEST {
-            waiting.packets.push_back((from, packet.to_vec()));
+            waiting.packets.push_back((from, ecn, packet.to_vec()));
             waiting.waker.iter().for_each(Waker::wake_by_ref);
         }
     }
@@ -96,11 +103,11 @@ impl Packets {
         let mut waiting = lock(&self.0);
         let mut count = 0;
         while count < bufs.len().min(meta.len())
-            && let Some((addr, packet)) = waiting.packets.pop_front()
+            && let Some((addr, ecn, packet)) = waiting.packets.pop_front()
         {
             let Some(room) = bufs[count].get_mut(..packet.len()) else { continue };
             room.copy_from_slice(&packet);
-            meta[count] = RecvMeta { addr, len: packet.len(), stride: packet.len(), ecn: None, dst_ip: None };
+            meta[count] = RecvMeta { addr, len: packet.len(), stride: packet.len(), ecn, dst_ip: None };
             count += 1;
         }
         if count == 0 && waiting.waker.as_ref().is_none_or(|waker| !waker.will_wake(cx.waker())) {

@@ -58,15 +58,26 @@ pub fn set_buffers(fd: BorrowedFd, receive: usize, send: usize) {
 
 /// Frames the kernel dropped because the receive buffer of the socket was full, since it was opened.
 pub fn receive_drops(fd: BorrowedFd) -> u64 {
-    const SO_MEMINFO: libc::c_int = 55;
     const SK_MEMINFO_DROPS: usize = 8;
+    memory(fd)[SK_MEMINFO_DROPS].into()
+}
+
+/// Bytes of memory that hold what the socket has sent and no interface has taken yet.
+pub fn send_queue(fd: BorrowedFd) -> usize {
+    const SK_MEMINFO_WMEM_ALLOC: usize = 2;
+    memory(fd)[SK_MEMINFO_WMEM_ALLOC] as usize
+}
+
+/// What the kernel says of a socket's memory (linux/sock_diag.h).
+fn memory(fd: BorrowedFd) -> [u32; 9] {
+    const SO_MEMINFO: libc::c_int = 55;
     let mut info = [0u32; 9];
     let mut length = size_of_val(&info) as u32;
     // SAFETY: the kernel writes at most `length` bytes into `info`.
     let result = unsafe {
         libc::getsockopt(fd.as_raw_fd(), libc::SOL_SOCKET, SO_MEMINFO, info.as_mut_ptr().cast(), &mut length)
     };
-    if result == 0 { info[SK_MEMINFO_DROPS].into() } else { 0 }
+    if result == 0 { info } else { [0; 9] }
 }
 
 /// Receives what is there, one datagram or frame for each of the messages; how many there were.

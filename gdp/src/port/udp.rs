@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 
 use gdp_wire::header::FIRST_QUIC_BYTE;
-use quinn::udp::{RecvMeta, Transmit, UdpSocketState};
+use quinn::udp::{EcnCodepoint, RecvMeta, Transmit, UdpSocketState};
 use quinn::{AsyncUdpSocket, UdpPoller};
 use tokio::io::Interest;
 use tokio::net::UdpSocket;
@@ -146,7 +146,7 @@ impl SharedUdp {
             if datagram[0] < FIRST_QUIC_BYTE {
                 batch.add(slot * LONGEST_RUN + at, length, from, run.traffic & ECN == CE);
             } else {
-                self.stray_packets.put(run.from, datagram);
+                self.stray_packets.put(run.from, EcnCodepoint::from_bits(run.traffic as u8), datagram);
             }
         }
     }
@@ -265,10 +265,10 @@ impl SharedUdp {
     /// Takes data frames out of a run that begins with a QUIC packet.
     fn keep_packets(&self, buf: &mut [u8], meta: &mut RecvMeta) {
         let run = Run { from: meta.addr, length: meta.len.min(buf.len()), segment: meta.stride, traffic: 0 };
-        let mut kept = 0;
+        let (congested, mut kept) = (meta.ecn == Some(EcnCodepoint::Ce), 0);
         for (at, length) in run.segments() {
             if buf[at] < FIRST_QUIC_BYTE {
-                self.stray_frames.put(LinkAddr::udp(meta.addr), &buf[at..at + length]);
+                self.stray_frames.put(LinkAddr::udp(meta.addr), congested, &buf[at..at + length]);
             } else {
                 buf.copy_within(at..at + length, kept);
                 kept += length;

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use quinn::AsyncUdpSocket;
-use quinn::udp::RecvMeta;
+use quinn::udp::{EcnCodepoint, RecvMeta};
 
 use super::batch::{BATCH, OutFrame, RecvBatch, Sent};
 use super::control::Control;
@@ -183,6 +183,42 @@ async fn class_and_ecn_are_in_the_ip_header_and_marks_are_seen() {
             assert_eq!(end.data.try_recv_batch(&mut batch).unwrap(), 2);
             let seen: Vec<bool> = batch.frames().map(|frame| frame.congested).collect();
             assert_eq!(seen, [marked; 2], "{traffic}, {from}");
+        }
+    }
+}
+
+#[tokio::test]
+async fn frames_of_another_class_or_with_a_mark_are_no_part_of_a_run() {
+    for at in ["127.0.0.1:0", "[::1]:0"] {
+        let (end, peer) = (End::bind(at), Plain::bind(at));
+        let mut frames = frames(&[200; 8]);
+        // Two of each: another class, then a mark; the key's phase is no matter of IP's.
+        for (frame, flags) in frames.iter_mut().zip([0b10, 0x82, 0b110, 0b110, 0b111, 0b111, 0, 0]) {
+            frame[1] = flags;
+        }
+        assert_eq!(end.send(&frames, peer.addr()).sent, 8);
+        let received = [(); 4].map(|()| peer.receive_traffic());
+        assert_eq!(received, [(400, 0b10), (400, 0b10_0010), (400, 0b10_0011), (400, 0)], "{at}");
+    }
+}
+
+#[tokio::test]
+async fn a_mark_stays_with_what_came_to_the_other_socket() {
+    for at in ["127.0.0.1:0", "[::1]:0"] {
+        let (end, peer) = (End::bind(at), Plain::bind(at));
+        for (traffic, ecn) in [(3, Some(EcnCodepoint::Ce)), (2, Some(EcnCodepoint::Ect0)), (0, None)] {
+            peer.send(&[[QUIC; 100], [DATA; 100]].concat(), Some(100), traffic, end.addr());
+            assert_eq!(end.receive_packets(1).await.len(), 1);
+            let mut batch = RecvBatch::new(1500);
+            assert!(end.data.wait_readable(SOON).unwrap());
+            assert_eq!(end.data.try_recv_batch(&mut batch).unwrap(), 1);
+            assert_eq!(batch.frames().next().map(|frame| frame.congested), Some(traffic == 3), "{at}");
+
+            peer.send(&[[DATA; 100], [QUIC; 100]].concat(), Some(100), traffic, end.addr());
+            assert_eq!(end.receive(1).len(), 1);
+            let (mut buf, mut meta) = ([0; 200], [RecvMeta::default()]);
+            let received = poll_fn(|cx| end.udp.poll_recv(cx, &mut [IoSliceMut::new(&mut buf)], &mut meta)).await;
+            assert_eq!((received.unwrap(), meta[0].len, meta[0].ecn), (1, 100, ecn), "{at}");
         }
     }
 }

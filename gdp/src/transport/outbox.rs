@@ -47,6 +47,10 @@ pub struct TopicCounters {
     pub repeated: u64,
     /// Asked for by a reader beyond its budget.
     pub over_budget: u64,
+    /// Frames that readers say came with a congestion mark.
+    pub marked: u64,
+    /// Times that a path was taken to be congested, and less was sent.
+    pub slowed: u64,
 }
 
 /// A frame payload that goes.
@@ -131,6 +135,11 @@ impl Outbox {
 
     pub fn counters(&self) -> &TopicCounters {
         &self.counters
+    }
+
+    pub fn count_congestion(&mut self, marked: u64, slowed: bool) {
+        self.counters.marked += marked;
+        self.counters.slowed += u64::from(slowed);
     }
 
     pub fn is_reliable(&self) -> bool {

@@ -130,7 +130,8 @@ impl Peer {
         self.path.on_silence();
     }
 
-    pub fn on_report(&mut self, now: u64, report: &Report, log: &SentLog, outbox: &Outbox, sent: u64) {
+    /// Returns how many frames came with a mark since the report before, and whether the path is now taken to be congested.
+    pub fn on_report(&mut self, now: u64, report: &Report, log: &SentLog, outbox: &Outbox, sent: u64) -> (u64, bool) {
         if self.path.is_silent() {
             self.heard_since = now;
         }
@@ -141,7 +142,7 @@ impl Peer {
             self.waited_since = None;
             self.lagging &= now < self.lagging_until;
         }
-        let Some(echo) = report.echo.and_then(|position| log.find(position)) else { return };
+        let Some(echo) = report.echo.and_then(|position| log.find(position)) else { return (0, false) };
         let repeated = report.echo.and_then(|position| outbox.repeated(position));
         let arrived = repeated.map_or(echo.total, |repeated| repeated.total);
         let before = self.arrived;
@@ -163,7 +164,8 @@ impl Peer {
             acknowledged: self.arrived,
             sent,
         };
-        if self.path.on_report(now, &sample) {
+        let congested = self.path.on_report(now, &sample);
+        if congested {
             self.heard_since = now;
         }
         self.reported_at = now;
@@ -171,6 +173,7 @@ impl Peer {
         if self.echo.is_none_or(|before| echo.total > before.total) {
             self.echo = Some(echo);
         }
+        (sample.marks, congested)
     }
 
     /// Whether so many bytes of repairs are within its budget; `rate`: of what the topic sends for the first time.

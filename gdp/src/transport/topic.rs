@@ -276,7 +276,8 @@ impl TopicState {
                 let delay = u64::from(*delay_us) * 1000;
                 let report =
                     Report { acknowledged: *acknowledged, received_bytes: *received_bytes, ce: *ce, echo, delay };
-                peer.on_report(now, &report, &self.log, &self.outbox, self.sent);
+                let (marked, slowed) = peer.on_report(now, &report, &self.log, &self.outbox, self.sent);
+                self.outbox.count_congestion(marked, slowed);
                 self.large_unheard &= echo.is_none();
                 echo.and_then(|echo| self.outbox.len_of(echo)).into_iter().for_each(|len| peer.suspicion.came(len));
                 self.leader = None;

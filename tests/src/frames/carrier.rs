@@ -24,6 +24,8 @@ pub struct Place {
     /// Bytes of it, and perhaps of padding.
     pub length: usize,
     pub over_udp: bool,
+    /// IPv4's type of service or IPv6's traffic class; 0 on Ethernet.
+    pub class: u8,
 }
 
 impl Carrier {
@@ -53,22 +55,27 @@ impl Carrier {
 /// Finds the frame in a packet for the given addresses and VLANs, as a reader of the RFCs would.
 pub fn find(packet: &[u8], ethertype: u16, own: &[SocketAddr], vlans: &[u16]) -> Option<Place> {
     let word = |at: usize| Some(u16::from_be_bytes([*packet.get(at)?, *packet.get(at + 1)?]));
-    let directly = |at: usize| Some(Place { at, length: packet.len().checked_sub(at)?, over_udp: false });
-    let datagram = |at: usize, end: usize, to: SocketAddr| {
+    let directly = |at: usize| Some(Place { at, length: packet.len().checked_sub(at)?, over_udp: false, class: 0 });
+    let datagram = |at: usize, end: usize, to: SocketAddr, class: u8| {
         let length = usize::from(word(at + 4)?);
         let fits = length >= 8 && at + length <= end && end <= packet.len();
-        (fits && own.contains(&to)).then(|| Place { at: at + 8, length: length - 8, over_udp: true })
+        (fits && own.contains(&to)).then(|| Place { at: at + 8, length: length - 8, over_udp: true, class })
     };
     match word(12)? {
         found if found == ethertype => directly(14),
         0x8100 if word(16)? == ethertype && vlans.contains(&(word(14)? & 0xfff)) => directly(18),
         0x0800 if *packet.get(14)? == 0x45 && *packet.get(23)? == 17 && word(20)? & 0x3fff == 0 => {
             let to = Ipv4Addr::from(<[u8; 4]>::try_from(packet.get(30..34)?).ok()?);
-            datagram(34, 14 + usize::from(word(16)?), SocketAddrV4::new(to, word(36)?).into())
+            datagram(34, 14 + usize::from(word(16)?), SocketAddrV4::new(to, word(36)?).into(), packet[15])
         }
         0x86dd if packet.get(14)? >> 4 == 6 && *packet.get(20)? == 17 => {
             let to = Ipv6Addr::from(<[u8; 16]>::try_from(packet.get(38..54)?).ok()?);
-            datagram(54, 54 + usize::from(word(18)?), SocketAddrV6::new(to, word(56)?, 0, 0).into())
+            datagram(
+                54,
+                54 + usize::from(word(18)?),
+                SocketAddrV6::new(to, word(56)?, 0, 0).into(),
+                packet[14] << 4 | packet[15] >> 4,
+            )
         }
         _ => None,
     }

@@ -341,7 +341,7 @@ impl Link {
     pub fn leaves_in(&self, flags: u8) -> Carrier {
         let class = flags >> 2 & 7;
         match &self.udp {
-            Some(udp) => Carrier::Udp { from: udp.local, to: udp.peer, class: class << 5 },
+            Some(udp) => Carrier::Udp { from: udp.local, to: udp.peer, class: class << 5 | flags & 3 },
             None if self.vlan != 0 => Carrier::Vlan(self.vlan | u16::from(class) << 13),
             None => Carrier::Ethernet,
         }

@@ -94,6 +94,10 @@ impl Generator {
     fn carried(&mut self) -> Vec<u8> {
         let mut frame = self.gdp();
         frame.carrier = self.random.one_of(&self.carriers);
+        let any = self.random.word() as u8;
+        if let Carrier::Udp { class, .. } = &mut frame.carrier {
+            *class = self.random.one_of(&[0, 0b10, 0b10, 0b11, any]);
+        }
         frame.ethertype = match self.random.below(64) {
             0 => self.random.one_of(&[0x0800, 0x86dd, 0x8100, 0x88b6, 0]),
             _ => self.switch.ethertype,
@@ -156,6 +160,9 @@ impl Generator {
         if random.one_in(10) {
             frame.flags = 0x40;
         }
+        // Class and ECN.
+        let any = random.word() as u8 & 0x1f;
+        frame.flags |= random.one_of(&[0, 0, 0b10, 0b10, 0b11, any]);
         if random.one_in(5) {
             match random.below(10) {
                 0 => frame.version_type = random.word() as u8,

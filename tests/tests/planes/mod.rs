@@ -156,7 +156,7 @@ pub fn run_userspace(tables: &UserTables, switch: &Switch, frame: &[u8]) -> Fate
         let link = switch.link(link).expect("a link of the switch");
         link.carry(switch.ethertype, &parts.concat())
     };
-    match handle(&mut gdp, tables) {
+    match handle(&mut gdp, place.class & 3 == 3, tables) {
         Outcome::Send { link, length, counter, .. } => Fate::sent(carried(link, &[&gdp[..length]]), counter),
         Outcome::Copies { ingress, group } => {
             let (mut sent, mut dropped) = (Vec::new(), Vec::new());

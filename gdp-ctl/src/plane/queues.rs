@@ -1,0 +1,72 @@
+//! Which Ethernet interfaces have a queue: frames of the userspace plane that the kernel holds because the interface sends slower
+//! than they come. The forwarder's threads ask their sockets and write it here; the tables tell the forwarding decision, which marks
+//! frames that take marks.
+//!
+//! Over UDP that is for queueing disciplines and routers to do: they know the queue of each path, of which the one socket has many, and
+//! mark what carries the frame. They mark no frame that is directly on Ethernet.
+
+use std::collections::HashSet;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{PoisonError, RwLock};
+
+use gdp::port::LinkAddr;
+
+/// Bytes of the kernel's memory that are a queue: about 57 full frames, which take 7 ms at 100 Mb/s. A batch that was just handed
+/// over may be more, so queues are to be asked for before that.
+const LONG: usize = 128 << 10;
+
+/// Interfaces whose queue was long when it was last asked for.
+#[derive(Default)]
+pub struct Queues {
+    /// Whether there is one: so that as a rule that is all a frame asks.
+    any: AtomicBool,
+    long: RwLock<HashSet<u32>>,
+}
+
+impl Queues {
+    /// Takes note of the queue of an interface. `bytes`: [`gdp::port::DataSocket::send_queue`].
+    pub fn note(&self, ifindex: u32, bytes: usize) {
+        if self.is_long(ifindex) == (bytes > LONG) {
+            return;
+        }
+        let mut long = self.long.write().unwrap_or_else(PoisonError::into_inner);
+        if bytes > LONG {
+            long.insert(ifindex)
+        } else {
+            long.remove(&ifindex)
+        };
+        self.any.store(!long.is_empty(), Ordering::Relaxed);
+    }
+
+    pub fn is_long(&self, ifindex: u32) -> bool {
+        self.any.load(Ordering::Relaxed) && self.long.read().unwrap_or_else(PoisonError::into_inner).contains(&ifindex)
+    }
+
+    /// Whether frames wait long before they leave for this neighbour.
+    pub fn is_long_to(&self, to: LinkAddr) -> bool {
+        matches!(to, LinkAddr::Ethernet { ifindex, .. } if self.is_long(ifindex))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_interface_has_its_queue() {
+        let queues = Queues::default();
+        let to = |ifindex| LinkAddr::Ethernet { ifindex, mac: [2; 6] };
+        let udp = LinkAddr::udp(([10, 0, 0, 1], 31415).into());
+        let long = || [to(1), to(2), udp].map(|to| queues.is_long_to(to));
+        assert_eq!(long(), [false; 3]);
+        queues.note(1, LONG);
+        assert_eq!(long(), [false; 3]);
+        queues.note(1, LONG + 1);
+        queues.note(2, LONG + 1);
+        assert_eq!(long(), [true, true, false]);
+        queues.note(1, 0);
+        assert_eq!(long(), [false, true, false]);
+        queues.note(2, 0);
+        assert_eq!(long(), [false; 3]);
+    }
+}
