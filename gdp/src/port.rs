@@ -78,6 +78,8 @@ pub struct PortConfig {
     pub role: Role,
     /// Shared by all ports of an entity.
     pub link_ids: LinkIds,
+    /// Of an endpoint: which of the links it has at once are made here.
+    pub lane: u8,
     /// Whether peers may dial in (and, on Ethernet, find this port by discovery).
     pub listen: bool,
     /// Ethertype of GDP frames.
@@ -99,7 +101,7 @@ impl PortConfig {
 
     fn new(identity: Identity, role: Role, link_ids: LinkIds) -> Self {
         let (ethertype, rekey) = (gdp_wire::ETHERTYPE, RekeySchedule::default());
-        Self { identity, role, link_ids, listen: false, ethertype, rekey }
+        Self { identity, role, lane: 0, link_ids, listen: false, ethertype, rekey }
     }
 }
 
@@ -180,6 +182,7 @@ impl Port {
         let hello = HelloConfig {
             identity: config.identity.clone(),
             role: config.role,
+            lane: config.lane,
             link_ids: config.link_ids.clone(),
             mtu: frame_mtu,
             rekey: config.rekey,
