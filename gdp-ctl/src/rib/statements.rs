@@ -223,24 +223,25 @@ impl Rib {
 
     /// An entity is no longer to be told of this through `switch`, but through another one, if it has stated it there.
     fn tell_elsewhere(&mut self, stake: Stake, switch: &Name) {
-        let other = self.told_through(stake).find(|other| other != switch);
+        let other = self.told_through(stake).into_iter().find(|other| other != switch);
         self.telling.follow(&stake, switch, other);
     }
 
     /// What did not arrive through one switch may through another.
     pub(super) fn tell_another_way(&mut self, stake: Stake, failed: &Name) {
-        if self.told_through(stake).any(|other| other != *failed) {
+        if self.told_through(stake).iter().any(|other| other != failed) {
             self.tell_elsewhere(stake, failed);
         }
     }
 
     /// The switches through which an entity may be told of this.
-    fn told_through(&self, stake: Stake) -> impl Iterator<Item = Name> {
-        let inbox = self.entities.attachments(&stake.entity).filter(move |_| stake.is_inbox());
-        let bound = self.names.bound(&stake.name, stake.role).filter(move |(entity, _)| *entity == stake.entity);
-        inbox.map(|(_, attachment)| attachment.switch).chain(bound.map(|(_, switch)| switch))
+    fn told_through(&self, stake: Stake) -> Vec<Name> {
+        if stake.is_inbox() {
+            return self.entities.attachments(&stake.entity).map(|(_, attachment)| attachment.switch).collect();
+        }
+        let bound = self.names.bound(&stake.name, stake.role).filter(|(entity, _)| *entity == stake.entity);
+        bound.map(|(_, switch)| switch).collect()
     }
-
 
     fn register(&mut self, stake: Stake, proof: NameProof, new: Registration) -> Result<(), Refusal> {
         let Stake { name: key, entity, role } = stake;
@@ -328,7 +329,7 @@ impl Rib {
         let mut affected = BTreeSet::new();
         for (inbox, sender) in self.pairs(stake, switch) {
             let switches = self.inboxes.allow(inbox, sender);
-            affected.extend(switches.map(|switch| (inbox.entity, switch)));
+            affected.extend(switches.into_iter().map(|switch| (inbox.entity, switch)));
         }
         affected.into_iter().for_each(|(inbox, switch)| self.reroute(inbox.to_bytes(), [switch]));
     }
@@ -342,7 +343,7 @@ impl Rib {
             if ended {
                 self.boxes.forget(inbox.entity.as_bytes(), &sender.entity);
             }
-            affected.extend(switches.map(|switch| (inbox.entity, switch)));
+            affected.extend(switches.into_iter().map(|switch| (inbox.entity, switch)));
         }
         affected.into_iter().for_each(|(inbox, switch)| self.reroute(inbox.to_bytes(), [switch]));
     }

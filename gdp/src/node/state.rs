@@ -277,7 +277,7 @@ impl State {
         let rt_cert = issue(self.identity.key(), &RtCert { entity: self.identity.name(), switch, not_after })?;
         // A node that has spoken before goes on; one that has just started does not know what another process had stated.
         let resumes = *serial != 0;
-        match ask(attachment, EntityRequest::Attach { rt_cert, resumes }).await? {
+        match ask(attachment, EntityRequest::Attach { rt_cert, resumes, lane: 0 }).await? {
             Response::Attached { serial: floor } => *serial = floor.max(*serial),
             _ => return Err(NodeError::Protocol("to an attachment")),
         }
@@ -290,8 +290,8 @@ impl State {
         let Some((statement, false)) = lock(&self.statements).get(&(name, stated)).cloned() else { return Ok(()) };
         let op = stated.role().op();
         let response = self.ask_signed(attachment, &mut serial, op, name, |advert| match statement.clone() {
-            Statement::Write { proof, ad_cert } => EntityRequest::Advertise { proof, ad_cert, advert },
-            Statement::Read { proof, grant } => EntityRequest::Subscribe { proof, grant, advert },
+            Statement::Write { proof, ad_cert } => EntityRequest::Advertise { proof, ad_cert, advert, everywhere: false },
+            Statement::Read { proof, grant } => EntityRequest::Subscribe { proof, grant, advert, everywhere: false },
         });
         let Response::Peers(peers) = response.await? else { return Err(NodeError::Protocol("to a statement")) };
         // Something newer may have come before; then the RIB tells the whole once more.

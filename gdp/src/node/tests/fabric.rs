@@ -337,8 +337,8 @@ impl Rib {
             return (Refusal::new(code, "as the test wants it").into(), Vec::new());
         }
         let (proof, credential, advert) = match request {
-            EntityRequest::Advertise { proof, ad_cert, advert } => (proof, Credential::Writer(ad_cert), advert),
-            EntityRequest::Subscribe { proof, grant, advert } => (proof, Credential::Reader(grant), advert),
+            EntityRequest::Advertise { proof, ad_cert, advert, .. } => (proof, Credential::Writer(ad_cert), advert),
+            EntityRequest::Subscribe { proof, grant, advert, .. } => (proof, Credential::Reader(grant), advert),
             EntityRequest::Withdraw { advert } => {
                 let name = advert.claims_unverified().unwrap().name;
                 for ((of, _), records) in &mut self.records {
