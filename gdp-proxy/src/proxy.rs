@@ -99,7 +99,7 @@ pub async fn run(
 /// The switch may start after the proxy; what waiting cannot mend is an error at once.
 async fn connect(config: &Config, material: &Material) -> Result<Node> {
     let mut node = NodeConfig::new(material.identity.clone(), config.link.clone());
-    node.switch = config.switch;
+    node.links[0].switch = config.switch;
     node.connect_timeout = CONNECT_PATIENCE;
     loop {
         match Node::connect(node.clone()).await {
