@@ -32,12 +32,12 @@ async fn counterparts_meet_in_their_inboxes_until_one_is_revoked() {
     let (mode, scope) = (Mode::Unicast, Vec::new());
     let cert = AdCert { name, entity: robot.name(), mode, scope, serial: 1, not_before, not_after };
     let (ad_cert, advert) = (issue(&owner, &cert).unwrap().into(), robot.advert(AdvertOp::Publish, name, &switch));
-    robot.state(EntityRequest::Advertise { proof, ad_cert, advert }).await;
+    robot.state(EntityRequest::Advertise { proof, ad_cert, advert, everywhere: false }).await;
     let (to, serial) = (Grantee::Entity(cloud.name()), 2);
     let grant = issue(&owner, &ReadGrant { name, to, serial, not_before, not_after }).unwrap();
     let subscribe = |cloud: &Endpoint| {
         let advert = cloud.advert(AdvertOp::Subscribe, name, &switch);
-        EntityRequest::Subscribe { proof, grant: grant.clone().into(), advert }
+        EntityRequest::Subscribe { proof, grant: grant.clone().into(), advert, everywhere: false }
     };
     cloud.state(subscribe(&cloud)).await;
     assert!(cloud.counterparts.get(&robot.name()).is_some(), "from the answer");
@@ -91,7 +91,7 @@ impl Endpoint {
         let rt_cert = issue(identity.key(), &claims).unwrap();
         let counterparts = Counterparts::new(card.proof(), role).unwrap();
         let endpoint = Self { identity, port, link, counterparts, serial: 1, sent: 0 };
-        let response = endpoint.ask(EntityRequest::Attach { rt_cert, resumes: false }).await;
+        let response = endpoint.ask(EntityRequest::Attach { rt_cert, resumes: false, lane: 0 }).await;
         assert!(matches!(response, Response::Attached { .. }), "{response:?}");
         endpoint
     }

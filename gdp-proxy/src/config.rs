@@ -5,10 +5,12 @@
 
 use std::fs::File;
 use std::io::{self, Read};
+use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
 
 use gdp::Name;
-use gdp::node::LinkTarget;
+use gdp::link::MAX_LANES;
+use gdp::node::{LinkConfig, LinkTarget};
 use serde::{Deserialize, Deserializer, de};
 
 use crate::ros2::{self, Qos, TopicName, TypeName};
@@ -24,17 +26,35 @@ const MAX_TOPICS: usize = 1024;
 pub struct Config {
     /// The proxy's private key (`gdp-ctl key generate FILE --kind proxy`).
     pub identity: PathBuf,
-    /// Where the switch is: `eth://INTERFACE`, `eth://INTERFACE/MAC` or `udp://HOST:PORT`.
-    #[serde(deserialize_with = "from_text")]
-    pub link: LinkTarget,
-    /// The switch that must be there, if only one will do.
-    #[serde(default)]
-    pub switch: Option<Name>,
+    /// The ways to the fabric, in the order in which they are wanted: everything goes by the first that is up.
+    pub links: Vec<LinkPlace>,
     /// ROS_DOMAIN_ID.
     #[serde(default)]
     pub domain_id: DomainId,
     #[serde(default)]
     pub topics: Vec<TopicConfig>,
+}
+
+/// One way to the fabric.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LinkPlace {
+    /// Where the switch is: `eth://INTERFACE`, `eth://INTERFACE/MAC`, `udp://HOST:PORT` or `udp://HOST:PORT%INTERFACE`.
+    #[serde(deserialize_with = "from_text")]
+    pub to: LinkTarget,
+    /// The switch that must be there, if only one will do.
+    #[serde(default)]
+    pub switch: Option<Name>,
+    /// Bytes a second that topics may send this way.
+    #[serde(default)]
+    pub budget: Option<NonZeroU64>,
+}
+
+impl From<&LinkPlace> for LinkConfig {
+    fn from(place: &LinkPlace) -> Self {
+        let LinkPlace { to, switch, budget } = place;
+        Self { target: to.clone(), switch: *switch, budget: budget.map(NonZeroU64::get) }
+    }
 }
 
 /// One topic in one direction.
@@ -53,6 +73,10 @@ pub struct TopicConfig {
     pub cert: PathBuf,
     #[serde(default)]
     pub qos: Qos,
+    /// It crosses by two links at once, so that nothing is missed when one fails: `out`, a copy of each frame goes by the second; `in`,
+    /// it comes by each.
+    #[serde(default)]
+    pub duplicate: bool,
     /// Refused with the remedy: earlier versions shared a secret file here.
     #[serde(default, rename = "key")]
     _key: NoKey,
@@ -141,7 +165,19 @@ impl Config {
         if self.topics.len() > MAX_TOPICS {
             return Err(("topics".into(), format!("more than {MAX_TOPICS}; run a second proxy")));
         }
+        if !(1..=MAX_LANES).contains(&self.links.len()) {
+            return Err(("links".into(), format!("{} of them; a proxy has 1 to {MAX_LANES}", self.links.len())));
+        }
+        for (i, link) in self.links.iter().enumerate() {
+            if let Some(first) = self.links[..i].iter().position(|other| other.to == link.to) {
+                return Err((format!("links[{i}].to"), format!("{} is already links[{first}]; remove one", link.to)));
+            }
+        }
         for (i, topic) in self.topics.iter().enumerate() {
+            if topic.duplicate && self.links.len() < 2 {
+                let reason = "there is no second link for it; add one to links, or remove this".into();
+                return Err((format!("topics[{i}].duplicate"), reason));
+            }
             let same = |other: &TopicConfig| other.topic == topic.topic && other.direction == topic.direction;
             if let Some(first) = self.topics[..i].iter().position(same) {
                 let reason =
@@ -172,14 +208,15 @@ mod tests {
     use super::*;
     use crate::ros2::{Durability, Reliability};
 
-    const MINIMAL: &str = "{identity: robot.pem, link: 'eth://r0', topics: [{topic: /chatter, direction: out, \
+    const MINIMAL: &str = "{identity: robot.pem, links: [{to: 'eth://r0'}], topics: [{topic: /chatter, direction: out, \
                            card: chatter.card, cert: /etc/gdp/chatter.ad}]}";
 
     #[test]
     fn what_is_not_said_has_the_defaults_of_ros_2() {
         let config = parse(MINIMAL).unwrap();
-        assert_eq!((config.domain_id.get(), config.switch), (0, None));
+        assert_eq!((config.domain_id.get(), config.links[0].switch, config.links[0].budget), (0, None, None));
         let topic = &config.topics[0];
+        assert!(!topic.duplicate);
         assert_eq!((topic.direction, &topic.kind), (Direction::Out, &None));
         assert_eq!((topic.qos.reliability, topic.qos.durability), (Reliability::Reliable, Durability::Volatile));
         assert_eq!(topic.qos.depth.get(), 10);
@@ -197,16 +234,22 @@ mod tests {
     fn everything_can_be_said() {
         let name = "1234e5".repeat(11)[..64].to_owned();
         let text = format!(
-            "identity: a.pem\nlink: udp://127.0.0.1:31415\nswitch: {name}\ndomain_id: 42\ntopics:\n  - topic: /a/b\n    \
-             type: sensor_msgs/msg/Image\n    direction: in\n    card: c\n    cert: d\n    qos: {{reliability: best_effort, \
+            "identity: a.pem\nlinks:\n  - to: udp://127.0.0.1:31415%wlan0\n    switch: {name}\n  - {{to: eth://r0, budget: 250000}}\n\
+             domain_id: 42\ntopics:\n  - topic: /a/b\n    type: sensor_msgs/msg/Image\n    direction: in\n    card: c\n    \
+             cert: d\n    duplicate: true\n    qos: {{reliability: best_effort, \
              durability: transient_local, depth: 3}}\n"
         );
         let config = parse(&text).unwrap();
-        assert_eq!(config.switch.unwrap().to_string(), name);
+        let [first, second] = &config.links[..] else { panic!("{:?}", config.links) };
+        assert_eq!(
+            (first.switch.unwrap().to_string(), first.to.to_string()),
+            (name, "udp://127.0.0.1:31415%wlan0".into())
+        );
+        assert_eq!(LinkConfig::from(second).budget, Some(250_000));
         assert_eq!(config.domain_id.get(), 42);
         let topic = &config.topics[0];
         assert_eq!(topic.kind.as_ref().unwrap().as_str(), "sensor_msgs/msg/Image");
-        assert_eq!(topic.direction, Direction::In);
+        assert_eq!((topic.direction, topic.duplicate), (Direction::In, true));
         assert_eq!((topic.qos.reliability, topic.qos.depth.get()), (Reliability::BestEffort, 3));
         assert_eq!(topic.qos.durability, Durability::TransientLocal);
     }
@@ -219,7 +262,7 @@ mod tests {
 
     #[test]
     fn nothing_is_exposed_by_default() {
-        assert!(parse("{identity: a.pem, link: 'eth://r0'}").unwrap().topics.is_empty());
+        assert!(parse("{identity: a.pem, links: [{to: 'eth://r0'}]}").unwrap().topics.is_empty());
     }
 
     /// Each refusal names the file, and what is wrong.
@@ -227,9 +270,22 @@ mod tests {
     fn what_is_wrong_is_refused_and_named() {
         let cases = [
             ("", "unexpected end of input"),
-            ("{link: 'eth://r0'}", "identity"),
-            ("{identity: a.pem}", "link"),
-            (&MINIMAL.replace("link:", "lnk:"), "lnk"),
+            ("{links: [{to: 'eth://r0'}]}", "identity"),
+            ("{identity: a.pem}", "links"),
+            ("{identity: a.pem, links: []}", "links: 0 of them"),
+            (&format!("{{identity: a.pem, links: [{}]}}", "{to: 'eth://r0'}, ".repeat(5)), "links: 5 of them"),
+            (
+                "{identity: a.pem, links: [{to: 'eth://r0'}, {to: 'eth://r0'}]}",
+                "links[1].to: eth://r0 is already links[0]",
+            ),
+            (&MINIMAL.replace("links:", "lnks:"), "lnks"),
+            (&MINIMAL.replace("to:", "via:"), "via"),
+            (&MINIMAL.replace("to: 'eth://r0'", "to: 'eth://r0', budget: 0"), "nonzero"),
+            (
+                &MINIMAL.replace("direction:", "duplicate: true, direction:"),
+                "topics[0].duplicate: there is no second link",
+            ),
+            (&MINIMAL.replace("direction:", "duplicate: twice, direction:"), "boolean"),
             (&MINIMAL.replace("eth://r0", "tcp://r0"), "is no link"),
             (&MINIMAL.replace("cert:", "certs:"), "certs"),
             (&MINIMAL.replace("cert:", "key: chatter.key, cert:"), "no `key` any more"),
@@ -240,8 +296,8 @@ mod tests {
             (&MINIMAL.replace("direction:", "qos: {reliability: maybe}, direction:"), "maybe"),
             (&MINIMAL.replace("direction:", "qos: {lifespan: 1}, direction:"), "lifespan"),
             (&MINIMAL.replace("topics:", "domain_id: 233, topics:"), "ROS_DOMAIN_ID"),
-            (&MINIMAL.replace("topics:", "switch: 75e1, topics:"), "64 hex digits"),
-            (&MINIMAL.replace("link:", "identity: b.pem, link:"), "identity"),
+            (&MINIMAL.replace("to:", "switch: 75e1, to:"), "64 hex digits"),
+            (&MINIMAL.replace("links:", "identity: b.pem, links:"), "identity"),
             ("[", "robot.yaml"),
         ];
         for (text, expected) in cases {
@@ -261,7 +317,7 @@ mod tests {
 
     #[test]
     fn a_topic_is_listed_once_per_direction() {
-        let topic = &MINIMAL[MINIMAL.find("[{").unwrap() + 1..MINIMAL.len() - 2];
+        let topic = &MINIMAL[MINIMAL.find("{topic").unwrap()..MINIMAL.len() - 2];
         let twice = |second: &str| MINIMAL.replace(topic, &format!("{topic}, {second}"));
         let refusal = parse(&twice(topic)).unwrap_err().to_string();
         assert!(refusal.contains("topics[1].topic: /chatter is already topics[0]"), "{refusal}");

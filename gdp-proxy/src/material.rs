@@ -267,7 +267,7 @@ mod tests {
         /// One topic out and one in; `extra` is said of the one that goes out.
         fn load(&self, extra: &str) -> Result<Material, MaterialError> {
             let text = format!(
-                "{{identity: id.pem, link: 'eth://r0', topics: [\
+                "{{identity: id.pem, links: [{{to: 'eth://r0'}}], topics: [\
                  {{topic: /chatter, {extra}direction: out, card: t.card, cert: t.ad}}, \
                  {{topic: /other, direction: in, card: t.card, cert: t.grant}}]}}"
             );

@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use gdp::Node;
-use gdp::node::{NodeConfig, NodeError};
+use gdp::link::RekeySchedule;
+use gdp::node::{LinkConfig, NodeConfig, NodeError};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -75,6 +76,7 @@ pub async fn run(
         domain_id,
         switch: node.switch().ok(),
         topics: routes.iter().map(|route| route.stats()).collect(),
+        links: node.links(),
         node: node.counters(),
     };
     let ended = tokio::select! {
@@ -98,14 +100,19 @@ pub async fn run(
 
 /// The switch may start after the proxy; what waiting cannot mend is an error at once.
 async fn connect(config: &Config, material: &Material) -> Result<Node> {
-    let mut node = NodeConfig::new(material.identity.clone(), config.link.clone());
-    node.switch = config.switch;
-    node.connect_timeout = CONNECT_PATIENCE;
+    let node = NodeConfig {
+        identity: material.identity.clone(),
+        links: config.links.iter().map(LinkConfig::from).collect(),
+        connect_timeout: CONNECT_PATIENCE,
+        rekey: RekeySchedule::default(),
+    };
+    let places: Vec<String> = config.links.iter().map(|link| link.to.to_string()).collect();
+    let places = places.join(", ");
     loop {
         match Node::connect(node.clone()).await {
             Ok(node) => return Ok(node),
-            Err(NodeError::Detached(reason)) => tracing::warn!(link = %config.link, "no switch yet: {reason}"),
-            Err(error) => return Err(error).with_context(|| format!("cannot attach at {}", config.link)),
+            Err(NodeError::Detached(reason)) => tracing::warn!(links = %places, "no switch yet: {reason}"),
+            Err(error) => return Err(error).with_context(|| format!("cannot attach at {places}")),
         }
     }
 }

@@ -30,6 +30,7 @@ pub struct Route {
     topic: TopicName,
     direction: Direction,
     qos: Qos,
+    duplicate: bool,
     name: Name,
     counters: RouteCounters,
     progress: Mutex<Progress>,
@@ -50,6 +51,7 @@ impl Route {
             topic: config.topic.clone(),
             direction: config.direction,
             qos: config.qos,
+            duplicate: config.duplicate,
             name: material.card.name(),
             counters: RouteCounters::default(),
             progress: Mutex::new(Progress {
@@ -98,7 +100,10 @@ impl Route {
     ) -> Result<Infallible, RouteError> {
         let (mut reader, mut pause) = (None, RETRY.0);
         loop {
-            let error = match node.publish(card.proof(), cert.clone(), delivery::publish_options(&self.qos)).await {
+            let error = match node
+                .publish(card.proof(), cert.clone(), delivery::publish_options(&self.qos, self.duplicate))
+                .await
+            {
                 Ok(mut publisher) => {
                     // First the fabric, then DDS: a latched message that comes at once has somewhere to go.
                     let reader = match &reader {
@@ -128,7 +133,7 @@ impl Route {
         let mut writer = domain.writer(&self.topic, kind, self.qos)?;
         let mut pause = RETRY.0;
         loop {
-            let options = delivery::subscribe_options(&self.qos);
+            let options = delivery::subscribe_options(&self.qos, self.duplicate);
             let error = match node.subscribe(card.proof(), grant.clone(), options).await {
                 Ok(mut subscription) => {
                     pause = RETRY.0;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use gdp::Name;
-use gdp::node::NodeCounters;
+use gdp::node::{LinkStatus, NodeCounters};
 use gdp::transport::{InboundCounters, TopicCounters};
 use serde::Serialize;
 
@@ -194,9 +194,11 @@ pub struct Stats {
     /// The proxy's own name.
     pub entity: Name,
     pub domain_id: u16,
-    /// Where it is attached; null while the link is lost.
+    /// Where it is attached by its main link; null while the link is lost.
     pub switch: Option<Name>,
     pub topics: Vec<RouteStats>,
+    /// In the order of the configuration.
+    pub links: Vec<LinkStatus>,
     /// The fabric's side of it.
     pub node: NodeCounters,
 }
@@ -264,6 +266,7 @@ mod tests {
                 domain_id: 0,
                 switch: None,
                 topics,
+                links: Vec::new(),
                 node: NodeCounters::default(),
             })
             .unwrap();

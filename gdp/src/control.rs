@@ -42,7 +42,8 @@ pub enum Request {
     /// Switch → RIB: the entity's link is gone, and with it everything it advertised through this switch. RIB → switch → the
     /// entity: I hold no attachment of it; it is to attach again, on the link it has.
     Detach { switch: Name, entity: Name },
-    /// Switch → neighbouring switch: data frames are taken on this link from now on.
+    /// Switch → neighbouring switch: data frames are taken on this link from now on. Endpoint → its switch: of my links to you, send me
+    /// on this one what I take on one.
     Ready,
     /// RIB → switch, relayed down: what the switch's FIB holds.
     Fib(FibPush),
@@ -58,13 +59,16 @@ pub enum Request {
 pub enum EntityRequest {
     /// First on every link of an endpoint: this switch may carry my traffic, and data frames are taken on this link from now
     /// on. Answered by [`Response::Attached`]. `resumes`: what this entity advertised before stands; otherwise it has
-    /// started anew, and what the RIB holds of its last attachment ends.
-    Attach { rt_cert: Signed<RtCert>, resumes: bool },
+    /// started anew, and what the RIB holds of its last attachments ends. `lane`: which of its links this is, of those it has at once
+    /// (below [`MAX_LANES`](crate::link::MAX_LANES)): what that was attached to before, it is no more.
+    Attach { rt_cert: Signed<RtCert>, resumes: bool, lane: u8 },
     /// I publish or serve a name. Lives as long as the attachment, or the statement's lifetime if that ends first. Answered,
-    /// as a subscription is, by [`Response::Peers`] with its readers or callers; changes come as [`PeersPush`].
-    Advertise { proof: NameProof, ad_cert: Issued<AdCert>, advert: Signed<Advert> },
+    /// as a subscription is, by [`Response::Peers`] with its readers or callers; changes come as [`PeersPush`]. `everywhere`: what I
+    /// stated of this at other switches stands, and if I take the name, this switch sends it on each of my links to it. Otherwise
+    /// this is where I publish or serve it now, and what I take comes on one link.
+    Advertise { proof: NameProof, ad_cert: Issued<AdCert>, advert: Signed<Advert>, everywhere: bool },
     /// I read or call a name. Answered with its publishers or servers.
-    Subscribe { proof: NameProof, grant: Reading, advert: Signed<Advert> },
+    Subscribe { proof: NameProof, grant: Reading, advert: Signed<Advert>, everywhere: bool },
     /// I have no part any more in the name in the statement.
     Withdraw { advert: Signed<Advert> },
     /// The keys of what I send, each wrapped for one reader. Kept beside what I stated, for as long as that; given to each
@@ -206,18 +210,21 @@ pub struct Verified {
     pub not_after: u64,
 }
 
-/// A record's place in the order in which a RIB lists them: by name, of each its writers before its readers.
+/// A record's place in the order in which a RIB lists them: by name, of each its writers before its readers; of those
+/// one at each of its switches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct RecordPlace {
     pub name: Name,
     pub role: NameRole,
     pub entity: Name,
+    pub switch: Name,
 }
 
 impl Record {
     /// Where the record is listed; an error if the entity's key is not one, or the statement none that is listed.
     pub fn place(&self) -> Result<RecordPlace, CertError> {
-        Ok(RecordPlace { name: self.name, role: self.role()?, entity: self.entity.name()? })
+        let (role, entity) = (self.role()?, self.entity.name()?);
+        Ok(RecordPlace { name: self.name, role, entity, switch: self.switch })
     }
 
     /// What the entity says it is to the name. Believe it once the record is [verified](Self::verify).
@@ -287,7 +294,7 @@ pub enum Extent {
 }
 
 /// Where a name leads, in names: the switch translates entities and neighbours to its links.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Route {
     pub name: Name,
     /// Egress switches that want the name; for switches with somebody who sends to it. 0 elsewhere.
@@ -295,6 +302,8 @@ pub struct Route {
     /// The local endpoints that take the name, at their egress switch; as many as a switch has links, at most. An entity takes
     /// its own.
     pub locals: Vec<Name>,
+    /// Those of them that take it on each of their links to the switch; the others do on one.
+    pub everywhere: Vec<Name>,
     /// The local endpoints that may send to the name: those that publish or call it through this switch; to the name of an
     /// entity, its counterparts.
     pub writers: Vec<Name>,
@@ -357,7 +366,7 @@ mod tests {
             extent: Extent::Full { part: 0, last: true },
             own_bit: 63,
             reach: vec![(Name::from_bytes([2; 32]), u64::MAX)],
-            set: vec![Route { name: Name::from_bytes([3; 32]), egress_bits: 1 << 63, locals: vec![], writers: vec![] }],
+            set: vec![Route { name: Name::from_bytes([3; 32]), egress_bits: 1 << 63, ..Route::default() }],
             remove: vec![Name::from_bytes([4; 32])],
         };
         let bytes = encode(&Request::Fib(push.clone())).unwrap();

@@ -60,6 +60,9 @@ pub const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 /// answers echoes ([`liveness`]), and for this long at most.
 pub const HOLD: Duration = Duration::from_secs(60);
 
+/// Links that an endpoint has at once, to one switch or several.
+pub const MAX_LANES: usize = 4;
+
 /// Requests a peer can have open at once.
 pub(crate) const MAX_STREAMS: u32 = 32;
 
@@ -86,6 +89,8 @@ pub struct Peer {
     pub proof: NameProof,
     pub key: VerifyKey,
     pub role: Role,
+    /// Of an endpoint: which of its links this is, of those it has at once; below [`MAX_LANES`].
+    pub lane: u8,
 }
 
 /// One link. Clones are the same link; it closes when the last is dropped.

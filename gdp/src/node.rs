@@ -1,4 +1,4 @@
-//! The SDK: a node is an entity attached to one switch, that publishes and subscribes to names.
+//! The SDK: a node is an entity attached to a switch, by one link or several, that publishes and subscribes to names.
 //!
 //! ```no_run
 //! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
@@ -12,6 +12,7 @@
 //! What the switch and its RIB say is verified here again before it is believed: who may write a name follows from
 //! certificates of the name's owner alone.
 
+mod choice;
 mod clock;
 mod counters;
 mod feedback;
@@ -20,6 +21,7 @@ mod gathered;
 mod greeting;
 mod held;
 mod intake;
+mod lane;
 mod latched;
 mod options;
 mod outlet;
@@ -47,12 +49,11 @@ use self::clock::unix_now;
 use self::publication::Publication;
 use self::receiver::Receiver;
 use self::state::{State, Statement, lock};
-use self::supervisor::Supervisor;
 use crate::cert::{AdCert, CertError, Issued, Reading as Grant};
 use crate::control::{NameRole, Record, RecordPlace, Refusal};
 use crate::identity::Identity;
 use crate::keys::RingError;
-use crate::link::{LinkError, RekeySchedule};
+use crate::link::{LinkError, MAX_LANES, RekeySchedule};
 use crate::name::{NamePrefix, NameProof};
 use crate::port::LinkAddr;
 use crate::seal::SealError;
@@ -60,6 +61,7 @@ use crate::seal::SealError;
 pub use counters::NodeCounters;
 pub use feedback::{Feedback, FrameError};
 pub use gdp_wire::ErrorCode;
+pub use lane::{LinkState, LinkStatus};
 pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOptions};
 pub use publisher::Publisher;
 pub use services::{Call, Client, Server};
@@ -70,22 +72,36 @@ pub use target::{LinkTarget, LinkTargetError};
 #[derive(Clone, Debug)]
 pub struct NodeConfig {
     pub identity: Identity,
-    pub link: LinkTarget,
-    /// The name that the switch must prove; without it, any switch at `link` is taken.
-    pub switch: Option<Name>,
+    /// One to [`MAX_LANES`], in the order in which they are wanted, each to a switch of the same domain. Everything goes by the first that
+    /// is up, and what is to be [duplicated](PublishOptions::duplicate) by the next one as well.
+    pub links: Vec<LinkConfig>,
     /// How long [`Node::connect`] keeps trying.
     pub connect_timeout: Duration,
     /// When the keys of data frames are replaced.
     pub rekey: RekeySchedule,
-    /// Bytes a second that its topics send at most, of frames with their header; `None`: what the ways to their readers take.
+}
+
+/// One of a node's links.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LinkConfig {
+    pub target: LinkTarget,
+    /// The name that the switch must prove; without it, any switch at `target` is taken.
+    pub switch: Option<Name>,
+    /// Bytes a second that topics send by this link at most, of frames with their header; `None`: what the ways to their readers take.
     pub budget: Option<u64>,
 }
 
+impl From<LinkTarget> for LinkConfig {
+    fn from(target: LinkTarget) -> Self {
+        Self { target, switch: None, budget: None }
+    }
+}
+
 impl NodeConfig {
-    /// Any switch at `link`, waited for 10 s.
+    /// One link, to any switch at `link`, waited for 10 s.
     pub fn new(identity: Identity, link: LinkTarget) -> Self {
         let (connect_timeout, rekey) = (Duration::from_secs(10), RekeySchedule::default());
-        Self { identity, link, switch: None, connect_timeout, rekey, budget: None }
+        Self { identity, links: vec![link.into()], connect_timeout, rekey }
     }
 }
 
@@ -120,6 +136,8 @@ pub enum NodeError {
     TooManyCalls(usize),
     #[error("the switch answered another question: {0}")]
     Protocol(&'static str),
+    #[error("a node has 1 to {MAX_LANES} links, not {0}")]
+    Links(usize),
     #[error("the node is closed")]
     Closed,
 }
@@ -178,22 +196,37 @@ struct Handle {
 }
 
 impl Node {
-    /// Makes a link to the switch and attaches. Call within a tokio runtime.
+    /// Makes links to the switches and attaches by them; returns as soon as one is up. Call within a tokio runtime.
     pub async fn connect(config: NodeConfig) -> Result<Self, NodeError> {
+        let NodeConfig { identity, links, connect_timeout, rekey } = config;
+        if !(1..=MAX_LANES).contains(&links.len()) {
+            return Err(NodeError::Links(links.len()));
+        }
         let (commands, command_queue) = std::sync::mpsc::channel();
         let (events, event_queue) = mpsc::unbounded_channel();
-        let state = Arc::new(State::new(config.identity, config.budget, commands, events));
+        let state = Arc::new(State::new(identity, &links, commands, events));
         let (outlet, feedback) = (state.outlet.clone(), state.feedback.clone());
         let receiver = Receiver { commands: command_queue, outlet, feedback };
         spawn("gdp-receive", move || receiver.run())?;
 
-        let mut supervisor = Supervisor::new(state.clone(), config.link, config.switch, config.rekey);
-        let first = supervisor.connect(config.connect_timeout).await?;
-        let outlet = state.outlet.clone();
+        // From here on, dropping the handle ends everything.
+        let (stop, (first, mut came)) = (watch::Sender::new(false), mpsc::unbounded_channel());
+        let all = supervisor::run(state.clone(), links, rekey, connect_timeout, event_queue, first, stop.subscribe());
+        let handle = Handle { state, stop, supervisor: Mutex::new(Some(tokio::spawn(all))) };
+        let mut failure: Option<(u8, NodeError)> = None;
+        loop {
+            match came.recv().await {
+                Some((_, Ok(()))) => break,
+                Some((lane, Err(error))) if failure.as_ref().is_none_or(|(first, _)| lane < *first) => {
+                    failure = Some((lane, error));
+                }
+                Some(_) => {}
+                None => return Err(failure.map_or(NodeError::Closed, |(_, error)| error)),
+            }
+        }
+        let outlet = handle.state.outlet.clone();
         spawn("gdp-send", move || outlet.pump())?;
-        let stop = watch::Sender::new(false);
-        let task = tokio::spawn(supervisor.run(first, event_queue, stop.subscribe()));
-        Ok(Self(Arc::new(Handle { state, stop, supervisor: Mutex::new(Some(task)) })))
+        Ok(Self(Arc::new(handle)))
     }
 
     /// Publishes a name: `proof` shows how it is derived, `ad_cert` that its owner allows it.
@@ -301,7 +334,12 @@ impl Node {
         self.0.state.identity.name()
     }
 
-    /// The switch the node is attached to at the moment; `Err` says why there is none.
+    /// The links, in the order in which they are wanted, how they are and what went by them.
+    pub fn links(&self) -> Vec<LinkStatus> {
+        self.0.state.outlet.links()
+    }
+
+    /// The switch the node is attached to at the moment, by its main link; `Err` says why there is none.
     pub fn switch(&self) -> Result<Name, NodeError> {
         self.0.state.attached_now().map(|attachment| attachment.link.peer().name)
     }
@@ -309,7 +347,8 @@ impl Node {
     /// What became of frames and messages so far.
     pub fn counters(&self) -> NodeCounters {
         let state = &self.0.state;
-        let socket_drops = state.outlet.sending_on().map_or(0, |attachment| attachment.data.receive_drops());
+        let lanes = state.outlet.lanes().iter().map(|lane| lane.status());
+        let socket_drops = lanes.filter_map(|status| Some(status.attachment()?.data.receive_drops())).sum();
         state.counters.snapshot(socket_drops)
     }
 

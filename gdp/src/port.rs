@@ -78,6 +78,10 @@ pub struct PortConfig {
     pub role: Role,
     /// Shared by all ports of an entity.
     pub link_ids: LinkIds,
+    /// Of an endpoint: which of the links it has at once are made here.
+    pub lane: u8,
+    /// Of a UDP port: the interface that everything goes and comes through.
+    pub through: Option<String>,
     /// Whether peers may dial in (and, on Ethernet, find this port by discovery).
     pub listen: bool,
     /// Ethertype of GDP frames.
@@ -99,7 +103,7 @@ impl PortConfig {
 
     fn new(identity: Identity, role: Role, link_ids: LinkIds) -> Self {
         let (ethertype, rekey) = (gdp_wire::ETHERTYPE, RekeySchedule::default());
-        Self { identity, role, link_ids, listen: false, ethertype, rekey }
+        Self { identity, role, lane: 0, through: None, link_ids, listen: false, ethertype, rekey }
     }
 }
 
@@ -148,8 +152,9 @@ impl Port {
 
     /// Opens a port on a UDP address. Call within a tokio runtime.
     pub fn udp(bind: SocketAddr, config: &PortConfig) -> Result<Self, LinkError> {
-        let fail = |source| LinkError::Io { what: format!("cannot bind UDP {bind}"), source };
-        let socket = Arc::new(udp::SharedUdp::bind(bind).map_err(fail)?);
+        let through = config.through.as_ref().map_or(String::new(), |interface| format!(" to interface {interface}"));
+        let fail = |source| LinkError::Io { what: format!("cannot bind UDP {bind}{through}"), source };
+        let socket = Arc::new(udp::SharedUdp::bind(bind, config.through.as_deref()).map_err(fail)?);
         let mtu = QuicMtu { initial: SMALLEST_PATH, discover_up_to: Some(UDP_MTU as u16) };
         let data = DataSocket::new(data::Kind::Udp(socket.clone())).map_err(fail)?;
         let medium = Medium::Udp {
@@ -180,6 +185,7 @@ impl Port {
         let hello = HelloConfig {
             identity: config.identity.clone(),
             role: config.role,
+            lane: config.lane,
             link_ids: config.link_ids.clone(),
             mtu: frame_mtu,
             rekey: config.rekey,

@@ -236,7 +236,7 @@ impl Fabric {
         let options = &self.options;
         let config = json!({
             "identity": "key.pem",
-            "link": format!("eth://{interface}"),
+            "links": [{"to": format!("eth://{interface}")}],
             "domain_id": 0,
             "topics": [{
                 "topic": TOPIC, "type": TYPE, "direction": direction, "card": "chatter.card", "cert": "chatter.cert",

@@ -60,7 +60,7 @@ pub fn advertise(options: &Options, context: &Context) -> anyhow::Result<()> {
     let ad_cert = certificate(options, &card, &entity)?;
     let mut session = Session::begin(&entity, context)?;
     let advert = session.statement(&entity, AdvertOp::Publish, card.name(), options.lifetime)?;
-    session.ask(&entity, EntityRequest::Advertise { proof: card.proof(), ad_cert, advert })?;
+    session.ask(&entity, EntityRequest::Advertise { proof: card.proof(), ad_cert, advert, everywhere: false })?;
     let value = json!({
         "name": card.name(), "entity": entity.name(), "switch": session.switch, "lifetime": options.lifetime,
     });
@@ -149,7 +149,7 @@ impl Session {
         let status = client.ask_value(&Request::Status)?;
         let switch = status["name"].as_str().and_then(|name| name.parse().ok()).context("the daemon tells no name")?;
         let claims = RtCert { entity: entity.name(), switch, not_after: unix_now() + ROUTE_SECONDS };
-        let request = EntityRequest::Attach { rt_cert: issue(entity.key(), &claims)?, resumes: true };
+        let request = EntityRequest::Attach { rt_cert: issue(entity.key(), &claims)?, resumes: true, lane: 0 };
         match client.ask_control(&Request::Entity { entity: Some(entity.proof()), request: request.into() })? {
             Response::Attached { serial } => Ok(Self { client, switch, serial }),
             _ => bail!("the RIB answered another question"),

@@ -1,7 +1,7 @@
-//! The entities a RIB knows: where they are attached, how far their serials are spent, which names they
+//! The entities a RIB knows: where they are attached, by which of their links, how far their serials are spent, which names they
 //! have. One that has neither an attachment nor a name is forgotten at once; what remains of all of those is one number.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::time::Duration;
 
 use gdp::control::{Refusal, RefusalCode};
@@ -16,7 +16,8 @@ const SERIAL_AHEAD: u64 = 2 * 24 * 3600;
 #[derive(Debug)]
 pub(super) struct Entity {
     floor: u64,
-    attachment: Option<Attachment>,
+    /// By lane.
+    attachments: BTreeMap<u8, Attachment>,
     names: BTreeSet<Key>,
     /// The switch through which it came to be known, or that it was attached to last.
     through: Name,
@@ -36,6 +37,12 @@ pub(super) struct Entities {
     /// The highest serial spent by any entity that is forgotten. It is the floor of all that are not known, so that what one
     /// of them stated cannot be presented again: memory is bounded, however many come and go.
     forgotten: u64,
+}
+
+impl Entity {
+    fn new(floor: u64, through: Name) -> Self {
+        Self { floor, attachments: BTreeMap::new(), names: BTreeSet::new(), through }
+    }
 }
 
 static NO_NAMES: BTreeSet<Key> = BTreeSet::new();
@@ -70,28 +77,42 @@ impl Entities {
             )));
         }
         *unattached += 1;
-        self.known.insert(name, Entity { floor: serial, attachment: None, names: BTreeSet::new(), through });
+        self.known.insert(name, Entity::new(serial, through));
         Ok(())
     }
 
-    pub fn attachment(&self, name: &Name) -> Option<Attachment> {
-        self.known.get(name)?.attachment
+    pub fn attachment(&self, name: &Name, lane: u8) -> Option<Attachment> {
+        self.known.get(name)?.attachments.get(&lane).copied()
     }
 
-    pub fn attach(&mut self, name: Name, attachment: Attachment) {
+    /// All its attachments, by lane.
+    pub fn attachments(&self, name: &Name) -> impl Iterator<Item = (u8, Attachment)> {
+        let known = self.known.get(name).into_iter();
+        known.flat_map(|entity| entity.attachments.iter().map(|(lane, attachment)| (*lane, *attachment)))
+    }
+
+    pub fn is_attached_at(&self, name: &Name, switch: &Name) -> bool {
+        self.attachments(name).any(|(_, attachment)| attachment.switch == *switch)
+    }
+
+    pub fn attach(&mut self, name: Name, lane: u8, attachment: Attachment) {
         let (floor, through) = (self.forgotten, attachment.switch);
-        if let Some(entity) = self.known.get(&name).filter(|entity| entity.attachment.is_none()) {
+        if let Some(entity) = self.known.get(&name).filter(|entity| entity.attachments.is_empty()) {
             count_out(&mut self.unattached, &entity.through, 1);
         }
-        let unknown = || Entity { floor, attachment: None, names: BTreeSet::new(), through };
-        let entity = self.known.entry(name).or_insert_with(unknown);
-        (entity.attachment, entity.through) = (Some(attachment), through);
+        let entity = self.known.entry(name).or_insert_with(|| Entity::new(floor, through));
+        entity.attachments.insert(lane, attachment);
+        entity.through = through;
     }
 
     /// Follow with [`Self::retire`].
-    pub fn take_attachment(&mut self, name: &Name) -> Option<Attachment> {
-        let attachment = self.known.get_mut(name)?.attachment.take()?;
-        *self.unattached.entry(attachment.switch).or_default() += 1;
+    pub fn take_attachment(&mut self, name: &Name, lane: u8) -> Option<Attachment> {
+        let entity = self.known.get_mut(name)?;
+        let attachment = entity.attachments.remove(&lane)?;
+        if entity.attachments.is_empty() {
+            entity.through = attachment.switch;
+            *self.unattached.entry(attachment.switch).or_default() += 1;
+        }
         Some(attachment)
     }
 
@@ -113,7 +134,7 @@ impl Entities {
 
     /// Forgets an entity that has neither an attachment nor a name.
     pub fn retire(&mut self, name: &Name) {
-        if self.known.get(name).is_some_and(|entity| entity.attachment.is_none() && entity.names.is_empty())
+        if self.known.get(name).is_some_and(|entity| entity.attachments.is_empty() && entity.names.is_empty())
             && let Some(entity) = self.known.remove(name)
         {
             self.forgotten = self.forgotten.max(entity.floor);

@@ -417,6 +417,6 @@ mod tests {
     }
 
     fn route(i: u64, bits: u64) -> Route {
-        Route { name: name(i), egress_bits: bits, locals: vec![], writers: vec![] }
+        Route { name: name(i), egress_bits: bits, ..Route::default() }
     }
 }

@@ -1,5 +1,6 @@
 //! Under its own name every attached entity can be reached, by those it exchanges messages with and nobody else: who that is,
-//! and which switches therefore need a route for it. Pairs of counterparts go in, routes come out.
+//! and which switches therefore need a route for it. One that is attached to several switches is reached at each of them. Pairs of
+//! counterparts go in, routes come out.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -18,7 +19,8 @@ pub(super) struct Place {
 
 #[derive(Debug)]
 struct Inbox {
-    home: Name,
+    /// Its switches, and for how many pairs each.
+    homes: BTreeMap<Name, u32>,
     /// By switch: those who may send here, and for how many names and roles.
     senders: BTreeMap<Name, BTreeMap<Name, u32>>,
 }
@@ -62,31 +64,48 @@ impl Inboxes {
     }
 
     /// Lets `sender` send to `inbox`, for one more reason. Returns the switches whose route for it may change.
-    pub fn allow(&mut self, inbox: Place, sender: Place) -> [Name; 2] {
-        let new = || Inbox { home: inbox.switch, senders: BTreeMap::new() };
-        let senders = &mut self.inboxes.entry(inbox.entity.to_bytes()).or_insert_with(new).senders;
+    pub fn allow(&mut self, inbox: Place, sender: Place) -> Vec<Name> {
+        let new = || Inbox { homes: BTreeMap::new(), senders: BTreeMap::new() };
+        let Inbox { homes, senders } = self.inboxes.entry(inbox.entity.to_bytes()).or_insert_with(new);
+        *homes.entry(inbox.switch).or_default() += 1;
         let reasons = senders.entry(sender.switch).or_default().entry(sender.entity).or_default();
         *reasons += 1;
         if *reasons == 1 {
             *self.reaches.entry(sender.entity).or_default() += 1;
             *self.reached_from.entry(sender.switch).or_default() += 1;
         }
-        [inbox.switch, sender.switch]
+        self.affected(inbox, sender)
     }
 
-    /// One reason less. Returns the switches whose route may change, and whether `sender` may no longer send.
-    pub fn deny(&mut self, inbox: Place, sender: Place) -> ([Name; 2], bool) {
-        let ended = self.remove(inbox, sender);
-        if ended {
+    /// One reason less. Returns the switches whose route may change, and whether `sender` may no longer send from anywhere.
+    pub fn deny(&mut self, inbox: Place, sender: Place) -> (Vec<Name>, bool) {
+        let before = self.affected(inbox, sender);
+        if self.remove(inbox, sender) {
             count_out(&mut self.reaches, &sender.entity, 1);
             count_out(&mut self.reached_from, &sender.switch, 1);
         }
-        ([inbox.switch, sender.switch], ended)
+        let held = self.inboxes.get(inbox.entity.as_bytes());
+        let sends = held.is_some_and(|inbox| inbox.senders.values().any(|here| here.contains_key(&sender.entity)));
+        (before, !sends)
+    }
+
+    /// Where the inbox comes or goes: with another switch of its own, the routes of all that send there change.
+    fn affected(&self, inbox: Place, sender: Place) -> Vec<Name> {
+        let held = self.inboxes.get(inbox.entity.as_bytes());
+        let only_one = held.is_some_and(|held| held.homes.len() > 1 && held.homes.get(&inbox.switch) == Some(&1));
+        let senders = held.filter(|_| only_one).into_iter().flat_map(|held| held.senders.keys().copied());
+        senders.chain([inbox.switch, sender.switch]).collect()
     }
 
     fn remove(&mut self, inbox: Place, sender: Place) -> bool {
         let key = inbox.entity.to_bytes();
         let Some(held) = self.inboxes.get_mut(&key) else { return false };
+        if let Some(reasons) = held.homes.get_mut(&inbox.switch) {
+            *reasons -= 1;
+            if *reasons == 0 {
+                held.homes.remove(&inbox.switch);
+            }
+        }
         let Some(here) = held.senders.get_mut(&sender.switch) else { return false };
         let Some(reasons) = here.get_mut(&sender.entity) else { return false };
         *reasons -= 1;
@@ -112,7 +131,7 @@ impl Inboxes {
     /// Switches that a route for this inbox is for; some twice.
     pub fn routed(&self, inbox: &Name) -> impl Iterator<Item = &Name> {
         let held = self.inboxes.get(inbox.as_bytes());
-        held.into_iter().flat_map(|inbox| inbox.senders.keys().chain([&inbox.home]))
+        held.into_iter().flat_map(|inbox| inbox.senders.keys().chain(inbox.homes.keys()))
     }
 
     /// The route for an inbox at one switch, if it needs any.
@@ -120,11 +139,12 @@ impl Inboxes {
         let held = self.inboxes.get(inbox)?;
         let name = Name::from_bytes(*inbox);
         let writers: Vec<Name> = held.senders.get(switch).into_iter().flat_map(|here| here.keys().copied()).collect();
-        let locals = if held.home == *switch { vec![name] } else { Vec::new() };
+        let locals = if held.homes.contains_key(switch) { vec![name] } else { Vec::new() };
         if writers.is_empty() && locals.is_empty() {
             return None;
         }
-        let egress_bits = if writers.is_empty() { 0 } else { bit(&held.home).map_or(0, |bit| 1 << bit) };
-        Some(Route { name, egress_bits, locals, writers })
+        let homes = held.homes.keys().filter_map(bit).fold(0, |bits, bit| bits | 1 << bit);
+        let egress_bits = if writers.is_empty() { 0 } else { homes };
+        Some(Route { name, egress_bits, everywhere: locals.clone(), locals, writers })
     }
 }

@@ -64,9 +64,9 @@ impl Rib {
         }
     }
 
-    /// The switch of the reader, if the box is for what comes to its inbox.
+    /// A switch of the reader, if the box is for what comes to its inbox.
     fn inbox_home(&self, claims: &KeyBox) -> Option<Name> {
-        let attachment = self.entities.attachment(&claims.reader);
-        attachment.filter(|_| claims.name == claims.reader).map(|attachment| attachment.switch)
+        let mut attachments = self.entities.attachments(&claims.reader).filter(|_| claims.name == claims.reader);
+        attachments.next().map(|(_, attachment)| attachment.switch)
     }
 }

@@ -166,8 +166,8 @@ struct Switch {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Timer {
-    Registration(Stake),
-    Attachment { entity: Name },
+    Registration(Stake, Name),
+    Attachment { entity: Name, lane: u8 },
     Switch { switch: Name },
     Settled,
 }
@@ -228,13 +228,10 @@ impl Rib {
         self.try_report(now, switch, neighbours, attached, own_bit).map_or_else(Response::from, |()| Response::Done)
     }
 
-    /// An entity's link to `switch` is gone, and with it all that was bound to it. Nothing happens if the entity is
-    /// attached elsewhere by now.
+    /// An entity's link to `switch` is gone, and with it all that was bound to it. What it has elsewhere stays.
     pub fn detach(&mut self, now: Now, switch: &Name, entity: &Name) -> Response {
         self.tick(now);
-        if self.entities.attachment(entity).is_some_and(|a| a.switch == *switch) {
-            self.end_attachment(entity);
-        }
+        self.end_attachments_at(entity, switch);
         Response::Done
     }
 
@@ -246,12 +243,12 @@ impl Rib {
             }
             self.timers.pop_first();
             match timer {
-                Timer::Registration(stake) => self.unregister(stake),
-                Timer::Attachment { entity } => {
-                    if let Some(attachment) = self.entities.attachment(&entity) {
+                Timer::Registration(stake, switch) => self.unregister(stake, switch),
+                Timer::Attachment { entity, lane } => {
+                    if let Some(attachment) = self.entities.attachment(&entity, lane) {
                         self.detached.insert((attachment.switch, entity));
                     }
-                    self.end_attachment(&entity);
+                    self.end_attachment(&entity, lane);
                 }
                 Timer::Switch { switch } => self.forget_switch(now, &switch),
                 // So that they let go of what nobody has stated again.
@@ -272,7 +269,7 @@ impl Rib {
         let mut effects: Vec<_> = std::mem::take(&mut self.detached)
             .into_iter()
             // It may have attached there in the meantime.
-            .filter(|(switch, entity)| self.entities.attachment(entity).is_none_or(|a| a.switch != *switch))
+            .filter(|(switch, entity)| !self.entities.is_attached_at(entity, switch))
             .map(|(switch, entity)| Effect::Detach { switch, entity })
             .collect();
         let (run, settling) = (self.run.id, now.clock < self.run.settling);
@@ -294,9 +291,13 @@ impl Rib {
         }
     }
 
-    /// Whether what an entity was to be told arrived; if not, it is told the whole a while later.
+    /// Whether what an entity was to be told arrived; if not, it is told the whole through another of its
+    /// switches, or a while later.
     pub fn told(&mut self, now: Now, told: Told, arrived: bool) {
         self.telling.answered(now.clock, &told.switch, told.stake, told.generation, arrived);
+        if !arrived && self.telling.failing(&told.stake) == Some(told.switch) {
+            self.tell_another_way(told.stake, &told.switch);
+        }
     }
 
     /// Whether all switches that need a route for what an entity stated have answered that they hold it (or have failed to
@@ -306,8 +307,8 @@ impl Rib {
             self.switches.get(switch).is_none_or(|switch| switch.fib.is_settled(name.as_bytes()))
         };
         let key = name.to_bytes();
-        let switch = self.names.get(&key, entity, role).filter(|r| r.bound).map(|r| r.switch);
-        let counterparts = || switch.into_iter().flat_map(|at| self.counterparts(&key, role).map(move |c| (at, c)));
+        let switches = self.names.bound(&key, role).filter(|(of, _)| of == entity).map(|(_, switch)| switch);
+        let counterparts = || switches.flat_map(|at| self.counterparts(&key, role).map(move |c| (at, c)));
         self.names.routed(&key).all(|switch| settled(switch, name))
             && self.inboxes.routed(entity).all(|switch| settled(switch, entity))
             && counterparts().all(|(at, other)| settled(&at, &other.entity))
@@ -318,7 +319,9 @@ impl Rib {
         let lacking = |switch| self.switches.get(switch)?.fib.lacking();
         let Some(reason) = self.names.routed(name.as_bytes()).find_map(lacking) else { return Ok(()) };
         let refusal = Refusal::new(RefusalCode::Limit, reason);
-        self.unregister(Stake { name: name.to_bytes(), entity: *entity, role });
+        let switches = self.names.switches_of(name.as_bytes(), entity, role);
+        let stake = Stake { name: name.to_bytes(), entity: *entity, role };
+        switches.into_iter().for_each(|switch| self.unregister(stake, switch));
         Err(refusal)
     }
 }

@@ -21,7 +21,10 @@ pub(super) const RECORDS_SIZE: usize = 56 * 1024;
 /// What an encoded record has besides credential and statement: two proofs, two names, field names.
 const RECORD_OVERHEAD: usize = 512;
 
-/// One entity's part in a name.
+/// Behind all switches of an entity.
+const LAST: Name = Name::from_bytes([0xff; 32]);
+
+/// One entity's part in a name, at one switch.
 #[derive(Debug)]
 pub(super) struct Registration {
     pub entity: NameProof,
@@ -32,6 +35,8 @@ pub(super) struct Registration {
     pub box_key: [u8; 33],
     /// Of the certificates in the credential that a revocation can take back: what they are, and their serials.
     pub serials: Vec<(&'static str, u64)>,
+    /// What is stated at other switches stands besides; and this one sends it on each link of the entity.
+    pub everywhere: bool,
     pub ends: Duration,
     /// Ends with the attachment of its entity; the entity is told of its counterparts, and can be reached by them.
     pub bound: bool,
@@ -70,10 +75,11 @@ struct Topic {
     egress_bits: u64,
 }
 
-/// Those who have one role in a name.
+/// Those who have one role in a name; an entity as often as it has stated it at different switches.
 #[derive(Debug, Default)]
 struct Registrations {
-    by_entity: BTreeMap<Name, Registration>,
+    /// And by switch.
+    by_entity: BTreeMap<(Name, Name), Registration>,
     by_switch: BTreeMap<Name, BTreeSet<Name>>,
 }
 
@@ -110,7 +116,7 @@ impl Names {
             let reason = format!("{name} has a {other} already, and cannot have a {} too: use another name", new.role);
             return Err(Refusal::new(RefusalCode::Unsupported, reason));
         }
-        if part.by_entity.len() >= limit && !part.by_entity.contains_key(entity) {
+        if part.by_entity.len() >= limit && !part.by_entity.contains_key(&(*entity, new.switch)) {
             return Err(limit_reached(format!("{name} has {limit} {}s", new.role)));
         }
         Ok(())
@@ -123,8 +129,8 @@ impl Names {
         topic.part_mut(new.role).insert(entity, new)
     }
 
-    pub fn remove(&mut self, name: &Key, entity: &Name, role: NameRole) -> Option<Registration> {
-        self.0.get_mut(name)?.part_mut(role).remove(entity)
+    pub fn remove(&mut self, name: &Key, entity: &Name, role: NameRole, switch: &Name) -> Option<Registration> {
+        self.0.get_mut(name)?.part_mut(role).remove(entity, switch)
     }
 
     /// Drops a name that nobody has any part in; whether it did.
@@ -140,18 +146,28 @@ impl Names {
         self.0.contains_key(name)
     }
 
+    /// What an entity has stated, wherever: what its counterparts are told of.
     pub fn get(&self, name: &Key, entity: &Name, role: NameRole) -> Option<&Registration> {
-        self.0.get(name)?.part(role).by_entity.get(entity)
+        self.0.get(name)?.part(role).of(entity).max_by_key(|registration| registration.ends)
+    }
+
+    pub fn get_at(&self, name: &Key, entity: &Name, role: NameRole, switch: &Name) -> Option<&Registration> {
+        self.0.get(name)?.part(role).by_entity.get(&(*entity, *switch))
+    }
+
+    /// The switches at which an entity has stated this.
+    pub fn switches_of(&self, name: &Key, entity: &Name, role: NameRole) -> Vec<Name> {
+        let part = self.0.get(name).map(|topic| topic.part(role));
+        part.into_iter().flat_map(|part| part.of(entity)).map(|registration| registration.switch).collect()
     }
 
     pub fn record(&self, now: Duration, name: &Key, entity: &Name, role: NameRole) -> Option<Record> {
-        let topic = self.0.get(name)?;
-        let registration = topic.part(role).by_entity.get(entity)?;
-        Some(registration.record(now, Name::from_bytes(*name), topic.proof))
+        let proof = self.0.get(name)?.proof;
+        Some(self.get(name, entity, role)?.record(now, Name::from_bytes(*name), proof))
     }
 
     pub fn has(&self, name: &Key, entity: &Name) -> bool {
-        self.0.get(name).is_some_and(|topic| topic.parts.iter().any(|part| part.by_entity.contains_key(entity)))
+        self.0.get(name).is_some_and(|topic| topic.parts.iter().any(|part| part.of(entity).next().is_some()))
     }
 
     /// Switches that a route for the name is for.
@@ -160,24 +176,26 @@ impl Names {
         topic.into_iter().flat_map(Topic::switches)
     }
 
-    /// The attached entities with this role in a name, and their switches.
+    /// The attached entities with this role in a name, and their switches; one at each of its switches.
     pub fn bound(&self, name: &Key, role: NameRole) -> impl Iterator<Item = (Name, Name)> {
         let part = self.0.get(name).map(|topic| topic.part(role));
         let all = part.into_iter().flat_map(|part| &part.by_entity);
-        all.filter(|(_, registration)| registration.bound).map(|(entity, registration)| (*entity, registration.switch))
+        all.filter(|(_, registration)| registration.bound).map(|(place, _)| *place)
     }
 
     /// Those with this role behind `after`.
     pub fn behind_entity(&self, name: &Key, role: NameRole, after: Option<Name>) -> impl Iterator<Item = Name> {
-        let range = (after.map_or(Bound::Unbounded, Bound::Excluded), Bound::Unbounded);
+        let first = after.map_or(Bound::Unbounded, |after| Bound::Excluded((after, LAST)));
         let part = self.0.get(name).map(|topic| topic.part(role));
-        part.into_iter().flat_map(move |part| part.by_entity.range(range).map(|(entity, _)| *entity))
+        let all = part.into_iter().flat_map(move |part| part.by_entity.range((first, Bound::Unbounded)));
+        let mut before = None;
+        all.filter_map(move |((entity, _), _)| (before.replace(*entity) != Some(*entity)).then_some(*entity))
     }
 
-    /// Those of an entity's registrations that end with its attachment.
-    pub fn bound_of(&self, entity: &Name, names: &BTreeSet<Key>) -> Vec<(Key, NameRole)> {
+    /// Those of an entity's registrations that end with its attachment to a switch.
+    pub fn bound_of(&self, entity: &Name, switch: &Name, names: &BTreeSet<Key>) -> Vec<(Key, NameRole)> {
         let each = names.iter().flat_map(|name| NameRole::ALL.map(|role| (*name, role)));
-        each.filter(|(name, role)| self.get(name, entity, *role).is_some_and(|r| r.bound)).collect()
+        each.filter(|(name, role)| self.get_at(name, entity, *role, switch).is_some_and(|r| r.bound)).collect()
     }
 
     /// All registrations through one switch.
@@ -191,11 +209,11 @@ impl Names {
         found
     }
 
-    /// The registrations of a name that do not hold any more.
-    pub fn revoked(&self, name: &Key, revocation: &Revocation) -> Vec<(Name, NameRole)> {
+    /// The registrations of a name that do not hold any more: of whom, as what, at which switch.
+    pub fn revoked(&self, name: &Key, revocation: &Revocation) -> Vec<(Name, NameRole, Name)> {
         let all = self.0.get(name).into_iter().flat_map(|topic| topic.parts.iter().flat_map(|part| &part.by_entity));
         let holds = |r: &Registration| r.serials.iter().all(|(what, serial)| revocation.check(what, *serial).is_ok());
-        all.filter(|(_, r)| !holds(r)).map(|(entity, r)| (*entity, r.role)).collect()
+        all.filter(|(_, r)| !holds(r)).map(|((entity, switch), r)| (*entity, r.role, *switch)).collect()
     }
 
     /// The switches whose route changes because registrations of the name `at` this switch did.
@@ -261,7 +279,7 @@ impl Names {
             NameRole::ALL.into_iter().flat_map(move |role| {
                 let first = match after {
                     Some(after) if role < after.role => None,
-                    Some(after) if role == after.role => Some(Bound::Excluded(after.entity)),
+                    Some(after) if role == after.role => Some(Bound::Excluded((after.entity, after.switch))),
                     _ => Some(Bound::Unbounded),
                 };
                 let listed = first.map(|first| topic.part(role).by_entity.range((first, Bound::Unbounded)));
@@ -295,11 +313,13 @@ impl Topic {
         let (senders, takers) = self.ways();
         let writers: Vec<Name> = senders.at(switch).copied().collect();
         let locals: Vec<Name> = takers.at(switch).copied().collect();
+        let is_everywhere = |entity: &&Name| takers.by_entity.get(&(**entity, *switch)).is_some_and(|r| r.everywhere);
+        let everywhere: Vec<Name> = locals.iter().filter(is_everywhere).copied().collect();
         if self.egress_bits == 0 || writers.is_empty() && locals.is_empty() {
             return None;
         }
         let egress_bits = if writers.is_empty() { 0 } else { self.egress_bits };
-        Some(Route { name: Name::from_bytes(*name), egress_bits, locals, writers })
+        Some(Route { name: Name::from_bytes(*name), egress_bits, locals, everywhere, writers })
     }
 }
 
@@ -309,14 +329,20 @@ impl Registrations {
     }
 
     fn insert(&mut self, entity: Name, new: Registration) -> Option<Registration> {
-        let old = self.remove(&entity);
+        let old = self.remove(&entity, &new.switch);
         self.by_switch.entry(new.switch).or_default().insert(entity);
-        self.by_entity.insert(entity, new);
+        self.by_entity.insert((entity, new.switch), new);
         old
     }
 
-    fn remove(&mut self, entity: &Name) -> Option<Registration> {
-        let old = self.by_entity.remove(entity)?;
+    /// What an entity has stated, at each of its switches.
+    fn of(&self, entity: &Name) -> impl Iterator<Item = &Registration> {
+        let places = (*entity, Name::default())..=(*entity, LAST);
+        self.by_entity.range(places).map(|(_, registration)| registration)
+    }
+
+    fn remove(&mut self, entity: &Name, switch: &Name) -> Option<Registration> {
+        let old = self.by_entity.remove(&(*entity, *switch))?;
         if let Some(here) = self.by_switch.get_mut(&old.switch) {
             here.remove(entity);
             if here.is_empty() {

@@ -49,7 +49,7 @@ impl Rib {
         let unknown = attached.difference(&state.attached).map(|entity| (*switch, *entity));
         self.detached.extend(unknown);
         for entity in gone {
-            self.end_attachment(&entity);
+            self.end_attachments_at(&entity, switch);
         }
         self.telling.reconnected(switch);
     }
@@ -80,10 +80,10 @@ impl Rib {
     pub(super) fn forget_switch(&mut self, now: Now, switch: &Name) {
         let Some(state) = self.switches.get(switch) else { return };
         for entity in state.attached.clone() {
-            self.end_attachment(&entity);
+            self.end_attachments_at(&entity, switch);
         }
         for (name, entity, role) in self.names.registered_at(switch) {
-            self.unregister(Stake { name, entity, role });
+            self.unregister(Stake { name, entity, role }, *switch);
         }
         self.switches.remove(switch);
         self.topology.forget(switch);

@@ -33,11 +33,12 @@ impl Rib {
         if !self.names.contains(&key) {
             self.revocations.leave(&key, self.limits.idle_revocations);
         }
-        for (entity, role) in revoked {
+        for (entity, role, switch) in revoked {
             let stake = Stake { name: key, entity, role };
-            let told_at = self.names.get(&key, &entity, role).filter(|r| r.bound).map(|r| r.switch);
-            self.unregister(stake);
-            if let Some(switch) = told_at {
+            let is_told = self.names.get_at(&key, &entity, role, &switch).is_some_and(|r| r.bound);
+            self.unregister(stake, switch);
+            // Through the last of its switches.
+            if is_told && self.names.get(&key, &entity, role).is_none() {
                 self.telling.farewell(stake, switch);
             }
         }

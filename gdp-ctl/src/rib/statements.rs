@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use gdp::cert::{Advert, CertError, Signed, Speaker, authorise_advertise, authorise_subscribe, authorise_withdraw};
 use gdp::control::{Credential, EntityRequest, NameRole, Refusal, RefusalCode, Response};
+use gdp::link::MAX_LANES;
 use gdp::name::NameProof;
 use gdp_wire::Name;
 
@@ -21,6 +22,7 @@ struct Verified {
     credential: Credential,
     signed: Signed<Advert>,
     advert: Advert,
+    everywhere: bool,
     not_after: u64,
 }
 
@@ -42,13 +44,13 @@ impl Rib {
             Refusal::new(RefusalCode::Malformed, "only queries and revocations may be anonymous: show the entity's key")
         })?;
         let speaker = self.speaker(now, origin, proof)?;
-        let here = self.entities.attachment(&speaker.entity).is_some_and(|a| a.switch == origin);
+        let here = self.entities.is_attached_at(&speaker.entity, &origin);
         if !here && !by_tool && !matches!(request, EntityRequest::Attach { .. }) {
             let reason = format!("{} is not attached to switch {origin}; attach first", speaker.entity);
             return Err(Refusal::new(RefusalCode::NotAttached, reason));
         }
         match request {
-            EntityRequest::Attach { rt_cert, resumes } => {
+            EntityRequest::Attach { rt_cert, resumes, lane } => {
                 let cert = rt_cert.verify(&speaker.entity_key, now.unix).map_err(refusal)?;
                 if cert.entity != speaker.entity {
                     return Err(refusal(CertError::WrongEntity { expected: speaker.entity, got: cert.entity }));
@@ -56,13 +58,16 @@ impl Rib {
                 if cert.switch != origin {
                     return Err(refusal(CertError::WrongSwitch { expected: origin, got: cert.switch }));
                 }
+                if usize::from(*lane) >= MAX_LANES {
+                    return Err(limit_reached(format!("an entity has {MAX_LANES} links, not one of number {lane}")));
+                }
                 if !by_tool {
                     let ends = now.clock.saturating_add(Duration::from_secs(cert.not_after - now.unix));
-                    self.attach(&speaker, ends, *resumes)?;
+                    self.attach(&speaker, *lane, ends, *resumes)?;
                 }
                 Ok(Response::Attached { serial: speaker.floor })
             }
-            EntityRequest::Advertise { proof: name, ad_cert, advert } => {
+            EntityRequest::Advertise { proof: name, ad_cert, advert, everywhere } => {
                 let revocation = name.name().ok().and_then(|name| self.revocations.claims(name.as_bytes()));
                 let authorised = authorise_advertise(&speaker, name, ad_cert, advert, revocation);
                 let (cert, statement) = authorised.map_err(refusal)?;
@@ -71,11 +76,12 @@ impl Rib {
                     credential: Credential::Writer(ad_cert.clone()),
                     signed: advert.clone(),
                     advert: statement,
+                    everywhere: *everywhere,
                     not_after: cert.not_after,
                 };
                 self.state(now, &speaker, *proof, by_tool, verified)
             }
-            EntityRequest::Subscribe { proof: name, grant, advert } => {
+            EntityRequest::Subscribe { proof: name, grant, advert, everywhere } => {
                 let revocation = name.name().ok().and_then(|name| self.revocations.claims(name.as_bytes()));
                 let authorised = authorise_subscribe(&speaker, name, grant, advert, revocation);
                 let (cert, statement) = authorised.map_err(refusal)?;
@@ -84,6 +90,7 @@ impl Rib {
                     credential: Credential::Reader(grant.clone()),
                     signed: advert.clone(),
                     advert: statement,
+                    everywhere: *everywhere,
                     not_after: cert.not_after,
                 };
                 self.state(now, &speaker, *proof, by_tool, verified)
@@ -97,7 +104,9 @@ impl Rib {
                 }
                 self.spend(now, &speaker, statement.serial)?;
                 for role in NameRole::ALL {
-                    self.unregister(Stake { name: key, entity: speaker.entity, role });
+                    let stake = Stake { name: key, entity: speaker.entity, role };
+                    let switches = self.names.switches_of(&key, &speaker.entity, role);
+                    switches.into_iter().for_each(|switch| self.unregister(stake, switch));
                 }
                 Ok(Response::Done)
             }
@@ -117,7 +126,7 @@ impl Rib {
         by_tool: bool,
         verified: Verified,
     ) -> Result<Response, Refusal> {
-        let Verified { name: name_proof, credential, signed, advert, not_after } = verified;
+        let Verified { name: name_proof, credential, signed, advert, everywhere, not_after } = verified;
         self.spend(now, speaker, advert.serial)?;
         let ends = lifetime(now, advert.lifetime, not_after);
         let role = NameRole::of(advert.op)
@@ -125,8 +134,18 @@ impl Rib {
         let registered = ends.and_then(|ends| {
             let (name, switch, box_key, bound) = (advert.name, speaker.switch, advert.box_key, !by_tool);
             let (role, entity, serials) = (role?, speaker.entity, credential.serials().map_err(refusal)?);
-            let registration =
-                Registration { entity: proof, switch, role, credential, advert: signed, box_key, serials, ends, bound };
+            let registration = Registration {
+                entity: proof,
+                switch,
+                role,
+                credential,
+                advert: signed,
+                box_key,
+                serials,
+                everywhere,
+                ends,
+                bound,
+            };
             let stake = Stake { name: name.to_bytes(), entity, role };
             self.register(stake, name_proof, registration).map(|()| stake)
         });
@@ -150,45 +169,78 @@ impl Rib {
         self.entities.spend(now, speaker.entity, speaker.switch, serial, self.limits.unattached_per_switch)
     }
 
-    /// Attaching again at the same switch only renews, if it resumes what was: a link that does not come back is told of by a
-    /// detach. Attaching elsewhere ends what was; the old switch is told, in case its link is still up: the entity must not
-    /// believe that it is attached there.
-    fn attach(&mut self, speaker: &Speaker, ends: Duration, resumes: bool) -> Result<(), Refusal> {
+    /// Each lane of an entity is attached to one switch. Attaching it again there only renews, if it resumes what was: a link
+    /// that does not come back is told of by a detach. Attaching it elsewhere ends what was, unless another lane is there; the old
+    /// switch is told, in case its link is still up: the entity must not believe that it is attached there. An entity that begins
+    /// anew has no other lanes.
+    fn attach(&mut self, speaker: &Speaker, lane: u8, ends: Duration, resumes: bool) -> Result<(), Refusal> {
         let limit = self.limits.attached_per_switch;
         let full = |s: &super::Switch| s.attached.len() >= limit && !s.attached.contains(&speaker.entity);
         if self.switches.get(&speaker.switch).is_some_and(full) {
             return Err(limit_reached(format!("switch {} has {limit} attached entities", speaker.switch)));
         }
-        match self.entities.attachment(&speaker.entity) {
-            Some(old) if old.switch == speaker.switch && resumes => {
-                self.timers.remove(&(old.ends, Timer::Attachment { entity: speaker.entity }));
-            }
-            Some(old) => {
-                self.end_attachment(&speaker.entity);
-                if old.switch != speaker.switch {
-                    self.detached.insert((old.switch, speaker.entity));
+        let entity = speaker.entity;
+        let earlier: Vec<_> = self.entities.attachments(&entity).collect();
+        for (of, old) in earlier {
+            if of == lane && old.switch == speaker.switch && resumes {
+                self.timers.remove(&(old.ends, Timer::Attachment { entity, lane }));
+            } else if of == lane || !resumes {
+                self.end_attachment(&entity, of);
+                if old.switch != speaker.switch && !self.entities.is_attached_at(&entity, &old.switch) {
+                    self.detached.insert((old.switch, entity));
                 }
             }
-            None => {}
         }
         let Some(switch) = self.switches.get_mut(&speaker.switch) else { return Ok(()) };
-        self.entities.attach(speaker.entity, Attachment { switch: speaker.switch, ends });
-        switch.attached.insert(speaker.entity);
-        self.timers.insert((ends, Timer::Attachment { entity: speaker.entity }));
+        self.entities.attach(entity, lane, Attachment { switch: speaker.switch, ends });
+        switch.attached.insert(entity);
+        self.timers.insert((ends, Timer::Attachment { entity, lane }));
         Ok(())
     }
 
-    pub(super) fn end_attachment(&mut self, entity: &Name) {
-        let Some(attachment) = self.entities.take_attachment(entity) else { return };
-        self.timers.remove(&(attachment.ends, Timer::Attachment { entity: *entity }));
-        if let Some(switch) = self.switches.get_mut(&attachment.switch) {
-            switch.attached.remove(entity);
+    /// All its lanes there.
+    pub(super) fn end_attachments_at(&mut self, entity: &Name, switch: &Name) {
+        let here = self.entities.attachments(entity).filter(|(_, attachment)| attachment.switch == *switch);
+        let lanes: Vec<u8> = here.map(|(lane, _)| lane).collect();
+        lanes.into_iter().for_each(|lane| self.end_attachment(entity, lane));
+    }
+
+    /// With the last of its lanes at a switch, what an entity has stated there goes.
+    pub(super) fn end_attachment(&mut self, entity: &Name, lane: u8) {
+        let Some(Attachment { switch, ends }) = self.entities.take_attachment(entity, lane) else { return };
+        self.timers.remove(&(ends, Timer::Attachment { entity: *entity, lane }));
+        if !self.entities.is_attached_at(entity, &switch) {
+            if let Some(switch) = self.switches.get_mut(&switch) {
+                switch.attached.remove(entity);
+            }
+            for (name, role) in self.names.bound_of(entity, &switch, self.entities.names(entity)) {
+                self.unregister(Stake { name, entity: *entity, role }, switch);
+            }
+            self.tell_elsewhere(Stake::inbox(*entity), &switch);
         }
-        for (name, role) in self.names.bound_of(entity, self.entities.names(entity)) {
-            self.unregister(Stake { name, entity: *entity, role });
-        }
-        self.telling.end(&Stake::inbox(*entity));
         self.entities.retire(entity);
+    }
+
+    /// An entity is no longer to be told of this through `switch`, but through another one, if it has stated it there.
+    fn tell_elsewhere(&mut self, stake: Stake, switch: &Name) {
+        let other = self.told_through(stake).into_iter().find(|other| other != switch);
+        self.telling.follow(&stake, switch, other);
+    }
+
+    /// What did not arrive through one switch may through another.
+    pub(super) fn tell_another_way(&mut self, stake: Stake, failed: &Name) {
+        if self.told_through(stake).iter().any(|other| other != failed) {
+            self.tell_elsewhere(stake, failed);
+        }
+    }
+
+    /// The switches through which an entity may be told of this.
+    fn told_through(&self, stake: Stake) -> Vec<Name> {
+        if stake.is_inbox() {
+            return self.entities.attachments(&stake.entity).map(|(_, attachment)| attachment.switch).collect();
+        }
+        let bound = self.names.bound(&stake.name, stake.role).filter(|(entity, _)| *entity == stake.entity);
+        bound.map(|(_, switch)| switch).collect()
     }
 
     fn register(&mut self, stake: Stake, proof: NameProof, new: Registration) -> Result<(), Refusal> {
@@ -209,27 +261,22 @@ impl Rib {
             let counterparts: Vec<Place> = self.counterparts(&key, role).collect();
             self.inboxes.check_room(place, &counterparts, &self.limits)?;
         }
-        let (ends, bound) = (new.ends, new.bound);
-        let old = self.names.get(&key, &entity, role);
-        let says_the_same = old.is_some_and(|old| old.tells_the_same(&new));
-        let was_bound_at = old.filter(|old| old.bound).map(|old| old.switch);
-        let is_bound_at = bound.then_some(new.switch);
+        let (ends, bound, everywhere) = (new.ends, new.bound, new.everywhere);
+        let says_the_same = self.names.get(&key, &entity, role).is_some_and(|old| old.tells_the_same(&new));
         self.revocations.enter(&key);
         let is_new_name = !self.names.contains(&key);
         let old = self.names.insert(name, proof, entity, new);
-        self.timers.insert((ends, Timer::Registration(stake)));
+        self.timers.insert((ends, Timer::Registration(stake, place.switch)));
         self.entities.add_name(&entity, key);
         if let Some(old) = &old
             && old.ends != ends
         {
-            self.timers.remove(&(old.ends, Timer::Registration(stake)));
+            self.timers.remove(&(old.ends, Timer::Registration(stake, place.switch)));
         }
-        if was_bound_at != is_bound_at {
-            was_bound_at.into_iter().for_each(|switch| self.part(stake, switch));
-            is_bound_at.into_iter().for_each(|switch| self.join(stake, switch));
-        }
-        if let Some(old) = old.filter(|old| old.switch != place.switch) {
-            self.follow_up(key, old.switch);
+        match (old.is_some_and(|old| old.bound), bound) {
+            (true, false) => self.part(stake, place.switch),
+            (false, true) => self.join(stake, place.switch),
+            _ => {}
         }
         self.follow_up(key, place.switch);
         if is_new_name {
@@ -238,15 +285,21 @@ impl Rib {
         if !says_the_same {
             self.tell_counterparts(stake);
         }
+        if !everywhere {
+            let mut others = self.names.switches_of(&key, &entity, role);
+            others.retain(|switch| *switch != place.switch);
+            others.into_iter().for_each(|switch| self.unregister(stake, switch));
+        }
         Ok(())
     }
 
-    pub(super) fn unregister(&mut self, stake: Stake) {
+    pub(super) fn unregister(&mut self, stake: Stake, switch: Name) {
         let Stake { name, entity, role } = stake;
-        let Some(old) = self.names.remove(&name, &entity, role) else { return };
-        self.timers.remove(&(old.ends, Timer::Registration(stake)));
+        let Some(old) = self.names.remove(&name, &entity, role, &switch) else { return };
+        self.timers.remove(&(old.ends, Timer::Registration(stake, switch)));
+        let says_the_same = self.names.get(&name, &entity, role).is_some_and(|other| other.tells_the_same(&old));
         if old.bound {
-            self.part(stake, old.switch);
+            self.part(stake, switch);
         }
         let sends = |role: &NameRole| role.sends() && self.names.get(&name, &entity, *role).is_some();
         if !NameRole::ALL.iter().any(sends) {
@@ -256,8 +309,10 @@ impl Rib {
             self.entities.remove_name(&entity, &name);
             self.entities.retire(&entity);
         }
-        self.follow_up(name, old.switch);
-        self.tell_counterparts(stake);
+        self.follow_up(name, switch);
+        if !says_the_same {
+            self.tell_counterparts(stake);
+        }
         if self.names.sweep(&name) {
             self.reroute_inbox(&Name::from_bytes(name));
             self.revocations.leave(&name, self.limits.idle_revocations);
@@ -274,21 +329,21 @@ impl Rib {
         let mut affected = BTreeSet::new();
         for (inbox, sender) in self.pairs(stake, switch) {
             let switches = self.inboxes.allow(inbox, sender);
-            affected.extend(switches.map(|switch| (inbox.entity, switch)));
+            affected.extend(switches.into_iter().map(|switch| (inbox.entity, switch)));
         }
         affected.into_iter().for_each(|(inbox, switch)| self.reroute(inbox.to_bytes(), [switch]));
     }
 
     /// The entity is no counterpart of these any more, as far as this name goes.
     fn part(&mut self, stake: Stake, switch: Name) {
-        self.telling.end(&stake);
+        self.tell_elsewhere(stake, &switch);
         let mut affected = BTreeSet::new();
         for (inbox, sender) in self.pairs(stake, switch) {
             let (switches, ended) = self.inboxes.deny(inbox, sender);
             if ended {
                 self.boxes.forget(inbox.entity.as_bytes(), &sender.entity);
             }
-            affected.extend(switches.map(|switch| (inbox.entity, switch)));
+            affected.extend(switches.into_iter().map(|switch| (inbox.entity, switch)));
         }
         affected.into_iter().for_each(|(inbox, switch)| self.reroute(inbox.to_bytes(), [switch]));
     }

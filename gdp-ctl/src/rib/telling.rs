@@ -38,7 +38,7 @@ impl Stake {
         Self { name: entity.to_bytes(), entity, role: NameRole::Subscriber }
     }
 
-    fn is_inbox(&self) -> bool {
+    pub fn is_inbox(&self) -> bool {
         self.name == self.entity.to_bytes()
     }
 }
@@ -128,8 +128,22 @@ impl Telling {
         Stream::new(switch, Phase::Whole { part: 0, after: None }).message(&stake, self.generation, source)
     }
 
-    pub fn end(&mut self, stake: &Stake) {
+    /// Tells nothing any more through `switch`; the whole through `other`, if that is there.
+    pub fn follow(&mut self, stake: &Stake, switch: &Name, other: Option<Name>) {
+        if self.streams.get(stake).is_none_or(|stream| stream.switch != *switch) {
+            return;
+        }
         self.streams.remove(stake);
+        if let Some(other) = other {
+            self.streams.insert(*stake, Stream::new(other, Phase::Whole { part: 0, after: None }));
+            self.queue(*stake);
+        }
+    }
+
+    /// Where an entity is told of this, if it could not be told last time.
+    pub fn failing(&self, stake: &Stake) -> Option<Name> {
+        let stream = self.streams.get(stake).filter(|stream| matches!(stream.phase, Phase::Failed { .. }))?;
+        Some(stream.switch)
     }
 
     /// Has an entity told that its credential is revoked. Once: one that does not hear it is refused next time.

@@ -10,8 +10,9 @@ use std::time::Duration;
 
 use gdp::cert::{Advert, AdvertOp, ReadGrant, RtCert, Signed, issue};
 use gdp::control;
-use gdp::control::{EntityRequest, Extent, NameRole, PeersExtent, Record, RefusalCode, Response};
+use gdp::control::{EntityRequest, Extent, NameRole, PeersExtent, Record, RefusalCode, Response, Route};
 use gdp::identity::{Identity, SigningKey};
+use gdp::link::MAX_LANES;
 use gdp::name::{Name, NamePrefix};
 
 use self::world::{Parts, UNIX, World, expect_refused};
@@ -158,11 +159,15 @@ fn an_attachment_needs_the_entitys_own_certificate_for_this_switch() {
         ("for another switch", robot.key(), &elsewhere, RefusalCode::WrongSwitch),
         ("expired", robot.key(), &old, RefusalCode::Expired),
     ] {
-        let response = w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(key, claims).unwrap(), resumes: true });
+        let response =
+            w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(key, claims).unwrap(), resumes: true, lane: 0 });
         expect_refused(&response, what, code, "");
     }
-    let response =
-        w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(robot.key(), &claims).unwrap(), resumes: true });
+    let response = w.ask(
+        &robot,
+        0,
+        EntityRequest::Attach { rt_cert: issue(robot.key(), &claims).unwrap(), resumes: true, lane: 0 },
+    );
     assert!(matches!(response, Response::Attached { serial: 0 }), "{response:?}");
     w.publish(&robot, 0, 1);
     w.pass(Duration::from_secs(61));
@@ -406,7 +411,7 @@ fn a_grant_does_not_publish_and_a_certificate_does_not_read() {
     let cert = issue(&w.owner, &parts.cert).unwrap();
     let grant = Signed::<ReadGrant>::from_bytes(cert.as_bytes().to_vec()).unwrap().into();
     let advert = issue(robot.key(), &Advert { op: AdvertOp::Subscribe, ..parts.advert.clone() }).unwrap();
-    let response = w.ask(&robot, 0, EntityRequest::Subscribe { proof: parts.proof, grant, advert });
+    let response = w.ask(&robot, 0, EntityRequest::Subscribe { proof: parts.proof, grant, advert, everywhere: false });
     expect_refused(&response, "AdCert as ReadGrant", RefusalCode::Malformed, "expected ReadGrant");
 }
 
@@ -432,6 +437,74 @@ fn what_lives_with_an_attachment_dies_with_it_and_serials_survive() {
     assert_eq!(w.detaches(), [(w.switch(1), robot.name())], "only where it is not");
     w.detach(&robot, 1);
     assert!(matches!(w.publish(&robot, 0, 43), Response::Peers(_)), "a late detach of the old place does no harm");
+}
+
+#[test]
+fn an_entity_with_two_links_is_reached_by_each_and_loses_one_at_a_time() {
+    let mut w = World::chain(3);
+    let (robot, cloud) = (w.attached("robot", 0), w.attached("cloud", 2));
+    assert!(matches!(w.attach_lane(&robot, 1, 1), Response::Attached { serial: 0 }));
+    let check = |w: &mut World, expected: &[(usize, usize)]| {
+        w.tell_all();
+        w.settle();
+        w.check_model();
+        w.check_delivery();
+        w.check_told();
+        let places = |count: fn(&Route) -> usize| {
+            let routes = (0..3).flat_map(|i| w.rib.desired(&w.switch(i)).into_iter().map(move |route| (i, route)));
+            let routes = routes.filter(|(_, route)| route.name == w.card.name());
+            routes.map(|(i, route)| (i, count(&route))).filter(|(_, count)| *count > 0).collect::<Vec<_>>()
+        };
+        assert_eq!(places(|route| route.locals.len()), expected);
+        assert!(places(|route| usize::from(route.everywhere != route.locals)).is_empty());
+    };
+    w.publish(&cloud, 2, 1);
+    for (at, serial) in [(0, 1), (1, 2)] {
+        assert!(matches!(w.state_everywhere(&robot, at, serial, NameRole::Subscriber), Response::Peers(_)));
+    }
+    check(&mut w, &[(0, 1), (1, 1)]);
+    assert_eq!(w.counterparts(&cloud, NameRole::Publisher), 1, "it is one reader all the same");
+    w.detach(&robot, 0);
+    check(&mut w, &[(1, 1)]);
+    assert_eq!(w.counterparts(&cloud, NameRole::Publisher), 1);
+    assert!(matches!(w.attach(&robot, 0), Response::Attached { serial: 2 }));
+    w.state_everywhere(&robot, 0, 3, NameRole::Subscriber);
+    check(&mut w, &[(0, 1), (1, 1)]);
+
+    // What it takes by one link moves.
+    w.state(&robot, 1, 4, NameRole::Subscriber);
+    w.settle();
+    assert_eq!(
+        w.routes().into_iter().filter(|(.., locals)| !locals.is_empty()).map(|(at, ..)| at).collect::<Vec<_>>(),
+        [1]
+    );
+    let claims = RtCert { entity: robot.name(), switch: w.switch(2), not_after: UNIX + 1_000_000 };
+    let rt_cert = issue(robot.key(), &claims).unwrap();
+    let anew = EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: false, lane: 0 };
+    assert!(matches!(w.ask(&robot, 2, anew), Response::Attached { serial: 4 }));
+    assert_eq!(w.routes(), [], "a process that starts anew has no other links");
+    let too_many = EntityRequest::Attach { rt_cert, resumes: true, lane: MAX_LANES as u8 };
+    expect_refused(&w.ask(&robot, 2, too_many), "a link too many", RefusalCode::Limit, "has 4 links");
+}
+
+#[test]
+fn what_does_not_arrive_through_one_link_is_told_through_the_other() {
+    let mut w = World::chain(2);
+    let (robot, cloud) = (w.attached("robot", 0), w.attached("cloud", 0));
+    w.attach_lane(&robot, 1, 1);
+    w.state_everywhere(&robot, 0, 1, NameRole::Subscriber);
+    w.state_everywhere(&robot, 1, 2, NameRole::Subscriber);
+    w.tell_all();
+    w.publish(&cloud, 0, 1);
+    let told = |w: &mut World| {
+        let effects = w.rib.effects(w.now).into_iter();
+        effects.filter_map(|e| if let Effect::Peers(push) = e { Some(push) } else { None }).collect::<Vec<_>>()
+    };
+    let lost = told(&mut w).into_iter().find(|push| push.entity == robot.name()).unwrap();
+    assert_eq!(lost.switch, w.switch(1), "where it was stated last");
+    w.rib.told(w.now, Told::from(&lost), false);
+    let again = told(&mut w).into_iter().find(|push| push.entity == robot.name()).unwrap();
+    assert_eq!((again.switch, again.peers.records.len()), (w.switch(0), 1));
 }
 
 #[test]
@@ -638,7 +711,7 @@ fn a_process_that_starts_anew_does_not_keep_what_another_stated() {
     let robot = w.attached("robot", 0);
     w.publish(&robot, 0, 5);
     let claims = RtCert { entity: robot.name(), switch: w.switch(0), not_after: UNIX + 60 };
-    let attach = |resumes| EntityRequest::Attach { rt_cert: issue(robot.key(), &claims).unwrap(), resumes };
+    let attach = |resumes| EntityRequest::Attach { rt_cert: issue(robot.key(), &claims).unwrap(), resumes, lane: 0 };
     assert!(matches!(w.ask(&robot, 0, attach(true)), Response::Attached { serial: 5 }));
     assert_eq!(w.rib.name_count(), 1);
     assert!(matches!(w.ask(&robot, 0, attach(false)), Response::Attached { serial: 5 }));

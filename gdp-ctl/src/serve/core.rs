@@ -45,8 +45,8 @@ pub struct Core {
     pub links: HashMap<u32, LinkState>,
     /// Links that the data planes hold besides.
     pub held: Hold,
-    /// The link to each peer.
-    pub peers: HashMap<Name, u32>,
+    /// The link to each peer; to an endpoint, of each lane.
+    pub peers: BTreeMap<(Name, u8), u32>,
     /// The link toward each switch further from the RIB.
     pub downstream: HashMap<Name, u32>,
     /// Endpoints that the RIB has attached here.
@@ -130,7 +130,7 @@ impl Core {
             routes: Routes::default(),
             links: HashMap::new(),
             held: Hold::default(),
-            peers: HashMap::new(),
+            peers: BTreeMap::new(),
             downstream: HashMap::new(),
             attached: HashSet::new(),
             unplaced: Default::default(),
@@ -153,7 +153,7 @@ impl Core {
             let role = if entry.role == LinkRole::Endpoint as u32 { Role::Endpoint } else { Role::Switch };
             let Some(id) = ids.reserve(entry.id) else { continue };
             let id = Kept::Adopted { _id: id };
-            self.held.keep(HeldLink { peer: entry.peer, role, entry: entry.clone(), to: *to, until, id });
+            self.held.keep(HeldLink { peer: entry.peer, lane: None, role, entry: entry.clone(), to: *to, until, id });
             if role == Role::Endpoint {
                 self.attached.insert(entry.peer);
             }
@@ -191,7 +191,7 @@ impl Core {
     pub fn release(&mut self, id: u32) -> Option<Name> {
         let HeldLink { peer, role, .. } = self.held.take(id)?;
         self.remove_link(role, peer, id);
-        let gone = role == Role::Endpoint && !self.peers.contains_key(&peer) && !self.held.keeps(&peer);
+        let gone = role == Role::Endpoint && !self.has_link(&peer) && !self.held.keeps(&peer);
         (gone && self.attached.contains(&peer)).then_some(peer)
     }
 
@@ -231,16 +231,17 @@ impl Core {
 
     /// Takes a link into service. Returns the one to the same peer that it replaces.
     pub fn link_up(&mut self, link: &Link, via: Via) -> Result<Option<Link>, PlaneError> {
-        let (id, peer) = (link.local_id(), link.peer().name);
+        let (id, peer, lane) = (link.local_id(), link.peer().name, link.peer().lane);
         let (entry, to) = (KeyedEntry::from(link.entry(PORT_USERSPACE)), link.addr());
         if let Err(error) = self.planes.set_link(*entry, to) {
             // A part of the planes may have taken it.
             let _ = self.planes.remove_link(id);
             return Err(error);
         }
-        let replaced = self.peers.insert(peer, id).and_then(|old| self.links.get(&old)).map(|old| old.link.clone());
+        let replaced = self.peers.insert((peer, lane), id);
+        let replaced = replaced.and_then(|old| self.links.get(&old)).map(|old| old.link.clone());
         self.links.insert(id, LinkState { link: link.clone(), via, since: Instant::now(), entry, to });
-        let changes = self.routes.link_up(link.peer().role, peer, id);
+        let changes = self.routes.link_up(link.peer().role, peer, lane, id);
         self.carry_out(changes);
         if self.uplink == Some(peer) {
             self.uplink_ready = false;
@@ -254,7 +255,7 @@ impl Core {
         if self.links.contains_key(&id) {
             let changes = self.routes.link_ready(link.peer().role, peer, id);
             self.carry_out(changes);
-            self.held.replaced(&peer, Instant::now());
+            self.held.replaced(&peer, link.peer().lane, Instant::now());
         }
     }
 
@@ -262,10 +263,10 @@ impl Core {
     /// that another has replaced it, or because the peer said nothing, and may forward on without its daemon: then it is held,
     /// and to be [watched](super::liveness). Returns whether it is.
     pub fn link_down(&mut self, link: &Link) -> bool {
-        let (id, peer, role) = (link.local_id(), link.peer().name, link.peer().role);
+        let (id, peer, role, lane) = (link.local_id(), link.peer().name, link.peer().role, link.peer().lane);
         self.downstream.retain(|_, via| *via != id);
-        if self.peers.get(&peer) == Some(&id) {
-            self.peers.remove(&peer);
+        if self.peers.get(&(peer, lane)) == Some(&id) {
+            self.peers.remove(&(peer, lane));
             if self.uplink == Some(peer) {
                 self.uplink_ready = false;
             }
@@ -278,16 +279,26 @@ impl Core {
             return false;
         }
         let time = if is_replaced { GRACE } else { HOLD };
-        let held = HeldLink { peer, role, entry, to, until: Instant::now() + time, id: Kept::Closed { _link: link } };
+        let (until, id) = (Instant::now() + time, Kept::Closed { _link: link });
+        let held = HeldLink { peer, lane: Some(lane), role, entry, to, until, id };
         if let Some(first) = self.held.keep(held) {
             self.release(first);
         }
         is_silent
     }
 
-    /// Whether a link is held whose peer has no other.
+    /// Whether a link is held whose peer has no other of that lane.
     pub fn awaits(&self, link: &Link) -> bool {
-        self.held.contains(link.local_id()) && !self.peers.contains_key(&link.peer().name)
+        self.held.contains(link.local_id()) && !self.peers.contains_key(&(link.peer().name, link.peer().lane))
+    }
+
+    fn has_link(&self, peer: &Name) -> bool {
+        self.links_of(peer).next().is_some()
+    }
+
+    /// The ids of the links to a peer.
+    fn links_of(&self, peer: &Name) -> impl Iterator<Item = u32> {
+        self.peers.range((*peer, 0)..=(*peer, u8::MAX)).map(|(_, id)| *id)
     }
 
     fn remove_link(&mut self, role: Role, peer: Name, id: u32) {
@@ -340,14 +351,22 @@ impl Core {
         }
     }
 
-    /// The link to a peer, if it is up.
+    /// The link to a peer, if it is up; to an endpoint with several, the one that it prefers.
     pub fn link_to(&self, peer: &Name) -> Option<Link> {
-        self.peers.get(peer).and_then(|id| self.links.get(id)).map(|state| state.link.clone())
+        let preferred = self.routes.link_to(peer).filter(|id| self.links.contains_key(id));
+        let id = preferred.or_else(|| self.links_of(peer).next())?;
+        self.links.get(&id).map(|state| state.link.clone())
+    }
+
+    /// An endpoint wants on this link what it takes on one.
+    pub fn prefer(&mut self, link: &Link) {
+        let changes = self.routes.link_preferred(link.peer().name, link.local_id());
+        self.carry_out(changes);
     }
 
     /// This switch's adjacencies with other switches and their costs: those that frames may go by.
     pub fn adjacencies(&self) -> Vec<(Name, u32)> {
-        let there = |switch| self.peers.contains_key(switch) || self.held.keeps(switch);
+        let there = |switch: &Name| self.has_link(switch) || self.held.keeps(switch);
         let near = self.neighbours.iter().filter(|n| there(&n.place.switch));
         near.map(|n| (n.place.switch, n.cost)).collect()
     }

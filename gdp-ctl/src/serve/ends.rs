@@ -1,9 +1,85 @@
-//! The links to one peer in the data plane: the newest, and earlier ones that the peer may still send on. Pure bookkeeping of
-//! ids; [`super::routes`] asks it which link to send on, [`super::core`] and [`super::hold`] say how long links last.
+//! The links to one peer in the data plane. An endpoint may have several at once, each a lane; of each lane there is the newest link,
+//! and earlier ones that the peer may still send on. Pure bookkeeping of ids; [`super::routes`] asks it which link to send on,
+//! [`super::core`] and [`super::hold`] say how long links last.
+
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 
 /// The links to a peer. None: the peer is not there.
 #[derive(Debug, Default)]
 pub struct Ends {
+    lanes: BTreeMap<u8, Lane>,
+    /// What goes once goes by this one, as the peer has said.
+    preferred: Option<u8>,
+}
+
+impl Ends {
+    /// The link to send on: of the lane that the peer prefers, or the first, of those that are in use.
+    pub fn out(&self) -> Option<u32> {
+        let in_use = self.lanes.iter().filter_map(|(number, lane)| Some((number, lane, lane.out()?)));
+        let rank = |(number, lane, _): &(&u8, &Lane, u32)| {
+            (Reverse(lane.is_ready()), Reverse(self.preferred == Some(**number)), **number)
+        };
+        in_use.min_by_key(rank).map(|(.., link)| link)
+    }
+
+    /// The link of each lane to send on.
+    pub fn each(&self) -> impl Iterator<Item = u32> {
+        self.lanes.values().filter_map(Lane::out)
+    }
+
+    /// All links that frames of the peer may come on.
+    pub fn all(&self) -> impl Iterator<Item = u32> {
+        self.lanes.values().flat_map(Lane::all)
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.lanes.is_empty()
+    }
+
+    /// Whether the link is an earlier one.
+    pub fn is_earlier(&self, link: u32) -> bool {
+        self.lanes.values().any(|lane| lane.is_earlier(link))
+    }
+
+    /// A link from before this daemon, of a lane that nobody knows any more; the last one that is added is the one to send on.
+    pub fn adopt(&mut self, link: u32) {
+        self.lanes.entry(0).or_default().adopt(link);
+    }
+
+    /// A new link is up. The one of its lane that was sent on becomes an earlier one.
+    pub fn up(&mut self, lane: u8, link: u32) {
+        self.lanes.entry(lane).or_default().up(link);
+    }
+
+    /// The peer takes frames on this link.
+    pub fn ready(&mut self, link: u32) {
+        self.lanes.values_mut().for_each(|lane| lane.ready(link));
+    }
+
+    /// The peer wants on this link what it wants on one.
+    pub fn prefer(&mut self, link: u32) {
+        self.preferred = self.lanes.iter().find(|(_, lane)| lane.all().any(|of| of == link)).map(|(number, _)| *number);
+    }
+
+    /// The link fell silent. Whether it is worth keeping, as an earlier one: the newest is if it is the one that is sent on.
+    pub fn silent(&mut self, link: u32) -> bool {
+        let silent = self.lanes.values_mut().any(|lane| lane.silent(link));
+        self.lanes.retain(|_, lane| !lane.is_empty());
+        silent
+    }
+
+    /// The link is gone. Returns earlier ones of its lane that go with it: all, if it was ended while it was in use.
+    pub fn gone(&mut self, link: u32) -> Vec<u32> {
+        let with_it = self.lanes.values_mut().flat_map(|lane| lane.gone(link)).collect();
+        self.lanes.retain(|_, lane| !lane.is_empty());
+        with_it
+    }
+}
+
+/// The links of one lane.
+#[derive(Debug, Default)]
+struct Lane {
     newest: Option<Newest>,
     /// The last is the one that was sent on last.
     earlier: Vec<u32>,
@@ -16,9 +92,9 @@ struct Newest {
     ready: bool,
 }
 
-impl Ends {
+impl Lane {
     /// The link to send on: the newest once the peer takes frames on it, and until then the one before.
-    pub fn out(&self) -> Option<u32> {
+    fn out(&self) -> Option<u32> {
         let before = self.earlier.last().copied();
         match self.newest {
             Some(newest) if newest.ready => Some(newest.link),
@@ -26,28 +102,32 @@ impl Ends {
         }
     }
 
+    /// Whether the peer takes frames on the newest.
+    fn is_ready(&self) -> bool {
+        self.newest.is_some_and(|newest| newest.ready)
+    }
+
     /// All links that frames of the peer may come on.
-    pub fn all(&self) -> impl Iterator<Item = u32> {
+    fn all(&self) -> impl Iterator<Item = u32> {
         self.earlier.iter().copied().chain(self.newest.map(|newest| newest.link))
     }
 
-    pub fn is_empty(&self) -> bool {
+    fn is_empty(&self) -> bool {
         self.newest.is_none() && self.earlier.is_empty()
     }
 
     /// Whether the link is an earlier one.
-    pub fn is_earlier(&self, link: u32) -> bool {
+    fn is_earlier(&self, link: u32) -> bool {
         self.earlier.contains(&link)
     }
 
-    /// A link from before this daemon; the last one that is added is the one to send on.
-    pub fn adopt(&mut self, link: u32) {
+    fn adopt(&mut self, link: u32) {
         self.earlier.retain(|earlier| *earlier != link);
         self.earlier.push(link);
     }
 
     /// A new link is up. The one that was sent on becomes an earlier one.
-    pub fn up(&mut self, link: u32) {
+    fn up(&mut self, link: u32) {
         let sent_on = self.out();
         if let Some(old) = self.newest.replace(Newest { link, ready: false })
             && sent_on == Some(old.link)
@@ -57,14 +137,14 @@ impl Ends {
     }
 
     /// The peer takes frames on this link.
-    pub fn ready(&mut self, link: u32) {
+    fn ready(&mut self, link: u32) {
         if let Some(newest) = self.newest.as_mut().filter(|newest| newest.link == link) {
             newest.ready = true;
         }
     }
 
     /// The link fell silent. Whether it is worth keeping, as an earlier one: the newest is if it is the one that is sent on.
-    pub fn silent(&mut self, link: u32) -> bool {
+    fn silent(&mut self, link: u32) -> bool {
         let sent_on = self.out() == Some(link);
         if self.newest.take_if(|newest| newest.link == link).is_some() && sent_on {
             self.earlier.push(link);
@@ -73,7 +153,7 @@ impl Ends {
     }
 
     /// The link is gone. Returns earlier ones that go with it: all, if it was ended while it was in use.
-    pub fn gone(&mut self, link: u32) -> Vec<u32> {
+    fn gone(&mut self, link: u32) -> Vec<u32> {
         self.earlier.retain(|earlier| *earlier != link);
         let ended = self.newest.take_if(|newest| newest.link == link);
         if ended.is_some_and(|newest| newest.ready) { std::mem::take(&mut self.earlier) } else { Vec::new() }
@@ -87,12 +167,12 @@ mod tests {
     #[test]
     fn a_new_link_is_sent_on_once_the_peer_takes_frames_there() {
         let mut ends = Ends::default();
-        ends.up(1);
+        ends.up(0, 1);
         assert_eq!(ends.out(), Some(1), "there is no better one");
         ends.ready(1);
-        ends.up(2);
+        ends.up(0, 2);
         assert_eq!((ends.out(), ends.all().collect::<Vec<_>>()), (Some(1), vec![1, 2]));
-        ends.up(3);
+        ends.up(0, 3);
         assert_eq!((ends.out(), ends.all().collect::<Vec<_>>()), (Some(1), vec![1, 3]), "2 was never in use");
         ends.ready(2);
         assert_eq!(ends.out(), Some(1));
@@ -107,16 +187,41 @@ mod tests {
     fn a_silent_link_stays_and_one_that_is_ended_takes_earlier_ones_along() {
         let mut ends = Ends::default();
         ends.adopt(1);
-        ends.up(2);
+        ends.up(0, 2);
         assert!(!ends.silent(2), "1 is still the better one");
         assert!(ends.gone(2).is_empty(), "and stays");
-        ends.up(3);
+        ends.up(0, 3);
         ends.ready(3);
         assert!(ends.silent(3));
         assert_eq!(ends.out(), Some(3));
-        ends.up(4);
+        ends.up(0, 4);
         ends.ready(4);
         assert_eq!(ends.gone(4), [1, 3]);
         assert!(ends.is_empty());
+    }
+
+    #[test]
+    fn lanes_are_sent_on_beside_each_other_and_one_is_preferred() {
+        let mut ends = Ends::default();
+        ends.up(0, 1);
+        ends.ready(1);
+        ends.up(2, 3);
+        ends.ready(3);
+        assert_eq!((ends.out(), ends.each().collect::<Vec<_>>()), (Some(1), vec![1, 3]));
+        assert!(!ends.is_earlier(1), "3 replaces nothing");
+        ends.prefer(3);
+        assert_eq!(ends.out(), Some(3));
+        assert!(ends.silent(3));
+        assert_eq!(
+            (ends.out(), ends.each().collect::<Vec<_>>()),
+            (Some(1), vec![1, 3]),
+            "it is held, but not preferred"
+        );
+        assert!(ends.gone(3).is_empty());
+        ends.up(2, 4);
+        ends.ready(4);
+        assert_eq!(ends.out(), Some(4), "the lane is still the one");
+        assert!(ends.gone(1).is_empty());
+        assert_eq!(ends.all().collect::<Vec<_>>(), [4]);
     }
 }

@@ -17,6 +17,8 @@ const MOST: usize = 8;
 /// A link that is kept.
 pub struct HeldLink {
     pub peer: Name,
+    /// Unless it is from before this daemon.
+    pub lane: Option<u8>,
     pub role: Role,
     pub entry: KeyedEntry,
     pub to: LinkAddr,
@@ -66,9 +68,10 @@ impl Hold {
         self.0.values().any(|held| held.peer == *peer)
     }
 
-    /// The peer takes frames on a new link: what it sent on others arrives soon, or never.
-    pub fn replaced(&mut self, peer: &Name, now: Instant) {
-        for held in self.0.values_mut().filter(|held| held.peer == *peer) {
+    /// The peer takes frames on a new link: what it sent on others of that lane arrives soon, or never.
+    pub fn replaced(&mut self, peer: &Name, lane: u8, now: Instant) {
+        let same = |held: &&mut HeldLink| held.peer == *peer && held.lane.is_none_or(|of| of == lane);
+        for held in self.0.values_mut().filter(same) {
             held.until = held.until.min(now + GRACE);
         }
     }
@@ -92,7 +95,9 @@ mod tests {
         assert_eq!(hold.keep(link(&ids, 1, 0x401, now + HOLD)), None);
         assert_eq!(hold.keep(link(&ids, 2, 0x402, now + HOLD)), None);
         assert!(ids.reserve(0x801).is_none(), "no new link takes its place in the tables");
-        hold.replaced(&name(1), now);
+        hold.replaced(&name(1), 1, now);
+        assert!(hold.over(now + GRACE).is_empty(), "it was another lane");
+        hold.replaced(&name(1), 0, now);
         assert!(hold.over(now + GRACE / 2).is_empty());
         assert_eq!(hold.over(now + GRACE), [0x401]);
         drop(hold.take(0x401));
@@ -116,7 +121,7 @@ mod tests {
         let entry = LinkEntry { id, ..LinkEntry::default() }.into();
         let to = LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] };
         let kept = Kept::Adopted { _id: ids.reserve(id).unwrap() };
-        HeldLink { peer: name(peer), role: Role::Switch, entry, to, until, id: kept }
+        HeldLink { peer: name(peer), lane: Some(0), role: Role::Switch, entry, to, until, id: kept }
     }
 
     fn name(i: u8) -> Name {

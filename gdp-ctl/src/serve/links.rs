@@ -9,7 +9,7 @@ use gdp_wire::Name;
 use tokio::time::timeout;
 
 use super::core::{Expects, Next, Statement};
-use super::{Daemon, liveness};
+use super::{Daemon, Place, liveness};
 use crate::config::Via;
 
 /// How long an accepted statement waits for switches to take their routes.
@@ -67,32 +67,36 @@ async fn say_ready(link: Link) {
 
 /// An endpoint's requests are answered one after the other: its statements carry serials.
 async fn serve_endpoint(daemon: Arc<Daemon>, link: Link) {
-    // Waits until an older link of the same entity is dealt with, so that its end does not detach this one.
-    let entity = link.peer().name;
-    let lane = daemon.lane(entity);
-    let turn = lane.lock().await;
+    // Waits until an older link of the same lane is dealt with.
+    let (entity, place) = (link.peer().name, Place::Lane(link.peer().name, link.peer().lane));
+    let turns = daemon.turns(place);
+    let turn = turns.lock().await;
     while let Some((request, responder)) = link.accept_request().await {
         let response = match request {
             Request::Entity(request) => entity_request(&daemon, &link, request).await,
+            Request::Ready => {
+                daemon.core().prefer(&link);
+                Response::Done
+            }
             _ => Refusal::new(RefusalCode::Malformed, "an endpoint may not send what switches tell each other").into(),
         };
         answer(responder, response).await;
     }
     end(&daemon, &link);
-    detach(&daemon, entity).await;
+    detach_lost(daemon.clone(), entity).await;
     drop(turn);
-    drop(lane);
-    daemon.leave_lane(entity);
+    drop(turns);
+    daemon.leave(place);
 }
 
 /// Ends the attachment of an endpoint that has no link.
 pub async fn detach_lost(daemon: Arc<Daemon>, entity: Name) {
-    let lane = daemon.lane(entity);
-    let turn = lane.lock().await;
+    let turns = daemon.turns(Place::Entity(entity));
+    let turn = turns.lock().await;
     detach(&daemon, entity).await;
     drop(turn);
-    drop(lane);
-    daemon.leave_lane(entity);
+    drop(turns);
+    daemon.leave(Place::Entity(entity));
 }
 
 /// Tells the RIB of a lost attachment. An entity that is back on another link says itself whether what it stated still stands.
@@ -111,7 +115,24 @@ async fn detach(daemon: &Arc<Daemon>, entity: Name) {
     }
 }
 
+/// The end of one link does not detach what is about to be attached by another.
 async fn entity_request(daemon: &Arc<Daemon>, link: &Link, request: EntityRequest) -> Response {
+    let EntityRequest::Attach { lane, .. } = &request else { return take_request(daemon, link, request).await };
+    if *lane != link.peer().lane {
+        let reason = format!("this link is number {} of its entity, not {lane}", link.peer().lane);
+        return Refusal::new(RefusalCode::Malformed, reason).into();
+    }
+    let place = Place::Entity(link.peer().name);
+    let turns = daemon.turns(place);
+    let turn = turns.lock().await;
+    let response = take_request(daemon, link, request).await;
+    drop(turn);
+    drop(turns);
+    daemon.leave(place);
+    response
+}
+
+async fn take_request(daemon: &Arc<Daemon>, link: &Link, request: EntityRequest) -> Response {
     let attach = matches!(request, EntityRequest::Attach { .. });
     let next = {
         let mut core = daemon.core();

@@ -65,13 +65,22 @@ pub struct Daemon {
     core: Mutex<Core>,
     ports: Mutex<HashMap<String, Arc<Port>>>,
     /// Makes the links of one entity take turns in what they tell the RIB.
-    lanes: Mutex<HashMap<Name, Arc<tokio::sync::Mutex<()>>>>,
+    turns: Mutex<HashMap<Place, Arc<tokio::sync::Mutex<()>>>>,
     report: Notify,
     rib_changed: Notify,
     /// Switches have answered the RIB here.
     answered: Notify,
     stopping: AtomicBool,
     tasks: Mutex<JoinSet<()>>,
+}
+
+/// What is done by one at a time.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+enum Place {
+    /// Serving a link of this lane of an entity.
+    Lane(Name, u8),
+    /// Attaching an entity, or detaching it.
+    Entity(Name),
 }
 
 /// A daemon that runs until [`Running::stop`].
@@ -108,7 +117,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         port_config: PortConfig { rekey: config.rekey, ..PortConfig::switch(identity, link_ids) },
         core: Mutex::new(core),
         ports: Mutex::default(),
-        lanes: Mutex::default(),
+        turns: Mutex::default(),
         report: Notify::new(),
         rib_changed: Notify::new(),
         answered: Notify::new(),
@@ -223,15 +232,15 @@ impl Daemon {
         self.report.notify_one();
     }
 
-    fn lane(&self, entity: Name) -> Arc<tokio::sync::Mutex<()>> {
-        lock(&self.lanes).entry(entity).or_default().clone()
+    fn turns(&self, place: Place) -> Arc<tokio::sync::Mutex<()>> {
+        lock(&self.turns).entry(place).or_default().clone()
     }
 
     /// Forgets a lane that nobody is in or waits for.
-    fn leave_lane(&self, entity: Name) {
-        let mut lanes = lock(&self.lanes);
-        if lanes.get(&entity).is_some_and(|lane| Arc::strong_count(lane) == 1) {
-            lanes.remove(&entity);
+    fn leave(&self, place: Place) {
+        let mut turns = lock(&self.turns);
+        if turns.get(&place).is_some_and(|lane| Arc::strong_count(lane) == 1) {
+            turns.remove(&place);
         }
     }
 }

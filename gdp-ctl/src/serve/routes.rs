@@ -92,7 +92,10 @@ impl Routes {
         let mut changes = Vec::new();
         for (name, plane) in &left.routes {
             let (locals, writers) = (names(&plane.readers), names(&plane.writers));
-            let route = Route { name: *name, egress_bits: plane.egress_bits, locals, writers };
+            let is_of = |link: &u32, local: &Name| peers.get(link).is_some_and(|(peer, _)| peer == local);
+            let several = |local: &&Name| plane.readers.iter().filter(|link| is_of(link, local)).count() > 1;
+            let everywhere = locals.iter().filter(several).copied().collect();
+            let route = Route { name: *name, egress_bits: plane.egress_bits, locals, everywhere, writers };
             let way = Way { route, anyone: plane.writers.contains(&ANY_WRITER) };
             let change = self.update(name, |routes| drop(routes.held.routes.insert(*name, way)));
             changes.extend(change.filter(|change| *change != Change::Set(*name, plane.clone())));
@@ -148,17 +151,36 @@ impl Routes {
     }
 
     /// A link is up; it replaces one to the same peer once it [is ready](Self::link_ready).
-    pub fn link_up(&mut self, role: Role, peer: Name, link: u32) -> Vec<Change> {
-        self.ends(role).entry(peer).or_default().up(link);
+    pub fn link_up(&mut self, role: Role, peer: Name, lane: u8, link: u32) -> Vec<Change> {
+        self.ends(role).entry(peer).or_default().up(lane, link);
         self.changes_of(role, &peer)
     }
 
     /// The peer takes frames on the link.
     pub fn link_ready(&mut self, role: Role, peer: Name, link: u32) -> Vec<Change> {
         let Some(ends) = self.ends(role).get_mut(&peer) else { return Vec::new() };
-        let before = ends.out();
+        let sent_on = |ends: &Ends| (ends.out(), ends.each().collect::<Vec<_>>());
+        let before = sent_on(ends);
         ends.ready(link);
-        if ends.out() == before { Vec::new() } else { self.changes_of(role, &peer) }
+        if sent_on(ends) == before { Vec::new() } else { self.changes_of(role, &peer) }
+    }
+
+    /// An endpoint wants on this link what it takes on one. What it sends, and takes on each, stays as it is.
+    pub fn link_preferred(&mut self, peer: Name, link: u32) -> Vec<Change> {
+        let Some(ends) = self.endpoints.get_mut(&peer) else { return Vec::new() };
+        let before = ends.out();
+        ends.prefer(link);
+        if ends.out() == before {
+            return Vec::new();
+        }
+        let ways = self.concerned.get(&peer).into_iter().flatten().filter_map(|name| self.way(name));
+        let on_one = |way: &Way| way.route.locals.contains(&peer) && !way.route.everywhere.contains(&peer);
+        ways.filter(on_one).map(|way| self.resolve(&way)).collect()
+    }
+
+    /// The link that an endpoint wants on what it takes on one.
+    pub fn link_to(&self, endpoint: &Name) -> Option<u32> {
+        self.endpoints.get(endpoint)?.out()
     }
 
     /// The link fell silent: whether frames may still come and go on it, so that it is to be kept.
@@ -340,7 +362,8 @@ impl Routes {
     /// A name without bits and without a reader's link here leads nowhere: then the data plane need not hold it.
     fn resolve(&self, Way { route, anyone }: &Way) -> Change {
         let ends = |names: &[Name]| names.iter().filter_map(|name| self.endpoints.get(name)).collect::<Vec<_>>();
-        let readers = sorted(ends(&route.locals).into_iter().filter_map(Ends::out));
+        let once = ends(&route.locals).into_iter().filter_map(Ends::out);
+        let readers = sorted(once.chain(ends(&route.everywhere).into_iter().flat_map(Ends::each)));
         if route.egress_bits == 0 && readers.is_empty() {
             return Change::Remove(route.name);
         }
@@ -373,6 +396,7 @@ fn join(known: Option<&Way>, held: Option<&Way>) -> Option<Way> {
         name: known.route.name,
         egress_bits: known.route.egress_bits | held.route.egress_bits,
         locals: both(&known.route.locals, &held.route.locals),
+        everywhere: both(&known.route.everywhere, &held.route.everywhere),
         writers: both(&known.route.writers, &held.route.writers),
     };
     Some(Way { route, anyone: known.anyone || held.anyone })

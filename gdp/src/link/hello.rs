@@ -8,13 +8,13 @@ use quinn::{Connection, RecvStream, SendStream};
 use serde::{Deserialize, Serialize};
 
 use super::ids::{LinkId, LinkIds};
-use super::{Link, LinkError, PairEnd, Peer, Place, RekeySchedule, Role, streams, tls};
+use super::{Link, LinkError, MAX_LANES, PairEnd, Peer, Place, RekeySchedule, Role, streams, tls};
 use crate::control;
 use crate::identity::Identity;
 use crate::name::NameProof;
 use crate::port::CurrentPair;
 
-const VERSION: u8 = 3;
+const VERSION: u8 = 4;
 
 /// Longest encoded hello, in bytes; a real one has about 100.
 const MAX_HELLO: usize = 512;
@@ -34,6 +34,8 @@ struct Hello {
     digest: [u8; 32],
     /// The id frames to the sender must carry.
     link_id: u32,
+    /// Of an endpoint: which of its links this is. A link of another number replaces none.
+    lane: u8,
     /// Largest data frame the sender takes on this link.
     mtu: u32,
     /// Whether the sender takes datagrams over IPv6 without a UDP checksum (RFC 6936).
@@ -50,6 +52,8 @@ struct Hello {
 pub struct HelloConfig {
     pub identity: Identity,
     pub role: Role,
+    /// See [`Hello`].
+    pub lane: u8,
     pub link_ids: LinkIds,
     pub mtu: u32,
     /// See [`Hello`].
@@ -134,6 +138,7 @@ async fn say(
         role: config.role,
         digest: config.identity.proof().digest,
         link_id: id.get(),
+        lane: config.lane,
         mtu: config.mtu,
         zero_checksum: config.zero_checksum,
         host,
@@ -152,6 +157,9 @@ async fn hear(recv: &mut RecvStream, connection: &Connection) -> Result<(Peer, P
     if hello.link_id == 0 {
         return Err(LinkError::Protocol("0 is no link id".into()));
     }
+    if usize::from(hello.lane) >= MAX_LANES || (hello.role == Role::Switch && hello.lane != 0) {
+        return Err(LinkError::Protocol(format!("{} is no number of a link of {:?}", hello.lane, hello.role)));
+    }
     if !(MIN_MTU..=MAX_MTU).contains(&hello.mtu) {
         return Err(LinkError::Protocol(format!("an MTU of {} bytes, not {MIN_MTU} to {MAX_MTU}", hello.mtu)));
     }
@@ -160,5 +168,5 @@ async fn hear(recv: &mut RecvStream, connection: &Connection) -> Result<(Peer, P
     let name = crate::name::derive(&proof.owner_key, &proof.digest);
     let Hello { link_id: id, mtu, zero_checksum, host, frames_at, .. } = hello;
     let end = PeerEnd { id, mtu, zero_checksum, host, frames_at: frames_at.map(Ipv4Addr::from) };
-    Ok((Peer { name, proof, key, role: hello.role }, end))
+    Ok((Peer { name, proof, key, role: hello.role, lane: hello.lane }, end))
 }

@@ -35,6 +35,9 @@ pub struct PublishOptions {
     pub history_bytes: usize,
     /// Traffic class, 0 to 7: higher ones go first.
     pub class: u8,
+    /// Each frame goes by two of the node's links, if so many are up: nothing is missed when one fails. Readers take the first of the
+    /// two.
+    pub duplicate: bool,
     /// How many of the last messages each reader that comes later is sent, sealed for it anew.
     pub latched: usize,
     /// When the content key is replaced though nobody was revoked.
@@ -49,6 +52,7 @@ impl PublishOptions {
             history: 8,
             history_bytes: 64 << 20,
             class: 3,
+            duplicate: false,
             latched: 0,
             rotation: Rotation::default(),
         }
@@ -73,7 +77,7 @@ impl From<PublishOptions> for TopicOptions {
             }
         };
         let history = History { messages: options.history, bytes: options.history_bytes };
-        Self { reliability, history, class: options.class, doubled: false }
+        Self { reliability, history, class: options.class, doubled: options.duplicate }
     }
 }
 
@@ -83,6 +87,9 @@ pub struct SubscribeOptions {
     /// Every message in its order, asked for again if it does not come: for names whose publishers are reliable. Otherwise each
     /// as soon as it is complete, if it is newer than those before.
     pub reliable: bool,
+    /// It comes by each of the node's links, and what comes twice is dropped: nothing is missed when one fails, as long as its frames fit
+    /// each of them. Otherwise it comes by the main one.
+    pub duplicate: bool,
     /// For messages that are not complete yet, and for how old they may be.
     pub limits: Limits,
     /// Complete messages that wait for [`Subscription::recv`](super::Subscription::recv). More are dropped and counted; those of
@@ -95,7 +102,7 @@ pub struct SubscribeOptions {
 impl SubscribeOptions {
     pub fn best_effort() -> Self {
         let limits = Limits { max_age: MAX_AGE, ..Limits::default() };
-        Self { reliable: false, limits, queue: 256, queue_bytes: 64 << 20 }
+        Self { reliable: false, duplicate: false, limits, queue: 256, queue_bytes: 64 << 20 }
     }
 
     pub fn reliable() -> Self {

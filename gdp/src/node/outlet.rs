@@ -2,11 +2,15 @@
 //! may go at once themselves, so that a message on an idle link is handed to no other thread; the sending thread does what has to
 //! wait. Frames are stamped when they leave, never before.
 //!
+//! Of the node's links ([`Lane`]) one is the main one: all topics are scheduled for it, and move with it. What goes by two links is
+//! copied when its turn on the main one has come.
+//!
 //! Locks: each for a moment, none across an await. Who holds one of [`Publication`]'s may take [`Outlet::uplink`] or [`Outlet::pairs`],
-//! never the other way round, and never both of these. Who holds [`Outlet::sending`] may take any of them; publishers try, and never
-//! wait for it.
+//! never the other way round, and never both of these. Who holds [`Outlet::sending`] may take any of them, and those of a [`Lane`];
+//! publishers try, and never wait for it. Who holds [`Outlet::choice`] may take those of a [`Lane`] and [`Outlet::uplink`], and is
+//! called by nobody who holds a lock.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{HashMap, HashSet, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -14,17 +18,19 @@ use gdp_wire::{Header, Name, forward};
 use tokio::sync::{Notify, watch};
 use zerocopy::IntoBytes;
 
-use super::NodeError;
+use super::choice::Choice;
 use super::clock::Clock;
 use super::counters::Counters;
+use super::lane::{Lane, LinkStatus, Status};
 use super::pairs::Pairs;
 use super::publication::{Publication, Pushed};
 use super::state::lock;
 use super::supervisor::Attachment;
+use super::{LinkConfig, NodeError};
 use crate::feedback_wire::Feedback;
 use crate::identity::Identity;
 use crate::keys::PairError;
-use crate::port::{BATCH, OutFrame, SMALLEST_PATH};
+use crate::port::{BATCH, OutFrame, SMALLEST_PATH, Sent};
 use crate::transport::{Output, Topic, Transmit, Uplink, UplinkOptions};
 
 /// Batches that a publisher sends itself; the rest of a large message is the sending thread's.
@@ -40,7 +46,12 @@ pub struct Outlet {
     pub uplink: Mutex<Uplink>,
     pub pairs: Mutex<Pairs>,
     name: Name,
-    status: watch::Sender<Status>,
+    /// In the order in which they are wanted.
+    lanes: Vec<Lane>,
+    choice: Mutex<Choice>,
+    ways: watch::Sender<Ways>,
+    /// Names that go by two links, and what is told about them as well.
+    doubled: Mutex<HashSet<Name>>,
     publications: Mutex<HashMap<Topic, Arc<Publication>>>,
     /// There may be key boxes for the RIB, or latched messages for a reader.
     pub upkeep: Notify,
@@ -50,14 +61,24 @@ pub struct Outlet {
     sending: Mutex<Batch>,
 }
 
+/// The links to send by at the moment.
 #[derive(Clone)]
-pub enum Status {
-    Down(String),
-    /// The switch fell silent, for this reason. Its kernel may forward on, so frames still go out on the link; nothing can
-    /// be asked over it.
-    Held(Arc<Attachment>, String),
-    Up(Arc<Attachment>),
-    Closed,
+pub struct Ways {
+    /// The main one, and how it is; all of them, once the node is closed.
+    pub main: usize,
+    /// Rises each time another becomes that.
+    pub turn: u64,
+    pub status: Status,
+    /// What copies go by.
+    second: Option<(usize, Arc<Attachment>)>,
+}
+
+impl Ways {
+    /// Bytes of a payload that each of them takes: a frame may go by one or the other, and by both.
+    fn max_payload(&self) -> Option<usize> {
+        let main = self.status.attachment()?.max_payload();
+        Some(self.second.as_ref().map_or(main, |(_, second)| main.min(second.max_payload())))
+    }
 }
 
 /// What the sending thread is to do, and when.
@@ -88,7 +109,10 @@ impl Batch {
 }
 
 impl Outlet {
-    pub fn new(identity: &Identity, counters: Arc<Counters>, budget: Option<u64>) -> Self {
+    pub fn new(identity: &Identity, counters: Arc<Counters>, links: &[LinkConfig]) -> Self {
+        let lanes: Vec<_> = links.iter().map(Lane::new).collect();
+        let budget = lanes.first().and_then(|lane| lane.budget);
+        let ways = Ways { main: 0, turn: 0, status: Status::Down("connecting".into()), second: None };
         let (clock, max_payload) = (Clock::start(), usize::from(SMALLEST_PATH) - Header::LEN);
         let uplink = Uplink::new(clock.now(), UplinkOptions { max_payload, budget });
         Self {
@@ -97,7 +121,10 @@ impl Outlet {
             uplink: Mutex::new(uplink),
             pairs: Mutex::new(Pairs::new(identity.clone())),
             name: identity.name(),
-            status: watch::Sender::new(Status::Down("connecting".into())),
+            lanes,
+            choice: Mutex::default(),
+            ways: watch::Sender::new(ways),
+            doubled: Mutex::default(),
             publications: Mutex::default(),
             upkeep: Notify::new(),
             pump: Mutex::default(),
@@ -111,26 +138,89 @@ impl Outlet {
         self.name
     }
 
-    pub fn status(&self) -> watch::Receiver<Status> {
-        self.status.subscribe()
+    pub fn lanes(&self) -> &[Lane] {
+        &self.lanes
     }
 
-    pub fn set_status(&self, status: Status) {
-        let closed = matches!(status, Status::Closed);
-        self.status.send_replace(status);
-        self.wake();
-        if closed {
-            lock(&self.publications).values().for_each(|publication| publication.room.notify_waiters());
+    pub fn lane(&self, attachment: &Attachment) -> &Lane {
+        &self.lanes[usize::from(attachment.lane)]
+    }
+
+    pub fn ways(&self) -> watch::Receiver<Ways> {
+        self.ways.subscribe()
+    }
+
+    /// How each link is.
+    pub fn links(&self) -> Vec<LinkStatus> {
+        let main = self.ways.borrow().main;
+        self.lanes.iter().enumerate().map(|(number, lane)| lane.snapshot(number == main)).collect()
+    }
+
+    /// A link is up, or is not any more.
+    pub fn set_status(&self, lane: &Lane, status: Status) {
+        lane.set_silent(false);
+        self.change_status(lane, |of_lane| *of_lane = status);
+    }
+
+    pub fn change_status(&self, lane: &Lane, change: impl FnOnce(&mut Status)) {
+        lane.change(change);
+        self.choose(true);
+    }
+
+    /// Looks which links to send by. `changed`: how one of them is has changed.
+    pub fn choose(&self, changed: bool) {
+        let mut choice = lock(&self.choice);
+        let (now, before) = (self.clock.now(), choice.main());
+        let fitness: Vec<_> = self.lanes.iter().map(Lane::fitness).collect();
+        if !choice.look(now, &fitness) && !changed {
+            return;
         }
+        let (main, second) = (choice.main(), choice.second());
+        let (status, second_way) = (self.lanes[main].status(), self.second(second));
+        let is_new = |of: usize, ways: &Ways| ways.second.as_ref().is_none_or(|(second, _)| *second != of);
+        self.ways.send_if_modified(|present| {
+            if matches!(present.status, Status::Closed) {
+                return false;
+            }
+            second.filter(|of| is_new(*of, present)).into_iter().for_each(|of| self.lanes[of].forget_copies(now));
+            let turn = present.turn + u64::from(main != before);
+            *present = Ways { main, turn, status, second: second_way };
+            true
+        });
+        if main != before {
+            tracing::info!(from = before, to = main, "another link is the main one");
+            lock(&self.uplink).set_budget(self.lanes[main].budget);
+            self.lanes[main].unstated.notify_one();
+        }
+        drop(choice);
+        self.wake();
     }
 
-    pub fn change_status(&self, change: impl FnOnce(&mut Status)) {
-        self.status.send_modify(change);
+    fn second(&self, lane: Option<usize>) -> Option<(usize, Arc<Attachment>)> {
+        let lane = lane?;
+        Some((lane, self.lanes[lane].status().attachment()?.clone()))
     }
 
-    /// The link, if it is up at this moment.
+    /// Nothing is sent any more.
+    pub fn shut(&self) {
+        self.ways.send_modify(|ways| (ways.status, ways.second) = (Status::Closed, None));
+        self.wake();
+        lock(&self.publications).values().for_each(|publication| publication.room.notify_waiters());
+    }
+
+    /// Whether this goes by two links from now on.
+    pub fn double(&self, name: Name, doubled: bool) {
+        let mut names = lock(&self.doubled);
+        if doubled {
+            names.insert(name)
+        } else {
+            names.remove(&name)
+        };
+    }
+
+    /// The main link, if it is up at this moment.
     pub fn attached_now(&self) -> Result<Arc<Attachment>, NodeError> {
-        match &*self.status.borrow() {
+        match &self.ways.borrow().status {
             Status::Up(attachment) => Ok(attachment.clone()),
             Status::Down(reason) | Status::Held(_, reason) => Err(NodeError::Detached(reason.clone())),
             Status::Closed => Err(NodeError::Closed),
@@ -139,7 +229,7 @@ impl Outlet {
 
     /// The link that frames go out on: the one that is up, or for a while the one that fell silent.
     pub fn sending_on(&self) -> Result<Arc<Attachment>, NodeError> {
-        if let Status::Held(attachment, _) = &*self.status.borrow() {
+        if let Status::Held(attachment, _) = &self.ways.borrow().status {
             return Ok(attachment.clone());
         }
         self.attached_now()
@@ -156,7 +246,7 @@ impl Outlet {
 
     /// Bytes that the frames of a topic's messages may carry.
     pub fn max_payload_of(&self, topic: Topic) -> usize {
-        let of_link = self.sending_on().ok().map(|attachment| attachment.max_payload());
+        let of_link = self.ways.borrow().max_payload();
         let now = self.clock.now();
         let mut uplink = lock(&self.uplink);
         if let Some(of_link) = of_link
@@ -179,15 +269,16 @@ impl Outlet {
 
     /// Says something to a counterpart, if it is one and there is a link; if it is lost, so be it.
     pub fn tell(&self, peer: &Name, feedback: &Feedback) {
-        let Ok(attachment) = self.sending_on() else { return };
         let mut payload = Vec::new();
         match lock(&self.pairs).seal(peer, feedback, &mut payload) {
             Some(Ok(())) => {}
             Some(Err(error)) => return tracing::warn!(%peer, %error, "feedback could not be sealed"),
             None => return,
         }
-        self.send_one(&attachment, *peer, &payload);
-        self.counters.feedback_sent.add(1);
+        let doubled = lock(&self.doubled).contains(&feedback.name());
+        if self.send_one(*peer, &payload, doubled) {
+            self.counters.feedback_sent.add(1);
+        }
     }
 
     /// What a counterpart says; `None` if it is none.
@@ -263,8 +354,8 @@ impl Outlet {
     /// Sends what may go now, so many batches of it. Returns when there is more; what is not a frame is a chore of the sending
     /// thread.
     fn drain(&self, batch: &mut Batch, batches: usize) -> Option<u64> {
-        let attachment = self.sending_on().ok()?;
-        let max_payload = attachment.max_payload();
+        let ways = self.ways.borrow().clone();
+        let (attachment, max_payload) = (ways.status.attachment()?, ways.max_payload()?);
         for _ in 0..batches {
             let (mut next, mut chores, mut rooms) = (Some(0), Vec::new(), Vec::new());
             let mut uplink = lock(&self.uplink);
@@ -286,7 +377,15 @@ impl Outlet {
             }
             drop(uplink);
             rooms.into_iter().for_each(|room| self.do_chore(room));
-            self.send_frames(&attachment, batch);
+            if let Some((second, attachment)) = &ways.second {
+                self.lanes[*second].copy(now, &batch.transmits, attachment.max_payload());
+            }
+            self.send_frames(attachment, batch);
+            if let Some((second, attachment)) = &ways.second {
+                let copies = self.lanes[*second].take_copies(now, &mut batch.transmits, BATCH);
+                self.send_frames(attachment, batch);
+                next = next.into_iter().chain(copies).min();
+            }
             if !chores.is_empty() {
                 let mut pump = lock(&self.pump);
                 pump.chores.append(&mut chores);
@@ -330,18 +429,40 @@ impl Outlet {
             OutFrame { to, head: header.as_bytes(), body }
         });
         let sent = attachment.data.send_batch(frames);
-        self.counters.frames_sent.add(sent.sent as u64);
-        self.counters.frames_unsent.add(sent.lost as u64);
+        self.count(attachment, sent);
         transmits.clear();
     }
 
-    pub(super) fn send_one(&self, attachment: &Attachment, to: Name, payload: &[u8]) {
+    /// Sends a frame by the main link, or by two; whether there is any.
+    pub(super) fn send_one(&self, to: Name, payload: &[u8], doubled: bool) -> bool {
+        let Ways { status, second, .. } = self.ways.borrow().clone();
+        let second = second.filter(|_| doubled).map(|(_, second)| second);
+        let mut sent = false;
+        for attachment in status.attachment().into_iter().chain(&second) {
+            self.send_one_on(attachment, to, payload);
+            sent = true;
+        }
+        sent
+    }
+
+    pub(super) fn send_one_on(&self, attachment: &Attachment, to: Name, payload: &[u8]) {
         let mut header = Header::data(to, self.name, payload.len() as u16);
         forward::stamp(&mut header, &attachment.entry.get(), attachment.next_count());
         let frame = OutFrame { to: attachment.link.addr(), head: header.as_bytes(), body: payload };
         let sent = attachment.data.send_batch([frame]);
-        self.counters.frames_sent.add(sent.sent as u64);
-        self.counters.frames_unsent.add(sent.lost as u64);
+        self.count(attachment, sent);
+    }
+
+    fn count(&self, attachment: &Attachment, sent: Sent) {
+        let lane = self.lane(attachment);
+        for (count, more) in [
+            (&self.counters.frames_sent, sent.sent),
+            (&lane.frames_sent, sent.sent),
+            (&self.counters.frames_unsent, sent.lost),
+            (&lane.frames_unsent, sent.lost),
+        ] {
+            count.add(more as u64);
+        }
     }
 
     fn seal_gathered(&self, topic: Topic, due: u64) {
@@ -365,10 +486,10 @@ impl Outlet {
                 }
             }
             Output::Heartbeat { topic, next, oldest } => {
-                let (Some(publication), Ok(attachment)) = (of(&topic), self.sending_on()) else { return };
-                let mut payload = Vec::new();
+                let Some(publication) = of(&topic) else { return };
+                let (mut payload, doubled) = (Vec::new(), lock(&self.doubled).contains(&publication.name));
                 match publication.heartbeat(next, oldest, &mut payload) {
-                    Ok(()) => self.send_one(&attachment, publication.name, &payload),
+                    Ok(()) => _ = self.send_one(publication.name, &payload, doubled),
                     Err(error) => tracing::warn!(name = %publication.name, %error, "a heartbeat could not be sealed"),
                 }
             }

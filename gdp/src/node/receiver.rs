@@ -22,7 +22,7 @@ use super::state::lock;
 use super::supervisor::Attachment;
 use crate::feedback_wire::Feedback;
 use crate::keys::PairError;
-use crate::link::KeyedEntry;
+use crate::link::{KeyedEntry, MAX_LANES};
 use crate::port::{DataSocket, InFrame, RecvBatch};
 use crate::seal::{DropReason, SEGMENT_VERSION};
 
@@ -77,24 +77,26 @@ impl Receiver {
     /// Runs until it is told to stop, or nobody can tell it any more.
     pub fn run(self) {
         let mut intakes = Intakes::new(self.outlet, self.feedback);
-        let mut attached: Option<(Arc<DataSocket>, usize, Links)> = None;
+        // By lane.
+        let mut attached: [Option<Socket>; MAX_LANES] = Default::default();
         let mut batch = None;
         let mut next_tick = Instant::now() + TICK;
         loop {
             loop {
-                let command = match &attached {
-                    Some(_) => self.commands.try_recv(),
-                    None => self.commands.recv_timeout(TICK).map_err(|error| match error {
+                let command = match attached.iter().any(Option::is_some) {
+                    true => self.commands.try_recv(),
+                    false => self.commands.recv_timeout(TICK).map_err(|error| match error {
                         mpsc::RecvTimeoutError::Timeout => mpsc::TryRecvError::Empty,
                         mpsc::RecvTimeoutError::Disconnected => mpsc::TryRecvError::Disconnected,
                     }),
                 };
                 match command {
                     Ok(Command::Attach { attachment, held }) => {
-                        let earlier = attached.take().map(|(_, _, links)| links);
+                        let place = &mut attached[usize::from(attachment.lane)];
+                        let earlier = place.take().map(|socket| socket.links);
                         let held = held.map(|(silent, until)| (Ingress::of(&silent), until));
                         let links = Links::after(earlier, Ingress::of(&attachment), held);
-                        attached = Some((attachment.data.clone(), attachment.largest, links));
+                        *place = Some(Socket { data: attachment.data.clone(), largest: attachment.largest, links });
                     }
                     Ok(Command::Subscribe { name, intake }) => drop(intakes.intakes.insert(name, intake)),
                     Ok(Command::Unsubscribe { name }) => intakes.remove(&name),
@@ -109,35 +111,53 @@ impl Receiver {
                 }
             }
             intakes.tick();
-            let Some((data, largest, links)) = &mut attached else { continue };
-            let batch = batch.get_or_insert_with(|| RecvBatch::new(*largest));
-            if batch.largest() < *largest {
-                *batch = RecvBatch::new(*largest);
-            }
-            match data.try_recv_batch(batch) {
-                Ok(0) => {
-                    if data.wait_readable(intakes.idle()).is_err() {
-                        attached = None;
-                        continue;
+            let mut received = false;
+            for place in &mut attached {
+                let Some(Socket { data, largest, links }) = place else { continue };
+                let batch = batch.get_or_insert_with(|| RecvBatch::new(*largest));
+                if batch.largest() < *largest {
+                    *batch = RecvBatch::new(*largest);
+                }
+                match data.try_recv_batch(batch) {
+                    Ok(0) => {}
+                    Ok(_) => {
+                        received = true;
+                        links.refresh();
+                        intakes.take(batch, links);
+                    }
+                    Err(error) => {
+                        // The link is about to be lost as well; the next one brings its socket.
+                        tracing::debug!(%error, "the data socket failed");
+                        *place = None;
                     }
                 }
-                Ok(_) => {
-                    links.refresh();
-                    intakes.take(batch, links);
-                }
-                Err(error) => {
-                    // The link is about to be lost as well; the next one brings its socket.
-                    tracing::debug!(%error, "the data socket failed");
-                    attached = None;
+            }
+            let mut sockets = attached.iter().flatten().map(|socket| &*socket.data);
+            if !received && sockets.clone().next().is_some() {
+                let waited = match (sockets.next(), sockets.next()) {
+                    (Some(only), None) => only.wait_readable(intakes.idle()).map(drop),
+                    _ => DataSocket::wait_any(attached.iter().flatten().map(|socket| &*socket.data), intakes.idle()),
+                };
+                if waited.is_err() {
+                    attached = Default::default();
                     continue;
                 }
             }
             if Instant::now() >= next_tick {
                 next_tick = Instant::now() + TICK;
-                links.held.retain(|(_, until)| Instant::now() < *until);
+                let all = attached.iter_mut().flatten();
+                all.for_each(|socket| socket.links.held.retain(|(_, until)| Instant::now() < *until));
             }
         }
     }
+}
+
+/// Where frames come in from one of the node's links.
+struct Socket {
+    data: Arc<DataSocket>,
+    /// Bytes of the largest frame.
+    largest: usize,
+    links: Links,
 }
 
 /// The links that frames may come on.
@@ -521,7 +541,7 @@ mod tests {
 
     fn subscribed() -> Intakes {
         let node = Identity::generate("proxy").unwrap();
-        let outlet = Arc::new(Outlet::new(&node, Arc::default(), None));
+        let outlet = Arc::new(Outlet::new(&node, Arc::default(), &[]));
         let mut intakes = Intakes::new(outlet, Arc::new(Feedbacks::new(node.name())));
         let intake = Intake::new(NAME, SubscribeOptions::best_effort(), async_mpsc::channel(1).0, Arc::default());
         intakes.intakes.insert(NAME, Box::new(intake));

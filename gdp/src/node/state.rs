@@ -6,21 +6,22 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 use std::time::Duration;
 
 use gdp_wire::Name;
-use tokio::sync::{Notify, mpsc};
+use tokio::sync::mpsc;
 
 use super::clock::unix_now;
 use super::counters::Counters;
 use super::feedback::Feedbacks;
 use super::intake::{Intake, Shared};
+use super::lane::{Lane, Status};
 use super::options::{PublishOptions, SubscribeOptions};
-use super::outlet::{Outlet, Status};
+use super::outlet::Outlet;
 use super::publication::Publication;
 use super::reading::Reading;
 use super::receiver::Command;
 use super::services::Pending;
 use super::subscription::Queue;
 use super::supervisor::{Attachment, Event};
-use super::{NodeError, Stated};
+use super::{LinkConfig, NodeError, Stated};
 use crate::cert::{AdCert, Advert, AdvertOp, CertError, Issued, Reading as Grant, Revocation, RtCert, Signed, issue};
 use crate::control::{EntityRequest, NameRole, Record, RecordPlace, RefusalCode, Request, Response};
 use crate::identity::Identity;
@@ -48,16 +49,23 @@ pub struct State {
     pub inbox_opened: Mutex<bool>,
     /// Why subscriptions ended.
     pub subscriptions: Mutex<HashMap<Name, Arc<OnceLock<CertError>>>>,
-    /// Everything the RIB is to know, stated again after each reconnection; and whether it was, on the present link.
-    statements: Mutex<HashMap<(Name, Stated), (Statement, bool)>>,
+    /// Everything the RIB is to know, stated again after each reconnection.
+    statements: Mutex<HashMap<(Name, Stated), Standing>>,
     /// Those on the other side of what is stated.
     pub counterparts: Mutex<HashMap<(Name, NameRole), Counterparts>>,
-    /// Something that stands has to be stated again.
-    pub unstated: Notify,
-    /// The highest serial used. Held while a statement is on its way, so that they arrive in their order.
-    serial: tokio::sync::Mutex<u64>,
+    /// The highest serial used, once attached. Held while a statement is on its way, so that they arrive in their order.
+    serial: tokio::sync::Mutex<Option<u64>>,
     commands: std::sync::mpsc::Sender<Command>,
     pub events: mpsc::UnboundedSender<Event>,
+}
+
+/// What stands, and where it was stated.
+struct Standing {
+    statement: Statement,
+    /// It comes and goes by two links.
+    duplicate: bool,
+    /// Lanes on whose present link it was stated, as a bit each.
+    done: u8,
 }
 
 /// The right to a name, as it is shown to the RIB.
@@ -81,14 +89,14 @@ impl State {
     /// Not attached yet.
     pub fn new(
         identity: Identity,
-        budget: Option<u64>,
+        links: &[LinkConfig],
         commands: std::sync::mpsc::Sender<Command>,
         events: mpsc::UnboundedSender<Event>,
     ) -> Self {
         let counters = Arc::<Counters>::default();
         Self {
             feedback: Arc::new(Feedbacks::new(identity.name())),
-            outlet: Arc::new(Outlet::new(&identity, counters.clone(), budget)),
+            outlet: Arc::new(Outlet::new(&identity, counters.clone(), links)),
             identity,
             counters,
             publications: Mutex::default(),
@@ -98,16 +106,15 @@ impl State {
             subscriptions: Mutex::default(),
             statements: Mutex::default(),
             counterparts: Mutex::default(),
-            unstated: Notify::new(),
-            serial: tokio::sync::Mutex::new(0),
+            serial: tokio::sync::Mutex::default(),
             commands,
             events,
         }
     }
 
     /// Why there is still no link.
-    pub fn still_lost(&self, why: String) {
-        self.outlet.change_status(|status| {
+    pub fn still_lost(&self, lane: &Lane, why: String) {
+        self.outlet.change_status(lane, |status| {
             if let Status::Down(reason) | Status::Held(_, reason) = status {
                 *reason = why;
             }
@@ -115,8 +122,8 @@ impl State {
     }
 
     /// The link that fell silent is of no use any more.
-    pub fn end_hold(&self) {
-        self.outlet.change_status(|status| {
+    pub fn end_hold(&self, lane: &Lane) {
+        self.outlet.change_status(lane, |status| {
             if let Status::Held(_, reason) = status {
                 *status = Status::Down(std::mem::take(reason));
             }
@@ -131,15 +138,15 @@ impl State {
         }
     }
 
-    /// The link, if it is up at this moment.
+    /// The main link, if it is up at this moment.
     pub fn attached_now(&self) -> Result<Arc<Attachment>, NodeError> {
         self.outlet.attached_now()
     }
 
-    /// The link, waiting for it a while.
+    /// The main link, waiting for it a while.
     pub async fn attached(&self) -> Result<Arc<Attachment>, NodeError> {
-        let mut status = self.outlet.status();
-        let settled = status.wait_for(|status| !matches!(status, Status::Down(_) | Status::Held(..)));
+        let mut ways = self.outlet.ways();
+        let settled = ways.wait_for(|ways| !matches!(ways.status, Status::Down(_) | Status::Held(..)));
         let _ = tokio::time::timeout(LINK_PATIENCE, settled).await;
         self.attached_now()
     }
@@ -147,9 +154,9 @@ impl State {
     /// Whether this node's own right in a name holds under a revocation of it.
     pub fn check_own(&self, name: Name, role: NameRole, revocation: &Revocation) -> Result<(), CertError> {
         let (statements, now) = (lock(&self.statements), unix_now());
-        match statements.get(&(name, Stated::of(role))) {
-            Some((Statement::Write { proof, ad_cert }, _)) => ad_cert.verify(proof, Some(revocation), now).map(drop),
-            Some((Statement::Read { proof, grant }, _)) => {
+        match statements.get(&(name, Stated::of(role))).map(|standing| &standing.statement) {
+            Some(Statement::Write { proof, ad_cert }) => ad_cert.verify(proof, Some(revocation), now).map(drop),
+            Some(Statement::Read { proof, grant }) => {
                 grant.verify(proof, self.identity.name(), Some(revocation), now).map(drop)
             }
             None => Ok(()),
@@ -163,6 +170,7 @@ impl State {
         name: Name,
         stated: Stated,
         statement: Statement,
+        duplicate: bool,
         register: impl FnOnce(),
     ) -> Result<(), NodeError> {
         let counterparts = Counterparts::new(*statement.proof(), stated.role())?;
@@ -175,7 +183,8 @@ impl State {
         }
         known.insert((name, stated.role()), counterparts);
         register();
-        statements.insert((name, stated), (statement, false));
+        statements.insert((name, stated), Standing { statement, duplicate, done: 0 });
+        self.outlet.double(name, is_doubled(&statements, &name));
         Ok(())
     }
 
@@ -193,7 +202,7 @@ impl State {
         options: &PublishOptions,
     ) -> Result<Arc<Publication>, NodeError> {
         let publication = Arc::new(Publication::new(name, &self.identity, options, &self.outlet)?);
-        let begun = self.begin(name, stated, statement, || self.register(publication.clone()));
+        let begun = self.begin(name, stated, statement, options.duplicate, || self.register(publication.clone()));
         begun.inspect_err(|_| publication.close(&self.outlet))?;
         Ok(publication)
     }
@@ -220,7 +229,8 @@ impl State {
         options: SubscribeOptions,
     ) -> Result<(Queue, Arc<OnceLock<CertError>>), NodeError> {
         let mut listening = None;
-        self.begin(name, stated, statement, || listening = Some(self.listen(name, options)))?;
+        let duplicate = options.duplicate;
+        self.begin(name, stated, statement, duplicate, || listening = Some(self.listen(name, options)))?;
         listening.ok_or(NodeError::Closed)
     }
 
@@ -253,7 +263,11 @@ impl State {
             }
         }
         lock(&self.counterparts).remove(&(name, stated.role()));
-        lock(&self.statements).remove(&(name, stated));
+        {
+            let mut statements = lock(&self.statements);
+            statements.remove(&(name, stated));
+            self.outlet.double(name, is_doubled(&statements, &name));
+        }
         self.withdraw_later(name, stated);
     }
 
@@ -267,37 +281,53 @@ impl State {
         let mut serial = self.serial.lock().await;
         self.attach_locked(attachment, &mut serial).await?;
         lock(&self.publications).values().for_each(|publication| publication.store_again());
-        lock(&self.statements).values_mut().for_each(|(_, done)| *done = false);
+        lock(&self.statements).values_mut().for_each(|standing| standing.done &= !bit(attachment));
         Ok(())
     }
 
-    async fn attach_locked(&self, attachment: &Attachment, serial: &mut u64) -> Result<(), NodeError> {
+    async fn attach_locked(&self, attachment: &Attachment, serial: &mut Option<u64>) -> Result<(), NodeError> {
         let switch = attachment.link.peer().name;
         let not_after = unix_now() + u64::from(LIFETIME);
         let rt_cert = issue(self.identity.key(), &RtCert { entity: self.identity.name(), switch, not_after })?;
         // A node that has spoken before goes on; one that has just started does not know what another process had stated.
-        let resumes = *serial != 0;
-        match ask(attachment, EntityRequest::Attach { rt_cert, resumes }).await? {
-            Response::Attached { serial: floor } => *serial = floor.max(*serial),
+        let (resumes, lane) = (serial.is_some(), attachment.lane);
+        match ask(attachment, EntityRequest::Attach { rt_cert, resumes, lane }).await? {
+            Response::Attached { serial: floor } => *serial = Some(floor.max(serial.unwrap_or(0))),
             _ => return Err(NodeError::Protocol("to an attachment")),
         }
         Ok(())
     }
 
-    /// States one thing that stands to the RIB, unless that is done since the last [`Self::attach`].
+    /// States one thing that stands to the RIB, if it belongs on this link and unless that is done since the last [`Self::attach`].
+    ///
+    /// What is sent may be sent by any link, whichever is the main one then. What is taken comes by the main one, and moves with it,
+    /// unless it is to come by each.
     pub async fn state(&self, attachment: &Attachment, name: Name, stated: Stated) -> Result<(), NodeError> {
         let mut serial = self.serial.lock().await;
-        let Some((statement, false)) = lock(&self.statements).get(&(name, stated)).cloned() else { return Ok(()) };
+        let several = self.outlet.lanes().len() > 1;
+        let (statement, everywhere) = {
+            let statements = lock(&self.statements);
+            let Some(standing) = statements.get(&(name, stated)) else { return Ok(()) };
+            let everywhere = several && (stated.role().sends() || standing.duplicate);
+            let belongs = everywhere || self.outlet.ways().borrow().main == usize::from(attachment.lane);
+            if !belongs || standing.done & bit(attachment) != 0 {
+                return Ok(());
+            }
+            (standing.statement.clone(), everywhere)
+        };
         let op = stated.role().op();
         let response = self.ask_signed(attachment, &mut serial, op, name, |advert| match statement.clone() {
-            Statement::Write { proof, ad_cert } => EntityRequest::Advertise { proof, ad_cert, advert },
-            Statement::Read { proof, grant } => EntityRequest::Subscribe { proof, grant, advert },
+            Statement::Write { proof, ad_cert } => EntityRequest::Advertise { proof, ad_cert, advert, everywhere },
+            Statement::Read { proof, grant } => EntityRequest::Subscribe { proof, grant, advert, everywhere },
         });
         let Response::Peers(peers) = response.await? else { return Err(NodeError::Protocol("to a statement")) };
         // Something newer may have come before; then the RIB tells the whole once more.
         let _ = self.take_peers(name, stated.role(), &peers);
-        if let Some((_, done)) = lock(&self.statements).get_mut(&(name, stated)) {
-            *done = true;
+        if let Some(Standing { done, .. }) = lock(&self.statements).get_mut(&(name, stated)) {
+            *done = if everywhere { *done | bit(attachment) } else { bit(attachment) };
+        }
+        if everywhere {
+            self.restate();
         }
         self.outlet.upkeep.notify_one();
         Ok(())
@@ -325,12 +355,17 @@ impl State {
         let request = |advert| EntityRequest::Withdraw { advert };
         self.ask_signed(attachment, &mut serial, AdvertOp::Withdraw, name, request).await?;
         for other in Stated::ALL {
-            if let Some((_, done)) = lock(&self.statements).get_mut(&(name, other)) {
-                *done = false;
-                self.unstated.notify_one();
+            if let Some(Standing { done, .. }) = lock(&self.statements).get_mut(&(name, other)) {
+                *done = 0;
+                self.restate();
             }
         }
         Ok(())
+    }
+
+    /// There may be something to state on any link.
+    pub fn restate(&self) {
+        self.outlet.lanes().iter().for_each(|lane| lane.unstated.notify_one());
     }
 
     /// The records of the names that begin so, from the one behind `after` on, and whether there are more.
@@ -361,7 +396,7 @@ impl State {
     async fn ask_signed(
         &self,
         attachment: &Attachment,
-        serial: &mut u64,
+        serial: &mut Option<u64>,
         op: AdvertOp,
         name: Name,
         request: impl Fn(Signed<Advert>) -> EntityRequest,
@@ -380,13 +415,23 @@ impl State {
         attachment: &Attachment,
         op: AdvertOp,
         name: Name,
-        serial: &mut u64,
+        highest: &mut Option<u64>,
     ) -> Result<Signed<Advert>, NodeError> {
-        *serial = serial.saturating_add(1);
+        let serial = highest.unwrap_or(0).saturating_add(1);
+        *highest = Some(serial);
         let (entity, switch) = (self.identity.name(), attachment.link.peer().name);
-        let (serial, lifetime, box_key) = (*serial, LIFETIME, self.identity.box_public());
+        let (lifetime, box_key) = (LIFETIME, self.identity.box_public());
         Ok(issue(self.identity.key(), &Advert { op, name, entity, switch, serial, lifetime, box_key })?)
     }
+}
+
+fn is_doubled(statements: &HashMap<(Name, Stated), Standing>, name: &Name) -> bool {
+    Stated::ALL.iter().any(|stated| statements.get(&(*name, *stated)).is_some_and(|standing| standing.duplicate))
+}
+
+/// Of the lane in [`Standing::done`].
+fn bit(attachment: &Attachment) -> u8 {
+    1 << attachment.lane
 }
 
 pub async fn ask(attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {

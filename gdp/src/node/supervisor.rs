@@ -1,5 +1,6 @@
-//! Keeps the link to the switch: makes it, attaches, states again what the application wants stated, answers the
+//! Keeps one link of the node: makes it, attaches, states again what the application wants stated, answers the
 //! switch, and begins anew when the link is lost. The application's handles never notice but for what was lost.
+//! [`run`] keeps all links of a node.
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
@@ -9,16 +10,18 @@ use std::time::Duration;
 use gdp_wire::table::PORT_USERSPACE;
 use gdp_wire::{Header, Name, forward};
 use tokio::sync::{mpsc, watch};
-use tokio::task::JoinHandle;
+use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::{Instant, sleep, sleep_until, timeout_at};
 use zerocopy::IntoBytes;
 
+use super::choice::Pulse;
 use super::frame_size::FrameSize;
-use super::outlet::Status;
+use super::lane::{Lane, Status};
+use super::outlet::Ways;
 use super::receiver::Command;
 use super::shared_entry::SharedEntry;
 use super::state::{self, State};
-use super::{LinkTarget, NodeError, Stated};
+use super::{LinkConfig, LinkTarget, NodeError, Stated};
 use crate::cert::{Revocation, Signed};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
@@ -45,6 +48,10 @@ const REATTACH: Duration = Duration::from_secs(4);
 /// How often certificates and statements with a lifetime of [`state::LIFETIME`] are renewed.
 const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
 
+/// Between two echoes, or a round trip if that is longer: on the main link, and on others.
+const MAIN_ECHOES: Duration = Duration::from_millis(100);
+const OTHER_ECHOES: Duration = Duration::from_millis(500);
+
 /// How long frames on a new link over UDP stay as small as any path takes: meanwhile QUIC learns the paths of links that are made at the
 /// same time, and switches learn them from it.
 const SETTLING: Duration = Duration::from_secs(3);
@@ -57,8 +64,10 @@ pub enum Event {
     Revoke { proof: NameProof, revocation: Signed<Revocation> },
 }
 
-/// The link as publishers use it.
+/// A link that was made, as publishers use it.
 pub struct Attachment {
+    /// Which of the node's links it is.
+    pub lane: u8,
     pub link: Link,
     pub entry: SharedEntry,
     pub data: Arc<DataSocket>,
@@ -73,10 +82,10 @@ pub struct Attachment {
 }
 
 impl Attachment {
-    fn new(link: Link, port: &Port) -> Self {
+    fn new(lane: u8, link: Link, port: &Port) -> Self {
         let (entry, data, largest) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data(), port.mtu() as usize);
         let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
-        Self { entry, link, data, largest, frame_size, since: Instant::now(), count, answer }
+        Self { lane, entry, link, data, largest, frame_size, since: Instant::now(), count, answer }
     }
 
     /// The count for the next frame: 1 for the first.
@@ -157,8 +166,39 @@ impl Held {
     }
 }
 
-pub struct Supervisor {
+/// Keeps the links of a node until `stop` becomes true, or none could be made in the time that each had for its first. Says through
+/// `first` what came of that, by the number of the link.
+pub async fn run(
     state: Arc<State>,
+    links: Vec<LinkConfig>,
+    rekey: RekeySchedule,
+    patience: Duration,
+    events: mpsc::UnboundedReceiver<Event>,
+    first: mpsc::UnboundedSender<(u8, Result<(), NodeError>)>,
+    mut stop: watch::Receiver<bool>,
+) {
+    let (ending, mut supervisors) = (watch::Sender::new(false), JoinSet::new());
+    for (lane, config) in (0..).zip(links) {
+        let supervisor = Supervisor::new(state.clone(), lane, config, rekey);
+        supervisors.spawn(supervisor.run(patience, first.clone(), ending.subscribe()));
+    }
+    drop(first);
+    tokio::select! {
+        () = handle_all(&state, events) => {}
+        () = state.keep() => {}
+        _ = stop.wait_for(|stop| *stop) => {}
+    }
+    // In this order: the thread is woken through a link.
+    state.command(Command::Stop);
+    state.outlet.stop();
+    state.outlet.shut();
+    ending.send_replace(true);
+    while supervisors.join_next().await.is_some() {}
+}
+
+struct Supervisor {
+    state: Arc<State>,
+    lane: u8,
     target: LinkTarget,
     pinned: Option<Name>,
     port_config: PortConfig,
@@ -166,64 +206,78 @@ pub struct Supervisor {
 }
 
 impl Supervisor {
-    pub fn new(state: Arc<State>, target: LinkTarget, pinned: Option<Name>, rekey: RekeySchedule) -> Self {
-        let port_config = PortConfig { rekey, ..PortConfig::endpoint(state.identity.clone()) };
-        Self { state, target, pinned, port_config, port: None }
+    fn new(state: Arc<State>, lane: u8, config: LinkConfig, rekey: RekeySchedule) -> Self {
+        let LinkConfig { target, switch: pinned, .. } = config;
+        let through = if let LinkTarget::Udp { interface, .. } = &target { interface.clone() } else { None };
+        let port_config = PortConfig { rekey, lane, through, ..PortConfig::endpoint(state.identity.clone()) };
+        Self { state, lane, target, pinned, port_config, port: None }
+    }
+
+    fn lane(&self) -> &Lane {
+        &self.state.outlet.lanes()[usize::from(self.lane)]
     }
 
     /// The first link, within `patience`. What waiting cannot mend is an error at once.
-    pub async fn connect(&mut self, patience: Duration) -> Result<Arc<Attachment>, NodeError> {
+    async fn connect(&mut self, patience: Duration) -> Result<Arc<Attachment>, NodeError> {
         let mut backoff = Backoff::new();
         let attempts = async {
             loop {
                 match self.attempt(None).await {
                     Err(error) if worth_another_attempt(&error) => {
-                        self.state.outlet.set_status(Status::Down(error.to_string()));
+                        self.state.still_lost(self.lane(), error.to_string());
                         backoff.wait().await;
                     }
                     result => return result,
                 }
             }
         };
-        match tokio::time::timeout(patience, attempts).await {
-            Ok(result) => result,
-            Err(_) => Err(self.state.attached_now().err().unwrap_or(NodeError::Closed)),
-        }
+        let result = tokio::time::timeout(patience, attempts).await;
+        result.unwrap_or_else(|_| match self.lane().status() {
+            Status::Down(reason) => Err(NodeError::Detached(reason)),
+            _ => Err(NodeError::Closed),
+        })
     }
 
-    /// Runs until `stop` becomes true, beginning with a link that is up.
-    pub async fn run(
+    /// Runs until `ending` becomes true. The only link of a node has to be made in time.
+    async fn run(
         mut self,
-        first: Arc<Attachment>,
-        mut events: mpsc::UnboundedReceiver<Event>,
-        mut stop: watch::Receiver<bool>,
+        patience: Duration,
+        first: mpsc::UnboundedSender<(u8, Result<(), NodeError>)>,
+        mut ending: watch::Receiver<bool>,
     ) {
-        let state = self.state.clone();
         tokio::select! {
-            () = self.supervise(first, &mut events) => {}
-            () = state.keep() => {}
-            _ = stop.wait_for(|stop| *stop) => {}
+            () = self.supervise(patience, first) => {}
+            _ = ending.wait_for(|ending| *ending) => {}
         }
-        // In this order: the thread is woken through the link.
-        self.state.command(Command::Stop);
-        self.state.outlet.stop();
-        self.state.outlet.set_status(Status::Closed);
         if let Some(port) = &self.port {
             port.close("the node was closed").await;
         }
     }
 
-    async fn supervise(&mut self, first: Arc<Attachment>, events: &mut mpsc::UnboundedReceiver<Event>) {
-        let mut attachment = first;
+    async fn supervise(&mut self, patience: Duration, first: mpsc::UnboundedSender<(u8, Result<(), NodeError>)>) {
+        let connected = self.connect(patience).await;
+        if let Err(error) = &connected {
+            self.state.still_lost(self.lane(), error.to_string());
+        }
+        let (told, connected) = match connected {
+            Ok(attachment) => (Ok(()), Some(attachment)),
+            Err(error) => (Err(error), None),
+        };
+        let _ = first.send((self.lane, told));
+        drop(first);
+        let mut attachment = match connected {
+            Some(attachment) => attachment,
+            None => self.reconnect(None).await,
+        };
         loop {
-            let reason = self.serve(attachment.clone(), events).await;
+            let reason = self.serve(attachment.clone()).await;
             tracing::warn!(switch = %self.target, %reason, "lost the link to the switch");
             attachment = if attachment.link.fell_silent() {
-                self.state.outlet.set_status(Status::Held(attachment.clone(), reason));
+                self.state.outlet.set_status(self.lane(), Status::Held(attachment.clone(), reason));
                 let held = Held { attachment, until: Instant::now() + HOLD };
                 self.reconnect_while_held(&held).await
             } else {
-                self.state.outlet.set_status(Status::Down(reason));
+                self.state.outlet.set_status(self.lane(), Status::Down(reason));
                 self.reconnect(None).await
             };
             tracing::info!(switch = %attachment.link.peer().name, "the link to the switch is back");
@@ -232,11 +286,11 @@ impl Supervisor {
 
     /// A new link. What the application sends in the meantime goes out on the one that is held, as long as that is of use.
     async fn reconnect_while_held(&mut self, held: &Held) -> Arc<Attachment> {
-        let state = self.state.clone();
+        let (state, lane) = (self.state.clone(), usize::from(self.lane));
         let hold = async {
             let reason = held.end().await;
             tracing::warn!("nothing is sent to the switch any more: {reason}");
-            state.end_hold();
+            state.end_hold(&state.outlet.lanes()[lane]);
             std::future::pending().await
         };
         tokio::select! {
@@ -253,14 +307,16 @@ impl Supervisor {
                 Ok(attachment) => return attachment,
                 Err(error) => {
                     tracing::debug!(switch = %self.target, %error, "no link to the switch");
-                    self.state.still_lost(error.to_string());
+                    self.state.still_lost(self.lane(), error.to_string());
                 }
             }
         }
     }
 
     /// One link's life; returns why it ended.
-    async fn serve(&self, attachment: Arc<Attachment>, events: &mut mpsc::UnboundedReceiver<Event>) -> String {
+    async fn serve(&self, attachment: Arc<Attachment>) -> String {
+        let others = self.state.outlet.lanes().len() > 1;
+        let _watch = others.then(|| AbortOnDrop(tokio::spawn(watch_silence(self.state.clone(), attachment.clone()))));
         let _upkeep = AbortOnDrop(tokio::spawn(keep_stated(self.state.clone(), attachment.clone())));
         let _keys = AbortOnDrop(tokio::spawn(attachment.clone().keep_keys()));
         let link = &attachment.link;
@@ -269,9 +325,6 @@ impl Supervisor {
                 reason = link.closed() => return reason,
                 Some((request, responder)) = link.accept_request() => {
                     tokio::spawn(answer(self.state.clone(), attachment.clone(), request, responder));
-                }
-                Some(event) = events.recv() => {
-                    tokio::spawn(handle(self.state.clone(), attachment.clone(), event));
                 }
             }
         }
@@ -285,7 +338,7 @@ impl Supervisor {
         let mut apart = false;
         let attachment = loop {
             let link = self.dial_first(&port, &candidates, apart).await?;
-            let attachment = Arc::new(Attachment::new(link, &port));
+            let attachment = Arc::new(Attachment::new(self.lane, link, &port));
             self.state.command(Command::Attach { attachment: attachment.clone(), held: held.clone() });
             if !attachment.link.is_by_pair() || attachment.is_answered().await {
                 break attachment;
@@ -299,7 +352,7 @@ impl Supervisor {
         };
         self.state.attach(&attachment).await?;
         self.state.counters.links.add(1);
-        self.state.outlet.set_status(Status::Up(attachment.clone()));
+        self.state.outlet.set_status(self.lane(), Status::Up(attachment.clone()));
         Ok(attachment)
     }
 
@@ -356,7 +409,7 @@ impl Supervisor {
                 }
                 Ok((port, answers.into_iter().map(|(to, name)| (to, Some(name))).collect()))
             }
-            LinkTarget::Udp { host, port: number } => {
+            LinkTarget::Udp { host, port: number, .. } => {
                 let no_address = |source| NodeError::NoAddress { host: host.clone(), source };
                 let mut found = tokio::net::lookup_host((host.as_str(), *number)).await.map_err(no_address)?;
                 let to = found.next().ok_or_else(|| no_address(std::io::ErrorKind::AddrNotAvailable.into()))?;
@@ -381,14 +434,26 @@ impl Supervisor {
 async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
     let mut backoff = Backoff::new();
     let mut renewal = Instant::now() + RENEWAL;
+    let (lane, mut preferred) = (state.outlet.lane(&attachment), None);
     loop {
+        let turn = {
+            let Ways { main, turn, .. } = *state.outlet.ways().borrow();
+            (main == usize::from(attachment.lane)).then_some(turn)
+        };
+        if turn.is_some() && turn != preferred {
+            if !prefer(&state, &attachment).await {
+                backoff.wait().await;
+                continue;
+            }
+            preferred = turn;
+        }
         if !state.state_all(&attachment).await {
             backoff.wait().await;
             continue;
         }
         backoff = Backoff::new();
         tokio::select! {
-            () = state.unstated.notified() => {}
+            () = lane.unstated.notified() => {}
             () = sleep_until(renewal) => {
                 renewal = Instant::now() + RENEWAL;
                 if let Err(error) = state.attach(&attachment).await {
@@ -396,6 +461,29 @@ async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
                 }
             }
         }
+    }
+}
+
+/// The switch, if another link leads there as well, is to send on this one what is to come on one. Whether it heard that.
+async fn prefer(state: &State, attachment: &Attachment) -> bool {
+    if state.outlet.lanes().len() == 1 {
+        return true;
+    }
+    let answer = attachment.link.request(&Request::Ready).await;
+    answer.inspect_err(|error| tracing::debug!(%error, "the switch did not hear that this is the main link")).is_ok()
+}
+
+/// Finds out whether the switch answers, so that another link is used at once when it does not, as long as this one is up.
+async fn watch_silence(state: Arc<State>, attachment: Arc<Attachment>) {
+    let (outlet, number) = (&state.outlet, usize::from(attachment.lane));
+    let (lane, mut pulse) = (outlet.lane(&attachment), Pulse::default());
+    loop {
+        let cookie = crypto::random().map_or(0, u64::from_le_bytes);
+        lane.set_silent(pulse.beat(attachment.answer.load(Ordering::Relaxed), cookie));
+        attachment.send(Header::echo(cookie));
+        outlet.choose(false);
+        let pause = if outlet.ways().borrow().main == number { MAIN_ECHOES } else { OTHER_ECHOES };
+        sleep(pause.max(attachment.link.rtt())).await;
     }
 }
 
@@ -434,8 +522,22 @@ async fn attach_again(state: &State, attachment: &Attachment) -> Result<(), Node
         }
         backoff.wait().await;
     }
-    state.unstated.notify_one();
+    state.outlet.lane(attachment).unstated.notify_one();
     Ok(())
+}
+
+/// Has what the rest of the node says done over the main link, once there is one.
+async fn handle_all(state: &Arc<State>, mut events: mpsc::UnboundedReceiver<Event>) {
+    while let Some(event) = events.recv().await {
+        let attachment = loop {
+            match state.attached().await {
+                Ok(attachment) => break attachment,
+                Err(NodeError::Closed) => return,
+                Err(_) => {}
+            }
+        };
+        tokio::spawn(handle(state.clone(), attachment, event));
+    }
 }
 
 async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {

@@ -1,4 +1,5 @@
-//! Where a node finds its switch, as written in configurations: `eth://INTERFACE[/MAC]` or `udp://HOST[:PORT]`.
+//! Where a node finds its switch, as written in configurations: `eth://INTERFACE[/MAC]` or
+//! `udp://HOST[:PORT][%INTERFACE]`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -10,13 +11,14 @@ use crate::port::{DisplayMac, parse_mac};
 pub enum LinkTarget {
     /// The switch with this MAC address on the segment of an interface; without one, whichever answers there.
     Ethernet { interface: String, mac: Option<[u8; 6]> },
-    /// A host name or address, and a port.
-    Udp { host: String, port: u16 },
+    /// A host name or address, and a port. With an interface: through that one only, whatever the routing table prefers.
+    Udp { host: String, port: u16, interface: Option<String> },
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "\"{0}\" is no link: expected eth://INTERFACE, eth://INTERFACE/02:00:00:00:00:01, udp://HOST or udp://HOST:PORT"
+    "\"{0}\" is no link: expected eth://INTERFACE, eth://INTERFACE/02:00:00:00:00:01, udp://HOST, udp://HOST:PORT or \
+     udp://HOST:PORT%INTERFACE"
 )]
 pub struct LinkTargetError(String);
 
@@ -38,11 +40,18 @@ fn parse_ethernet(rest: &str) -> Option<LinkTarget> {
         Some((interface, mac)) => (interface, Some(parse_mac(mac)?)),
         None => (rest, None),
     };
-    let valid = (1..libc::IFNAMSIZ).contains(&interface.len()) && !interface.contains(char::is_whitespace);
-    valid.then(|| LinkTarget::Ethernet { interface: interface.into(), mac })
+    is_interface(interface).then(|| LinkTarget::Ethernet { interface: interface.into(), mac })
+}
+
+fn is_interface(name: &str) -> bool {
+    (1..libc::IFNAMSIZ).contains(&name.len()) && !name.contains(|c: char| c.is_whitespace() || c == '/')
 }
 
 fn parse_udp(rest: &str) -> Option<LinkTarget> {
+    let (rest, interface) = match rest.split_once('%') {
+        Some((rest, interface)) => (rest, Some(interface)),
+        None => (rest, None),
+    };
     let (host, port) = match rest.strip_prefix('[') {
         Some(bracketed) => {
             let (host, behind) = bracketed.split_once(']')?;
@@ -56,7 +65,8 @@ fn parse_udp(rest: &str) -> Option<LinkTarget> {
     };
     let port = port.map_or(Some(gdp_wire::UDP_PORT), |port| port.parse().ok().filter(|port| *port != 0))?;
     let valid = !host.is_empty() && host.len() < 256 && !host.contains(|c: char| c.is_whitespace() || c == '/');
-    valid.then(|| LinkTarget::Udp { host: host.into(), port })
+    let valid = valid && interface.is_none_or(is_interface);
+    valid.then(|| LinkTarget::Udp { host: host.into(), port, interface: interface.map(String::from) })
 }
 
 impl fmt::Display for LinkTarget {
@@ -64,8 +74,13 @@ impl fmt::Display for LinkTarget {
         match self {
             Self::Ethernet { interface, mac: None } => write!(f, "eth://{interface}"),
             Self::Ethernet { interface, mac: Some(mac) } => write!(f, "eth://{interface}/{}", DisplayMac(*mac)),
-            Self::Udp { host, port } if host.contains(':') => write!(f, "udp://[{host}]:{port}"),
-            Self::Udp { host, port } => write!(f, "udp://{host}:{port}"),
+            Self::Udp { host, port, interface } => {
+                match host.contains(':') {
+                    true => write!(f, "udp://[{host}]:{port}")?,
+                    false => write!(f, "udp://{host}:{port}")?,
+                }
+                interface.iter().try_for_each(|interface| write!(f, "%{interface}"))
+            }
         }
     }
 }
@@ -76,9 +91,15 @@ mod tests {
 
     #[test]
     fn targets_survive_their_text() {
-        for text in
-            ["eth://r0", "eth://r0/02:00:00:00:00:01", "udp://127.0.0.1:31415", "udp://[::1]:9", "udp://edge.local:1"]
-        {
+        for text in [
+            "eth://r0",
+            "eth://r0/02:00:00:00:00:01",
+            "udp://127.0.0.1:31415",
+            "udp://[::1]:9",
+            "udp://edge.local:1",
+            "udp://edge.local:1%wwan0",
+            "udp://[::1]:9%wlan0",
+        ] {
             assert_eq!(text.parse::<LinkTarget>().unwrap().to_string(), text);
         }
         assert_eq!("udp://edge".parse::<LinkTarget>().unwrap().to_string(), "udp://edge:31415");
@@ -102,6 +123,9 @@ mod tests {
             "udp://[::1",
             "udp://[host]:1",
             "udp://a/b",
+            "udp://a%",
+            "udp://a%w/0",
+            "udp://a%an-interface-too-long",
             "tcp://host:1",
         ] {
             assert!(text.parse::<LinkTarget>().is_err(), "{text}");

@@ -1,6 +1,7 @@
 //! Nodes against a switch and RIB of a page, over UDP on loopback. No root. The real ones: `gdp-ctl`, `tests/`.
 
 mod fabric;
+mod links;
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
@@ -58,7 +59,7 @@ async fn only_writers_with_the_owners_certificate_are_believed() {
     writer.set_epoch(1, &EpochKey::generate().unwrap()).unwrap();
     writer.seal(unix_nanos(), Encoding::Bytes, b"forged", 1000, &mut segments).unwrap();
     let attachment = rogue.0.state.attached_now().unwrap();
-    rogue.0.state.outlet.send_one(&attachment, card.name(), segments.iter().next().unwrap());
+    rogue.0.state.outlet.send_one_on(&attachment, card.name(), segments.iter().next().unwrap());
     fabric.tell(card.name()).await;
     eventually("the forger's frame is dropped", || cloud.counters().drops.contains_key("seal_unknown_writer")).await;
 
@@ -197,7 +198,7 @@ async fn connecting_fails_with_the_reason() {
     let fabric = Fabric::start().await;
     let identity = Identity::generate("proxy").unwrap();
     let mut config = NodeConfig::new(identity.clone(), fabric.target());
-    config.switch = Some(identity.name());
+    config.links[0].switch = Some(identity.name());
     assert!(matches!(Node::connect(config).await, Err(NodeError::Link(LinkError::WrongPeer { .. }))));
 
     let nobody = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
@@ -318,7 +319,7 @@ async fn recorded_messages_of_yesterday_are_not_read_by_a_restarted_reader() {
     assert_eq!(&recv(&mut subscription).await.body[..], b"stop");
     let attachment = robot.0.state.attached_now().unwrap();
     let tape = lock(&recorded).clone();
-    tape.iter().for_each(|payload| robot.0.state.outlet.send_one(&attachment, name, payload));
+    tape.iter().for_each(|payload| robot.0.state.outlet.send_one_on(&attachment, name, payload));
     eventually("all are refused", || {
         let drops = cloud.counters().drops;
         ["seal_stale", "seal_duplicate"].into_iter().filter_map(|reason| drops.get(reason)).sum::<u64>() >= 2

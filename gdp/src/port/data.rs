@@ -52,6 +52,15 @@ impl DataSocket {
         Ok(self.has_strays() || sys::wait(self.as_fd(), libc::POLLIN, Some(&self.wake), timeout)? || self.has_strays())
     }
 
+    /// As [`Self::wait_readable`] for several sockets at once.
+    pub fn wait_any<'a>(sockets: impl Iterator<Item = &'a Self> + Clone, timeout: Duration) -> io::Result<()> {
+        if sockets.clone().any(Self::has_strays) {
+            return Ok(());
+        }
+        let all: Vec<_> = sockets.map(|socket| (socket.as_fd(), &*socket.wake)).collect();
+        sys::wait_any(&all, timeout)
+    }
+
     /// Ends the present or the next [`Self::wait_readable`], so that its thread looks at something else.
     pub fn wake(&self) {
         self.wake.set();

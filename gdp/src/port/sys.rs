@@ -6,8 +6,17 @@ use std::net::{SocketAddr, SocketAddrV4, SocketAddrV6, UdpSocket};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd};
 use std::time::Duration;
 
-/// A UDP socket, non-blocking, at an address that another has and shares.
-pub fn bind_shared_udp(addr: SocketAddr) -> io::Result<UdpSocket> {
+/// Has a socket send and receive through one interface only.
+pub fn bind_to_interface(fd: BorrowedFd, interface: &str) -> io::Result<()> {
+    // The kernel takes names of up to so many bytes, with the zero that ends them.
+    let mut name = [0u8; libc::IFNAMSIZ];
+    let long = || io::Error::new(io::ErrorKind::InvalidInput, "the name of the interface is too long");
+    name[..libc::IFNAMSIZ - 1].get_mut(..interface.len()).ok_or_else(long)?.copy_from_slice(interface.as_bytes());
+    set_option(fd, libc::SOL_SOCKET, libc::SO_BINDTODEVICE, &name)
+}
+
+/// A UDP socket, non-blocking, at an address that another has and shares, bound to the same interface.
+pub fn bind_shared_udp(addr: SocketAddr, interface: Option<&str>) -> io::Result<UdpSocket> {
     let family = if addr.is_ipv6() { libc::AF_INET6 } else { libc::AF_INET };
     // SAFETY: no pointers; the descriptor is owned from here on.
     let socket = unsafe {
@@ -15,6 +24,9 @@ pub fn bind_shared_udp(addr: SocketAddr) -> io::Result<UdpSocket> {
         OwnedFd::from_raw_fd(check(libc::socket(family, flags, 0))?)
     };
     set_option(socket.as_fd(), libc::SOL_SOCKET, libc::SO_REUSEPORT, &1i32)?;
+    if let Some(interface) = interface {
+        bind_to_interface(socket.as_fd(), interface)?;
+    }
     let (raw, length) = RawAddr::socket(addr, addr.is_ipv6());
     // SAFETY: an address of the length given.
     check(unsafe { libc::bind(socket.as_raw_fd(), (&raw const raw).cast(), length) })?;
@@ -131,6 +143,26 @@ pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&Event>, timeout: Duration
             Ok(polls[0].revents != 0)
         }
         Err(error) if error.kind() == io::ErrorKind::Interrupted => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// Waits until one of the descriptors can be read, one of the events is set, or the time is over. Clears the events.
+pub fn wait_any(all: &[(BorrowedFd, &Event)], timeout: Duration) -> io::Result<()> {
+    let poll = |fd: BorrowedFd| libc::pollfd { fd: fd.as_raw_fd(), events: libc::POLLIN, revents: 0 };
+    let mut polls: Vec<_> = all.iter().flat_map(|(fd, wake)| [poll(*fd), poll(wake.fd())]).collect();
+    let time = libc::timespec {
+        tv_sec: timeout.as_secs().min(i32::MAX as u64) as libc::time_t,
+        tv_nsec: timeout.subsec_nanos().into(),
+    };
+    // SAFETY: so many pollfds and one timespec, all alive during the call; no signal mask.
+    match check(unsafe { libc::ppoll(polls.as_mut_ptr(), polls.len() as libc::nfds_t, &time, std::ptr::null()) }) {
+        Ok(_) => {
+            let woken = all.iter().zip(polls.chunks(2)).filter(|(_, polls)| polls[1].revents != 0);
+            woken.for_each(|((_, wake), _)| wake.clear());
+            Ok(())
+        }
+        Err(error) if error.kind() == io::ErrorKind::Interrupted => Ok(()),
         Err(error) => Err(error),
     }
 }

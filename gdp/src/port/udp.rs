@@ -46,9 +46,9 @@ pub struct SharedUdp {
 }
 
 impl SharedUdp {
-    /// Binds within a tokio runtime.
-    pub fn bind(addr: SocketAddr) -> io::Result<Self> {
-        let (quic, data) = bind_both(addr)?;
+    /// Binds within a tokio runtime; to an interface, if one is given.
+    pub fn bind(addr: SocketAddr, interface: Option<&str>) -> io::Result<Self> {
+        let (quic, data) = bind_both(addr, interface)?;
         // Turns GRO on, as is done for data: when the kernel joins datagrams it looks at one of the two, whichever that is.
         let state = UdpSocketState::new((&quic).into())?;
         sys::set_buffers(quic.as_fd(), QUIC_BUFFER, QUIC_BUFFER);
@@ -56,7 +56,7 @@ impl SharedUdp {
         let bound = quic.local_addr()?;
         let v6 = bound.is_ipv6();
         prepare_data(data.as_fd(), v6)?;
-        let takes_all = bound.ip().is_unspecified() && (!v6 || host::takes_ipv4(quic.as_fd()));
+        let takes_all = interface.is_none() && bound.ip().is_unspecified() && (!v6 || host::takes_ipv4(quic.as_fd()));
         // Data frames are checked without it: the hop tag covers the header, decryption the payload. QUIC checks its packets.
         let no_check = |fd| sys::set_option(fd, libc::SOL_UDP, libc::UDP_NO_CHECK6_RX, &1i32).is_ok();
         Ok(Self {
@@ -173,14 +173,17 @@ impl Run {
 }
 
 /// Two sockets at one address. Nobody else gets it: the first is bound without sharing, and so would another's first be.
-fn bind_both(addr: SocketAddr) -> io::Result<(StdUdpSocket, StdUdpSocket)> {
+fn bind_both(addr: SocketAddr, interface: Option<&str>) -> io::Result<(StdUdpSocket, StdUdpSocket)> {
     const LOAD_BYTE: u32 = libc::BPF_LD | libc::BPF_B | libc::BPF_ABS;
     const JUMP_AT_LEAST: u32 = libc::BPF_JMP | libc::BPF_JGE | libc::BPF_K;
     const RETURN: u32 = libc::BPF_RET | libc::BPF_K;
     let quic = StdUdpSocket::bind(addr)?;
     quic.set_nonblocking(true)?;
     sys::set_option(quic.as_fd(), libc::SOL_SOCKET, libc::SO_REUSEPORT, &1i32)?;
-    let data = sys::bind_shared_udp(quic.local_addr()?)?;
+    if let Some(interface) = interface {
+        sys::bind_to_interface(quic.as_fd(), interface)?;
+    }
+    let data = sys::bind_shared_udp(quic.local_addr()?, interface)?;
     // By order of their binding. A datagram without a first byte goes to the first.
     let mut program = [
         step(LOAD_BYTE, 0, 0, 0),

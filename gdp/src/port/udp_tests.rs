@@ -225,12 +225,12 @@ async fn a_mark_stays_with_what_came_to_the_other_socket() {
 
 #[tokio::test]
 async fn an_address_is_held_by_one_port() {
-    let first = SharedUdp::bind("127.0.0.1:0".parse().unwrap()).unwrap();
-    let taken = SharedUdp::bind(first.local_addr().unwrap());
+    let first = SharedUdp::bind("127.0.0.1:0".parse().unwrap(), None).unwrap();
+    let taken = SharedUdp::bind(first.local_addr().unwrap(), None);
     assert_eq!(taken.err().map(|error| error.kind()), Some(std::io::ErrorKind::AddrInUse));
     let address = first.local_addr().unwrap();
     drop(first);
-    SharedUdp::bind(address).unwrap();
+    SharedUdp::bind(address, None).unwrap();
 }
 
 /// Frames of these lengths, no two alike.
@@ -252,7 +252,7 @@ struct End {
 
 impl End {
     fn bind(addr: &str) -> Self {
-        let udp = Arc::new(SharedUdp::bind(addr.parse().unwrap()).unwrap());
+        let udp = Arc::new(SharedUdp::bind(addr.parse().unwrap(), None).unwrap());
         Self { data: DataSocket::new(Kind::Udp(udp.clone())).unwrap(), udp }
     }
 

@@ -243,6 +243,11 @@ impl Uplink {
         }
     }
 
+    /// From now on so much goes: the link is another one.
+    pub fn set_budget(&mut self, budget: Option<u64>) {
+        self.options.budget = budget;
+    }
+
     /// The answer to [`Output::Reseal`].
     pub fn resealed(&mut self, now: u64, topic: Topic, message: Sealed) {
         if let Some(state) = self.topic(topic) {

@@ -33,7 +33,7 @@ impl Rogue {
         switch.host(identity.name());
         let claims = RtCert { entity: identity.name(), switch: switch.name(), not_after: unix().as_secs() + 3600 };
         let rt_cert = issue(identity.key(), &claims)?;
-        match switch.ask(Some(&identity.proof()), &EntityRequest::Attach { rt_cert, resumes: false }) {
+        match switch.ask(Some(&identity.proof()), &EntityRequest::Attach { rt_cert, resumes: false, lane: 0 }) {
             Response::Attached { serial } => Ok(Self { identity, serial, boxes: Vec::new() }),
             other => bail!("not attached: {other:?}"),
         }
@@ -62,8 +62,8 @@ impl Rogue {
     ) -> Result<Response> {
         let (advert, proof) = (self.advert(switch, owner, role)?, owner.card.proof());
         let request = match credential {
-            Credential::Writer(ad_cert) => EntityRequest::Advertise { proof, ad_cert, advert },
-            Credential::Reader(grant) => EntityRequest::Subscribe { proof, grant, advert },
+            Credential::Writer(ad_cert) => EntityRequest::Advertise { proof, ad_cert, advert, everywhere: false },
+            Credential::Reader(grant) => EntityRequest::Subscribe { proof, grant, advert, everywhere: false },
         };
         let response = switch.ask(Some(&self.identity.proof()), &request);
         if let Response::Peers(peers) = &response {

@@ -124,7 +124,7 @@ impl Switch {
     }
 
     pub fn target(&self) -> LinkTarget {
-        LinkTarget::Udp { host: self.0.address.ip().to_string(), port: self.0.address.port() }
+        LinkTarget::Udp { host: self.0.address.ip().to_string(), port: self.0.address.port(), interface: None }
     }
 
     /// From now on frames are what this makes of them.

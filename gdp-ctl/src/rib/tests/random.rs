@@ -1,4 +1,4 @@
-//! Random joins, leaves, moves, link failures, revocations, key boxes, restarts of the RIB and lost messages. Whatever happened: FIBs that
+//! Random joins, leaves, moves, second links, link failures, revocations, key boxes, restarts of the RIB and lost messages. Whatever happened: FIBs that
 //! follow the pushes equal the desired ones and a model's, what is sent reaches exactly those that take it, and everybody
 //! knows its counterparts and has the boxes that are kept for it.
 
@@ -22,7 +22,15 @@ const LOOSE: [(usize, usize); 2] = [(0, 3), (2, 5)];
 struct Entity {
     identity: Identity,
     at: usize,
+    /// Where its other lane is.
+    also: Option<usize>,
     serial: u64,
+}
+
+impl Entity {
+    fn is_at(&self, switch: usize) -> bool {
+        self.at == switch || self.also == Some(switch)
+    }
 }
 
 #[test]
@@ -36,7 +44,7 @@ fn pushes_bring_everything_to_its_desired_state_whatever_happens() {
         let mut entities: Vec<Entity> = (0..ENTITIES)
             .map(|_| {
                 let at = random.below(SWITCHES);
-                Entity { identity: w.attached("entity", at), at, serial: 0 }
+                Entity { identity: w.attached("entity", at), at, also: None, serial: 0 }
             })
             .collect();
         let mut cards = vec![w.card.clone()];
@@ -50,10 +58,10 @@ fn pushes_bring_everything_to_its_desired_state_whatever_happens() {
                 _ => [NameRole::Server, NameRole::Caller],
             };
             let names: BTreeSet<Name> = entities.iter().map(|entity| entity.identity.name()).collect();
-            let Entity { identity, at, serial } = &mut entities[random.below(ENTITIES)];
+            let Entity { identity, at, also, serial } = &mut entities[random.below(ENTITIES)];
             *serial += 1;
             w.serial += 1;
-            match random.below(12) {
+            match random.below(14) {
                 0..=2 => drop(w.state(identity, *at, *serial, writer)),
                 3..=5 => drop(w.state(identity, *at, *serial, reader)),
                 6 => {
@@ -95,6 +103,21 @@ fn pushes_bring_everything_to_its_desired_state_whatever_happens() {
                         records.iter().filter(|r| r.name == w.card.name()).all(|r| r.verify(held, w.now.unix).is_ok())
                     );
                 }
+                11 => match also.take() {
+                    Some(gone) if gone != *at => w.detach(identity, gone),
+                    Some(_) => {}
+                    None => {
+                        *also = Some(random.below(SWITCHES));
+                        also.map(|at| w.attach_lane(identity, 1, at));
+                    }
+                },
+                12 => {
+                    let role = if random.below(2) == 0 { writer } else { reader };
+                    for at in [Some(*at), *also].into_iter().flatten() {
+                        w.state_everywhere(identity, at, *serial, role);
+                        *serial += 1;
+                    }
+                }
                 _ if step % 4 == 0 => restart(&mut w, &entities, round * 100 + u64::from(step) + 2),
                 _ => {}
             }
@@ -103,8 +126,8 @@ fn pushes_bring_everything_to_its_desired_state_whatever_happens() {
             }
         }
         check(&mut w);
-        for Entity { identity, at, .. } in &entities {
-            w.detach(identity, *at);
+        for Entity { identity, at, also, .. } in &entities {
+            [Some(*at), *also].into_iter().flatten().for_each(|at| w.detach(identity, at));
         }
         w.settle();
         assert!(w.held.values().all(|held| held.routes.is_empty()), "names are left over");
@@ -131,18 +154,20 @@ fn check(w: &mut World) {
 fn restart(w: &mut World, entities: &[Entity], id: u64) {
     w.rib = Rib::new(w.switch(0), Run { id, settling: Duration::ZERO }, Limits::default());
     (0..SWITCHES).for_each(|i| {
-        let here: Vec<Name> = entities.iter().filter(|e| e.at == i).map(|e| e.identity.name()).collect();
+        let here: Vec<Name> = entities.iter().filter(|e| e.is_at(i)).map(|e| e.identity.name()).collect();
         w.report(i, Some(&here));
     });
     let mut told: Vec<(Name, Name)> = w.detaches();
-    let mut expected: Vec<_> = entities.iter().map(|e| (w.switch(e.at), e.identity.name())).collect();
+    let places = (0..SWITCHES).flat_map(|i| entities.iter().filter(move |e| e.is_at(i)).map(move |e| (i, e)));
+    let mut expected: Vec<_> = places.map(|(i, e)| (w.switch(i), e.identity.name())).collect();
     told.sort();
     expected.sort();
     assert_eq!(told, expected, "whom the RIB does not know is to attach again");
-    for Entity { identity, at, .. } in entities {
+    for Entity { identity, at, also, .. } in entities {
         w.attach(identity, *at);
+        also.map(|at| w.attach_lane(identity, 1, at));
     }
     (0..SWITCHES).for_each(|i| {
-        w.report(i, Some(&entities.iter().filter(|e| e.at == i).map(|e| e.identity.name()).collect::<Vec<_>>()))
+        w.report(i, Some(&entities.iter().filter(|e| e.is_at(i)).map(|e| e.identity.name()).collect::<Vec<_>>()))
     });
 }

@@ -59,7 +59,7 @@ fn a_floor_takes_back_what_was_issued_before_and_by_whom() {
     let cert = issue(&delegate, &parts.cert).unwrap();
     let ad_cert = Issued { cert, delegation: Some(issue(&w.owner, &delegation).unwrap()) };
     let advert = issue(robot.key(), &parts.advert).unwrap();
-    let request = EntityRequest::Advertise { proof: parts.proof, ad_cert, advert };
+    let request = EntityRequest::Advertise { proof: parts.proof, ad_cert, advert, everywhere: false };
     assert!(matches!(w.ask(&robot, 0, request), Response::Peers(_)));
     w.publish(&other, 0, 1);
     let floor = w.serial - 4;

@@ -32,8 +32,8 @@ pub struct World {
     pub links: Vec<(usize, usize)>,
     /// What each switch holds after the pushes it got.
     pub held: BTreeMap<Name, Held>,
-    /// The switch that each entity attached to last.
-    pub entities: BTreeMap<Name, Name>,
+    /// The switch that each lane of each entity attached to last.
+    pub entities: BTreeMap<(Name, u8), Name>,
     /// What entities hold of their counterparts: by entity, name and role.
     pub nodes: BTreeMap<(Name, Name, NameRole), Counterparts>,
     /// Of so many messages to entities one is lost, and of as many the answer; 0: none.
@@ -100,8 +100,8 @@ impl World {
     pub fn ask(&mut self, entity: &Identity, at: usize, request: EntityRequest) -> Response {
         let response = self.rib.request(self.now, self.switch(at), Some(&entity.proof()), false, &request);
         match &request {
-            EntityRequest::Attach { .. } if matches!(response, Response::Attached { .. }) => {
-                self.entities.insert(entity.name(), self.switch(at));
+            EntityRequest::Attach { lane, .. } if matches!(response, Response::Attached { .. }) => {
+                self.entities.insert((entity.name(), *lane), self.switch(at));
             }
             EntityRequest::Advertise { proof, advert, .. } | EntityRequest::Subscribe { proof, advert, .. } => {
                 if let Response::Peers(peers) = &response {
@@ -118,8 +118,13 @@ impl World {
     }
 
     pub fn attach(&mut self, entity: &Identity, at: usize) -> Response {
+        self.attach_lane(entity, 0, at)
+    }
+
+    pub fn attach_lane(&mut self, entity: &Identity, lane: u8, at: usize) -> Response {
         let claims = RtCert { entity: entity.name(), switch: self.switch(at), not_after: UNIX + 1_000_000 };
-        self.ask(entity, at, EntityRequest::Attach { rt_cert: issue(entity.key(), &claims).unwrap(), resumes: true })
+        let rt_cert = issue(entity.key(), &claims).unwrap();
+        self.ask(entity, at, EntityRequest::Attach { rt_cert, resumes: true, lane })
     }
 
     pub fn attached(&mut self, _what: &str, at: usize) -> Identity {
@@ -168,6 +173,16 @@ impl World {
         self.ask(entity, at, request)
     }
 
+    /// As [`Self::state`], besides what is stated at other switches.
+    pub fn state_everywhere(&mut self, entity: &Identity, at: usize, serial: u64, role: NameRole) -> Response {
+        let mut request = self.statement(entity, at, serial, role);
+        if let EntityRequest::Advertise { everywhere, .. } | EntityRequest::Subscribe { everywhere, .. } = &mut request
+        {
+            *everywhere = true;
+        }
+        self.ask(entity, at, request)
+    }
+
     pub fn subscription(&self, entity: &Identity, at: usize, serial: u64) -> EntityRequest {
         self.statement(entity, at, serial, NameRole::Subscriber)
     }
@@ -184,7 +199,7 @@ impl World {
         let grant = ReadGrant { name, to, serial: serial_of_grant, not_before, not_after };
         let advert = Advert { op: role.op(), serial, ..parts.advert };
         let (grant, advert) = (issue(&self.owner, &grant).unwrap().into(), issue(entity.key(), &advert).unwrap());
-        EntityRequest::Subscribe { proof: parts.proof, grant, advert }
+        EntityRequest::Subscribe { proof: parts.proof, grant, advert, everywhere: false }
     }
 
     pub fn query(&mut self, prefix: &str) -> Response {
@@ -272,7 +287,8 @@ impl World {
 
     fn arrive(&mut self, push: &PeersPush) {
         control::encode(&Request::Peers(push.clone())).expect("fits a message");
-        assert_eq!(self.entities[&push.entity], push.switch, "told where it is attached");
+        let lanes = self.entities.range((push.entity, 0)..=(push.entity, u8::MAX));
+        assert!(lanes.map(|(_, at)| at).any(|at| *at == push.switch), "told where it is attached");
         let mut is_lost = || self.loss > 0 && self.random.below(self.loss) == 0;
         let (lost, answer_lost) = (is_lost(), is_lost());
         let arrived = !lost && self.take(push.entity, push.name, push.role, &push.peers);
@@ -302,7 +318,7 @@ impl World {
         self.keep_boxes(entity, name, boxes);
         for revocation in behind {
             let request = EntityRequest::Revoke { proof, revocation };
-            self.rib.request(self.now, self.entities[&entity], None, false, &request);
+            self.rib.request(self.now, self.switch(0), None, false, &request);
         }
         true
     }
@@ -375,6 +391,17 @@ impl World {
     /// The FIBs computed anew from who is registered, by the definition of a route.
     pub fn check_model(&self) {
         let (records, _) = self.rib.records(self.now, None, usize::MAX);
+        let bits = |at: &Name| 1u64 << self.rib.bit(at).unwrap();
+        // Where those are reached that have a counterpart.
+        let mut homes: BTreeMap<Name, u64> = BTreeMap::new();
+        for record in &records {
+            let is_other = |other: &&Record| {
+                other.name == record.name && other.role().unwrap() == record.role().unwrap().counterpart()
+            };
+            if records.iter().filter(is_other).any(|other| self.are_a_pair(record, other)) {
+                *homes.entry(record.entity.name().unwrap()).or_default() |= bits(&record.switch);
+            }
+        }
         for switch in self.switches.iter().map(Identity::name) {
             let mut model: BTreeMap<Name, Route> = BTreeMap::new();
             for record in &records {
@@ -384,8 +411,7 @@ impl World {
                 if others().next().is_none() {
                     continue;
                 }
-                let bits = |at: &Name| 1 << self.rib.bit(at).unwrap();
-                let empty = |name| Route { name, egress_bits: 0, locals: vec![], writers: vec![] };
+                let empty = |name| Route { name, ..Route::default() };
                 if record.switch == switch {
                     let route = model.entry(record.name).or_insert_with(|| empty(record.name));
                     if role.sends() {
@@ -393,6 +419,8 @@ impl World {
                         route.writers.push(entity);
                     } else {
                         route.locals.push(entity);
+                        let held = self.rib.names.get_at(record.name.as_bytes(), &entity, role, &switch).unwrap();
+                        route.everywhere.extend(held.everywhere.then_some(entity));
                     }
                 }
                 for other in others().filter(|other| self.are_a_pair(record, other)) {
@@ -402,11 +430,11 @@ impl World {
                     }
                     let route = model.entry(entity).or_insert_with(|| empty(entity));
                     if other.switch == switch {
-                        route.egress_bits = bits(&record.switch);
+                        route.egress_bits = homes[&entity];
                         route.writers.push(sender);
                     }
                     if record.switch == switch {
-                        route.locals = vec![entity];
+                        (route.locals, route.everywhere) = (vec![entity], vec![entity]);
                     }
                 }
             }
@@ -439,7 +467,10 @@ impl World {
             }
             for other in reached.into_iter().filter(|other| self.are_a_pair(sender, other)) {
                 let (at, other) = (other.switch, name(other));
-                assert_eq!(self.deliver(sender.switch, other), [(at, other)]);
+                let copies = self.deliver(sender.switch, other);
+                let places: BTreeSet<_> = copies.iter().collect();
+                assert!(places.len() == copies.len() && copies.contains(&(at, other)), "{copies:?}");
+                assert!(copies.iter().all(|(_, to)| *to == other));
                 assert!(self.held[&sender.switch].routes[&other].writers.contains(&name(sender)));
             }
         }
@@ -449,7 +480,7 @@ impl World {
     fn are_a_pair(&self, one: &Record, other: &Record) -> bool {
         let is_bound = |record: &Record| {
             let (entity, role) = (record.entity.name().unwrap(), record.role().unwrap());
-            self.rib.names.get(record.name.as_bytes(), &entity, role).unwrap().bound
+            self.rib.names.get_at(record.name.as_bytes(), &entity, role, &record.switch).unwrap().bound
         };
         one.entity != other.entity && is_bound(one) && is_bound(other)
     }
@@ -546,7 +577,7 @@ impl Parts {
         if self.flip_advert {
             advert = flipped(&advert);
         }
-        EntityRequest::Advertise { proof: self.proof, ad_cert: ad_cert.into(), advert }
+        EntityRequest::Advertise { proof: self.proof, ad_cert: ad_cert.into(), advert, everywhere: false }
     }
 
     pub fn withdraw(w: &World, entity: &Identity, at: usize, serial: u64) -> EntityRequest {

@@ -13,15 +13,15 @@ fn names_become_links_and_follow_them() {
     assert!(changes.contains(&Change::Remove(name(1))), "its endpoint has no link yet");
     assert!(changes.contains(&set(2, 4, &[], &[])));
 
-    assert_eq!(r.link_up(Role::Endpoint, name(7), 70), [set(1, 0, &[70], &[])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(7), 0, 70), [set(1, 0, &[70], &[])]);
     assert_eq!(r.link_ready(Role::Endpoint, name(7), 70), [], "it is the one in use already");
-    assert_eq!(r.link_up(Role::Endpoint, name(7), 71), [set(1, 0, &[70], &[])], "not before it takes frames there");
+    assert_eq!(r.link_up(Role::Endpoint, name(7), 0, 71), [set(1, 0, &[70], &[])], "not before it takes frames there");
     assert_eq!(r.link_ready(Role::Endpoint, name(7), 71), [set(1, 0, &[71], &[])], "it moved");
     assert!(r.is_replaced(Role::Endpoint, &name(7), 70));
     assert_eq!(gone(&mut r, Role::Endpoint, name(7), 70), [set(1, 0, &[71], &[])], "the old link no longer matters");
     assert_eq!(gone(&mut r, Role::Endpoint, name(7), 71), [Change::Remove(name(1))]);
 
-    let changes = r.link_up(Role::Switch, name(9), 90);
+    let changes = r.link_up(Role::Switch, name(9), 0, 90);
     assert_eq!(changes[0], Change::Reach { link: 90, bits: 0b101 });
     assert_eq!(hops(&changes[1])[..4], [90, 0, 90, 0]);
     let changes = gone(&mut r, Role::Switch, name(9), 90);
@@ -35,10 +35,10 @@ fn writers_become_links_and_lose_their_permission_with_them() {
     let by = |writers: &[u32]| set(1, 4, &[], writers);
     let first = r.push(&push(1, Extent::Full { part: 0, last: true }, vec![written(&[7, 8, 9])])).unwrap();
     assert!(first.contains(&by(&[])), "none of them has a link");
-    assert_eq!(r.link_up(Role::Endpoint, name(8), 80), [by(&[80])]);
-    assert_eq!(r.link_up(Role::Endpoint, name(7), 70), [by(&[70, 80])]);
-    assert_eq!(r.link_up(Role::Endpoint, name(9), 90), [by(&[70, 80, 90])]);
-    assert_eq!(r.link_up(Role::Endpoint, name(6), 60), [], "this one does not publish it");
+    assert_eq!(r.link_up(Role::Endpoint, name(8), 0, 80), [by(&[80])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(7), 0, 70), [by(&[70, 80])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(9), 0, 90), [by(&[70, 80, 90])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(6), 0, 60), [], "this one does not publish it");
     assert_eq!(r.push(&push(2, Extent::Delta, vec![written(&[8, 9])])).unwrap(), [by(&[80, 90])]);
     assert_eq!(gone(&mut r, Role::Endpoint, name(7), 70), [], "nor does this one any more");
     assert_eq!(gone(&mut r, Role::Endpoint, name(8), 80), [by(&[90])]);
@@ -50,10 +50,29 @@ fn each_local_reader_has_its_link_and_a_reader_may_write() {
     let mut r = Routes::default();
     let both = Route { writers: vec![name(8)], ..route(1, 3, &[7, 8, 9]) };
     r.push(&push(1, Extent::Full { part: 0, last: true }, vec![both])).unwrap();
-    assert_eq!(r.link_up(Role::Endpoint, name(8), 80), [set(1, 3, &[80], &[80])]);
-    assert_eq!(r.link_up(Role::Endpoint, name(9), 60), [set(1, 3, &[60, 80], &[80])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(8), 0, 80), [set(1, 3, &[80], &[80])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(9), 0, 60), [set(1, 3, &[60, 80], &[80])]);
     assert_eq!(gone(&mut r, Role::Endpoint, name(8), 80), [set(1, 3, &[60], &[])]);
     assert_eq!(r.push(&push(2, Extent::Delta, vec![route(1, 0, &[7, 8])])).unwrap(), [Change::Remove(name(1))]);
+}
+
+#[test]
+fn an_endpoint_with_two_links_takes_a_name_on_one_or_on_each() {
+    let mut r = Routes::default();
+    let each = Route { everywhere: vec![name(7)], ..route(2, 1, &[7, 8]) };
+    let written = Route { writers: vec![name(7)], ..route(3, 4, &[]) };
+    r.push(&push(1, Extent::Full { part: 0, last: true }, vec![route(1, 1, &[7]), each, written])).unwrap();
+    for (lane, link) in [(0, 70), (1, 71)] {
+        r.link_up(Role::Endpoint, name(7), lane, link);
+        r.link_ready(Role::Endpoint, name(7), link);
+    }
+    let changes = r.link_up(Role::Endpoint, name(8), 0, 80);
+    assert_eq!(changes, [set(2, 1, &[70, 71, 80], &[])]);
+    assert_eq!(r.link_preferred(name(7), 70), [], "it is the first");
+    assert_eq!(r.link_preferred(name(7), 71), [set(1, 1, &[71], &[])]);
+    assert_eq!(r.link_to(&name(7)), Some(71));
+    let changes = gone(&mut r, Role::Endpoint, name(7), 71);
+    assert_eq!(changes, [set(1, 1, &[70], &[]), set(2, 1, &[70, 80], &[]), set(3, 4, &[], &[70])]);
 }
 
 #[test]
@@ -92,9 +111,9 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
     assert_eq!((r.own_bit(), r.len()), (Some(1), 3));
 
     // The writer is back before the RIB has said a word, and may send on both links.
-    assert_eq!(r.link_up(Role::Endpoint, name(8), 81), [set(1, 6, &[70], &[80, 81])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(8), 0, 81), [set(1, 6, &[70], &[80, 81])]);
     // The neighbour is back, but takes frames on the new link a little later.
-    let changes = r.link_up(Role::Switch, name(9), 91);
+    let changes = r.link_up(Role::Switch, name(9), 0, 91);
     assert_eq!(changes[0], Change::Reach { link: 90, bits: 0b101 });
     assert_eq!(hops(&changes[1])[..3], [90, 0, 90]);
     assert_eq!(changes[2], Change::Reach { link: 91, bits: 0 }, "no frame goes twice");
@@ -108,7 +127,7 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
     (first.settling, first.reach) = (true, vec![]);
     let same = set(1, 6, &[70], &[80, 81]);
     assert_eq!(r.push(&first).unwrap(), [same], "it adds an endpoint that has no link yet");
-    assert_eq!(r.link_up(Role::Endpoint, name(6), 65), [set(1, 6, &[65, 70], &[80, 81])]);
+    assert_eq!(r.link_up(Role::Endpoint, name(6), 0, 65), [set(1, 6, &[65, 70], &[80, 81])]);
     let mut taken_back = push(2, Extent::Delta, vec![]);
     (taken_back.settling, taken_back.reach, taken_back.remove) = (true, vec![], vec![name(2)]);
     assert_eq!(r.push(&taken_back).unwrap(), [Change::Remove(name(2))]);
@@ -127,7 +146,7 @@ fn in_the_end_nobody_writes_who_is_not_known_to() {
     let routes = vec![(name(1), open.clone()), (name(2), open)];
     let left = Left { own_bit: 2, links: vec![], routes, next_hops: [0; 64], ports: HashSet::new() };
     r.adopt(&left, &[]);
-    r.link_up(Role::Endpoint, name(8), 80);
+    r.link_up(Role::Endpoint, name(8), 0, 80);
     let known = Route { writers: vec![name(8)], ..route(1, 6, &[]) };
     let mut first = push(1, Extent::Full { part: 0, last: true }, vec![known]);
     first.settling = true;
@@ -142,7 +161,7 @@ fn in_the_end_nobody_writes_who_is_not_known_to() {
 fn another_rib_sweeps_nothing_before_it_has_settled() {
     let mut r = Routes::default();
     r.push(&push(7, Extent::Full { part: 0, last: true }, vec![route(1, 1, &[]), route(2, 1, &[])])).unwrap();
-    r.link_up(Role::Switch, name(9), 90);
+    r.link_up(Role::Switch, name(9), 0, 90);
     let by = |mut push: FibPush, settling| {
         (push.run, push.settling, push.reach) = (2, settling, vec![]);
         push
@@ -196,7 +215,7 @@ fn the_data_plane_follows_any_sequence() {
                     if let Some(old) = links.remove(&peer) {
                         changes.extend(gone(&mut r, Role::Endpoint, peer, old));
                     } else {
-                        changes.extend(r.link_up(Role::Endpoint, peer, link));
+                        changes.extend(r.link_up(Role::Endpoint, peer, 0, link));
                         changes.extend(r.link_ready(Role::Endpoint, peer, link));
                         links.insert(peer, link);
                     }
@@ -210,7 +229,7 @@ fn the_data_plane_follows_any_sequence() {
                     } else {
                         let some = |bits: u64| (0..4).filter(|i| bits & 1 << i != 0).map(|i| name(10 + i)).collect();
                         let (egress_bits, locals, writers) = (below(4), some(below(16)), some(below(16)));
-                        let route = Route { name: it, egress_bits, locals, writers };
+                        let route = Route { name: it, egress_bits, locals, everywhere: vec![], writers };
                         wanted.insert(it, route.clone());
                         said = Some((Extent::Delta, vec![route], vec![]));
                     }
@@ -289,7 +308,7 @@ fn push(generation: u64, extent: Extent, set: Vec<Route>) -> FibPush {
 }
 
 fn route(i: u8, egress_bits: u64, locals: &[u8]) -> Route {
-    Route { name: name(i), egress_bits, locals: locals.iter().copied().map(name).collect(), writers: vec![] }
+    Route { name: name(i), egress_bits, locals: locals.iter().copied().map(name).collect(), ..Route::default() }
 }
 
 fn set(i: u8, egress_bits: u64, readers: &[u32], writers: &[u32]) -> Change {

@@ -1,14 +1,14 @@
 //! A switch with a RIB that believes everybody, for the tests of nodes: real ports and links, frames forwarded with
 //! `gdp_wire::forward`, and switches for each way in which a RIB may misbehave.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use gdp_wire::replay::{self, Window};
 use gdp_wire::table::PORT_USERSPACE;
-use gdp_wire::{Header, LinkEntry, Name, forward};
+use gdp_wire::{FrameType, Header, LinkEntry, Name, forward};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::card::NameCard;
@@ -21,10 +21,10 @@ use crate::keys::KeyBox;
 use crate::link::{Link, LinkIds};
 use crate::name::NameProof;
 use crate::node::{
-    Client, Node, NodeConfig, NodeError, PublishOptions, Publisher, Server, SubscribeOptions, Subscription, lock,
-    unix_now,
+    Client, LinkConfig, LinkState, LinkStatus, Node, NodeConfig, NodeError, PublishOptions, Publisher, Server,
+    SubscribeOptions, Subscription, lock, unix_now,
 };
-use crate::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
+use crate::port::{DataSocket, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
 
 pub struct Fabric {
     identity: Identity,
@@ -55,6 +55,11 @@ struct Rib {
     refuse: Option<RefusalCode>,
     silent: bool,
     fate: Option<Fate>,
+    /// What an entity takes on each of its links, and the one on which it wants the rest.
+    everywhere: HashSet<(Name, Name)>,
+    preferred: HashMap<Name, u8>,
+    /// Links that no frames pass, either way.
+    cut: HashSet<(Name, u8)>,
     run: u64,
     generation: u64,
 }
@@ -115,9 +120,28 @@ impl Fabric {
     }
 
     pub async fn node(&self, kind: &str) -> Node {
+        self.node_by(kind, [None]).await
+    }
+
+    /// With a link for each of these budgets.
+    pub async fn node_by<const N: usize>(&self, kind: &str, budgets: [Option<u64>; N]) -> Node {
         let mut config = NodeConfig::new(Identity::generate(kind).unwrap(), self.target());
-        config.switch = Some(self.identity.name());
-        Node::connect(config).await.unwrap()
+        let switch = Some(self.identity.name());
+        config.links = budgets.map(|budget| LinkConfig { switch, budget, ..self.target().into() }).to_vec();
+        let node = Node::connect(config).await.unwrap();
+        let is_up = |link: &LinkStatus| link.state == LinkState::Up;
+        eventually("all links are up", || node.links().iter().all(is_up) && node.links()[0].main).await;
+        node
+    }
+
+    /// Whether frames pass a link of a node.
+    pub fn cut(&self, node: &Node, lane: u8, cut: bool) {
+        let (mut rib, place) = (lock(&self.rib), (node.name(), lane));
+        if cut {
+            rib.cut.insert(place)
+        } else {
+            rib.cut.remove(&place)
+        };
     }
 
     pub fn links(&self) -> usize {
@@ -309,7 +333,14 @@ type Pushes = Vec<(Link, PeersPush)>;
 impl Rib {
     fn answer(&mut self, link: &Link, request: Request) -> (Response, Pushes) {
         let entity = link.peer().name;
-        let Request::Entity(request) = request else { panic!("an endpoint sent {request:?}") };
+        let request = match request {
+            Request::Entity(request) => request,
+            Request::Ready => {
+                self.preferred.insert(entity, link.peer().lane);
+                return (Response::Done, Vec::new());
+            }
+            other => panic!("an endpoint sent {other:?}"),
+        };
         let serial = match &request {
             EntityRequest::Attach { .. } => {
                 let serial = *self.serials.entry(entity).or_default();
@@ -336,9 +367,17 @@ impl Rib {
         if let Some(code) = self.refuse {
             return (Refusal::new(code, "as the test wants it").into(), Vec::new());
         }
+        if let EntityRequest::Subscribe { proof, everywhere, .. } = &request {
+            let place = (proof.name().unwrap(), entity);
+            if *everywhere {
+                self.everywhere.insert(place)
+            } else {
+                self.everywhere.remove(&place)
+            };
+        }
         let (proof, credential, advert) = match request {
-            EntityRequest::Advertise { proof, ad_cert, advert } => (proof, Credential::Writer(ad_cert), advert),
-            EntityRequest::Subscribe { proof, grant, advert } => (proof, Credential::Reader(grant), advert),
+            EntityRequest::Advertise { proof, ad_cert, advert, .. } => (proof, Credential::Writer(ad_cert), advert),
+            EntityRequest::Subscribe { proof, grant, advert, .. } => (proof, Credential::Reader(grant), advert),
             EntityRequest::Withdraw { advert } => {
                 let name = advert.claims_unverified().unwrap().name;
                 for ((of, _), records) in &mut self.records {
@@ -421,8 +460,18 @@ impl Rib {
         pushes
     }
 
+    /// The one that it prefers.
     fn link_of(&self, entity: &Name) -> Option<Link> {
-        self.links.values().find(|link| link.peer().name == *entity).cloned()
+        let preferred = self.preferred.get(entity).copied().unwrap_or(0);
+        self.links_of(entity).into_iter().min_by_key(|link| link.peer().lane != preferred)
+    }
+
+    fn links_of(&self, entity: &Name) -> Vec<Link> {
+        self.links.values().filter(|link| link.peer().name == *entity).cloned().collect()
+    }
+
+    fn passes(&self, link: &Link) -> bool {
+        !self.cut.contains(&(link.peer().name, link.peer().lane))
     }
 
     fn entry(&self, id: u32) -> Option<(LinkEntry, LinkAddr)> {
@@ -430,26 +479,44 @@ impl Rib {
     }
 }
 
-fn forward_frame(frame: &[u8], rib: &mut Rib, data: &crate::port::DataSocket) {
+fn forward_frame(frame: &[u8], rib: &mut Rib, data: &DataSocket) {
     let available = frame.len();
     let Ok((mut header, payload)) = Header::read_from_prefix(frame) else { return };
-    let Some((ingress, _)) = rib.entry(header.link_id()) else { return };
-    let window = rib.windows.entry(ingress.id).or_insert_with(replay::empty);
-    if forward::accept(&header, available, &ingress, window).is_err() {
+    let Some((ingress, from)) = rib.entry(header.link_id()) else { return };
+    if !rib.links.get(&ingress.id).is_some_and(|link| rib.passes(link)) {
         return;
+    }
+    let window = rib.windows.entry(ingress.id).or_insert_with(replay::empty);
+    match forward::accept(&header, available, &ingress, window) {
+        Ok(FrameType::Data) => {}
+        Ok(FrameType::Echo) => {
+            header.become_answer();
+            return send(rib, data, &mut header, &ingress, (from, &[]));
+        }
+        _ => return,
     }
     if rib.fate.as_mut().is_some_and(|fate| !fate(&header, payload)) {
         return;
     }
     let readers = [NameRole::Subscriber, NameRole::Server].map(|role| rib.of(header.destination, role)).concat();
-    let readers = readers.iter().map(|record| record.entity.name().unwrap());
-    // An entity is reached under its own name.
-    let takers: Vec<Link> = readers.chain([header.destination]).filter_map(|taker| rib.link_of(&taker)).collect();
-    for link in takers {
-        let (egress, to) = (link.entry(PORT_USERSPACE), link.addr());
-        let count = rib.counts.entry(egress.id).or_default();
-        *count += 1;
-        forward::stamp(&mut header, &egress, *count);
-        data.send_batch([OutFrame { to, head: header.as_bytes(), body: payload }]);
+    let mut takers = Vec::new();
+    for reader in readers.iter().map(|record| record.entity.name().unwrap()) {
+        match rib.everywhere.contains(&(header.destination, reader)) {
+            true => takers.extend(rib.links_of(&reader)),
+            false => takers.extend(rib.link_of(&reader)),
+        }
     }
+    // An entity is reached under its own name.
+    takers.extend(rib.links_of(&header.destination));
+    takers.retain(|link| rib.passes(link));
+    for link in takers {
+        send(rib, data, &mut header, &link.entry(PORT_USERSPACE), (link.addr(), payload));
+    }
+}
+
+fn send(rib: &mut Rib, data: &DataSocket, header: &mut Header, egress: &LinkEntry, (to, payload): (LinkAddr, &[u8])) {
+    let count = rib.counts.entry(egress.id).or_default();
+    *count += 1;
+    forward::stamp(header, egress, *count);
+    data.send_batch([OutFrame { to, head: header.as_bytes(), body: payload }]);
 }

@@ -1,0 +1,184 @@
+//! Nodes with several links.
+
+use std::sync::atomic::AtomicU64;
+use std::time::Instant;
+
+use super::*;
+
+/// Between two messages in the tests.
+const PERIOD: Duration = Duration::from_millis(10);
+
+/// Of a small message: its body, and its proof.
+const SEGMENTS: u64 = 2;
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_goes_by_two_links_is_not_missed_when_one_is_cut_and_comes_once() {
+    let fabric = Fabric::start().await;
+    let robot = fabric.node_by("proxy", [None, None]).await;
+    let cloud = fabric.node("proxy").await;
+    for options in [PublishOptions::reliable(), PublishOptions::best_effort()] {
+        let (owner, reliable) = (Owner::new("/cmd_vel"), matches!(options.reliability, Reliability::Reliable { .. }));
+        let mut subscription = match reliable {
+            true => owner.subscribe(&cloud).await.unwrap(),
+            false => owner.subscribe_as(&cloud, SubscribeOptions::best_effort()).await.unwrap(),
+        };
+        let mut publisher = owner.publish_as(&robot, PublishOptions { duplicate: true, ..options }).await.unwrap();
+        publisher.send(Encoding::Bytes, &[0]).await.unwrap();
+        assert_eq!(recv(&mut subscription).await.sequence, 1);
+        let before = robot.links();
+
+        let sending = tokio::spawn(async move {
+            let mut ticks = tokio::time::interval(PERIOD);
+            for i in 2..=200u64 {
+                ticks.tick().await;
+                assert_eq!(publisher.send(Encoding::Bytes, &[1; 3000]).await.unwrap(), i);
+            }
+            publisher
+        });
+        let mut latest = Duration::ZERO;
+        for i in 2..=200 {
+            if i == 50 {
+                fabric.cut(&robot, 0, true);
+            }
+            let waited = Instant::now();
+            assert_eq!(recv(&mut subscription).await.sequence, i, "none is missing, none comes twice");
+            latest = latest.max(waited.elapsed());
+        }
+        let publisher = sending.await.unwrap();
+        assert!(latest < Duration::from_millis(300), "{latest:?} without a message");
+        assert_eq!(publisher.counters().repeated, 0, "there was no need to");
+        let main = |link: &LinkStatus| (link.main, link.state);
+        let links = robot.links();
+        assert_eq!(links.iter().map(main).collect::<Vec<_>>(), [(false, LinkState::Silent), (true, LinkState::Up)]);
+        assert!(links[1].copies_sent > before[1].copies_sent && links[1].copies_dropped == 0, "{links:?}");
+        fabric.cut(&robot, 0, false);
+        eventually("the first link is the main one again", || robot.links()[0].main).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn copies_are_dropped_at_the_reader_and_counted() {
+    let fabric = Fabric::start().await;
+    let (robot, cloud) = (fabric.node_by("proxy", [None, None]).await, fabric.node("proxy").await);
+    let owner = Owner::new("/scan");
+    let mut subscription = owner.subscribe(&cloud).await.unwrap();
+    let options = PublishOptions { duplicate: true, ..PublishOptions::reliable() };
+    let mut publisher = owner.publish_as(&robot, options).await.unwrap();
+    let other = Owner::new("/once");
+    let mut one_way = other.subscribe(&cloud).await.unwrap();
+    let mut once = other.publish(&robot).await.unwrap();
+    let arrived = Arc::new(AtomicU64::new(0));
+    let (counted, name) = (arrived.clone(), owner.name());
+    fabric.set_fate(Some(Box::new(move |header, _| {
+        counted.fetch_add(u64::from(header.destination == name), Ordering::Relaxed);
+        true
+    })));
+    for i in 1..=100 {
+        once.send(Encoding::Bytes, &[0; 1000]).await.unwrap();
+        assert_eq!(recv(&mut one_way).await.sequence, i);
+        publisher.send(Encoding::Bytes, &[0; 1000]).await.unwrap();
+        assert_eq!(recv(&mut subscription).await.sequence, i);
+    }
+    let (sent, frames) = (publisher.counters(), publisher.counters().frames);
+    eventually("all copies are there", || arrived.load(Ordering::Relaxed) >= 2 * frames).await;
+    let duplicates = || subscription.counters().duplicates;
+    eventually("and are counted", || duplicates() >= SEGMENTS * 100).await;
+    assert_eq!((sent.repeated, duplicates()), (0, SEGMENTS * 100), "{:?}", robot.links());
+    assert_eq!(one_way.counters().duplicates, 0);
+    assert_eq!((robot.links()[1].copies_sent, cloud.counters().messages_received), (frames, 200));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_goes_by_one_link_moves_when_that_fails_and_returns() {
+    let fabric = Fabric::start().await;
+    let (robot, cloud) = (fabric.node_by("proxy", [None, None]).await, fabric.node("proxy").await);
+    let (owner, back) = (Owner::new("/scan"), Owner::new("/cmd_vel"));
+    let mut subscription = owner.subscribe(&cloud).await.unwrap();
+    let mut publisher = owner.publish(&robot).await.unwrap();
+    let mut commands = back.subscribe(&robot).await.unwrap();
+    let mut commander = back.publish(&cloud).await.unwrap();
+    for (step, cut) in [false, true, false].into_iter().enumerate() {
+        fabric.cut(&robot, 0, cut);
+        let first = 50 * step as u64;
+        for _ in 0..50 {
+            publisher.send(Encoding::Bytes, &[1; 2000]).await.unwrap();
+            commander.send(Encoding::Bytes, &[1; 2000]).await.unwrap();
+        }
+        for i in first + 1..=first + 50 {
+            assert_eq!(recv(&mut subscription).await.sequence, i);
+            assert_eq!(recv(&mut commands).await.sequence, i);
+        }
+        eventually("the better link is the main one", || robot.links()[usize::from(cut)].main).await;
+    }
+    assert_eq!(subscription.counters().given_up + commands.counters().given_up, 0);
+    assert_eq!(robot.counters().links, 2, "no link was lost");
+    assert!(robot.links().iter().all(|link| link.copies_sent == 0));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_reader_may_have_a_name_come_by_each_of_its_links() {
+    let fabric = Fabric::start().await;
+    let (robot, cloud) = (fabric.node_by("proxy", [None, None]).await, fabric.node("proxy").await);
+    let owner = Owner::new("/cmd_vel");
+    let options = SubscribeOptions { duplicate: true, ..SubscribeOptions::reliable() };
+    let mut commands = owner.subscribe_as(&robot, options).await.unwrap();
+    let mut commander = owner.publish(&cloud).await.unwrap();
+    let (mut latest, mut ticks) = (Duration::ZERO, tokio::time::interval(PERIOD));
+    for i in 1..=200 {
+        if i == 100 {
+            eventually("each came twice", || commands.counters().duplicates == SEGMENTS * (i - 1)).await;
+            fabric.cut(&robot, 0, true);
+        }
+        let sent = Instant::now();
+        commander.send(Encoding::Bytes, &[1; 1000]).await.unwrap();
+        assert_eq!(recv(&mut commands).await.sequence, i);
+        latest = latest.max(sent.elapsed());
+        ticks.tick().await;
+    }
+    assert!(latest < Duration::from_millis(300), "{latest:?} without a message");
+    assert_eq!((commander.counters().repeated, commands.counters().given_up), (0, 0));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_budget_is_that_of_its_link() {
+    let fabric = Fabric::start().await;
+    let (robot, cloud) = (fabric.node_by("proxy", [None, Some(10_000)]).await, fabric.node("proxy").await);
+    let owner = Owner::new("/image");
+    let mut subscription = owner.subscribe(&cloud).await.unwrap();
+    let options = PublishOptions { duplicate: true, ..PublishOptions::reliable() };
+    let mut publisher = owner.publish_as(&robot, options).await.unwrap();
+    for i in 1..=3 {
+        publisher.send(Encoding::Bytes, &[1; 1_000_000]).await.unwrap();
+        assert_eq!(recv(&mut subscription).await.sequence, i);
+    }
+    let second = &robot.links()[1];
+    assert!(second.copies_sent * 1000 < 20_000 && second.copies_dropped > 1000, "{second:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn one_link_is_enough_to_begin_with_and_there_are_a_few_at_most() {
+    let fabric = Fabric::start().await;
+    let config = |links: Vec<LinkConfig>| NodeConfig {
+        links,
+        connect_timeout: Duration::from_millis(500),
+        ..NodeConfig::new(Identity::generate("proxy").unwrap(), fabric.target())
+    };
+    let missing: LinkConfig = "eth://gdpnone0".parse::<LinkTarget>().unwrap().into();
+    let node = Node::connect(config(vec![missing.clone(), fabric.target().into()])).await.unwrap();
+    let owner = Owner::new("/chatter");
+    let mut subscription = owner.subscribe(&fabric.node("proxy").await).await.unwrap();
+    let mut publisher = owner.publish(&node).await.unwrap();
+    publisher.send(Encoding::Bytes, b"hello").await.unwrap();
+    assert_eq!(&recv(&mut subscription).await.body[..], b"hello");
+    eventually("the other is down for a reason", || {
+        let link = &node.links()[0];
+        link.state == LinkState::Down && link.reason.as_ref().is_some_and(|reason| reason.contains("gdpnone0"))
+    })
+    .await;
+    for count in [0, MAX_LANES + 1] {
+        let error = Node::connect(config(vec![missing.clone(); count])).await.err().unwrap();
+        assert!(matches!(error, NodeError::Links(links) if links == count), "{error}");
+    }
+    let error = Node::connect(config(vec![missing.clone(); 2])).await.err().unwrap().to_string();
+    assert!(error.contains("gdpnone0"), "{error}");
+}
