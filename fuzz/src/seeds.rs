@@ -49,8 +49,8 @@ fn feedback() -> Seeds {
     let (highest, received_segments, received_bytes, ce) = (7, 8, 9, 1);
     let (echo, echo_index, delay_us) = (7, 1, 100);
     let seeds = [
-        ("hello", Feedback::Hello { name, challenge }),
-        ("welcome", Feedback::Welcome { name, challenge, session, sequence: 5 }),
+        ("hello", Feedback::Hello { name, challenge, reliable: true }),
+        ("welcome", Feedback::Welcome { name, challenge, session, sequence: 5, reliable: true }),
         (
             "report",
             Feedback::Report {

@@ -14,6 +14,7 @@
 
 mod clock;
 mod counters;
+mod ending;
 mod feedback;
 mod frame_size;
 mod gathered;
@@ -57,11 +58,12 @@ use crate::name::{NamePrefix, NameProof};
 use crate::port::LinkAddr;
 use crate::seal::SealError;
 
-pub use counters::NodeCounters;
+pub use counters::{Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
+pub use ending::Ended;
 pub use feedback::{Feedback, FrameError};
 pub use gdp_wire::ErrorCode;
 pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOptions};
-pub use publisher::Publisher;
+pub use publisher::{Publisher, Unflushed};
 pub use services::{Call, Client, Server};
 pub use subscription::Subscription;
 pub use target::{LinkTarget, LinkTargetError};
@@ -120,6 +122,8 @@ pub enum NodeError {
     TooManyCalls(usize),
     #[error("the switch answered another question: {0}")]
     Protocol(&'static str),
+    #[error(transparent)]
+    Unflushed(#[from] Unflushed),
     #[error("the node is closed")]
     Closed,
 }
@@ -204,12 +208,9 @@ impl Node {
         options: PublishOptions,
     ) -> Result<Publisher, NodeError> {
         let state = &self.0.state;
-        let (claims, entity) = (ad_cert.verify(&proof, None, unix_now())?, state.identity.name());
-        if claims.entity != entity {
-            return Err(CertError::WrongEntity { expected: entity, got: claims.entity }.into());
-        }
-        let name = claims.name;
-        let publication = state.open(name, Stated::Published, Statement::Write { proof, ad_cert }, &options)?;
+        let statement = Statement::Write { proof, ad_cert };
+        let name = state.check(&statement)?;
+        let publication = state.open(name, Stated::Published, statement, &options)?;
         // From here on, dropping the publisher ends the statement.
         let publisher = Publisher::new(self.0.clone(), publication.clone(), state.feedback.of(name));
         self.make_known(name, Stated::Published, Some(&publication)).await?;
@@ -224,9 +225,10 @@ impl Node {
         options: SubscribeOptions,
     ) -> Result<Subscription, NodeError> {
         let state = &self.0.state;
-        let name = grant.verify(&proof, state.identity.name(), None, unix_now())?.name;
-        let (queue, ended) = state.read(name, Stated::Subscribed, Statement::Read { proof, grant }, options)?;
-        let subscription = Subscription::new(self.0.clone(), queue, ended);
+        let statement = Statement::Read { proof, grant };
+        let name = state.check(&statement)?;
+        let (queue, ending) = state.read(name, Stated::Subscribed, statement, options)?;
+        let subscription = Subscription::new(self.0.clone(), queue, ending);
         self.make_known(name, Stated::Subscribed, None).await?;
         Ok(subscription)
     }
@@ -235,14 +237,10 @@ impl Node {
     /// can be read by another of them.
     pub async fn serve(&self, proof: NameProof, ad_cert: Issued<AdCert>) -> Result<Server, NodeError> {
         let state = &self.0.state;
-        let claims = ad_cert.verify(&proof, None, unix_now())?;
-        let (name, entity) = (claims.name, state.identity.name());
-        if claims.entity != entity {
-            return Err(CertError::WrongEntity { expected: entity, got: claims.entity }.into());
-        }
-        let (statement, options) = (Statement::Write { proof, ad_cert }, SubscribeOptions::reliable());
-        let (queue, _) = state.read(name, Stated::Served, statement, options)?;
-        let server = Server::new(self.0.clone(), queue);
+        let statement = Statement::Write { proof, ad_cert };
+        let name = state.check(&statement)?;
+        let (queue, ending) = state.read(name, Stated::Served, statement, SubscribeOptions::reliable())?;
+        let server = Server::new(self.0.clone(), queue, ending);
         self.make_known(name, Stated::Served, None).await?;
         Ok(server)
     }
@@ -250,10 +248,10 @@ impl Node {
     /// Calls a name: `grant` shows that its owner allows it.
     pub async fn client(&self, proof: NameProof, grant: Grant) -> Result<Client, NodeError> {
         let state = &self.0.state;
-        let name = grant.verify(&proof, state.identity.name(), None, unix_now())?.name;
+        let statement = Statement::Read { proof, grant };
+        let name = state.check(&statement)?;
         state.open_inbox();
-        let (statement, options) = (Statement::Read { proof, grant }, PublishOptions::reliable());
-        let publication = state.open(name, Stated::Called, statement, &options)?;
+        let publication = state.open(name, Stated::Called, statement, &PublishOptions::reliable())?;
         let client = Client::new(self.0.clone(), publication.clone());
         self.make_known(name, Stated::Called, Some(&publication)).await?;
         Ok(client)
@@ -308,9 +306,13 @@ impl Node {
 
     /// What became of frames and messages so far.
     pub fn counters(&self) -> NodeCounters {
-        let state = &self.0.state;
-        let socket_drops = state.outlet.sending_on().map_or(0, |attachment| attachment.data.receive_drops());
-        state.counters.snapshot(socket_drops)
+        self.0.state.outlet.node_counters()
+    }
+
+    /// The same at any time, from any task.
+    pub fn meter(&self) -> Meter<NodeCounters> {
+        let outlet = self.0.state.outlet.clone();
+        Meter::new(move || outlet.node_counters())
     }
 
     /// Detaches: the switch is told, and withdraws everything at once. Publishers and subscriptions are of no use after.

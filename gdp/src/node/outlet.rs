@@ -16,7 +16,7 @@ use zerocopy::IntoBytes;
 
 use super::NodeError;
 use super::clock::Clock;
-use super::counters::Counters;
+use super::counters::{Counters, NodeCounters};
 use super::pairs::Pairs;
 use super::publication::{Publication, Pushed};
 use super::state::lock;
@@ -109,6 +109,11 @@ impl Outlet {
     /// This node's own.
     pub fn name(&self) -> Name {
         self.name
+    }
+
+    pub fn node_counters(&self) -> NodeCounters {
+        let socket_drops = self.sending_on().map_or(0, |attachment| attachment.data.receive_drops());
+        self.counters.snapshot(socket_drops)
     }
 
     pub fn status(&self) -> watch::Receiver<Status> {

@@ -2,7 +2,7 @@
 //! tasks. Requests go out from here; when, is the supervisor's business.
 
 use std::collections::{HashMap, HashSet};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use gdp_wire::Name;
@@ -10,6 +10,7 @@ use tokio::sync::{Notify, mpsc};
 
 use super::clock::unix_now;
 use super::counters::Counters;
+use super::ending::{Ended, Ending};
 use super::feedback::Feedbacks;
 use super::intake::{Intake, Shared};
 use super::options::{PublishOptions, SubscribeOptions};
@@ -46,10 +47,10 @@ pub struct State {
     pub calls: Mutex<HashMap<MessageId, Pending>>,
     /// Whether replies are taken.
     pub inbox_opened: Mutex<bool>,
-    /// Why subscriptions ended.
-    pub subscriptions: Mutex<HashMap<Name, Arc<OnceLock<CertError>>>>,
-    /// Everything the RIB is to know, stated again after each reconnection; and whether it was, on the present link.
-    statements: Mutex<HashMap<(Name, Stated), (Statement, bool)>>,
+    /// That subscriptions ended, and why.
+    pub subscriptions: Mutex<HashMap<Name, Arc<Ending>>>,
+    /// Everything the RIB is to know, stated again after each reconnection.
+    statements: Mutex<HashMap<(Name, Stated), Standing>>,
     /// Those on the other side of what is stated.
     pub counterparts: Mutex<HashMap<(Name, NameRole), Counterparts>>,
     /// Something that stands has to be stated again.
@@ -61,7 +62,7 @@ pub struct State {
 }
 
 /// The right to a name, as it is shown to the RIB.
-#[derive(Clone)]
+#[derive(Clone, PartialEq, Eq)]
 pub enum Statement {
     /// Publishes or serves.
     Write { proof: NameProof, ad_cert: Issued<AdCert> },
@@ -69,7 +70,35 @@ pub enum Statement {
     Read { proof: NameProof, grant: Grant },
 }
 
+/// A statement that the application wants to stand.
+struct Standing {
+    statement: Statement,
+    /// When the right ends, in Unix seconds.
+    not_after: u64,
+    /// It was stated on the present link.
+    done: bool,
+    /// The right has ended.
+    over: bool,
+}
+
 impl Statement {
+    /// The name it is about and when the right ends (Unix seconds), if it holds for this entity.
+    fn verify(&self, entity: Name, revocation: Option<&Revocation>, now: u64) -> Result<(Name, u64), CertError> {
+        match self {
+            Self::Write { proof, ad_cert } => {
+                let claims = ad_cert.verify(proof, revocation, now)?;
+                if claims.entity != entity {
+                    return Err(CertError::WrongEntity { expected: entity, got: claims.entity });
+                }
+                Ok((claims.name, claims.not_after))
+            }
+            Self::Read { proof, grant } => {
+                let claims = grant.verify(proof, entity, revocation, now)?;
+                Ok((claims.name, claims.not_after))
+            }
+        }
+    }
+
     fn proof(&self) -> &NameProof {
         match self {
             Self::Write { proof, .. } | Self::Read { proof, .. } => proof,
@@ -146,13 +175,85 @@ impl State {
 
     /// Whether this node's own right in a name holds under a revocation of it.
     pub fn check_own(&self, name: Name, role: NameRole, revocation: &Revocation) -> Result<(), CertError> {
-        let (statements, now) = (lock(&self.statements), unix_now());
-        match statements.get(&(name, Stated::of(role))) {
-            Some((Statement::Write { proof, ad_cert }, _)) => ad_cert.verify(proof, Some(revocation), now).map(drop),
-            Some((Statement::Read { proof, grant }, _)) => {
-                grant.verify(proof, self.identity.name(), Some(revocation), now).map(drop)
+        let (statements, own) = (lock(&self.statements), self.identity.name());
+        let standing = statements.get(&(name, Stated::of(role)));
+        standing.map_or(Ok(()), |it| it.statement.verify(own, Some(revocation), unix_now()).map(drop))
+    }
+
+    /// The name that a right is about, if it holds.
+    pub fn check(&self, statement: &Statement) -> Result<Name, CertError> {
+        statement.verify(self.identity.name(), None, unix_now()).map(|(name, _)| name)
+    }
+
+    /// The statements whose right has ended by itself, and the errors that say so.
+    pub fn expired(&self, now: u64) -> Vec<(Name, Stated, CertError)> {
+        let (statements, own) = (lock(&self.statements), self.identity.name());
+        let late = statements.iter().filter(|(_, standing)| !standing.over && standing.not_after < now);
+        let error = |standing: &Standing| standing.statement.verify(own, None, now).err();
+        late.filter_map(|((name, stated), standing)| Some((*name, *stated, error(standing)?))).collect()
+    }
+
+    /// This node's own right in a name has ended.
+    pub fn end(&self, name: Name, role: NameRole, error: CertError) {
+        match lock(&self.statements).get_mut(&(name, Stated::of(role))) {
+            Some(standing) if !standing.over => standing.over = true,
+            _ => return,
+        }
+        tracing::warn!(%name, %error, "the right of this node as a {role} has ended");
+        if role.sends() {
+            if let Some(publication) = lock(&self.publications).get(&name) {
+                publication.end(error.into());
             }
-            None => Ok(()),
+            return;
+        }
+        if let Some(ending) = lock(&self.subscriptions).get(&name) {
+            ending.end(error.into());
+        }
+        self.command(Command::Unsubscribe { name });
+    }
+
+    /// The node is closed.
+    pub fn close(&self) {
+        lock(&self.publications).values().for_each(|publication| publication.end(Ended::Closed));
+        lock(&self.subscriptions).values().for_each(|ending| ending.end(Ended::Closed));
+    }
+
+    /// Puts another right in the place of the one that something is stated by. The RIB has it then, or gets it with the next link; if
+    /// it refuses it, the old one stays.
+    pub async fn renew(
+        &self,
+        name: Name,
+        stated: Stated,
+        renewed: impl FnOnce(NameProof) -> Statement,
+    ) -> Result<(), NodeError> {
+        let proof = lock(&self.statements).get(&(name, stated)).map(|standing| *standing.statement.proof());
+        let statement = renewed(proof.ok_or(NodeError::Closed)?);
+        let revocation = {
+            let known = lock(&self.counterparts);
+            known.get(&(name, stated.role())).and_then(|counterparts| counterparts.revocation().cloned())
+        };
+        let (_, not_after) = statement.verify(self.identity.name(), revocation.as_ref(), unix_now())?;
+        let new = Standing { statement, not_after, done: false, over: false };
+        let old = match lock(&self.statements).get_mut(&(name, stated)) {
+            Some(standing) if !standing.over => std::mem::replace(standing, new),
+            _ => return Err(NodeError::Closed),
+        };
+        let stating = async { self.state(&*self.attached().await?, name, stated).await };
+        let result = stating.await;
+        match result {
+            Ok(()) => Ok(()),
+            Err(error @ NodeError::Refused(_)) if !is_for_now(&error) => {
+                if let Some(standing) = lock(&self.statements).get_mut(&(name, stated)) {
+                    *standing = Standing { done: false, ..old };
+                }
+                self.unstated.notify_one();
+                Err(error)
+            }
+            Err(error) => {
+                tracing::debug!(%name, %error, "a renewed right is stated later");
+                self.unstated.notify_one();
+                Ok(())
+            }
         }
     }
 
@@ -165,6 +266,7 @@ impl State {
         statement: Statement,
         register: impl FnOnce(),
     ) -> Result<(), NodeError> {
+        let (_, not_after) = statement.verify(self.identity.name(), None, unix_now())?;
         let counterparts = Counterparts::new(*statement.proof(), stated.role())?;
         let (mut known, mut statements) = (lock(&self.counterparts), lock(&self.statements));
         // What it sends to the name is one stream, and what it takes of it is another.
@@ -175,7 +277,7 @@ impl State {
         }
         known.insert((name, stated.role()), counterparts);
         register();
-        statements.insert((name, stated), (statement, false));
+        statements.insert((name, stated), Standing { statement, not_after, done: false, over: false });
         Ok(())
     }
 
@@ -218,16 +320,16 @@ impl State {
         stated: Stated,
         statement: Statement,
         options: SubscribeOptions,
-    ) -> Result<(Queue, Arc<OnceLock<CertError>>), NodeError> {
+    ) -> Result<(Queue, Arc<Ending>), NodeError> {
         let mut listening = None;
         self.begin(name, stated, statement, || listening = Some(self.listen(name, options)))?;
         listening.ok_or(NodeError::Closed)
     }
 
     /// What comes for a name, and why it ended.
-    pub fn listen(&self, name: Name, options: SubscribeOptions) -> (Queue, Arc<OnceLock<CertError>>) {
+    pub fn listen(&self, name: Name, options: SubscribeOptions) -> (Queue, Arc<Ending>) {
         let (sender, receiver) = mpsc::channel(options.queue.max(1));
-        let (shared, ended) = (Arc::<Shared>::default(), Arc::<OnceLock<CertError>>::default());
+        let (shared, ended) = (Arc::<Shared>::default(), Arc::<Ending>::default());
         lock(&self.readings).insert(name, Reading::new(name, &self.identity));
         lock(&self.subscriptions).insert(name, ended.clone());
         let intake = Intake::new(name, options, sender, shared.clone());
@@ -240,7 +342,7 @@ impl State {
         // The statement last: until then nobody else can begin the same.
         match stated {
             Stated::Subscribed | Stated::Served => {
-                lock(&self.subscriptions).remove(&name);
+                lock(&self.subscriptions).remove(&name).into_iter().for_each(|ending| ending.end(Ended::Closed));
                 if let Some(reading) = lock(&self.readings).remove(&name) {
                     let mut pairs = lock(&self.outlet.pairs);
                     reading.writers().for_each(|writer| pairs.part(writer));
@@ -267,7 +369,7 @@ impl State {
         let mut serial = self.serial.lock().await;
         self.attach_locked(attachment, &mut serial).await?;
         lock(&self.publications).values().for_each(|publication| publication.store_again());
-        lock(&self.statements).values_mut().for_each(|(_, done)| *done = false);
+        lock(&self.statements).values_mut().for_each(|standing| standing.done = false);
         Ok(())
     }
 
@@ -287,7 +389,10 @@ impl State {
     /// States one thing that stands to the RIB, unless that is done since the last [`Self::attach`].
     pub async fn state(&self, attachment: &Attachment, name: Name, stated: Stated) -> Result<(), NodeError> {
         let mut serial = self.serial.lock().await;
-        let Some((statement, false)) = lock(&self.statements).get(&(name, stated)).cloned() else { return Ok(()) };
+        let statement = match lock(&self.statements).get(&(name, stated)) {
+            Some(Standing { statement, done: false, over: false, .. }) => statement.clone(),
+            _ => return Ok(()),
+        };
         let op = stated.role().op();
         let response = self.ask_signed(attachment, &mut serial, op, name, |advert| match statement.clone() {
             Statement::Write { proof, ad_cert } => EntityRequest::Advertise { proof, ad_cert, advert },
@@ -296,8 +401,9 @@ impl State {
         let Response::Peers(peers) = response.await? else { return Err(NodeError::Protocol("to a statement")) };
         // Something newer may have come before; then the RIB tells the whole once more.
         let _ = self.take_peers(name, stated.role(), &peers);
-        if let Some((_, done)) = lock(&self.statements).get_mut(&(name, stated)) {
-            *done = true;
+        // Unless another was put in its place meanwhile.
+        if let Some(standing) = lock(&self.statements).get_mut(&(name, stated)).filter(|it| it.statement == statement) {
+            standing.done = true;
         }
         self.outlet.upkeep.notify_one();
         Ok(())
@@ -325,8 +431,8 @@ impl State {
         let request = |advert| EntityRequest::Withdraw { advert };
         self.ask_signed(attachment, &mut serial, AdvertOp::Withdraw, name, request).await?;
         for other in Stated::ALL {
-            if let Some((_, done)) = lock(&self.statements).get_mut(&(name, other)) {
-                *done = false;
+            if let Some(standing) = lock(&self.statements).get_mut(&(name, other)) {
+                standing.done = false;
                 self.unstated.notify_one();
             }
         }
@@ -391,6 +497,11 @@ impl State {
 
 pub async fn ask(attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {
     Ok(attachment.link.request(&Request::Entity(request)).await?.accepted()?)
+}
+
+/// A refusal that time mends.
+pub fn is_for_now(error: &NodeError) -> bool {
+    matches!(error, NodeError::Refused(refusal) if refusal.code == RefusalCode::Unreachable)
 }
 
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

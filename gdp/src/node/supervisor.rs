@@ -204,6 +204,7 @@ impl Supervisor {
             () = state.keep() => {}
             _ = stop.wait_for(|stop| *stop) => {}
         }
+        state.close();
         // In this order: the thread is woken through the link.
         self.state.command(Command::Stop);
         self.state.outlet.stop();

@@ -1,6 +1,8 @@
 //! Nodes against a switch and RIB of a page, over UDP on loopback. No root. The real ones: `gdp-ctl`, `tests/`.
 
 mod fabric;
+mod qos;
+mod rights;
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
@@ -233,7 +235,7 @@ async fn what_is_lost_on_the_way_comes_again_and_in_order() {
         assert_eq!(message.body[..4], i.to_be_bytes(), "{:?}", cloud.counters());
     }
     let publisher = sending.await.unwrap();
-    let (sent, received) = (publisher.counters(), subscription.counters());
+    let (sent, received) = (publisher.counters().topic, subscription.counters().inbound);
     assert_eq!((sent.messages, sent.evicted, received.delivered), (COUNT.into(), 0, COUNT.into()));
     assert!(sent.repeated > 0 && received.given_up == 0, "{sent:?} {received:?}");
 }
@@ -255,7 +257,7 @@ async fn of_best_effort_messages_each_is_accounted_for() {
     fabric.set_fate(None);
     // The last one is complete some day: then all before it are dealt with.
     let mut last = 1;
-    while last < publisher.counters().messages {
+    while last < publisher.counters().topic.messages {
         publisher.send(Encoding::Bytes, b"last").await.unwrap();
         while let Ok(message) = tokio::time::timeout(Duration::from_millis(200), subscription.recv()).await {
             let sequence = message.unwrap().sequence;
@@ -263,7 +265,7 @@ async fn of_best_effort_messages_each_is_accounted_for() {
             last = sequence;
         }
     }
-    let (sent, received) = (publisher.counters(), subscription.counters());
+    let (sent, received) = (publisher.counters().topic, subscription.counters().inbound);
     let dealt_with = received.delivered + received.overtaken + received.expired;
     assert_eq!((dealt_with, received.given_up), (sent.messages, 0), "{sent:?} {received:?}");
     assert_eq!(cloud.counters().messages_received, received.delivered);
@@ -342,7 +344,7 @@ async fn a_revoked_reader_does_not_get_the_next_key() {
     eventually("a new epoch", || newest(&cloud) > newest(&thief)).await;
     assert_eq!(fabric.boxes(owner.name(), &thief), before);
     assert!(stolen.recv().await.is_none(), "it has been told");
-    assert!(matches!(stolen.ended(), Some(CertError::Revoked { serial: 7, .. })));
+    assert!(matches!(stolen.ended().await, Ended::Right(CertError::Revoked { serial: 7, .. })));
     publisher.send(Encoding::Bytes, b"for one").await.unwrap();
     assert_eq!(&recv(&mut subscription).await.body[..], b"for one");
 }
@@ -384,7 +386,7 @@ async fn small_messages_one_upon_another_share_signatures_and_frames_and_keep_th
     }
     // Alone, a message of four bytes is a frame.
     let large = 20_000_u64.div_ceil(1000) * u64::from(BURSTS);
-    let TopicCounters { frames, repeated, .. } = publisher.counters();
+    let TopicCounters { frames, repeated, .. } = publisher.counters().topic;
     assert!(frames - repeated < large + u64::from(BURSTS * BURST) * 2 / 3, "{frames} frames");
     drop(publisher);
 }
@@ -424,7 +426,7 @@ async fn a_reader_that_takes_its_time_holds_the_publisher_and_loses_nothing() {
     for i in 0..200u32 {
         assert_eq!(recv(&mut subscription).await.body[..], i.to_be_bytes());
     }
-    assert_eq!(sending.await.unwrap().counters().evicted, 0);
+    assert_eq!(sending.await.unwrap().counters().topic.evicted, 0);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -458,7 +460,7 @@ async fn whoever_comes_later_gets_the_latched_messages_and_nobody_twice() {
     for subscription in [&mut early, &mut subscription, &mut another] {
         assert_eq!(&recv(subscription).await.body[..], b"new");
     }
-    eventually("those that came again are known here", || early.repeats() >= 2).await;
+    eventually("those that came again are known here", || early.counters().repeats >= 2).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -475,7 +477,7 @@ async fn a_way_that_swallows_large_frames_is_sent_small_ones() {
     for i in 0..20u8 {
         assert_eq!(recv(&mut subscription).await.body[..], [i; 20_000]);
     }
-    assert_eq!((publisher.counters().evicted, subscription.counters().given_up), (0, 0));
+    assert_eq!((publisher.counters().topic.evicted, subscription.counters().inbound.given_up), (0, 0));
     assert!(swallows.0.load(Ordering::Relaxed) > 0);
 }
 

@@ -14,7 +14,6 @@ use super::reading::Effect;
 use super::receiver::Command;
 use super::state::{State, ask, lock};
 use super::supervisor::{Attachment, Event};
-use crate::cert::CertError;
 use crate::control::{EntityRequest, NameRole, Peers, Response};
 use crate::peers::{OutOfStep, PeerEvent};
 
@@ -123,21 +122,6 @@ impl State {
         ended.into_iter().for_each(|caller| self.unregister(caller));
     }
 
-    /// This node's own right in a name has been revoked.
-    fn end(&self, name: Name, role: NameRole, error: CertError) {
-        tracing::warn!(%name, %error, "the owner has revoked the right of this node as a {role}");
-        if role.sends() {
-            if let Some(publication) = lock(&self.publications).get(&name) {
-                publication.end(error);
-            }
-            return;
-        }
-        if let Some(ended) = lock(&self.subscriptions).get(&name) {
-            let _ = ended.set(error);
-        }
-        self.command(Command::Unsubscribe { name });
-    }
-
     pub(super) fn carry_out(&self, name: Name, effects: Vec<Effect>) {
         let mut changes = Vec::new();
         for effect in effects {
@@ -183,6 +167,9 @@ impl State {
                     self.act(*name, *role, events);
                 }
             }
+        }
+        for (name, stated, error) in self.expired(now) {
+            self.end(name, stated.role(), error);
         }
         lock(&self.publications).values().for_each(|publication| publication.expire(&self.outlet, now));
         let mut ended = Vec::new();

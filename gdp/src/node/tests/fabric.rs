@@ -221,9 +221,12 @@ impl Owner {
     }
 
     pub fn ad_cert(&self, entity: Name) -> Issued<AdCert> {
+        self.ad_cert_until(entity, 1, unix_now() + 60)
+    }
+
+    pub fn ad_cert_until(&self, entity: Name, serial: u64, not_after: u64) -> Issued<AdCert> {
         let name = self.name();
-        let not_after = unix_now() + 60;
-        let claims = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial: 1, not_before: 0, not_after };
+        let claims = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial, not_before: 0, not_after };
         issue(&self.key, &claims).unwrap().into()
     }
 
@@ -263,7 +266,11 @@ impl Owner {
     }
 
     fn grant(&self, node: &Node, serial: u64) -> Reading {
-        let (name, to, not_after) = (self.name(), Grantee::Entity(node.name()), unix_now() + 60);
+        self.grant_until(node, serial, unix_now() + 60)
+    }
+
+    pub fn grant_until(&self, node: &Node, serial: u64, not_after: u64) -> Reading {
+        let (name, to) = (self.name(), Grantee::Entity(node.name()));
         issue(&self.key, &ReadGrant { name, to, serial, not_before: 0, not_after }).unwrap().into()
     }
 
