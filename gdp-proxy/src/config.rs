@@ -38,7 +38,7 @@ pub struct Config {
 }
 
 /// One topic in one direction.
-#[derive(Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TopicConfig {
     pub topic: TopicName,
@@ -68,7 +68,7 @@ pub enum Direction {
 }
 
 /// What no file says.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct NoKey;
 
 impl<'de> Deserialize<'de> for NoKey {

@@ -57,12 +57,9 @@ pub async fn run(
     for (route, material) in routes.iter().zip(material.topics) {
         let (route, domain, node, mut stopped) = (route.clone(), domain.clone(), node.clone(), stopped.clone());
         let carry = async move {
-            tokio::select! {
-                Err(error) = route.run(&domain, &node, material) => {
-                    Err(anyhow!(error).context(format!("topic {}", route.topic())))
-                }
-                _ = stopped.wait_for(|stopped| *stopped) => Ok(()),
-            }
+            let stop = async { _ = stopped.wait_for(|stopped| *stopped).await };
+            let ended = route.run(&domain, &node, material, stop).await;
+            ended.map_err(|error| anyhow!(error).context(format!("topic {}", route.topic())))
         };
         // A thread each: RustDDS and the node wake it directly, and no other topic's sealing is ever in its way.
         let runtime = Handle::current();
