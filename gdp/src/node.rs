@@ -29,6 +29,7 @@ mod publication;
 mod publisher;
 mod reading;
 mod receiver;
+mod revoked;
 mod services;
 mod shared_entry;
 mod state;
@@ -37,6 +38,7 @@ mod supervisor;
 mod target;
 mod told;
 
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -47,6 +49,7 @@ use tokio::task::JoinHandle;
 use self::clock::unix_now;
 use self::publication::Publication;
 use self::receiver::Receiver;
+use self::revoked::Revoked;
 use self::state::{State, Statement, lock};
 use self::supervisor::Supervisor;
 use crate::cert::{AdCert, CertError, Issued, Reading as Grant};
@@ -56,7 +59,9 @@ use crate::keys::RingError;
 use crate::link::{LinkError, RekeySchedule};
 use crate::name::{NamePrefix, NameProof};
 use crate::port::LinkAddr;
+use crate::revocations::RevocationFile;
 use crate::seal::SealError;
+use crate::secret_file::SecretFileError;
 
 pub use counters::{Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
 pub use ending::Ended;
@@ -81,13 +86,15 @@ pub struct NodeConfig {
     pub rekey: RekeySchedule,
     /// Bytes a second that its topics send at most, of frames with their header; `None`: what the ways to their readers take.
     pub budget: Option<u64>,
+    /// A folder in which the node keeps the revocations that it hears of; without one, it forgets them when it ends.
+    pub state: Option<PathBuf>,
 }
 
 impl NodeConfig {
     /// Any switch at `link`, waited for 10 s.
     pub fn new(identity: Identity, link: LinkTarget) -> Self {
         let (connect_timeout, rekey) = (Duration::from_secs(10), RekeySchedule::default());
-        Self { identity, link, switch: None, connect_timeout, rekey, budget: None }
+        Self { identity, link, switch: None, connect_timeout, rekey, budget: None, state: None }
     }
 }
 
@@ -122,6 +129,8 @@ pub enum NodeError {
     TooManyCalls(usize),
     #[error("the switch answered another question: {0}")]
     Protocol(&'static str),
+    #[error(transparent)]
+    State(#[from] SecretFileError),
     #[error(transparent)]
     Unflushed(#[from] Unflushed),
     #[error("the node is closed")]
@@ -186,7 +195,9 @@ impl Node {
     pub async fn connect(config: NodeConfig) -> Result<Self, NodeError> {
         let (commands, command_queue) = std::sync::mpsc::channel();
         let (events, event_queue) = mpsc::unbounded_channel();
-        let state = Arc::new(State::new(config.identity, config.budget, commands, events));
+        let file = |folder: PathBuf| RevocationFile::of_entity(&folder, config.identity.name(), revoked::MAX_FILE);
+        let revoked = Revoked::open(config.state.map(file))?;
+        let state = Arc::new(State::new(config.identity, config.budget, revoked, commands, events));
         let (outlet, feedback) = (state.outlet.clone(), state.feedback.clone());
         let receiver = Receiver { commands: command_queue, outlet, feedback };
         spawn("gdp-receive", move || receiver.run())?;

@@ -28,6 +28,10 @@ use crate::transport::{Full, Sealed, Topic, TopicCounters};
 /// A reader that is not attached any more keeps its place and its keys for so long: links come back.
 const ABSENCE: u64 = 60_000_000_000;
 
+/// Key boxes that could not be stored are offered again after so long, then less and less often.
+const FIRST_PAUSE: u64 = 1_000_000_000;
+const LONGEST_PAUSE: u64 = 60_000_000_000;
+
 /// Latched messages go to all readers again when one comes; however many come, not more often.
 const BETWEEN_LATCHES: u64 = 1_000_000_000;
 
@@ -62,7 +66,16 @@ struct Sealing {
     pending: Option<Sealed>,
     latched: LatchedSamples,
     /// Boxes that could not be stored yet.
-    unstored: Option<Boxes>,
+    unstored: Option<Unstored>,
+    /// Some were refused for good.
+    refused: bool,
+}
+
+struct Unstored {
+    boxes: Boxes,
+    /// When they are offered again, in Unix nanoseconds, and how long it was waited for that.
+    at: u64,
+    pause: u64,
 }
 
 #[derive(Default)]
@@ -128,6 +141,7 @@ impl Publication {
             pending: None,
             latched,
             unstored: None,
+            refused: false,
         };
         Ok(Self {
             name,
@@ -418,25 +432,48 @@ impl Publication {
 
     /// Boxes to be stored with the RIB next, if there are any.
     pub fn boxes(&self) -> Result<Option<Boxes>, RingError> {
-        let sealing = &mut *lock(&self.sealing);
-        match sealing.unstored.take() {
-            Some(boxes) => Ok(Some(boxes)),
-            None => sealing.ring.poll(unix_nanos()),
+        let (sealing, now) = (&mut *lock(&self.sealing), unix_nanos());
+        match &sealing.unstored {
+            // The clock may have been set back.
+            Some(Unstored { at, .. }) if (now..now.saturating_add(LONGEST_PAUSE)).contains(at) => Ok(None),
+            Some(unstored) => Ok(Some(unstored.boxes.clone())),
+            None => sealing.ring.poll(now),
         }
     }
 
-    pub fn boxes_stored(&self, boxes: Result<u32, Boxes>) {
+    /// The RIB has taken these.
+    pub fn boxes_stored(&self, boxes: &Boxes) {
         let sealing = &mut *lock(&self.sealing);
-        match boxes {
-            Ok(epoch) => sealing.ring.boxes_stored(epoch),
-            Err(boxes) => sealing.unstored = Some(boxes),
+        sealing.unstored = None;
+        sealing.ring.boxes_stored(boxes.epoch);
+    }
+
+    /// The RIB has not: they are offered again, and if it has no room for them, less and less often.
+    pub fn boxes_failed(&self, boxes: Boxes, no_room: bool) {
+        let sealing = &mut *lock(&self.sealing);
+        let before = sealing.unstored.take().filter(|_| no_room);
+        let pause = before.map_or(FIRST_PAUSE, |before| (2 * before.pause).min(LONGEST_PAUSE));
+        sealing.unstored = Some(Unstored { boxes, at: unix_nanos() + pause, pause });
+    }
+
+    /// The RIB never takes these, unless [something else](Self::stated) is stated.
+    pub fn boxes_refused(&self) {
+        let sealing = &mut *lock(&self.sealing);
+        (sealing.unstored, sealing.refused) = (None, true);
+    }
+
+    /// The RIB knows by now what the right to it is.
+    pub fn stated(&self) {
+        let refused = std::mem::take(&mut lock(&self.sealing).refused);
+        if refused {
+            self.store_again();
         }
     }
 
     /// The RIB may have lost the boxes.
     pub fn store_again(&self) {
         let sealing = &mut *lock(&self.sealing);
-        sealing.unstored = None;
+        (sealing.unstored, sealing.refused) = (None, false);
         sealing.ring.republish();
     }
 

@@ -18,6 +18,7 @@ use super::outlet::{Outlet, Status};
 use super::publication::Publication;
 use super::reading::Reading;
 use super::receiver::Command;
+use super::revoked::Revoked;
 use super::services::Pending;
 use super::subscription::Queue;
 use super::supervisor::{Attachment, Event};
@@ -53,6 +54,8 @@ pub struct State {
     statements: Mutex<HashMap<(Name, Stated), Standing>>,
     /// Those on the other side of what is stated.
     pub counterparts: Mutex<HashMap<(Name, NameRole), Counterparts>>,
+    /// What owners have taken back, as far as it came by.
+    pub revoked: Revoked,
     /// Something that stands has to be stated again.
     pub unstated: Notify,
     /// The highest serial used. Held while a statement is on its way, so that they arrive in their order.
@@ -111,6 +114,7 @@ impl State {
     pub fn new(
         identity: Identity,
         budget: Option<u64>,
+        revoked: Revoked,
         commands: std::sync::mpsc::Sender<Command>,
         events: mpsc::UnboundedSender<Event>,
     ) -> Self {
@@ -127,6 +131,7 @@ impl State {
             subscriptions: Mutex::default(),
             statements: Mutex::default(),
             counterparts: Mutex::default(),
+            revoked,
             unstated: Notify::new(),
             serial: tokio::sync::Mutex::new(0),
             commands,
@@ -182,7 +187,10 @@ impl State {
 
     /// The name that a right is about, if it holds.
     pub fn check(&self, statement: &Statement) -> Result<Name, CertError> {
-        statement.verify(self.identity.name(), None, unix_now()).map(|(name, _)| name)
+        let name = statement.proof().name()?;
+        let revoked = self.revoked.of(&name);
+        let revocation = revoked.as_ref().map(|(_, claims)| claims);
+        statement.verify(self.identity.name(), revocation, unix_now()).map(|(name, _)| name)
     }
 
     /// The statements whose right has ended by itself, and the errors that say so.
@@ -267,7 +275,8 @@ impl State {
         register: impl FnOnce(),
     ) -> Result<(), NodeError> {
         let (_, not_after) = statement.verify(self.identity.name(), None, unix_now())?;
-        let counterparts = Counterparts::new(*statement.proof(), stated.role())?;
+        let mut counterparts = Counterparts::new(*statement.proof(), stated.role())?;
+        self.revoked.of(&name).into_iter().for_each(|revocation| counterparts.recall(revocation));
         let (mut known, mut statements) = (lock(&self.counterparts), lock(&self.statements));
         // What it sends to the name is one stream, and what it takes of it is another.
         let same_way = |other: &Stated| other.role().sends() == stated.role().sends();
@@ -405,6 +414,9 @@ impl State {
         if let Some(standing) = lock(&self.statements).get_mut(&(name, stated)).filter(|it| it.statement == statement) {
             standing.done = true;
         }
+        if let Some(publication) = lock(&self.publications).get(&name).filter(|_| stated.role().sends()) {
+            publication.stated();
+        }
         self.outlet.upkeep.notify_one();
         Ok(())
     }
@@ -434,6 +446,10 @@ impl State {
             if let Some(standing) = lock(&self.statements).get_mut(&(name, other)) {
                 standing.done = false;
                 self.unstated.notify_one();
+                // Its keys went with it.
+                if let Some(publication) = lock(&self.publications).get(&name).filter(|_| other.role().sends()) {
+                    publication.store_again();
+                }
             }
         }
         Ok(())

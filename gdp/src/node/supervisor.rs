@@ -205,6 +205,7 @@ impl Supervisor {
             _ = stop.wait_for(|stop| *stop) => {}
         }
         state.close();
+        state.revoked.save();
         // In this order: the thread is woken through the link.
         self.state.command(Command::Stop);
         self.state.outlet.stop();

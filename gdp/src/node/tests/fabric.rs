@@ -53,6 +53,9 @@ struct Rib {
     boxes: HashMap<(Name, Name), Vec<Signed<KeyBox>>>,
     revocations: HashMap<Name, Signed<Revocation>>,
     refuse: Option<RefusalCode>,
+    /// What becomes of key boxes of a name, and how often that was asked.
+    refuse_boxes: HashMap<Name, (RefusalCode, u32)>,
+    told_revocations: u32,
     silent: bool,
     fate: Option<Fate>,
     run: u64,
@@ -115,8 +118,13 @@ impl Fabric {
     }
 
     pub async fn node(&self, kind: &str) -> Node {
-        let mut config = NodeConfig::new(Identity::generate(kind).unwrap(), self.target());
-        config.switch = Some(self.identity.name());
+        self.node_of(&Identity::generate(kind).unwrap(), None).await
+    }
+
+    /// With a folder for what it keeps.
+    pub async fn node_of(&self, identity: &Identity, state: Option<std::path::PathBuf>) -> Node {
+        let mut config = NodeConfig::new(identity.clone(), self.target());
+        (config.switch, config.state) = (Some(self.identity.name()), state);
         Node::connect(config).await.unwrap()
     }
 
@@ -175,6 +183,25 @@ impl Fabric {
     /// Refuses every advertisement and subscription.
     pub fn refuse(&self, code: Option<RefusalCode>) {
         lock(&self.rib).refuse = code;
+    }
+
+    /// Refuses key boxes of a name.
+    pub fn refuse_boxes(&self, name: Name, code: RefusalCode) {
+        lock(&self.rib).refuse_boxes.insert(name, (code, 0));
+    }
+
+    pub fn refused_boxes(&self, name: Name) -> u32 {
+        lock(&self.rib).refuse_boxes[&name].1
+    }
+
+    /// Takes key boxes of every name again.
+    pub fn take_boxes(&self) {
+        lock(&self.rib).refuse_boxes.clear();
+    }
+
+    /// Revocations that nodes passed on.
+    pub fn told_revocations(&self) -> u32 {
+        lock(&self.rib).told_revocations
     }
 
     /// Whether nodes are told when their counterparts change.
@@ -327,9 +354,17 @@ impl Rib {
                 let records = found.flat_map(|(_, records)| records.clone()).collect();
                 return (Response::Records { records, truncated: false }, Vec::new());
             }
-            EntityRequest::KeyBoxes { boxes } => return (Response::Done, self.keep(boxes)),
+            EntityRequest::KeyBoxes { boxes } => {
+                let name = boxes[0].claims_unverified().unwrap().name;
+                if let Some((code, asked)) = self.refuse_boxes.get_mut(&name) {
+                    *asked += 1;
+                    return (Refusal::new(*code, "as the test wants it").into(), Vec::new());
+                }
+                return (Response::Done, self.keep(boxes));
+            }
             EntityRequest::Revoke { .. } => {
-                return (Refusal::new(RefusalCode::Unsupported, "no node asks this").into(), Vec::new());
+                self.told_revocations += 1;
+                return (Response::Done, Vec::new());
             }
             EntityRequest::Advertise { advert, .. }
             | EntityRequest::Subscribe { advert, .. }

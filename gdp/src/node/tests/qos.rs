@@ -128,3 +128,25 @@ async fn counters_are_read_from_anywhere_and_outlive_what_they_count() {
     assert_eq!((as_json(shown.0).0, as_json(shown.1).1), (1.into(), 1.into()));
     assert_eq!(node.read().messages_sent, 1);
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn key_boxes_that_are_refused_for_good_are_not_offered_again_and_again() {
+    let fabric = Fabric::start().await;
+    let (refused, limited) = (Owner::new("/refused"), Owner::new("/limited"));
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    fabric.refuse_boxes(refused.name(), RefusalCode::NotEntitled);
+    fabric.refuse_boxes(limited.name(), RefusalCode::Limit);
+    let mut publisher = refused.publish(&robot).await.unwrap();
+    let mut other = limited.publish(&robot).await.unwrap();
+    let mut subscription = refused.subscribe(&cloud).await.unwrap();
+    let mut another = limited.subscribe(&cloud).await.unwrap();
+    eventually("a limit is asked again", || fabric.refused_boxes(limited.name()) >= 3).await;
+    assert_eq!(fabric.refused_boxes(refused.name()), 1);
+    fabric.take_boxes();
+    other.send(Encoding::Bytes, b"there is room again").await.unwrap();
+    assert_eq!(&recv(&mut another).await.body[..], b"there is room again");
+    // What is stated anew may be another matter.
+    publisher.renew(refused.ad_cert_until(robot.name(), 2, unix_now() + 60)).await.unwrap();
+    publisher.send(Encoding::Bytes, b"by another right").await.unwrap();
+    assert_eq!(&recv(&mut subscription).await.body[..], b"by another right");
+}

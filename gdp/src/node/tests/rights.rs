@@ -105,3 +105,36 @@ async fn handles_tell_that_they_ended_and_why() {
     cloud.close().await;
     assert_eq!(kept_ended.await.unwrap(), Ended::Closed);
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_that_starts_anew_has_forgotten_no_revocation() {
+    let mut fabric = Fabric::start().await;
+    let (owner, folder) = (Owner::new("/chatter"), tempfile::tempdir().unwrap());
+    let (robot, cloud) = (Identity::generate("proxy").unwrap(), Identity::generate("proxy").unwrap());
+    let state = || Some(folder.path().to_owned());
+    {
+        let (robot, cloud) = (fabric.node_of(&robot, None).await, fabric.node_of(&cloud, state()).await);
+        let publisher = owner.publish(&robot).await.unwrap();
+        let subscription = owner.subscribe_by(&cloud, 9, SubscribeOptions::reliable()).await.unwrap();
+        fabric.revoke(owner.revocation(1, vec![1, 9])).await;
+        tokio::time::timeout(Duration::from_secs(10), publisher.ended()).await.expect("in time");
+        tokio::time::timeout(Duration::from_secs(10), subscription.ended()).await.expect("in time");
+        robot.close().await;
+        cloud.close().await;
+    }
+    // Everything but the one node forgets it.
+    fabric.stop().await;
+    fabric.restart().await;
+    let (robot, cloud) = (fabric.node_of(&robot, None).await, fabric.node_of(&cloud, state()).await);
+    let error = owner.subscribe_by(&cloud, 9, SubscribeOptions::reliable()).await.err().unwrap();
+    assert!(matches!(error, NodeError::Cert(CertError::Revoked { serial: 9, .. })), "{error}");
+    let mut subscription = owner.subscribe_by(&cloud, 10, SubscribeOptions::reliable()).await.unwrap();
+    eventually("it is passed on to the RIB", || fabric.told_revocations() > 0).await;
+    let mut publisher = owner.publish(&robot).await.expect("the robot does not know, nor does this RIB");
+    publisher.send(Encoding::Bytes, b"stolen").await.unwrap();
+    eventually("it is dropped", || cloud.counters().drops.contains_key("seal_unknown_writer")).await;
+    publisher.renew(owner.ad_cert_until(robot.name(), 2, unix_now() + 60)).await.unwrap();
+    publisher.send(Encoding::Bytes, b"by another right").await.unwrap();
+    // What was sent before was for this reader, too, as far as the robot knew.
+    while &recv(&mut subscription).await.body[..] != b"by another right" {}
+}
