@@ -30,6 +30,9 @@ pub struct Config {
     /// The switch that must be there, if only one will do.
     #[serde(default)]
     pub switch: Option<Name>,
+    /// A folder for what the proxy must not forget, which is what owners have revoked; made if there is none.
+    #[serde(default)]
+    pub state: Option<PathBuf>,
     /// ROS_DOMAIN_ID.
     #[serde(default)]
     pub domain_id: DomainId,
@@ -156,6 +159,7 @@ impl Config {
         // An absolute path stays what it is.
         let resolve = |path: &mut PathBuf| *path = folder.join(&path);
         resolve(&mut self.identity);
+        self.state.as_mut().map(resolve);
         for topic in &mut self.topics {
             resolve(&mut topic.card);
             resolve(&mut topic.cert);

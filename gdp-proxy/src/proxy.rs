@@ -2,6 +2,7 @@
 //! leaves both sides properly.
 
 use std::convert::Infallible;
+use std::os::unix::fs::DirBuilderExt;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -97,6 +98,11 @@ pub async fn run(
 async fn connect(config: &Config, material: &Material) -> Result<Node> {
     let mut node = NodeConfig::new(material.identity.clone(), config.link.clone());
     node.switch = config.switch;
+    node.state = config.state.clone();
+    if let Some(folder) = &config.state {
+        let made = std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);
+        made.with_context(|| format!("cannot create the folder {}", folder.display()))?;
+    }
     node.connect_timeout = CONNECT_PATIENCE;
     loop {
         match Node::connect(node.clone()).await {
