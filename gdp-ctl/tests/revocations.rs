@@ -4,7 +4,7 @@ mod switch;
 
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
-use std::path::PathBuf;
+use std::path::Path;
 use std::time::SystemTime;
 
 use gdp::cert::{AdCert, CertError, Issued, Mode, Revocation, issue};
@@ -116,7 +116,7 @@ async fn ask(config: &Config, request: EntityRequest) -> Response {
     tokio::task::spawn_blocking(move || try_ask(&socket, request)).await.unwrap().unwrap()
 }
 
-fn try_ask(socket: &PathBuf, request: EntityRequest) -> Result<Response, String> {
+fn try_ask(socket: &Path, request: EntityRequest) -> Result<Response, String> {
     let mut client = Client::connect(socket).map_err(|error| error.to_string())?;
     let request = Request::Entity { entity: None, request: request.into() };
     client.ask_control(&request).map_err(|error| error.to_string())
