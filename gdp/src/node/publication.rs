@@ -115,8 +115,10 @@ impl Readers {
         self.known.iter().filter(|(_, reader)| reader.absent.is_none())
     }
 
-    fn is_attached(&self, reader: &Name) -> bool {
-        self.known.get(reader).is_some_and(|reader| reader.absent.is_none())
+    /// Whether one is attached that asks for every message, as far as it has said.
+    fn asks_for_all(&self, reader: &Name) -> bool {
+        let asks = |reader: &Reader| reader.absent.is_none() && (reader.reliable || reader.greeted.is_none());
+        self.known.get(reader).is_some_and(asks)
     }
 }
 
@@ -196,7 +198,7 @@ impl Publication {
             pending + sealing.gathered.len() as u64
         };
         let (unsent, lacking) = lock(&outlet.uplink).unfinished(self.topic).unwrap_or_default();
-        let lacking = lacking.into_iter().filter(|(reader, _)| self.is_reliable && readers.is_attached(reader));
+        let lacking = lacking.into_iter().filter(|(reader, _)| self.is_reliable && readers.asks_for_all(reader));
         Unflushed { unsent: unsent + waiting, unacknowledged: lacking.collect() }
     }
 

@@ -80,8 +80,8 @@ impl Publisher {
         self.node.state.renew(self.publication.name, Stated::Published, renewed).await
     }
 
-    /// Returns once all that was sent has left this host, and, if the name is reliable, every reader that is live has acknowledged it; or
-    /// after `patience`, with what is left.
+    /// Returns once all that was sent has left this host, and, if the name is reliable, every reader that is live and asks for every message
+    /// has acknowledged it; or after `patience`, with what is left.
     pub async fn flush(&mut self, patience: Duration) -> Result<(), NodeError> {
         let (publication, outlet) = (&self.publication, &self.node.state.outlet);
         let deadline = tokio::time::Instant::now() + patience;

@@ -105,6 +105,20 @@ async fn what_cannot_be_brought_to_its_readers_is_told_in_time() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_reader_of_the_newest_holds_up_nobody_who_closes() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/chatter");
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut subscription = owner.subscribe_as(&cloud, SubscribeOptions::best_effort()).await.unwrap();
+    let mut publisher = owner.publish(&robot).await.unwrap();
+    publisher.send(Encoding::Bytes, b"one").await.unwrap();
+    recv(&mut subscription).await;
+    fabric.set_fate(Some(Box::new(|_, _| false)));
+    publisher.send(Encoding::Bytes, b"lost").await.unwrap();
+    publisher.close(Duration::from_secs(1)).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn counters_are_read_from_anywhere_and_outlive_what_they_count() {
     let fabric = Fabric::start().await;
     let owner = Owner::new("/chatter");
