@@ -49,8 +49,8 @@ fn feedback() -> Seeds {
     let (highest, received_segments, received_bytes, ce) = (7, 8, 9, 1);
     let (echo, echo_index, delay_us) = (7, 1, 100);
     let seeds = [
-        ("hello", Feedback::Hello { name, challenge }),
-        ("welcome", Feedback::Welcome { name, challenge, session, sequence: 5 }),
+        ("hello", Feedback::Hello { name, challenge, reliable: true }),
+        ("welcome", Feedback::Welcome { name, challenge, session, sequence: 5, reliable: true }),
         (
             "report",
             Feedback::Report {
@@ -191,7 +191,8 @@ impl Papers {
         let (name, entity, switch) = (self.card.name(), self.robot.name(), self.card.name());
         let (proof, robot) = (self.card.proof(), self.robot.proof());
         let Self { ad_cert, grant, rt_cert, advert, .. } = self;
-        let advertise = EntityRequest::Advertise { proof, ad_cert: ad_cert.clone(), advert: advert.clone() };
+        let advertise =
+            EntityRequest::Advertise { proof, ad_cert: ad_cert.clone(), advert: advert.clone(), everywhere: true };
         let record = Record {
             name,
             proof,
@@ -202,7 +203,8 @@ impl Papers {
             expires_in: 60,
         };
         let place = record.place().ok();
-        let route = Route { name, egress_bits: 3, locals: vec![entity], writers: vec![entity] };
+        let route =
+            Route { name, egress_bits: 3, locals: vec![entity], everywhere: vec![entity], writers: vec![entity] };
         let push = FibPush {
             switch,
             run: 1,
@@ -227,11 +229,16 @@ impl Papers {
         let (neighbours, role) = (vec![(switch, 3)], NameRole::Subscriber);
         let from_entity = Request::Entity;
         vec![
-            seed("attach", &from_entity(EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: true })),
+            seed("attach", &from_entity(EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: true, lane: 1 })),
             seed("relay", &Request::Relay { switch, entity: Some(robot), by_tool: false, request: advertise }),
             seed(
                 "subscribe",
-                &from_entity(EntityRequest::Subscribe { proof, grant: grant.clone(), advert: advert.clone() }),
+                &from_entity(EntityRequest::Subscribe {
+                    proof,
+                    grant: grant.clone(),
+                    advert: advert.clone(),
+                    everywhere: false,
+                }),
             ),
             seed("withdraw", &from_entity(EntityRequest::Withdraw { advert: advert.clone() })),
             seed("query", &from_entity(EntityRequest::Query { prefix: name.into(), after: place })),

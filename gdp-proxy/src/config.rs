@@ -28,6 +28,9 @@ pub struct Config {
     pub identity: PathBuf,
     /// The ways to the fabric, in the order in which they are wanted: everything goes by the first that is up.
     pub links: Vec<LinkPlace>,
+    /// A folder for what the proxy must not forget, which is what owners have revoked; made if there is none.
+    #[serde(default)]
+    pub state: Option<PathBuf>,
     /// ROS_DOMAIN_ID.
     #[serde(default)]
     pub domain_id: DomainId,
@@ -58,7 +61,7 @@ impl From<&LinkPlace> for LinkConfig {
 }
 
 /// One topic in one direction.
-#[derive(Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TopicConfig {
     pub topic: TopicName,
@@ -92,7 +95,7 @@ pub enum Direction {
 }
 
 /// What no file says.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct NoKey;
 
 impl<'de> Deserialize<'de> for NoKey {
@@ -192,6 +195,7 @@ impl Config {
         // An absolute path stays what it is.
         let resolve = |path: &mut PathBuf| *path = folder.join(&path);
         resolve(&mut self.identity);
+        self.state.as_mut().map(resolve);
         for topic in &mut self.topics {
             resolve(&mut topic.card);
             resolve(&mut topic.cert);

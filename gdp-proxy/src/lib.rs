@@ -4,6 +4,7 @@
 //! them together, [`stats`] counts. The fabric is the SDK's business (`gdp::node`): nothing here seals, signs or routes.
 #![deny(unsafe_code)]
 
+mod cert_file;
 pub mod config;
 mod delivery;
 pub mod material;

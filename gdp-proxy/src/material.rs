@@ -1,5 +1,5 @@
-//! The files that a configuration names: identity, name cards, certificates. Read once, at start, and checked against each
-//! other here, so that a mistake is said with the key of the configuration it is under, and not as a refusal from a RIB
+//! The files that a configuration names: identity, name cards, certificates. Read at start (certificates also when they change: `cert_file`), and checked
+//! against each other here, so that a mistake is said with the key of the configuration it is under, and not as a refusal from a RIB
 //! three hops away. The RIB verifies everything again.
 
 use std::fmt::Display;
@@ -32,6 +32,24 @@ pub struct TopicMaterial {
 pub enum Permission {
     Publish(Issued<AdCert>),
     Read(Reading),
+}
+
+impl Permission {
+    /// Of a topic that goes out.
+    pub fn publish(self) -> Option<Issued<AdCert>> {
+        match self {
+            Self::Publish(cert) => Some(cert),
+            Self::Read(_) => None,
+        }
+    }
+
+    /// Of a topic that comes in.
+    pub fn read(self) -> Option<Reading> {
+        match self {
+            Self::Publish(_) => None,
+            Self::Read(grant) => Some(grant),
+        }
+    }
 }
 
 /// A file does not do for what the configuration wants of it.
@@ -108,7 +126,8 @@ fn agree_on_type(topic: &TopicConfig, card: &NameCard) -> Result<Option<TypeName
     }
 }
 
-fn load_permission(topic: &TopicConfig, card: &NameCard, entity: Name) -> Result<Permission, String> {
+/// What the topic's certificate file holds now.
+pub(crate) fn load_permission(topic: &TopicConfig, card: &NameCard, entity: Name) -> Result<Permission, String> {
     let mut text = String::new();
     let file = File::open(&topic.cert).map_err(|error| error.to_string())?;
     file.take(MAX_CERT_FILE as u64 + 1).read_to_string(&mut text).map_err(|error| error.to_string())?;
@@ -147,7 +166,7 @@ fn with_path(reason: impl Display, path: &Path) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use gdp::cert::{Delegation, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
     use std::fs;
@@ -231,15 +250,15 @@ mod tests {
         assert!(refusal.contains("std_msgs/msg/Int32, but") && refusal.contains("std_msgs/msg/String"), "{refusal}");
     }
 
-    struct Files {
+    pub struct Files {
         folder: tempfile::TempDir,
-        owner: SigningKey,
-        entity: Name,
-        card: NameCard,
+        pub owner: SigningKey,
+        pub entity: Name,
+        pub card: NameCard,
     }
 
     impl Files {
-        fn new() -> Self {
+        pub fn new() -> Self {
             let folder = tempfile::tempdir().unwrap();
             let owner = SigningKey::generate().unwrap();
             let key = SigningKey::generate().unwrap();
@@ -255,23 +274,27 @@ mod tests {
             files
         }
 
-        fn path(&self, file: &str) -> PathBuf {
+        pub fn path(&self, file: &str) -> PathBuf {
             self.folder.path().join(file)
         }
 
-        fn claims(&self) -> AdCert {
+        pub fn claims(&self) -> AdCert {
             let (name, entity) = (self.card.name(), self.entity);
             AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial: 1, not_before: 0, not_after: u64::MAX }
         }
 
         /// One topic out and one in; `extra` is said of the one that goes out.
         fn load(&self, extra: &str) -> Result<Material, MaterialError> {
+            Material::load(&self.config(extra))
+        }
+
+        pub fn config(&self, extra: &str) -> Config {
             let text = format!(
                 "{{identity: id.pem, links: [{{to: 'eth://r0'}}], topics: [\
                  {{topic: /chatter, {extra}direction: out, card: t.card, cert: t.ad}}, \
                  {{topic: /other, direction: in, card: t.card, cert: t.grant}}]}}"
             );
-            Material::load(&Config::parse(&text, &self.path("robot.yaml")).unwrap())
+            Config::parse(&text, &self.path("robot.yaml")).unwrap()
         }
 
         fn refusal(&self, extra: &str) -> String {

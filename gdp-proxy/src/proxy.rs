@@ -2,6 +2,7 @@
 //! leaves both sides properly.
 
 use std::convert::Infallible;
+use std::os::unix::fs::DirBuilderExt;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -58,12 +59,9 @@ pub async fn run(
     for (route, material) in routes.iter().zip(material.topics) {
         let (route, domain, node, mut stopped) = (route.clone(), domain.clone(), node.clone(), stopped.clone());
         let carry = async move {
-            tokio::select! {
-                Err(error) = route.run(&domain, &node, material) => {
-                    Err(anyhow!(error).context(format!("topic {}", route.topic())))
-                }
-                _ = stopped.wait_for(|stopped| *stopped) => Ok(()),
-            }
+            let stop = async { _ = stopped.wait_for(|stopped| *stopped).await };
+            let ended = route.run(&domain, &node, material, stop).await;
+            ended.map_err(|error| anyhow!(error).context(format!("topic {}", route.topic())))
         };
         // A thread each: RustDDS and the node wake it directly, and no other topic's sealing is ever in its way.
         let runtime = Handle::current();
@@ -105,7 +103,12 @@ async fn connect(config: &Config, material: &Material) -> Result<Node> {
         links: config.links.iter().map(LinkConfig::from).collect(),
         connect_timeout: CONNECT_PATIENCE,
         rekey: RekeySchedule::default(),
+        state: config.state.clone(),
     };
+    if let Some(folder) = &config.state {
+        let made = std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);
+        made.with_context(|| format!("cannot create the folder {}", folder.display()))?;
+    }
     let places: Vec<String> = config.links.iter().map(|link| link.to.to_string()).collect();
     let places = places.join(", ");
     loop {

@@ -5,32 +5,34 @@
 use std::collections::BTreeSet;
 use std::convert::Infallible;
 use std::fmt::Display;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::pin::pin;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use gdp::cert::{AdCert, Issued, Reading};
-use gdp::node::{ErrorCode, Feedback, FrameError, NodeError, Publisher, Subscription};
+use gdp::node::{Ended, ErrorCode, FrameError, NodeError, Publisher, Subscription};
 use gdp::seal::{Encoding, Message};
 use gdp::{Name, NameCard, Node};
 use tokio::time::{Interval, MissedTickBehavior};
 
-use crate::config::{Direction, TopicConfig};
+use crate::cert_file::CertFile;
+use crate::config::TopicConfig;
 use crate::delivery;
 use crate::material::{Permission, TopicMaterial};
-use crate::ros2::{Arrived, Domain, Qos, RawReader, RawSample, RawWriter, RosError, TopicName, TypeName, WriteError};
+use crate::ros2::{Arrived, Domain, RawReader, RawSample, RawWriter, RosError, TopicName, TypeName, WriteError};
 use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
 
 /// Between attempts to have a name published or subscribed: doubled from the first to the second.
 const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(30));
 
-/// How old what the statistics say of the fabric may be.
-const LOOK: Duration = Duration::from_secs(1);
+/// How often it is looked for another certificate.
+const LOOK: Duration = Duration::from_secs(2);
+
+/// How long a route that ends waits for what it has sent to arrive.
+const FLUSH: Duration = Duration::from_secs(3);
 
 pub struct Route {
-    topic: TopicName,
-    direction: Direction,
-    qos: Qos,
-    duplicate: bool,
+    config: TopicConfig,
     name: Name,
     counters: RouteCounters,
     progress: Mutex<Progress>,
@@ -40,24 +42,18 @@ pub struct Route {
 struct Progress {
     kind: Option<TypeName>,
     status: String,
-    /// Of the publisher, once there is one.
-    feedback: Option<Arc<Feedback>>,
     fabric: FabricCounters,
 }
 
 impl Route {
     pub fn new(config: &TopicConfig, material: &TopicMaterial) -> Self {
         Self {
-            topic: config.topic.clone(),
-            direction: config.direction,
-            qos: config.qos,
-            duplicate: config.duplicate,
+            config: config.clone(),
             name: material.card.name(),
             counters: RouteCounters::default(),
             progress: Mutex::new(Progress {
                 kind: material.kind.clone(),
                 status: "starting".into(),
-                feedback: None,
                 fabric: FabricCounters::None,
             }),
         }
@@ -66,27 +62,52 @@ impl Route {
     pub fn stats(&self) -> RouteStats {
         let progress = self.progress();
         let (kind, status) = (progress.kind.as_ref().map(TypeName::to_string), progress.status.clone());
-        let refused = progress.feedback.as_ref().map(|feedback| feedback.errors()).unwrap_or_default();
-        RouteStats {
-            refused,
-            fabric: progress.fabric.by_name(),
-            ..RouteStats::new(self.topic.to_string(), kind, status, self.direction, self.name, &self.counters)
-        }
+        let fabric = progress.fabric.read();
+        let TopicConfig { topic, direction, .. } = &self.config;
+        RouteStats { fabric, ..RouteStats::new(topic.to_string(), kind, status, *direction, self.name, &self.counters) }
     }
 
     pub fn topic(&self) -> &TopicName {
-        &self.topic
+        &self.config.topic
     }
 
-    /// Carries messages until it is dropped, or DDS fails or the node is closed.
-    pub async fn run(&self, domain: &Domain, node: &Node, material: TopicMaterial) -> Result<Infallible, RouteError> {
-        let kind = match material.kind.clone() {
+    /// Carries messages until `stop` ends, or DDS fails or the node is closed. What has been sent by then arrives, if it can.
+    pub async fn run(
+        &self,
+        domain: &Domain,
+        node: &Node,
+        material: TopicMaterial,
+        stop: impl Future<Output = ()>,
+    ) -> Result<(), RouteError> {
+        let mut publisher = None;
+        let result = tokio::select! {
+            Err(error) = self.carry(domain, node, material, &mut publisher) => Err(error),
+            () = stop => Ok(()),
+        };
+        if let Some(publisher) = publisher
+            && let Err(error) = publisher.close(FLUSH).await
+        {
+            tracing::warn!(topic = %self.config.topic, name = %self.name, "left with messages under way: {error}");
+        }
+        result
+    }
+
+    async fn carry(
+        &self,
+        domain: &Domain,
+        node: &Node,
+        material: TopicMaterial,
+        publisher: &mut Option<Publisher>,
+    ) -> Result<Infallible, RouteError> {
+        let TopicMaterial { card, kind, permission } = material;
+        let file = CertFile::new(&self.config, &card, node.name());
+        let kind = match kind {
             Some(kind) => kind,
             None => self.learn_type(domain).await,
         };
-        match &material.permission {
-            Permission::Publish(cert) => self.run_out(domain, node, &kind, &material.card, cert).await,
-            Permission::Read(grant) => self.run_in(domain, node, &kind, &material.card, grant).await,
+        match permission {
+            Permission::Publish(cert) => self.run_out(domain, node, &kind, &card, (cert, file), publisher).await,
+            Permission::Read(grant) => self.run_in(domain, node, &kind, &card, (grant, file)).await,
         }
     }
 
@@ -96,28 +117,30 @@ impl Route {
         node: &Node,
         kind: &TypeName,
         card: &NameCard,
-        cert: &Issued<AdCert>,
+        (mut cert, mut file): (Issued<AdCert>, CertFile),
+        publisher: &mut Option<Publisher>,
     ) -> Result<Infallible, RouteError> {
         let (mut reader, mut pause) = (None, RETRY.0);
         loop {
-            let error = match node
-                .publish(card.proof(), cert.clone(), delivery::publish_options(&self.qos, self.duplicate))
-                .await
-            {
-                Ok(mut publisher) => {
+            let options = delivery::publish_options(&self.config.qos, self.config.duplicate);
+            let error = match node.publish(card.proof(), cert.clone(), options).await {
+                Ok(new) => {
                     // First the fabric, then DDS: a latched message that comes at once has somewhere to go.
                     let reader = match &reader {
                         Some(reader) => reader,
-                        None => reader.insert(domain.reader(&self.topic, kind, self.qos)?),
+                        None => reader.insert(domain.reader(&self.config.topic, kind, self.config.qos)?),
                     };
-                    self.progress().feedback = Some(publisher.feedback().clone());
+                    self.progress().fabric = FabricCounters::Out(new.meter());
                     pause = RETRY.0;
                     self.is_up();
-                    self.carry_out(reader, &mut publisher).await?
+                    let error = self.carry_out(reader, publisher.insert(new), &mut cert, &mut file).await?;
+                    *publisher = None;
+                    error
                 }
                 Err(error) => error,
             };
             self.pause_after(error, &mut pause).await;
+            self.look(&mut file, Permission::publish, &mut cert);
         }
     }
 
@@ -127,29 +150,57 @@ impl Route {
         node: &Node,
         kind: &TypeName,
         card: &NameCard,
-        grant: &Reading,
+        (mut grant, mut file): (Reading, CertFile),
     ) -> Result<Infallible, RouteError> {
         // First DDS, then the fabric, likewise.
-        let mut writer = domain.writer(&self.topic, kind, self.qos)?;
+        let mut writer = domain.writer(&self.config.topic, kind, self.config.qos)?;
         let mut pause = RETRY.0;
         loop {
-            let options = delivery::subscribe_options(&self.qos, self.duplicate);
+            let options = delivery::subscribe_options(&self.config.qos, self.config.duplicate);
             let error = match node.subscribe(card.proof(), grant.clone(), options).await {
                 Ok(mut subscription) => {
+                    self.progress().fabric = FabricCounters::In(subscription.meter());
                     pause = RETRY.0;
                     self.is_up();
-                    self.carry_all_in(&mut subscription, node.name(), &mut writer).await?
+                    let right = (&mut grant, &mut file);
+                    self.carry_all_in(&mut subscription, node.name(), &mut writer, right).await?
                 }
                 Err(error) => error,
             };
             self.pause_after(error, &mut pause).await;
+            self.look(&mut file, Permission::read, &mut grant);
+        }
+    }
+
+    /// Puts the certificate that took the place of the one in force into `right`, if there is one.
+    fn look<T>(&self, file: &mut CertFile, of: fn(Permission) -> Option<T>, right: &mut T) -> bool {
+        let (topic, path) = (&self.config.topic, file.path().display().to_string());
+        match file.changed().map(|new| new.map(of)) {
+            Some(Ok(Some(new))) => {
+                *right = new;
+                true
+            }
+            Some(Err(reason)) => {
+                tracing::warn!(%topic, file = path, "the new certificate is of no use, going on with the old one: {reason}");
+                false
+            }
+            None | Some(Ok(None)) => false,
+        }
+    }
+
+    fn renewed(&self, result: Result<(), NodeError>) {
+        match result {
+            Ok(()) => tracing::info!(topic = %self.config.topic, name = %self.name, "the certificate was renewed"),
+            Err(error) => {
+                tracing::warn!(topic = %self.config.topic, name = %self.name, "the new certificate was not taken: {error}");
+            }
         }
     }
 
     async fn learn_type(&self, domain: &Domain) -> TypeName {
         self.set_status("waiting for a local publisher, to learn the type");
-        let kind = domain.type_of(&self.topic).await;
-        tracing::info!(topic = %self.topic, %kind, "learnt the type");
+        let kind = domain.type_of(&self.config.topic).await;
+        tracing::info!(topic = %self.config.topic, %kind, "learnt the type");
         self.progress().kind = Some(kind.clone());
         kind
     }
@@ -157,25 +208,36 @@ impl Route {
     /// A refusal is no reason to end: other topics may be fine, and owners, RIBs and clocks mend.
     async fn pause_after(&self, error: NodeError, pause: &mut Duration) {
         let message = error.to_string();
-        tracing::warn!(topic = %self.topic, name = %self.name, "{message}; asking again in {pause:?}");
+        tracing::warn!(topic = %self.config.topic, name = %self.name, "{message}; asking again in {pause:?}");
         self.set_status(&message);
         tokio::time::sleep(*pause).await;
         *pause = (*pause * 2).min(RETRY.1);
     }
 
     /// Returns when the right to publish has ended, with the reason.
-    async fn carry_out(&self, reader: &RawReader, publisher: &mut Publisher) -> Result<NodeError, RouteError> {
-        let (mut told, mut ticks) = (BTreeSet::new(), ticks());
+    async fn carry_out(
+        &self,
+        reader: &RawReader,
+        publisher: &mut Publisher,
+        cert: &mut Issued<AdCert>,
+        file: &mut CertFile,
+    ) -> Result<NodeError, RouteError> {
+        let (mut told, mut ticks, mut ended) = (BTreeSet::new(), ticks(), pin!(publisher.ended()));
         loop {
             if let Some(error) = publisher.feedback().last()
                 && told.insert(error.code.as_str())
             {
                 self.tell(error);
             }
-            self.progress().fabric = FabricCounters::Out(publisher.counters());
             let arrived = tokio::select! {
                 arrived = reader.recv() => arrived,
-                _ = ticks.tick() => continue,
+                why = &mut ended => return ended_because(why),
+                _ = ticks.tick() => {
+                    if self.look(file, Permission::publish, cert) {
+                        self.renewed(publisher.renew(cert.clone()).await);
+                    }
+                    continue;
+                }
             };
             let Arrived { sample, written_ns } = match arrived {
                 Ok(arrived) => arrived,
@@ -210,20 +272,22 @@ impl Route {
         subscription: &mut Subscription,
         own: Name,
         writer: &mut RawWriter,
+        (grant, file): (&mut Reading, &mut CertFile),
     ) -> Result<NodeError, RouteError> {
         let mut ticks = ticks();
         loop {
-            self.progress().fabric = FabricCounters::In(subscription.counters(), subscription.queue_full());
             let received = tokio::select! {
                 received = subscription.recv() => received,
-                _ = ticks.tick() => continue,
+                _ = ticks.tick() => {
+                    if self.look(file, Permission::read, grant) {
+                        self.renewed(subscription.renew(grant.clone()).await);
+                    }
+                    continue;
+                }
             };
             match received {
                 Some(message) => self.carry_in(message, own, writer).await,
-                None => {
-                    let ended = subscription.ended().cloned();
-                    return ended.map(NodeError::from).ok_or(RouteError::NodeClosed);
-                }
+                None => return ended_because(subscription.ended().await),
             }
         }
     }
@@ -253,15 +317,17 @@ impl Route {
     /// Counts every drop; the first one for a reason is worth a line in the log, the counters have the rest.
     fn drop(&self, reason: Drop, why: impl Display) {
         if self.counters.dropped(reason) {
-            tracing::warn!(topic = %self.topic, reason = reason.as_str(), "a message was dropped: {why}");
+            tracing::warn!(topic = %self.config.topic, reason = reason.as_str(), "a message was dropped: {why}");
         }
     }
 
     fn tell(&self, error: FrameError) {
         match error.code {
             // As long as nobody subscribes.
-            ErrorCode::NoRoute => tracing::info!(topic = %self.topic, name = %self.name, "not carried on: {error}"),
-            _ => tracing::warn!(topic = %self.topic, name = %self.name, "the switch refused a frame: {error}"),
+            ErrorCode::NoRoute => {
+                tracing::info!(topic = %self.config.topic, name = %self.name, "not carried on: {error}")
+            }
+            _ => tracing::warn!(topic = %self.config.topic, name = %self.name, "the switch refused a frame: {error}"),
         }
     }
 
@@ -270,12 +336,19 @@ impl Route {
     }
 
     fn is_up(&self) {
-        tracing::info!(topic = %self.topic, direction = ?self.direction, name = %self.name, "carrying");
+        tracing::info!(topic = %self.config.topic, direction = ?self.config.direction, name = %self.name, "carrying");
         self.set_status("up");
     }
 
     fn set_status(&self, status: &str) {
         self.progress().status = status.into();
+    }
+}
+
+fn ended_because(why: Ended) -> Result<NodeError, RouteError> {
+    match why {
+        Ended::Right(error) => Ok(error.into()),
+        Ended::Closed => Err(RouteError::NodeClosed),
     }
 }
 

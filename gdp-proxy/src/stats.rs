@@ -7,8 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use gdp::Name;
-use gdp::node::{LinkStatus, NodeCounters};
-use gdp::transport::{InboundCounters, TopicCounters};
+use gdp::node::{LinkStatus, Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
 use serde::Serialize;
 
 use crate::config::Direction;
@@ -91,39 +90,30 @@ impl RouteCounters {
     }
 }
 
-/// What the fabric did with the topic's messages on this side, since the route came up last.
-#[derive(Clone, Copy)]
+/// What the fabric does with the topic's messages on this side, since the route came up last.
+#[derive(Clone)]
 pub enum FabricCounters {
     None,
-    Out(TopicCounters),
-    /// With the messages that did not find room on their way to DDS.
-    In(InboundCounters, u64),
+    Out(Meter<PublisherCounters>),
+    In(Meter<SubscriptionCounters>),
+}
+
+/// The same at one moment.
+#[derive(Default, Serialize)]
+#[serde(untagged)]
+pub enum FabricStats {
+    #[default]
+    None,
+    Out(PublisherCounters),
+    In(SubscriptionCounters),
 }
 
 impl FabricCounters {
-    pub fn by_name(&self) -> BTreeMap<&'static str, u64> {
+    pub fn read(&self) -> FabricStats {
         match self {
-            Self::None => BTreeMap::new(),
-            Self::Out(of) => BTreeMap::from([
-                ("messages", of.messages),
-                ("replaced", of.replaced),
-                ("expired", of.expired),
-                ("evicted", of.evicted),
-                ("frames", of.frames),
-                ("frames_repeated", of.repeated),
-                ("frames_over_budget", of.over_budget),
-                ("frames_marked", of.marked),
-                ("slowed", of.slowed),
-            ]),
-            Self::In(of, queue_full) => BTreeMap::from([
-                ("delivered", of.delivered),
-                ("queue_full", *queue_full),
-                ("overtaken", of.overtaken),
-                ("expired", of.expired),
-                ("given_up", of.given_up),
-                ("segments_duplicate", of.duplicates),
-                ("segments_beyond", of.beyond),
-            ]),
+            Self::None => FabricStats::None,
+            Self::Out(of) => FabricStats::Out(of.read()),
+            Self::In(of) => FabricStats::In(of.read()),
         }
     }
 }
@@ -142,10 +132,9 @@ pub struct RouteStats {
     pub messages: u64,
     pub bytes: u64,
     pub drops: BTreeMap<&'static str, u64>,
-    /// See `gdp::transport::TopicCounters` of what goes `out`, `InboundCounters` of what comes `in`.
-    pub fabric: BTreeMap<&'static str, u64>,
-    /// `out`: what the switch said of frames it refused. A hint: it says few of those that are due.
-    pub refused: BTreeMap<&'static str, u64>,
+    /// `gdp::node::PublisherCounters` of what goes `out`, `SubscriptionCounters` of what comes `in`, with what was dropped by reason; null
+    /// before the first time that the route is up.
+    pub fabric: FabricStats,
     pub latency_us: StageLatency,
 }
 
@@ -179,8 +168,7 @@ impl RouteStats {
             messages,
             bytes,
             drops: counters.drops(),
-            fabric: BTreeMap::new(),
-            refused: BTreeMap::new(),
+            fabric: FabricStats::None,
             latency_us,
         }
     }
@@ -251,6 +239,19 @@ mod tests {
     }
 
     #[test]
+    fn the_fabrics_counters_are_shown_as_they_are() {
+        let mut counters = SubscriptionCounters::default();
+        counters.inbound.delivered = 7;
+        counters.incompatible_writers = 1;
+        counters.drops.insert("seal_too_old", 3);
+        let shown = serde_json::to_value(FabricStats::In(counters)).unwrap();
+        assert_eq!((&shown["delivered"], &shown["drops"]["seal_too_old"]), (&7.into(), &3.into()));
+        assert_eq!(shown["incompatible_writers"], 1);
+        let shown = serde_json::to_value(FabricStats::Out(PublisherCounters::default())).unwrap();
+        assert_eq!((&shown["frames"], &shown["incompatible_readers"]), (&0.into(), &0.into()));
+    }
+
+    #[test]
     fn the_file_is_whole_and_says_what_happened() {
         let folder = tempfile::tempdir().unwrap();
         let file = StatsFile::new(folder.path().join("stats.json"));
@@ -274,7 +275,7 @@ mod tests {
             let topic = &read["topics"][0];
             assert_eq!((&topic["messages"], &topic["bytes"]), (&sent.into(), &(68 * sent).into()));
             assert_eq!((&topic["direction"], &topic["name"]), (&"out".into(), &"07".repeat(32).into()));
-            assert_eq!(topic["drops"]["send_failed"], 0);
+            assert_eq!((&topic["drops"]["send_failed"], &topic["fabric"]), (&0.into(), &serde_json::Value::Null));
         }
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }

@@ -64,6 +64,8 @@ async fn publish(options: &Options, papers: &Papers) -> Result<()> {
         println!("sent      {text}");
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
+    // Not before the reader has all of it.
+    publisher.close(Duration::from_secs(5)).await?;
     node.close().await;
     Ok(())
 }

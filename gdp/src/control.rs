@@ -30,7 +30,7 @@ pub enum Request {
     /// Endpoint → its switch: on behalf of the entity at the other end of the link.
     Entity(EntityRequest),
     /// Switch → its uplink, hop by hop to the RIB: what an entity attached to `switch` (or a tool on its host) asks.
-    /// `entity` shows the RIB the key that the entity's statements must verify under; `None` for anonymous queries.
+    /// `entity` shows the RIB the key that the entity's statements must verify under; `None` for revocations, and for queries of a name in full.
     /// `by_tool`: not over a link of the entity, so nothing is bound to an attachment, only to the statement's lifetime.
     Relay { switch: Name, entity: Option<NameProof>, by_tool: bool, request: EntityRequest },
     /// Switch → RIB: the switches this one has live links with, and what each costs. Replaces its last report.

@@ -13,8 +13,8 @@ pub const MAX_FEEDBACK: usize = NACK_LEN + MAX_MISSING * MISSING_LEN;
 /// Sequences have 48 bits (`docs/wire-format.md`, "Sealed segments").
 pub const MAX_SEQUENCE: u64 = (1 << 48) - 1;
 
-const HELLO_LEN: usize = 1 + 32 + 16;
-const WELCOME_LEN: usize = 1 + 32 + 16 + 16 + 8;
+const HELLO_LEN: usize = 1 + 32 + 16 + 1;
+const WELCOME_LEN: usize = 1 + 32 + 16 + 16 + 8 + 1;
 const REPORT_LEN: usize = 1 + 32 + 16 + 4 * 8 + 4 + 8 + 4 + 4;
 const NACK_LEN: usize = 1 + 32 + 16 + 1;
 const MISSING_LEN: usize = 6 + 2 + 4 + 4;
@@ -23,10 +23,11 @@ const GONE_LEN: usize = 1 + 32 + 16 + 8;
 /// One message between a reader and a writer of `name`. Sequences are at most [`MAX_SEQUENCE`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Feedback {
-    /// Reader → writer: which session is yours now?
-    Hello { name: Name, challenge: [u8; 16] },
-    /// Writer → reader, with the challenge of its Hello: this session, and in it what comes from this sequence on.
-    Welcome { name: Name, challenge: [u8; 16], session: [u8; 16], sequence: u64 },
+    /// Reader → writer: which session is yours now? `reliable`: every message is wanted.
+    Hello { name: Name, challenge: [u8; 16], reliable: bool },
+    /// Writer → reader, with the challenge of its Hello: this session, and in it what comes from this sequence on. `reliable`: every
+    /// message is kept to be asked for again.
+    Welcome { name: Name, challenge: [u8; 16], session: [u8; 16], sequence: u64, reliable: bool },
     /// Reader → writer: what has come of the writer's session so far.
     Report {
         name: Name,
@@ -94,6 +95,8 @@ pub enum FeedbackError {
     Ranges(usize),
     #[error("ranges of a Nack that are empty, overlap or are not in ascending order")]
     Order,
+    #[error("a flag of {0} where 0 and 1 are possible")]
+    Flag(u8),
     #[error("sequence {0} where at most {MAX_SEQUENCE} is possible")]
     Sequence(u64),
 }
@@ -114,9 +117,12 @@ impl Feedback {
     pub fn encode(&self, out: &mut Vec<u8>) -> Result<(), FeedbackError> {
         self.check()?;
         match self {
-            Self::Hello { name, challenge } => put(out, &[&[kind::HELLO][..], name.as_bytes(), challenge]),
-            Self::Welcome { name, challenge, session, sequence } => {
+            Self::Hello { name, challenge, reliable } => {
+                put(out, &[&[kind::HELLO][..], name.as_bytes(), challenge, &[u8::from(*reliable)]]);
+            }
+            Self::Welcome { name, challenge, session, sequence, reliable } => {
                 put(out, &[&[kind::WELCOME][..], name.as_bytes(), challenge, session, &sequence.to_be_bytes()]);
+                out.push(u8::from(*reliable));
             }
             Self::Report {
                 name,
@@ -169,6 +175,9 @@ impl Feedback {
         if bytes.len() != expected {
             return Err(wrong_length);
         }
+        if let (kind::HELLO | kind::WELCOME, Some(&flag @ 2..)) = (kind, bytes.last()) {
+            return Err(FeedbackError::Flag(flag));
+        }
         // The length was that of the kind, so no field is cut off.
         let feedback = Self::decode_fields(kind, &mut Fields(rest)).ok_or(wrong_length)?;
         feedback.check()?;
@@ -178,10 +187,10 @@ impl Feedback {
     fn decode_fields(kind: u8, fields: &mut Fields<'_>) -> Option<Self> {
         let name = Name::from_bytes(fields.take()?);
         Some(match kind {
-            kind::HELLO => Self::Hello { name, challenge: fields.take()? },
+            kind::HELLO => Self::Hello { name, challenge: fields.take()?, reliable: fields.flag()? },
             kind::WELCOME => {
                 let (challenge, session) = (fields.take()?, fields.take()?);
-                Self::Welcome { name, challenge, session, sequence: fields.u64()? }
+                Self::Welcome { name, challenge, session, sequence: fields.u64()?, reliable: fields.flag()? }
             }
             kind::REPORT => Self::Report {
                 name,
@@ -251,6 +260,10 @@ impl Fields<'_> {
         let (field, rest) = self.0.split_first_chunk()?;
         self.0 = rest;
         Some(*field)
+    }
+
+    fn flag(&mut self) -> Option<bool> {
+        self.take().map(|[flag]| flag == 1)
     }
 
     fn u32(&mut self) -> Option<u32> {
@@ -354,8 +367,10 @@ mod tests {
         }
         let (welcome, _) = &all()[1];
         let mut bytes = encoded(welcome);
-        bytes[WELCOME_LEN - 8] = 1;
+        bytes[WELCOME_LEN - 9] = 1;
         assert!(matches!(Feedback::decode(&bytes), Err(FeedbackError::Sequence(_))));
+        bytes[WELCOME_LEN - 1] = 2;
+        assert_eq!(Feedback::decode(&bytes), Err(FeedbackError::Flag(2)));
     }
 
     fn all() -> [(Feedback, usize); 5] {
@@ -373,8 +388,8 @@ mod tests {
             delay_us: 11,
         };
         [
-            (Feedback::Hello { name, challenge }, 49),
-            (Feedback::Welcome { name, challenge, session, sequence: MAX_SEQUENCE }, 73),
+            (Feedback::Hello { name, challenge, reliable: true }, 50),
+            (Feedback::Welcome { name, challenge, session, sequence: MAX_SEQUENCE, reliable: false }, 74),
             (report, 101),
             (Feedback::Gone { name, session, oldest: 12 }, 57),
             (nack(vec![Missing::whole(4), Missing { sequence: 5, cut: 1, first: 2, count: 3 }]), 50 + 2 * 16),

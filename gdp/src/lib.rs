@@ -15,6 +15,7 @@ pub mod name;
 pub mod node;
 pub mod peers;
 pub mod port;
+pub mod revocations;
 pub mod seal;
 pub mod secret_file;
 pub mod transport;

@@ -15,6 +15,7 @@
 mod choice;
 mod clock;
 mod counters;
+mod ending;
 mod feedback;
 mod frame_size;
 mod gathered;
@@ -30,6 +31,7 @@ mod publication;
 mod publisher;
 mod reading;
 mod receiver;
+mod revoked;
 mod services;
 mod shared_entry;
 mod state;
@@ -38,6 +40,7 @@ mod supervisor;
 mod target;
 mod told;
 
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -48,6 +51,7 @@ use tokio::task::JoinHandle;
 use self::clock::unix_now;
 use self::publication::Publication;
 use self::receiver::Receiver;
+use self::revoked::Revoked;
 use self::state::{State, Statement, lock};
 use crate::cert::{AdCert, CertError, Issued, Reading as Grant};
 use crate::control::{NameRole, Record, RecordPlace, Refusal};
@@ -56,14 +60,17 @@ use crate::keys::RingError;
 use crate::link::{LinkError, MAX_LANES, RekeySchedule};
 use crate::name::{NamePrefix, NameProof};
 use crate::port::LinkAddr;
+use crate::revocations::RevocationFile;
 use crate::seal::SealError;
+use crate::secret_file::SecretFileError;
 
-pub use counters::NodeCounters;
+pub use counters::{Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
+pub use ending::Ended;
 pub use feedback::{Feedback, FrameError};
 pub use gdp_wire::ErrorCode;
 pub use lane::{LinkState, LinkStatus};
 pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOptions};
-pub use publisher::Publisher;
+pub use publisher::{Publisher, Unflushed};
 pub use services::{Call, Client, Server};
 pub use subscription::Subscription;
 pub use target::{LinkTarget, LinkTargetError};
@@ -79,6 +86,8 @@ pub struct NodeConfig {
     pub connect_timeout: Duration,
     /// When the keys of data frames are replaced.
     pub rekey: RekeySchedule,
+    /// A folder in which the node keeps the revocations that it hears of; without one, it forgets them when it ends.
+    pub state: Option<PathBuf>,
 }
 
 /// One of a node's links.
@@ -101,7 +110,7 @@ impl NodeConfig {
     /// One link, to any switch at `link`, waited for 10 s.
     pub fn new(identity: Identity, link: LinkTarget) -> Self {
         let (connect_timeout, rekey) = (Duration::from_secs(10), RekeySchedule::default());
-        Self { identity, links: vec![link.into()], connect_timeout, rekey }
+        Self { identity, links: vec![link.into()], connect_timeout, rekey, state: None }
     }
 }
 
@@ -138,6 +147,10 @@ pub enum NodeError {
     Protocol(&'static str),
     #[error("a node has 1 to {MAX_LANES} links, not {0}")]
     Links(usize),
+    #[error(transparent)]
+    State(#[from] SecretFileError),
+    #[error(transparent)]
+    Unflushed(#[from] Unflushed),
     #[error("the node is closed")]
     Closed,
 }
@@ -198,13 +211,15 @@ struct Handle {
 impl Node {
     /// Makes links to the switches and attaches by them; returns as soon as one is up. Call within a tokio runtime.
     pub async fn connect(config: NodeConfig) -> Result<Self, NodeError> {
-        let NodeConfig { identity, links, connect_timeout, rekey } = config;
+        let NodeConfig { identity, links, connect_timeout, rekey, state } = config;
         if !(1..=MAX_LANES).contains(&links.len()) {
             return Err(NodeError::Links(links.len()));
         }
         let (commands, command_queue) = std::sync::mpsc::channel();
         let (events, event_queue) = mpsc::unbounded_channel();
-        let state = Arc::new(State::new(identity, &links, commands, events));
+        let file = |folder: PathBuf| RevocationFile::of_entity(&folder, identity.name(), revoked::MAX_FILE);
+        let revoked = Revoked::open(state.map(file))?;
+        let state = Arc::new(State::new(identity, &links, revoked, commands, events));
         let (outlet, feedback) = (state.outlet.clone(), state.feedback.clone());
         let receiver = Receiver { commands: command_queue, outlet, feedback };
         spawn("gdp-receive", move || receiver.run())?;
@@ -237,12 +252,9 @@ impl Node {
         options: PublishOptions,
     ) -> Result<Publisher, NodeError> {
         let state = &self.0.state;
-        let (claims, entity) = (ad_cert.verify(&proof, None, unix_now())?, state.identity.name());
-        if claims.entity != entity {
-            return Err(CertError::WrongEntity { expected: entity, got: claims.entity }.into());
-        }
-        let name = claims.name;
-        let publication = state.open(name, Stated::Published, Statement::Write { proof, ad_cert }, &options)?;
+        let statement = Statement::Write { proof, ad_cert };
+        let name = state.check(&statement)?;
+        let publication = state.open(name, Stated::Published, statement, &options)?;
         // From here on, dropping the publisher ends the statement.
         let publisher = Publisher::new(self.0.clone(), publication.clone(), state.feedback.of(name));
         self.make_known(name, Stated::Published, Some(&publication)).await?;
@@ -257,9 +269,10 @@ impl Node {
         options: SubscribeOptions,
     ) -> Result<Subscription, NodeError> {
         let state = &self.0.state;
-        let name = grant.verify(&proof, state.identity.name(), None, unix_now())?.name;
-        let (queue, ended) = state.read(name, Stated::Subscribed, Statement::Read { proof, grant }, options)?;
-        let subscription = Subscription::new(self.0.clone(), queue, ended);
+        let statement = Statement::Read { proof, grant };
+        let name = state.check(&statement)?;
+        let (queue, ending) = state.read(name, Stated::Subscribed, statement, options)?;
+        let subscription = Subscription::new(self.0.clone(), queue, ending);
         self.make_known(name, Stated::Subscribed, None).await?;
         Ok(subscription)
     }
@@ -268,14 +281,10 @@ impl Node {
     /// can be read by another of them.
     pub async fn serve(&self, proof: NameProof, ad_cert: Issued<AdCert>) -> Result<Server, NodeError> {
         let state = &self.0.state;
-        let claims = ad_cert.verify(&proof, None, unix_now())?;
-        let (name, entity) = (claims.name, state.identity.name());
-        if claims.entity != entity {
-            return Err(CertError::WrongEntity { expected: entity, got: claims.entity }.into());
-        }
-        let (statement, options) = (Statement::Write { proof, ad_cert }, SubscribeOptions::reliable());
-        let (queue, _) = state.read(name, Stated::Served, statement, options)?;
-        let server = Server::new(self.0.clone(), queue);
+        let statement = Statement::Write { proof, ad_cert };
+        let name = state.check(&statement)?;
+        let (queue, ending) = state.read(name, Stated::Served, statement, SubscribeOptions::reliable())?;
+        let server = Server::new(self.0.clone(), queue, ending);
         self.make_known(name, Stated::Served, None).await?;
         Ok(server)
     }
@@ -283,10 +292,10 @@ impl Node {
     /// Calls a name: `grant` shows that its owner allows it.
     pub async fn client(&self, proof: NameProof, grant: Grant) -> Result<Client, NodeError> {
         let state = &self.0.state;
-        let name = grant.verify(&proof, state.identity.name(), None, unix_now())?.name;
+        let statement = Statement::Read { proof, grant };
+        let name = state.check(&statement)?;
         state.open_inbox();
-        let (statement, options) = (Statement::Read { proof, grant }, PublishOptions::reliable());
-        let publication = state.open(name, Stated::Called, statement, &options)?;
+        let publication = state.open(name, Stated::Called, statement, &PublishOptions::reliable())?;
         let client = Client::new(self.0.clone(), publication.clone());
         self.make_known(name, Stated::Called, Some(&publication)).await?;
         Ok(client)
@@ -346,10 +355,13 @@ impl Node {
 
     /// What became of frames and messages so far.
     pub fn counters(&self) -> NodeCounters {
-        let state = &self.0.state;
-        let lanes = state.outlet.lanes().iter().map(|lane| lane.status());
-        let socket_drops = lanes.filter_map(|status| Some(status.attachment()?.data.receive_drops())).sum();
-        state.counters.snapshot(socket_drops)
+        self.0.state.outlet.node_counters()
+    }
+
+    /// The same at any time, from any task.
+    pub fn meter(&self) -> Meter<NodeCounters> {
+        let outlet = self.0.state.outlet.clone();
+        Meter::new(move || outlet.node_counters())
     }
 
     /// Detaches: the switch is told, and withdraws everything at once. Publishers and subscriptions are of no use after.

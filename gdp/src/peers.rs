@@ -92,6 +92,16 @@ impl Counterparts {
         self.known.get(entity)
     }
 
+    /// Holds to a revocation from now on that was verified before, as one that an earlier process heard of.
+    pub fn recall(&mut self, revocation: (Signed<Revocation>, Revocation)) {
+        self.revocation = Some(revocation);
+    }
+
+    /// The newest that came by, as its owner signed it.
+    pub fn signed_revocation(&self) -> Option<&Signed<Revocation>> {
+        self.revocation.as_ref().map(|(signed, _)| signed)
+    }
+
     /// The newest that came by.
     pub fn revocation(&self) -> Option<&Revocation> {
         self.revocation.as_ref().map(|(_, claims)| claims)

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use gdp_tests::Tools;
@@ -12,6 +12,7 @@ use gdp_tests::packet::{ETHERNET, is_gdp_data};
 use gdp_tests::peers::{self, Conversation, Received, Side, Traffic, Vendor};
 use gdp_tests::wait::wait_for;
 use gdp_wire::Header;
+use serde_json::Value;
 
 #[test]
 fn cyclone_talks_to_fast_dds() -> Result<()> {
@@ -197,6 +198,47 @@ fn a_revoked_reader_gets_nothing_of_the_next_epoch_and_the_others_all() -> Resul
     let status = |fabric: &Fabric| fabric.proxy_stats("cloud")["topics"][0]["status"].as_str().map(str::to_owned);
     wait_for("the cloud to be refused", PATIENCE, || Ok(status(&fabric).filter(|s| s.contains("revoked")).map(drop)))
         .with_context(|| format!("{:?}", status(&fabric)))
+}
+
+/// Its certificate, and then the reader's, are replaced by short ones, and these by others before they end.
+#[test]
+fn certificates_are_renewed_and_messages_flow_over_the_end_of_the_old_ones() -> Result<()> {
+    const SHORT: u64 = 15;
+    let fabric = started(FabricOptions::default())?;
+    let traffic = Traffic { count: 500, ..Default::default() };
+    let mut both = conversation(&fabric, Vendor::Cyclone, Vendor::FastDds, &traffic)?;
+    both.open()?;
+    let shown = fabric.ctl(0, &["query", &fabric.name])?["records"].clone();
+    let entity = |role: &str| -> Result<String> {
+        let record = shown.as_array().into_iter().flatten().find(|record| record["role"] == role);
+        Ok(record.and_then(|record| record["entity"].as_str()).context("a record")?.to_owned())
+    };
+    let parties = [("robot", "--publish", entity("publisher")?), ("cloud", "--read", entity("subscriber")?)];
+    let renew = |time: &str, took: &dyn Fn(u64) -> bool| -> Result<()> {
+        for (party, right, entity) in &parties {
+            let whom = ["--entity", entity, right, "--for", time, "-o", "renewed"];
+            fabric.owner(1, &[&["grant", "add", "chatter.card", "--key", "owner.pem"], &whom[..]].concat())?;
+            let (renewed, cert) = (fabric.folder_of("owner").join("renewed"), fabric.folder_of(party));
+            std::fs::rename(&renewed, cert.join("chatter.cert"))?;
+        }
+        let taken = || -> Result<Option<()>> {
+            let records = fabric.ctl(0, &["query", &fabric.name])?["records"].clone();
+            let left = |record: &Value| record["expires_in"].as_u64().is_some_and(took);
+            Ok(records.as_array().is_some_and(|all| all.len() == 2 && all.iter().all(left)).then_some(()))
+        };
+        wait_for("the RIB to have the new certificates", PATIENCE, taken).with_context(|| fabric.report())
+    };
+    renew(&format!("{SHORT}s"), &|left| left <= SHORT)?;
+    let ended = Instant::now() + Duration::from_secs(SHORT + 1);
+    renew("1h", &|left| left > SHORT)?;
+    ensure!(Instant::now() < ended, "too late to show anything");
+    complete_and_intact(&both.finish(2 * PATIENCE, PATIENCE)?, &traffic)?;
+    ensure!(Instant::now() > ended, "the messages were over before the certificates");
+    for (party, ..) in &parties {
+        let status = fabric.proxy_stats(party)["topics"][0]["status"].clone();
+        ensure!(status == "up", "{party}: {status}");
+    }
+    Ok(())
 }
 
 /// Nobody reads the name: the robot keeps its messages to itself, and no switch knows of it.

@@ -141,10 +141,10 @@ fn what_comes_twice_is_counted_and_dropped() -> Result<()> {
         let segments = 2 * COUNT;
         for (i, topic) in topics.iter().enumerate() {
             let expected = if i % 2 == 0 { segments } else { 0 };
-            let duplicates = || topic.subscription.counters().duplicates;
+            let duplicates = || topic.subscription.counters().inbound.duplicates;
             wait_for("all copies", SOON, || Ok((duplicates() >= expected).then_some(())))
                 .with_context(|| format!("topic {i}: {:?} {:?}", topic.subscription.counters(), robot.node.links()))?;
-            let (sent, counters) = (topic.publisher.counters(), topic.subscription.counters());
+            let (sent, counters) = (topic.publisher.counters().topic, topic.subscription.counters().inbound);
             ensure!(sent.repeated == 0 && counters.duplicates == expected, "topic {i}: {sent:?} {counters:?}");
         }
         let links = robot.node.links();
@@ -371,7 +371,7 @@ impl<'a> Flow<'a> {
                 sequences.push(message.sequence);
                 counted.fetch_add(1, Ordering::Relaxed);
             }
-            Ok(Heard { sequences, slowest, counters: subscription.counters(), sent: 0 })
+            Ok(Heard { sequences, slowest, counters: subscription.counters().inbound, sent: 0 })
         });
         Self { to, from, sending, hearing, stop, last, heard }
     }

@@ -32,7 +32,7 @@ use gdp::cert::CertError;
 use gdp::control::{
     EntityRequest, FibPush, NameRole, PeersPush, Record, RecordPlace, Refusal, RefusalCode, Response, Route,
 };
-use gdp::name::NameProof;
+use gdp::name::{NamePrefix, NameProof};
 use gdp_wire::Name;
 
 use boxes::Boxes;
@@ -205,13 +205,35 @@ impl Rib {
     ) -> Response {
         self.tick(now);
         let answer = match request {
-            EntityRequest::Query { prefix, after } => Ok(self.names.query(now.clock, prefix, after.as_ref())),
+            EntityRequest::Query { prefix, after } => self.query(now, origin, entity, prefix, after.as_ref()),
             EntityRequest::Revoke { proof, revocation } => {
                 self.revoke(now, Origin { switch: origin, by_tool }, proof, revocation)
             }
             _ => self.entity_request(now, origin, entity, by_tool, request),
         };
         answer.unwrap_or_else(Response::from)
+    }
+
+    /// What is known of a name anybody may hear who knows the name; to have names listed, one has to be attached here, or be the switch
+    /// that asks (for those who run it).
+    fn query(
+        &self,
+        now: Now,
+        origin: Name,
+        entity: Option<&NameProof>,
+        prefix: &NamePrefix,
+        after: Option<&RecordPlace>,
+    ) -> Result<Response, Refusal> {
+        let entity = entity.and_then(|proof| proof.name().ok());
+        let is_here = |entity: Name| {
+            let attached = self.entities.is_attached_at(&entity, &origin);
+            attached || entity == origin && self.switches.contains_key(&origin)
+        };
+        if prefix.full().is_none() && !entity.is_some_and(is_here) {
+            let reason = "names are listed for entities that are attached, and for switches; ask for a name in full";
+            return Err(Refusal::new(RefusalCode::NotEntitled, reason));
+        }
+        Ok(self.names.query(now.clock, prefix, after))
     }
 
     /// Takes a switch's report of its neighbours with their costs, and after a (re)connect of all attached entities; with the

@@ -3,7 +3,8 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use gdp::cert::{Revocation, Signed};
+use gdp::cert::Revocation;
+use gdp::revocations::Kept;
 use gdp_wire::Name;
 
 use super::names::Key;
@@ -17,7 +18,7 @@ pub(super) struct Origin {
 
 #[derive(Debug)]
 pub(super) struct Held {
-    pub signed: Signed<Revocation>,
+    pub kept: Kept,
     pub claims: Revocation,
     origin: Origin,
     /// Its place among those of names that nobody has a part in.
@@ -31,6 +32,7 @@ pub(super) struct Revocations {
     idle: HashMap<Origin, BTreeMap<u64, Key>>,
     idle_count: usize,
     next: u64,
+    changes: u64,
 }
 
 impl Revocations {
@@ -44,9 +46,22 @@ impl Revocations {
 
     /// Keeps a verified revocation that [replaces](Revocation::check_replaces) the one that is held. Follow with
     /// [`Self::leave`] if nobody has a part in the name.
-    pub fn put(&mut self, name: Key, signed: Signed<Revocation>, claims: Revocation, origin: Origin) {
+    pub fn put(&mut self, name: Key, kept: Kept, claims: Revocation, origin: Origin) {
         self.enter(&name);
-        self.held.insert(name, Held { signed, claims, origin, idle: None });
+        self.held.insert(name, Held { kept, claims, origin, idle: None });
+        self.changes += 1;
+    }
+
+    /// Rises whenever one is put.
+    pub fn changes(&self) -> u64 {
+        self.changes
+    }
+
+    /// Those of names that somebody has a part in, then the others, the one that has been so for longest last.
+    pub fn all(&self) -> Vec<Kept> {
+        let mut all: Vec<&Held> = self.held.values().collect();
+        all.sort_by_key(|held| held.idle.map_or(0, |place| u64::MAX - place));
+        all.into_iter().map(|held| held.kept.clone()).collect()
     }
 
     /// Somebody has a part in the name.

@@ -4,6 +4,7 @@
 use gdp::cert::{CertError, Revocation, Signed};
 use gdp::control::{NameRole, Refusal, Response};
 use gdp::name::NameProof;
+use gdp::revocations::Kept;
 
 use super::revocations::Origin;
 use super::telling::Stake;
@@ -29,7 +30,7 @@ impl Rib {
             return Ok(Response::Done);
         }
         let revoked = self.names.revoked(&key, &claims);
-        self.revocations.put(key, signed.clone(), claims, origin);
+        self.revocations.put(key, Kept { proof: *proof, revocation: signed.clone() }, claims, origin);
         if !self.names.contains(&key) {
             self.revocations.leave(&key, self.limits.idle_revocations);
         }
@@ -48,5 +49,27 @@ impl Rib {
             }
         }
         Ok(Response::Done)
+    }
+
+    /// Takes in what an earlier RIB kept, verified again, as [`Self::kept_revocations`] has it.
+    pub fn recall(&mut self, kept: Vec<(Kept, Revocation)>) {
+        let origin = Origin { switch: self.root, by_tool: true };
+        for (kept, claims) in kept.into_iter().rev() {
+            let key = claims.name.to_bytes();
+            if claims.check_replaces(self.revocations.claims(&key)).is_ok() {
+                self.revocations.put(key, kept, claims, origin);
+                self.revocations.leave(&key, self.limits.idle_revocations);
+            }
+        }
+    }
+
+    /// Rises whenever a revocation is taken in that is to be kept.
+    pub fn revocations_taken(&self) -> u64 {
+        self.revocations.changes()
+    }
+
+    /// All that a RIB after this one is to know, those first that count most.
+    pub fn kept_revocations(&self) -> Vec<Kept> {
+        self.revocations.all()
     }
 }

@@ -356,7 +356,7 @@ impl Stream {
             Phase::Farewell => self.revocation = true,
         }
         if std::mem::take(&mut self.revocation) {
-            peers.revocation = source.revocations.get(&stake.name).map(|held| held.signed.clone());
+            peers.revocation = source.revocations.get(&stake.name).map(|held| held.kept.revocation.clone());
         }
         peers
     }

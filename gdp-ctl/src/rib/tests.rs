@@ -13,7 +13,7 @@ use gdp::control;
 use gdp::control::{EntityRequest, Extent, NameRole, PeersExtent, Record, RefusalCode, Response, Route};
 use gdp::identity::{Identity, SigningKey};
 use gdp::link::MAX_LANES;
-use gdp::name::{Name, NamePrefix};
+use gdp::name::{Name, NamePrefix, NameProof};
 
 use self::world::{Parts, UNIX, World, expect_refused};
 use super::fib::Pushed;
@@ -371,6 +371,31 @@ fn readers_are_told_a_few_at_a_time() {
     w.publish(&robot, 0, 1);
     let told: Vec<_> = [(); 3].iter().map(|()| w.told(NameRole::Subscriber).len()).collect();
     assert_eq!(told, [AT_ONCE, 5, 0]);
+}
+
+#[test]
+fn names_are_listed_for_who_is_attached_or_runs_a_switch_only() {
+    let mut w = World::chain(2);
+    let robot = w.attached("robot", 0);
+    w.publish(&robot, 0, 1);
+    let (stranger, other) = (Identity::generate("proxy").unwrap(), w.switches[1].proof());
+    let name = w.card.name();
+    let mut ask = |at: usize, whose: Option<&NameProof>, prefix: &str| {
+        let request = EntityRequest::Query { prefix: prefix.parse().unwrap(), after: None };
+        w.rib.request(w.now, w.switches[at].name(), whose, whose.is_none(), &request)
+    };
+    let digits = &name.to_string()[..63];
+    for whose in [Some(robot.proof()), Some(stranger.proof()), None] {
+        let found = ask(0, whose.as_ref(), &name.to_string());
+        assert!(matches!(found, Response::Records { records, .. } if records.len() == 1), "{whose:?}");
+    }
+    for (at, whose) in [(0, None), (0, Some(stranger.proof())), (1, Some(robot.proof())), (0, Some(other))] {
+        expect_refused(&ask(at, whose.as_ref(), digits), "a list", RefusalCode::NotEntitled, "in full");
+    }
+    for (at, whose) in [(0, robot.proof()), (1, other)] {
+        let found = ask(at, Some(&whose), digits);
+        assert!(matches!(found, Response::Records { records, .. } if records.len() == 1));
+    }
 }
 
 #[test]

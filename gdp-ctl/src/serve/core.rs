@@ -373,7 +373,10 @@ impl Core {
 
     /// What an entity asks, over its link or (`by_tool`) through the admin socket.
     pub fn entity_request(&mut self, entity: Option<&NameProof>, by_tool: bool, request: EntityRequest) -> Next {
-        let (now, switch) = (self.now(), self.name());
+        let (now, switch, own) = (self.now(), self.name(), self.identity.proof());
+        // Who may use the admin socket runs this switch, and may have names listed.
+        let lists = by_tool && entity.is_none() && matches!(request, EntityRequest::Query { .. });
+        let entity = if lists { Some(&own) } else { entity };
         if let Some(rib) = &mut self.rib {
             return ask(rib, now, switch, entity, by_tool, &request);
         }

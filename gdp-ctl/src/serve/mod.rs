@@ -6,6 +6,7 @@ pub mod core;
 mod ends;
 mod hold;
 pub mod interfaces;
+mod kept;
 mod links;
 mod liveness;
 mod ports;
@@ -29,6 +30,7 @@ use tokio::sync::Notify;
 use tokio::task::JoinSet;
 
 use self::core::Core;
+use self::kept::KeptRevocations;
 use crate::config::{Config, DataPlane};
 use crate::folders;
 use crate::plane::host_pair;
@@ -63,6 +65,7 @@ pub struct Daemon {
     name: Name,
     port_config: PortConfig,
     core: Mutex<Core>,
+    revocations: KeptRevocations,
     ports: Mutex<HashMap<String, Arc<Port>>>,
     /// Makes the links of one entity take turns in what they tell the RIB.
     turns: Mutex<HashMap<Place, Arc<tokio::sync::Mutex<()>>>>,
@@ -112,10 +115,12 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     let link_ids = LinkIds::new();
     let mut core = Core::new(identity.clone(), config.neighbours.clone(), uplink, config.rib, planes);
     core.take_over(&link_ids);
+    let revocations = KeptRevocations::recall(&config.identity, &mut core)?;
     let daemon = Arc::new(Daemon {
         name: identity.name(),
         port_config: PortConfig { rekey: config.rekey, ..PortConfig::switch(identity, link_ids) },
         core: Mutex::new(core),
+        revocations,
         ports: Mutex::default(),
         turns: Mutex::default(),
         report: Notify::new(),

@@ -401,7 +401,7 @@ mod tests {
     }
 
     fn hello(i: u8) -> Feedback {
-        Feedback::Hello { name: name(1), challenge: [i; 16] }
+        Feedback::Hello { name: name(1), challenge: [i; 16], reliable: false }
     }
 
     fn identity(seed: u8) -> Identity {

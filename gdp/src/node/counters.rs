@@ -1,12 +1,98 @@
 //! What a node did with frames and messages. Written by the sending tasks and the receiving thread without locks.
 
 use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use gdp_wire::{Counter, ErrorCode};
 use serde::Serialize;
 
+use super::feedback::Feedback;
+use super::intake::Shared;
+use super::outlet::Outlet;
+use super::publication::Publication;
 use crate::seal::DropReason;
+use crate::transport::{InboundCounters, TopicCounters};
+
+/// Counters that can be read at any time from any task, also once what they count is gone. Clones are the same.
+pub struct Meter<T>(Arc<dyn Fn() -> T + Send + Sync>);
+
+impl<T> Meter<T> {
+    pub(super) fn new(read: impl Fn() -> T + Send + Sync + 'static) -> Self {
+        Self(Arc::new(read))
+    }
+
+    /// As they are at this moment.
+    pub fn read(&self) -> T {
+        (self.0)()
+    }
+}
+
+impl<T> Clone for Meter<T> {
+    fn clone(&self) -> Self {
+        Self(self.0.clone())
+    }
+}
+
+impl<T: fmt::Debug> fmt::Debug for Meter<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Meter").field(&self.read()).finish()
+    }
+}
+
+/// The counters of a publisher at one moment.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct PublisherCounters {
+    #[serde(flatten)]
+    pub topic: TopicCounters,
+    /// Attached at this moment, as far as is known here.
+    pub readers: usize,
+    /// Those of them that ask for every message, where this publisher offers the newest: ROS calls that incompatible QoS. They get the newest.
+    pub incompatible_readers: usize,
+    /// What the switch said of frames that it refused ([`Feedback::errors`]).
+    pub refused: BTreeMap<&'static str, u64>,
+}
+
+impl PublisherCounters {
+    pub(super) fn of(publication: &Publication, outlet: &Outlet, feedback: &Feedback) -> Self {
+        Self {
+            topic: publication.counters(outlet),
+            readers: publication.readers(),
+            incompatible_readers: publication.incompatible_readers(),
+            refused: feedback.errors(),
+        }
+    }
+}
+
+/// The counters of a subscription at one moment.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct SubscriptionCounters {
+    #[serde(flatten)]
+    pub inbound: InboundCounters,
+    /// Of those delivered, what the application did not take in time; none of a reliable writer.
+    pub queue_full: u64,
+    /// Of those delivered, latched messages that were sent again for others, and are known here.
+    pub repeats: u64,
+    /// Writers that offer the newest message, where this subscription asks for every: ROS calls that incompatible QoS. Their newest are
+    /// delivered.
+    pub incompatible_writers: usize,
+    /// Segments and messages that were dropped on arrival, by reason ([`DropReason::label`]). Reasons without a drop are left out.
+    pub drops: BTreeMap<&'static str, u64>,
+}
+
+impl SubscriptionCounters {
+    pub(super) fn of(shared: &Shared) -> Self {
+        let counters = &shared.counters;
+        Self {
+            inbound: counters.get(),
+            queue_full: counters.queue_full.load(Ordering::Relaxed),
+            repeats: counters.repeats.load(Ordering::Relaxed),
+            incompatible_writers: shared.incompatible.load(Ordering::Relaxed),
+            drops: counters.drops(),
+        }
+    }
+}
 
 /// A counter that only rises.
 #[derive(Default)]

@@ -7,7 +7,6 @@ use std::time::{Duration, Instant};
 
 use gdp_wire::Name;
 
-use super::counters::Counters;
 use crate::seal::DropReason;
 
 /// How long a frame waits.
@@ -43,21 +42,15 @@ impl HeldFrame {
 }
 
 impl Held {
-    /// Keeps a copy of the payload, if there is room; otherwise it counts as dropped.
-    pub fn hold(
-        &mut self,
-        (name, source): (Name, Name),
-        payload: &[u8],
-        marked: bool,
-        why: (DropReason, u64),
-        counters: &Counters,
-    ) {
+    /// Keeps a copy of the payload; `false` if there is no room.
+    pub fn hold(&mut self, (name, source): (Name, Name), payload: &[u8], marked: bool, why: (DropReason, u64)) -> bool {
         if self.bytes + payload.len() + OVERHEAD > MAX_BYTES {
-            return count(why, counters);
+            return false;
         }
         let frame = HeldFrame { since: Instant::now(), name, source, payload: payload.to_vec(), marked, why };
         self.bytes += frame.cost();
         self.frames.push_back(frame);
+        true
     }
 
     /// One that was released, and is still too early, for another reason perhaps; as long as it has waited in all counts.
@@ -76,17 +69,12 @@ impl Held {
         released
     }
 
-    /// Gives up frames that waited too long.
-    pub fn expire(&mut self, counters: &Counters) {
-        while let Some(frame) = self.frames.pop_front_if(|frame| frame.since.elapsed() >= PATIENCE) {
-            self.bytes -= frame.cost();
-            count(frame.why, counters);
-        }
+    /// The next frame that waited too long: of which name, why it waited, and for how many drops it counts.
+    pub fn next_expired(&mut self) -> Option<(Name, (DropReason, u64))> {
+        let frame = self.frames.pop_front_if(|frame| frame.since.elapsed() >= PATIENCE)?;
+        self.bytes -= frame.cost();
+        Some((frame.name, frame.why))
     }
-}
-
-fn count((reason, times): (DropReason, u64), counters: &Counters) {
-    counters.dropped[reason as usize].add(times);
 }
 
 #[cfg(test)]
@@ -98,10 +86,10 @@ mod tests {
     #[test]
     fn frames_are_released_in_order_and_only_for_their_name_and_source() {
         let (name, other) = (Name::from_bytes([1; 32]), Name::from_bytes([2; 32]));
-        let (mut held, counters) = (Held::default(), Counters::default());
+        let mut held = Held::default();
         for i in 0..4 {
             for (name, source, byte) in [(name, name, i), (other, name, 9), (name, other, 9)] {
-                held.hold((name, source), &[byte], false, WHY, &counters);
+                assert!(held.hold((name, source), &[byte], false, WHY));
             }
         }
         let released = held.release(&name, &name);
@@ -116,15 +104,12 @@ mod tests {
     }
 
     #[test]
-    fn memory_is_bounded_and_what_finds_no_room_is_counted() {
-        let (mut held, counters) = (Held::default(), Counters::default());
-        for _ in 0..100_000 {
-            held.hold((Name::default(), Name::default()), &[], false, WHY, &counters);
-        }
+    fn memory_is_bounded_and_what_finds_no_room_is_not_held() {
+        let mut held = Held::default();
         let most = MAX_BYTES / OVERHEAD;
+        let taken = (0..100_000).filter(|_| held.hold((Name::default(), Name::default()), &[], false, WHY)).count();
+        assert_eq!(taken, most);
         assert_eq!((held.frames.len(), held.bytes), (most, most * OVERHEAD));
-        held.expire(&counters);
-        assert_eq!(held.frames.len(), most, "nothing waited for long");
-        assert_eq!(counters.dropped[DropReason::NoKey as usize].get(), 100_000 - most as u64);
+        assert_eq!(held.next_expired(), None, "nothing waited for long");
     }
 }

@@ -1,7 +1,7 @@
 //! A subscription as the receiving thread has it: the reader, whom it believes, how far each writer's session is, and the queue to
 //! the application. What it has to say to writers comes out; the receiving thread sends it.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 
@@ -16,7 +16,7 @@ use crate::feedback_wire::Feedback;
 use crate::identity::VerifyKey;
 use crate::keys::Opened;
 use crate::seal::{DropReason, Message, Moment, Reader, Received, segment_ids};
-use crate::transport::{Arrival, Inbound, InboundCounters, InboundOptions, Position, Segment};
+use crate::transport::{Arrival, Inbound, InboundCounters, Position, Segment};
 
 /// What a reader is to believe.
 #[derive(Debug)]
@@ -55,6 +55,8 @@ pub struct Shared {
     pub queued_bytes: AtomicUsize,
     /// Messages of a reliable name wait for room in the queue.
     pub stalled: AtomicBool,
+    /// Writers that offer less than the reader asks for.
+    pub incompatible: AtomicUsize,
     pub counters: ReadCounters,
 }
 
@@ -72,9 +74,21 @@ pub struct ReadCounters {
     pub queue_full: AtomicU64,
     /// Of those delivered, latched messages that were known.
     pub repeats: AtomicU64,
+    /// Segments and messages that the reader dropped, by [`DropReason`].
+    dropped: [AtomicU64; DropReason::COUNT],
 }
 
 impl ReadCounters {
+    pub fn dropped(&self, reason: DropReason, times: u64) {
+        self.dropped[reason as usize].fetch_add(times, Ordering::Relaxed);
+    }
+
+    /// Those that are not 0.
+    pub fn drops(&self) -> BTreeMap<&'static str, u64> {
+        let counts = self.dropped.iter().map(|count| count.load(Ordering::Relaxed));
+        DropReason::ALL.iter().map(|reason| reason.label()).zip(counts).filter(|(_, count)| *count > 0).collect()
+    }
+
     pub fn get(&self) -> InboundCounters {
         let get = |count: &AtomicU64| count.load(Ordering::Relaxed);
         InboundCounters {
@@ -113,7 +127,7 @@ pub struct Intake {
     queue: mpsc::Sender<Message>,
     shared: Arc<Shared>,
     writers: HashMap<Name, Writer>,
-    /// Of a reliable name, what the application has no room for yet.
+    /// Of reliable sessions, what the application has no room for yet.
     stalled: VecDeque<Message>,
     /// Empty between calls; keeps its capacity.
     received: Received,
@@ -137,6 +151,8 @@ struct Session {
     from: u64,
     /// The last message sent before that which came again.
     latched: u64,
+    /// Every message is wanted, and the writer keeps them.
+    reliable: bool,
 }
 
 impl Session {
@@ -187,6 +203,7 @@ impl Intake {
             Change::Revoke { writer } => {
                 self.reader.revoke(&writer);
                 self.writers.remove(&writer);
+                self.compare();
                 None
             }
             Change::Key { writer, opened: Opened { epoch, key, dropped } } => {
@@ -205,16 +222,17 @@ impl Intake {
     pub fn hear(&mut self, now: u64, writer: &Name, feedback: &Feedback) -> bool {
         let Some(known) = self.writers.get_mut(writer) else { return false };
         match feedback {
-            Feedback::Welcome { challenge, session, sequence, .. } => {
+            Feedback::Welcome { challenge, session, sequence, reliable, .. } => {
                 let Some(rtt) = known.greeting.answered(now, challenge) else { return false };
                 if self.reader.vouch(writer, *session, *sequence).is_err() {
                     return false;
                 }
                 if known.session.as_ref().is_none_or(|known| known.id != *session) {
-                    let options = InboundOptions::from(&self.options);
-                    let inbound = Inbound::new(self.name, *session, *sequence, rtt, options);
+                    let reliable = self.options.reliable && *reliable;
+                    let inbound = Inbound::new(self.name, *session, *sequence, rtt, self.options.inbound(reliable));
                     let (seen, from) = (InboundCounters::default(), *sequence);
-                    known.session = Some(Session { id: *session, inbound, seen, from, latched: 0 });
+                    known.session = Some(Session { id: *session, inbound, seen, from, latched: 0, reliable });
+                    self.compare();
                 }
                 true
             }
@@ -231,7 +249,7 @@ impl Intake {
     pub fn push(&mut self, now: Moment, source: Name, payload: &[u8], marked: bool, counters: &Counters) -> Verdict {
         let Some(writer) = self.writers.get_mut(&source) else { return Verdict::Done };
         let steady = now.steady_ns;
-        if let Some(Session { id, inbound, .. }) = &mut writer.session {
+        if let Some(Session { id, inbound, reliable, .. }) = &mut writer.session {
             if marked {
                 inbound.congested();
             }
@@ -240,7 +258,7 @@ impl Intake {
             let is_beyond = |id: [u8; 16], sequence| {
                 segment_ids(payload).any(|segment| segment.session == id && segment.sequence >= sequence)
             };
-            if self.options.reliable && (!self.stalled.is_empty() || is_beyond(*id, most)) {
+            if *reliable && (!self.stalled.is_empty() || is_beyond(*id, most)) {
                 counters.beyond.add(1);
                 return Verdict::Done;
             }
@@ -298,7 +316,7 @@ impl Intake {
         let mut out = Out { options, queue, shared, stalled };
         for (writer, known) in writers.iter_mut() {
             if let Some(challenge) = known.greeting.poll(now) {
-                tell(writer, &Feedback::Hello { name: *name, challenge });
+                tell(writer, &Feedback::Hello { name: *name, challenge, reliable: out.options.reliable });
             }
             let Some(session) = &mut known.session else { continue };
             while let Some(arrival) = session.inbound.poll(now) {
@@ -307,7 +325,7 @@ impl Intake {
                         // First: who has the message may look.
                         out.shared.counters.add(session.inbound.counters(), &mut session.seen);
                         match session.is_new(&mut message) {
-                            true => out.deliver(message, counters),
+                            true => out.deliver(message, session.reliable, counters),
                             false => _ = out.shared.counters.repeats.fetch_add(1, Ordering::Relaxed),
                         }
                     }
@@ -344,11 +362,33 @@ impl Intake {
         self.shared.stalled.store(false, Ordering::Relaxed);
     }
 
+    /// How many writers offer less than is asked for; of the first of them the log tells.
+    fn compare(&self) {
+        let lesser = self.writers.iter().filter(|(_, known)| {
+            self.options.reliable && known.session.as_ref().is_some_and(|session| !session.reliable)
+        });
+        let (count, first) = (lesser.clone().count(), lesser.map(|(writer, _)| *writer).next());
+        if self.shared.incompatible.swap(count, Ordering::Relaxed) == 0
+            && let Some(writer) = first
+        {
+            tracing::warn!(name = %self.name, %writer, "incompatible QoS: every message is asked for, and the writer offers the newest only (best effort); taking those");
+        }
+    }
+
+    /// Of a frame that came too early, in vain.
+    pub fn count_early(&self, reason: DropReason, times: u64, counters: &Counters) {
+        counters.dropped[reason as usize].add(times);
+        self.shared.counters.dropped(reason, times);
+    }
+
     fn count_drops(&mut self, counters: &Counters) {
         let drops = self.reader.drops();
         if *drops != self.seen_drops {
-            for ((now, seen), count) in drops.iter().zip(&self.seen_drops).zip(&counters.dropped) {
+            for (((now, seen), count), reason) in
+                drops.iter().zip(&self.seen_drops).zip(&counters.dropped).zip(DropReason::ALL)
+            {
                 count.add(now - seen);
+                self.shared.counters.dropped(*reason, now - seen);
             }
             self.seen_drops = *drops;
         }
@@ -372,10 +412,11 @@ struct Out<'a> {
 }
 
 impl Out<'_> {
-    fn deliver(&mut self, message: Message, counters: &Counters) {
-        let refused = if self.stalled.is_empty() { self.offer(message, counters) } else { Some(message) };
+    fn deliver(&mut self, message: Message, reliable: bool, counters: &Counters) {
+        let waits = reliable && !self.stalled.is_empty();
+        let refused = if waits { Some(message) } else { self.offer(message, counters) };
         let Some(message) = refused else { return };
-        if self.options.reliable {
+        if reliable {
             self.stalled.push_back(message);
             self.shared.stalled.store(true, Ordering::Relaxed);
         } else {
@@ -442,8 +483,13 @@ mod tests {
                 Feedback::Hello { challenge: asked, .. } => challenge = Some(*asked),
                 other => panic!("{other:?}"),
             });
-            let welcome =
-                Feedback::Welcome { name: NAME, challenge: challenge.unwrap(), session: seals.session(), sequence: 1 };
+            let welcome = Feedback::Welcome {
+                name: NAME,
+                challenge: challenge.unwrap(),
+                session: seals.session(),
+                sequence: 1,
+                reliable: true,
+            };
             assert!(intake.hear(now.steady_ns, &writer, &welcome));
             for body in [&b"whole"[..], &[7; 3000]] {
                 seals.seal(now.unix_ns, Encoding::Bytes, body, 1000, &mut segments).unwrap();

@@ -84,8 +84,8 @@ impl From<PublishOptions> for TopicOptions {
 /// How a name is read.
 #[derive(Clone, Copy, Debug)]
 pub struct SubscribeOptions {
-    /// Every message in its order, asked for again if it does not come: for names whose publishers are reliable. Otherwise each
-    /// as soon as it is complete, if it is newer than those before.
+    /// Every message in its order, asked for again if it does not come, of publishers that are reliable; others are incompatible, and
+    /// counted. Of these, or if it is not set: each as soon as it is complete, if it is newer than those before.
     pub reliable: bool,
     /// It comes by each of the node's links, and what comes twice is dropped: nothing is missed when one fails, as long as its frames fit
     /// each of them. Otherwise it comes by the main one.
@@ -111,15 +111,17 @@ impl SubscribeOptions {
     }
 }
 
-impl From<&SubscribeOptions> for InboundOptions {
-    fn from(options: &SubscribeOptions) -> Self {
-        match options.reliable {
-            true => Self::every(),
-            false => {
-                let Limits { deadline, max_memory_per_source, .. } = options.limits;
-                Self { order: Order::Newest, deadline: nanos(deadline), bytes: max_memory_per_source, ..Self::newest() }
-            }
+impl SubscribeOptions {
+    /// Of one writer's session. `reliable`: both want every message.
+    pub(super) fn inbound(&self, reliable: bool) -> InboundOptions {
+        if reliable {
+            return InboundOptions::every();
         }
+        let Limits { deadline, max_memory_per_source, .. } = self.limits;
+        // One that asks for every message would wait too long for each of a writer that keeps none.
+        let deadline = if self.reliable { Limits::default().deadline } else { deadline };
+        let newest = InboundOptions::newest();
+        InboundOptions { order: Order::Newest, deadline: nanos(deadline), bytes: max_memory_per_source, ..newest }
     }
 }
 

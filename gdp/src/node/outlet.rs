@@ -20,7 +20,7 @@ use zerocopy::IntoBytes;
 
 use super::choice::Choice;
 use super::clock::Clock;
-use super::counters::Counters;
+use super::counters::{Counters, NodeCounters};
 use super::lane::{Lane, LinkStatus, Status};
 use super::pairs::Pairs;
 use super::publication::{Publication, Pushed};
@@ -136,6 +136,12 @@ impl Outlet {
     /// This node's own.
     pub fn name(&self) -> Name {
         self.name
+    }
+
+    pub fn node_counters(&self) -> NodeCounters {
+        let lanes = self.lanes.iter().map(|lane| lane.status());
+        let socket_drops = lanes.filter_map(|status| Some(status.attachment()?.data.receive_drops())).sum();
+        self.counters.snapshot(socket_drops)
     }
 
     pub fn lanes(&self) -> &[Lane] {

@@ -2,29 +2,35 @@
 //! how far it is, the receiving thread answers readers, the supervisor wraps keys.
 
 use std::collections::HashMap;
-use std::sync::{Mutex, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use gdp_wire::Name;
 use tokio::sync::Notify;
 
 use super::clock::unix_nanos;
+use super::ending::{Ended, Ending};
 use super::gathered::{GATHERING, Gathered};
 use super::latched::LatchedSamples;
 use super::options::PublishOptions;
 use super::outlet::Outlet;
+use super::publisher::Unflushed;
 use super::state::lock;
 use super::{NodeError, Reliability};
-use crate::cert::{CertError, Revocation};
+use crate::cert::Revocation;
 use crate::crypto::{Backend, PUBLIC_KEY_LEN};
 use crate::feedback_wire::Feedback;
 use crate::identity::Identity;
 use crate::keys::{Boxes, KeyRing, RingError};
 use crate::peers::{Counterpart, PeerEvent};
 use crate::seal::{Draft, SealError, Segments, Writer};
-use crate::transport::{Full, Sealed, Topic};
+use crate::transport::{Full, Sealed, Topic, TopicCounters};
 
 /// A reader that is not attached any more keeps its place and its keys for so long: links come back.
 const ABSENCE: u64 = 60_000_000_000;
+
+/// Key boxes that could not be stored are offered again after so long, then less and less often.
+const FIRST_PAUSE: u64 = 1_000_000_000;
+const LONGEST_PAUSE: u64 = 60_000_000_000;
 
 /// Latched messages go to all readers again when one comes; however many come, not more often.
 const BETWEEN_LATCHES: u64 = 1_000_000_000;
@@ -43,8 +49,8 @@ pub struct Publication {
     is_reliable: bool,
     sealing: Mutex<Sealing>,
     readers: Mutex<Readers>,
-    /// Why nothing is sent any more.
-    ended: OnceLock<CertError>,
+    pub ending: Arc<Ending>,
+    last_counters: OnceLock<TopicCounters>,
 }
 
 struct Sealing {
@@ -60,7 +66,16 @@ struct Sealing {
     pending: Option<Sealed>,
     latched: LatchedSamples,
     /// Boxes that could not be stored yet.
-    unstored: Option<Boxes>,
+    unstored: Option<Unstored>,
+    /// Some were refused for good.
+    refused: bool,
+}
+
+struct Unstored {
+    boxes: Boxes,
+    /// When they are offered again, in Unix nanoseconds, and how long it was waited for that.
+    at: u64,
+    pause: u64,
 }
 
 #[derive(Default)]
@@ -70,6 +85,8 @@ struct Readers {
     /// One was welcomed since the latched messages went again, and when that was.
     lacks_latched: bool,
     latched_at: Option<u64>,
+    /// The log has told of a reader that asks for more than is offered.
+    told_incompatible: bool,
 }
 
 struct Reader {
@@ -80,6 +97,8 @@ struct Reader {
     greeted: Option<[u8; 16]>,
     /// Since when it is not attached.
     absent: Option<u64>,
+    /// It asks for every message.
+    reliable: bool,
 }
 
 /// What became of a message.
@@ -89,6 +108,18 @@ pub enum Pushed {
     Gathered(Option<u64>),
     /// It waits for room.
     Waits,
+}
+
+impl Readers {
+    fn attached(&self) -> impl Iterator<Item = (&Name, &Reader)> {
+        self.known.iter().filter(|(_, reader)| reader.absent.is_none())
+    }
+
+    /// Whether one is attached that asks for every message, as far as it has said.
+    fn asks_for_all(&self, reader: &Name) -> bool {
+        let asks = |reader: &Reader| reader.absent.is_none() && (reader.reliable || reader.greeted.is_none());
+        self.known.get(reader).is_some_and(asks)
+    }
 }
 
 impl Publication {
@@ -112,6 +143,7 @@ impl Publication {
             pending: None,
             latched,
             unstored: None,
+            refused: false,
         };
         Ok(Self {
             name,
@@ -122,7 +154,8 @@ impl Publication {
             is_reliable,
             sealing: Mutex::new(sealing),
             readers: Mutex::default(),
-            ended: OnceLock::new(),
+            ending: Arc::default(),
+            last_counters: OnceLock::new(),
         })
     }
 
@@ -132,12 +165,12 @@ impl Publication {
     }
 
     pub fn check(&self) -> Result<(), NodeError> {
-        self.ended.get().map_or(Ok(()), |error| Err(error.clone().into()))
+        self.ending.get().map_or(Ok(()), |why| Err(why.clone().into()))
     }
 
-    /// Its certificate does not hold any more.
-    pub fn end(&self, error: CertError) {
-        let _ = self.ended.set(error);
+    /// Nothing is sent any more.
+    pub fn end(&self, why: Ended) {
+        self.ending.end(why);
         self.room.notify_waiters();
     }
 
@@ -148,7 +181,25 @@ impl Publication {
 
     /// Readers that are attached.
     pub fn readers(&self) -> usize {
-        lock(&self.readers).known.values().filter(|reader| reader.absent.is_none()).count()
+        lock(&self.readers).attached().count()
+    }
+
+    /// Those of them that ask for every message, where the newest is offered.
+    pub fn incompatible_readers(&self) -> usize {
+        if self.is_reliable { 0 } else { lock(&self.readers).attached().filter(|(_, reader)| reader.reliable).count() }
+    }
+
+    /// What has not gone yet, and what of it whom has not reached.
+    pub fn unfinished(&self, outlet: &Outlet) -> Unflushed {
+        let readers = lock(&self.readers);
+        let waiting = {
+            let sealing = lock(&self.sealing);
+            let pending = sealing.pending.as_ref().map_or(0, |sealed| sealed.last() - sealed.first() + 1);
+            pending + sealing.gathered.len() as u64
+        };
+        let (unsent, lacking) = lock(&outlet.uplink).unfinished(self.topic).unwrap_or_default();
+        let lacking = lacking.into_iter().filter(|(reader, _)| self.is_reliable && readers.asks_for_all(reader));
+        Unflushed { unsent: unsent + waiting, unacknowledged: lacking.collect() }
     }
 
     /// Seals messages under one signature, or gathers what is small and comes soon after another; unless one waits for room still.
@@ -293,9 +344,13 @@ impl Publication {
     }
 
     /// Answers a reader that asks which session this is.
-    pub fn welcome(&self, outlet: &Outlet, reader: &Name, challenge: [u8; 16]) -> Option<Feedback> {
+    pub fn welcome(&self, outlet: &Outlet, reader: &Name, challenge: [u8; 16], reliable: bool) -> Option<Feedback> {
         let readers = &mut *lock(&self.readers);
         let entry = readers.known.get_mut(reader)?;
+        entry.reliable = reliable;
+        if reliable && !self.is_reliable && !std::mem::replace(&mut readers.told_incompatible, true) {
+            tracing::warn!(name = %self.name, %reader, "incompatible QoS: the reader asks for every message, and this writer offers the newest only (best effort); it takes those");
+        }
         if entry.greeted != Some(challenge) {
             readers.lacks_latched = true;
             // One that asks again has lost what it knew, or has reason to doubt it: it begins with what comes now.
@@ -303,7 +358,8 @@ impl Publication {
                 entry.from = lock(&outlet.uplink).join(outlet.clock.now(), self.topic, *reader)?;
             }
         }
-        Some(Feedback::Welcome { name: self.name, challenge, session: self.session, sequence: entry.from })
+        let (name, session, sequence, reliable) = (self.name, self.session, entry.from, self.is_reliable);
+        Some(Feedback::Welcome { name, challenge, session, sequence, reliable })
     }
 
     /// Takes what the RIB told of readers, and was verified.
@@ -348,7 +404,7 @@ impl Publication {
         let mut uplink = lock(&outlet.uplink);
         // Beyond what the transport keeps account of, readers get what the others get.
         let from = uplink.join(outlet.clock.now(), self.topic, entity).unwrap_or(1);
-        readers.known.insert(entity, Reader { right, from, greeted: None, absent: None });
+        readers.known.insert(entity, Reader { right, from, greeted: None, absent: None, reliable: false });
     }
 
     fn sweep(&self, outlet: &Outlet, readers: &mut Readers, now_unix: u64) {
@@ -378,25 +434,48 @@ impl Publication {
 
     /// Boxes to be stored with the RIB next, if there are any.
     pub fn boxes(&self) -> Result<Option<Boxes>, RingError> {
-        let sealing = &mut *lock(&self.sealing);
-        match sealing.unstored.take() {
-            Some(boxes) => Ok(Some(boxes)),
-            None => sealing.ring.poll(unix_nanos()),
+        let (sealing, now) = (&mut *lock(&self.sealing), unix_nanos());
+        match &sealing.unstored {
+            // The clock may have been set back.
+            Some(Unstored { at, .. }) if (now..now.saturating_add(LONGEST_PAUSE)).contains(at) => Ok(None),
+            Some(unstored) => Ok(Some(unstored.boxes.clone())),
+            None => sealing.ring.poll(now),
         }
     }
 
-    pub fn boxes_stored(&self, boxes: Result<u32, Boxes>) {
+    /// The RIB has taken these.
+    pub fn boxes_stored(&self, boxes: &Boxes) {
         let sealing = &mut *lock(&self.sealing);
-        match boxes {
-            Ok(epoch) => sealing.ring.boxes_stored(epoch),
-            Err(boxes) => sealing.unstored = Some(boxes),
+        sealing.unstored = None;
+        sealing.ring.boxes_stored(boxes.epoch);
+    }
+
+    /// The RIB has not: they are offered again, and if it has no room for them, less and less often.
+    pub fn boxes_failed(&self, boxes: Boxes, no_room: bool) {
+        let sealing = &mut *lock(&self.sealing);
+        let before = sealing.unstored.take().filter(|_| no_room);
+        let pause = before.map_or(FIRST_PAUSE, |before| (2 * before.pause).min(LONGEST_PAUSE));
+        sealing.unstored = Some(Unstored { boxes, at: unix_nanos() + pause, pause });
+    }
+
+    /// The RIB never takes these, unless [something else](Self::stated) is stated.
+    pub fn boxes_refused(&self) {
+        let sealing = &mut *lock(&self.sealing);
+        (sealing.unstored, sealing.refused) = (None, true);
+    }
+
+    /// The RIB knows by now what the right to it is.
+    pub fn stated(&self) {
+        let refused = std::mem::take(&mut lock(&self.sealing).refused);
+        if refused {
+            self.store_again();
         }
     }
 
     /// The RIB may have lost the boxes.
     pub fn store_again(&self) {
         let sealing = &mut *lock(&self.sealing);
-        sealing.unstored = None;
+        (sealing.unstored, sealing.refused) = (None, false);
         sealing.ring.republish();
     }
 
@@ -405,9 +484,20 @@ impl Publication {
         lock(&self.sealing).ring.wake_at()
     }
 
+    /// What became of messages and frames so far, also once it is closed.
+    pub fn counters(&self, outlet: &Outlet) -> TopicCounters {
+        let now = lock(&outlet.uplink).counters(self.topic);
+        now.or_else(|| self.last_counters.get().copied()).unwrap_or_default()
+    }
+
     /// Nothing is published any more.
     pub fn close(&self, outlet: &Outlet) {
-        lock(&outlet.uplink).close(self.topic);
+        {
+            let mut uplink = lock(&outlet.uplink);
+            uplink.counters(self.topic).map(|last| self.last_counters.set(last));
+            uplink.close(self.topic);
+        }
+        self.ending.end(Ended::Closed);
         let readers = std::mem::take(&mut lock(&self.readers).known);
         let mut pairs = lock(&outlet.pairs);
         readers.keys().for_each(|reader| pairs.part(reader));

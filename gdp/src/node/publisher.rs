@@ -1,18 +1,36 @@
 //! The application's sending end of a name.
 
+use std::collections::BTreeMap;
 use std::pin::pin;
 use std::sync::Arc;
+use std::time::Duration;
 
 use gdp_wire::Name;
 
+use super::counters::{Meter, PublisherCounters};
+use super::ending::Ended;
 use super::outlet::Outlet;
 use super::publication::{Publication, Pushed};
-use super::state::lock;
+use super::state::{Statement, lock};
 use super::{Feedback, Handle, NodeError, Stated};
+use crate::cert::{AdCert, Issued};
 use crate::seal::{Draft, Encoding};
-use crate::transport::TopicCounters;
 
-/// Sends messages to a name. Dropping it withdraws the name; what has not gone yet is lost.
+/// How often it is looked whether everything has gone.
+const LOOK: Duration = Duration::from_millis(2);
+
+/// What was not done in time: see [`Publisher::flush`].
+#[derive(Clone, Debug, Default, PartialEq, Eq, thiserror::Error)]
+#[error("{unsent} messages have not gone in time, and {} readers have not acknowledged all that have", unacknowledged.len())]
+pub struct Unflushed {
+    /// Messages that have not gone from this host.
+    pub unsent: u64,
+    /// Readers of a reliable name that are live, and how many messages each has not acknowledged.
+    pub unacknowledged: BTreeMap<Name, u64>,
+}
+
+/// Sends messages to a name. Dropping it withdraws the name; what has not gone yet is lost, and nothing is repaired any more: see
+/// [`Self::close`].
 pub struct Publisher {
     node: Arc<Handle>,
     publication: Arc<Publication>,
@@ -39,8 +57,51 @@ impl Publisher {
     }
 
     /// What became of messages and frames so far.
-    pub fn counters(&self) -> TopicCounters {
-        lock(&self.node.state.outlet.uplink).counters(self.publication.topic).unwrap_or_default()
+    pub fn counters(&self) -> PublisherCounters {
+        PublisherCounters::of(&self.publication, &self.node.state.outlet, &self.feedback)
+    }
+
+    /// The same at any time, from any task.
+    pub fn meter(&self) -> Meter<PublisherCounters> {
+        let (publication, outlet, feedback) =
+            (self.publication.clone(), self.node.state.outlet.clone(), self.feedback.clone());
+        Meter::new(move || PublisherCounters::of(&publication, &outlet, &feedback))
+    }
+
+    /// Waits until nothing can be sent any more, and says why.
+    pub fn ended(&self) -> impl Future<Output = Ended> + Send + use<> {
+        self.publication.ending.wait()
+    }
+
+    /// Publishes on by this certificate, in the same session; readers miss nothing. To be done before the present one ends. A refusal
+    /// of the RIB leaves the present one in force; while there is no link, the RIB is given the new one with the next.
+    pub async fn renew(&mut self, ad_cert: Issued<AdCert>) -> Result<(), NodeError> {
+        let renewed = |proof| Statement::Write { proof, ad_cert };
+        self.node.state.renew(self.publication.name, Stated::Published, renewed).await
+    }
+
+    /// Returns once all that was sent has left this host, and, if the name is reliable, every reader that is live and asks for every message
+    /// has acknowledged it; or after `patience`, with what is left.
+    pub async fn flush(&mut self, patience: Duration) -> Result<(), NodeError> {
+        let (publication, outlet) = (&self.publication, &self.node.state.outlet);
+        let deadline = tokio::time::Instant::now() + patience;
+        publication.finish(outlet);
+        loop {
+            publication.check()?;
+            let unfinished = publication.unfinished(outlet);
+            if unfinished == Unflushed::default() {
+                return Ok(());
+            }
+            if tokio::time::Instant::now() >= deadline {
+                return Err(unfinished.into());
+            }
+            tokio::time::sleep(LOOK).await;
+        }
+    }
+
+    /// [Flushes](Self::flush), and then withdraws the name.
+    pub async fn close(mut self, patience: Duration) -> Result<(), NodeError> {
+        self.flush(patience).await
     }
 
     /// Seals one message and sends it; those that come within 100 µs of one another share a signature and frames. It goes as [`PublishOptions`](super::PublishOptions) say: `Ok` says that it is on its way or waits for

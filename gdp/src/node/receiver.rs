@@ -351,8 +351,10 @@ impl Intakes {
                 true => intake.push(now, source, payload, marked, &counters),
                 false => Verdict::Early(DropReason::UnknownWriter, 1),
             };
-            if let Verdict::Early(reason, times) = verdict {
-                self.held.hold((name, source), payload, marked, (reason, times), &counters);
+            if let Verdict::Early(reason, times) = verdict
+                && !self.held.hold((name, source), payload, marked, (reason, times))
+            {
+                intake.count_early(reason, times, &counters);
             }
             if self.touched.last() != Some(&name) && !self.touched.contains(&name) {
                 self.touched.push(name);
@@ -375,9 +377,9 @@ impl Intakes {
         counters.feedback_received.add(1);
         let (name, now) = (feedback.name(), self.outlet.clock.now());
         match &feedback {
-            Feedback::Hello { challenge, .. } => {
+            Feedback::Hello { challenge, reliable, .. } => {
                 let publication = self.publications.get(&name);
-                let welcome = publication.and_then(|it| it.welcome(&self.outlet, &source, *challenge));
+                let welcome = publication.and_then(|it| it.welcome(&self.outlet, &source, *challenge, *reliable));
                 if let Some(welcome) = welcome {
                     self.outlet.tell(&source, &welcome);
                     self.outlet.upkeep.notify_one();
@@ -417,7 +419,12 @@ impl Intakes {
         while let Some((_, name)) = self.timers.first().copied().filter(|(at, _)| *at <= now) {
             self.poll(&name);
         }
-        self.held.expire(&self.outlet.counters);
+        while let Some((name, (reason, times))) = self.held.next_expired() {
+            match self.intakes.get(&name) {
+                Some(intake) => intake.count_early(reason, times, &self.outlet.counters),
+                None => self.outlet.counters.dropped[reason as usize].add(times),
+            }
+        }
     }
 
     /// How long nothing is due.

@@ -7,12 +7,14 @@ use bytes::Bytes;
 use gdp_wire::Name;
 use tokio::sync::oneshot;
 
+use super::ending::{Ended, Ending};
 use super::options::SubscribeOptions;
 use super::publication::Publication;
 use super::publisher::send_through;
-use super::state::{State, lock};
+use super::state::{State, Statement, lock};
 use super::subscription::Queue;
 use super::{Handle, NodeError, Stated};
+use crate::cert::{AdCert, Issued, Reading};
 use crate::seal::{Draft, Encoding, Message, MessageId};
 
 /// Calls of a node that may wait for their replies at once.
@@ -22,11 +24,23 @@ const MAX_CALLS: usize = 4096;
 pub struct Server {
     node: Arc<Handle>,
     queue: Queue,
+    ending: Arc<Ending>,
 }
 
 impl Server {
-    pub(super) fn new(node: Arc<Handle>, queue: Queue) -> Self {
-        Self { node, queue }
+    pub(super) fn new(node: Arc<Handle>, queue: Queue, ending: Arc<Ending>) -> Self {
+        Self { node, queue, ending }
+    }
+
+    /// Waits until nothing is served any more, and says why.
+    pub fn ended(&self) -> impl Future<Output = Ended> + Send + use<> {
+        self.ending.wait()
+    }
+
+    /// Serves on by this certificate, as [`Publisher::renew`](super::Publisher::renew) publishes.
+    pub async fn renew(&mut self, ad_cert: Issued<AdCert>) -> Result<(), NodeError> {
+        let renewed = |proof| Statement::Write { proof, ad_cert };
+        self.node.state.renew(self.queue.name, Stated::Served, renewed).await
     }
 
     pub fn name(&self) -> Name {
@@ -97,6 +111,17 @@ impl Client {
 
     pub fn name(&self) -> Name {
         self.publication.name
+    }
+
+    /// Waits until nothing can be called any more, and says why.
+    pub fn ended(&self) -> impl Future<Output = Ended> + Send + use<> {
+        self.publication.ending.wait()
+    }
+
+    /// Calls on by this grant, as [`Subscription::renew`](super::Subscription::renew) reads.
+    pub async fn renew(&mut self, grant: Reading) -> Result<(), NodeError> {
+        let renewed = |proof| Statement::Read { proof, grant };
+        self.node.state.renew(self.publication.name, Stated::Called, renewed).await
     }
 
     /// Servers that are attached at the moment, as far as is known here.

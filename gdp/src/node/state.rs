@@ -2,7 +2,7 @@
 //! tasks. Requests go out from here; when, is the supervisor's business.
 
 use std::collections::{HashMap, HashSet};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use gdp_wire::Name;
@@ -10,6 +10,7 @@ use tokio::sync::mpsc;
 
 use super::clock::unix_now;
 use super::counters::Counters;
+use super::ending::{Ended, Ending};
 use super::feedback::Feedbacks;
 use super::intake::{Intake, Shared};
 use super::lane::{Lane, Status};
@@ -18,6 +19,7 @@ use super::outlet::Outlet;
 use super::publication::Publication;
 use super::reading::Reading;
 use super::receiver::Command;
+use super::revoked::Revoked;
 use super::services::Pending;
 use super::subscription::Queue;
 use super::supervisor::{Attachment, Event};
@@ -47,29 +49,22 @@ pub struct State {
     pub calls: Mutex<HashMap<MessageId, Pending>>,
     /// Whether replies are taken.
     pub inbox_opened: Mutex<bool>,
-    /// Why subscriptions ended.
-    pub subscriptions: Mutex<HashMap<Name, Arc<OnceLock<CertError>>>>,
+    /// That subscriptions ended, and why.
+    pub subscriptions: Mutex<HashMap<Name, Arc<Ending>>>,
     /// Everything the RIB is to know, stated again after each reconnection.
     statements: Mutex<HashMap<(Name, Stated), Standing>>,
     /// Those on the other side of what is stated.
     pub counterparts: Mutex<HashMap<(Name, NameRole), Counterparts>>,
+    /// What owners have taken back, as far as it came by.
+    pub revoked: Revoked,
     /// The highest serial used, once attached. Held while a statement is on its way, so that they arrive in their order.
     serial: tokio::sync::Mutex<Option<u64>>,
     commands: std::sync::mpsc::Sender<Command>,
     pub events: mpsc::UnboundedSender<Event>,
 }
 
-/// What stands, and where it was stated.
-struct Standing {
-    statement: Statement,
-    /// It comes and goes by two links.
-    duplicate: bool,
-    /// Lanes on whose present link it was stated, as a bit each.
-    done: u8,
-}
-
 /// The right to a name, as it is shown to the RIB.
-#[derive(Clone)]
+#[derive(Clone, PartialEq, Eq)]
 pub enum Statement {
     /// Publishes or serves.
     Write { proof: NameProof, ad_cert: Issued<AdCert> },
@@ -77,7 +72,37 @@ pub enum Statement {
     Read { proof: NameProof, grant: Grant },
 }
 
+/// A statement that the application wants to stand.
+struct Standing {
+    statement: Statement,
+    /// When the right ends, in Unix seconds.
+    not_after: u64,
+    /// It comes and goes by two links.
+    duplicate: bool,
+    /// Lanes on whose present link it was stated, as a bit each.
+    done: u8,
+    /// The right has ended.
+    over: bool,
+}
+
 impl Statement {
+    /// The name it is about and when the right ends (Unix seconds), if it holds for this entity.
+    fn verify(&self, entity: Name, revocation: Option<&Revocation>, now: u64) -> Result<(Name, u64), CertError> {
+        match self {
+            Self::Write { proof, ad_cert } => {
+                let claims = ad_cert.verify(proof, revocation, now)?;
+                if claims.entity != entity {
+                    return Err(CertError::WrongEntity { expected: entity, got: claims.entity });
+                }
+                Ok((claims.name, claims.not_after))
+            }
+            Self::Read { proof, grant } => {
+                let claims = grant.verify(proof, entity, revocation, now)?;
+                Ok((claims.name, claims.not_after))
+            }
+        }
+    }
+
     fn proof(&self) -> &NameProof {
         match self {
             Self::Write { proof, .. } | Self::Read { proof, .. } => proof,
@@ -90,6 +115,7 @@ impl State {
     pub fn new(
         identity: Identity,
         links: &[LinkConfig],
+        revoked: Revoked,
         commands: std::sync::mpsc::Sender<Command>,
         events: mpsc::UnboundedSender<Event>,
     ) -> Self {
@@ -106,6 +132,7 @@ impl State {
             subscriptions: Mutex::default(),
             statements: Mutex::default(),
             counterparts: Mutex::default(),
+            revoked,
             serial: tokio::sync::Mutex::default(),
             commands,
             events,
@@ -153,13 +180,93 @@ impl State {
 
     /// Whether this node's own right in a name holds under a revocation of it.
     pub fn check_own(&self, name: Name, role: NameRole, revocation: &Revocation) -> Result<(), CertError> {
-        let (statements, now) = (lock(&self.statements), unix_now());
-        match statements.get(&(name, Stated::of(role))).map(|standing| &standing.statement) {
-            Some(Statement::Write { proof, ad_cert }) => ad_cert.verify(proof, Some(revocation), now).map(drop),
-            Some(Statement::Read { proof, grant }) => {
-                grant.verify(proof, self.identity.name(), Some(revocation), now).map(drop)
+        let (statements, own) = (lock(&self.statements), self.identity.name());
+        let standing = statements.get(&(name, Stated::of(role)));
+        standing.map_or(Ok(()), |it| it.statement.verify(own, Some(revocation), unix_now()).map(drop))
+    }
+
+    /// The name that a right is about, if it holds.
+    pub fn check(&self, statement: &Statement) -> Result<Name, CertError> {
+        let name = statement.proof().name()?;
+        let revoked = self.revoked.of(&name);
+        let revocation = revoked.as_ref().map(|(_, claims)| claims);
+        statement.verify(self.identity.name(), revocation, unix_now()).map(|(name, _)| name)
+    }
+
+    /// The statements whose right has ended by itself, and the errors that say so.
+    pub fn expired(&self, now: u64) -> Vec<(Name, Stated, CertError)> {
+        let (statements, own) = (lock(&self.statements), self.identity.name());
+        let late = statements.iter().filter(|(_, standing)| !standing.over && standing.not_after < now);
+        let error = |standing: &Standing| standing.statement.verify(own, None, now).err();
+        late.filter_map(|((name, stated), standing)| Some((*name, *stated, error(standing)?))).collect()
+    }
+
+    /// This node's own right in a name has ended.
+    pub fn end(&self, name: Name, role: NameRole, error: CertError) {
+        match lock(&self.statements).get_mut(&(name, Stated::of(role))) {
+            Some(standing) if !standing.over => standing.over = true,
+            _ => return,
+        }
+        tracing::warn!(%name, %error, "the right of this node as a {role} has ended");
+        if role.sends() {
+            if let Some(publication) = lock(&self.publications).get(&name) {
+                publication.end(error.into());
             }
-            None => Ok(()),
+            return;
+        }
+        if let Some(ending) = lock(&self.subscriptions).get(&name) {
+            ending.end(error.into());
+        }
+        self.command(Command::Unsubscribe { name });
+    }
+
+    /// The node is closed.
+    pub fn close(&self) {
+        lock(&self.publications).values().for_each(|publication| publication.end(Ended::Closed));
+        lock(&self.subscriptions).values().for_each(|ending| ending.end(Ended::Closed));
+    }
+
+    /// Puts another right in the place of the one that something is stated by. The RIB has it then, or gets it with the next link; if
+    /// it refuses it, the old one stays.
+    pub async fn renew(
+        &self,
+        name: Name,
+        stated: Stated,
+        renewed: impl FnOnce(NameProof) -> Statement,
+    ) -> Result<(), NodeError> {
+        let proof = lock(&self.statements).get(&(name, stated)).map(|standing| *standing.statement.proof());
+        let statement = renewed(proof.ok_or(NodeError::Closed)?);
+        let revocation = {
+            let known = lock(&self.counterparts);
+            known.get(&(name, stated.role())).and_then(|counterparts| counterparts.revocation().cloned())
+        };
+        let (_, not_after) = statement.verify(self.identity.name(), revocation.as_ref(), unix_now())?;
+        let old = match lock(&self.statements).get_mut(&(name, stated)) {
+            Some(standing) if !standing.over => {
+                let new = Standing { statement, not_after, duplicate: standing.duplicate, done: 0, over: false };
+                std::mem::replace(standing, new)
+            }
+            _ => return Err(NodeError::Closed),
+        };
+        let stating = async { self.state(&*self.attached().await?, name, stated).await };
+        let result = stating.await;
+        match result {
+            Ok(()) => {
+                self.restate();
+                Ok(())
+            }
+            Err(error @ NodeError::Refused(_)) if !is_for_now(&error) => {
+                if let Some(standing) = lock(&self.statements).get_mut(&(name, stated)) {
+                    *standing = Standing { done: 0, ..old };
+                }
+                self.restate();
+                Err(error)
+            }
+            Err(error) => {
+                tracing::debug!(%name, %error, "a renewed right is stated later");
+                self.restate();
+                Ok(())
+            }
         }
     }
 
@@ -173,7 +280,9 @@ impl State {
         duplicate: bool,
         register: impl FnOnce(),
     ) -> Result<(), NodeError> {
-        let counterparts = Counterparts::new(*statement.proof(), stated.role())?;
+        let (_, not_after) = statement.verify(self.identity.name(), None, unix_now())?;
+        let mut counterparts = Counterparts::new(*statement.proof(), stated.role())?;
+        self.revoked.of(&name).into_iter().for_each(|revocation| counterparts.recall(revocation));
         let (mut known, mut statements) = (lock(&self.counterparts), lock(&self.statements));
         // What it sends to the name is one stream, and what it takes of it is another.
         let same_way = |other: &Stated| other.role().sends() == stated.role().sends();
@@ -183,7 +292,7 @@ impl State {
         }
         known.insert((name, stated.role()), counterparts);
         register();
-        statements.insert((name, stated), Standing { statement, duplicate, done: 0 });
+        statements.insert((name, stated), Standing { statement, not_after, duplicate, done: 0, over: false });
         self.outlet.double(name, is_doubled(&statements, &name));
         Ok(())
     }
@@ -227,7 +336,7 @@ impl State {
         stated: Stated,
         statement: Statement,
         options: SubscribeOptions,
-    ) -> Result<(Queue, Arc<OnceLock<CertError>>), NodeError> {
+    ) -> Result<(Queue, Arc<Ending>), NodeError> {
         let mut listening = None;
         let duplicate = options.duplicate;
         self.begin(name, stated, statement, duplicate, || listening = Some(self.listen(name, options)))?;
@@ -235,9 +344,9 @@ impl State {
     }
 
     /// What comes for a name, and why it ended.
-    pub fn listen(&self, name: Name, options: SubscribeOptions) -> (Queue, Arc<OnceLock<CertError>>) {
+    pub fn listen(&self, name: Name, options: SubscribeOptions) -> (Queue, Arc<Ending>) {
         let (sender, receiver) = mpsc::channel(options.queue.max(1));
-        let (shared, ended) = (Arc::<Shared>::default(), Arc::<OnceLock<CertError>>::default());
+        let (shared, ended) = (Arc::<Shared>::default(), Arc::<Ending>::default());
         lock(&self.readings).insert(name, Reading::new(name, &self.identity));
         lock(&self.subscriptions).insert(name, ended.clone());
         let intake = Intake::new(name, options, sender, shared.clone());
@@ -250,7 +359,7 @@ impl State {
         // The statement last: until then nobody else can begin the same.
         match stated {
             Stated::Subscribed | Stated::Served => {
-                lock(&self.subscriptions).remove(&name);
+                lock(&self.subscriptions).remove(&name).into_iter().for_each(|ending| ending.end(Ended::Closed));
                 if let Some(reading) = lock(&self.readings).remove(&name) {
                     let mut pairs = lock(&self.outlet.pairs);
                     reading.writers().for_each(|writer| pairs.part(writer));
@@ -310,7 +419,7 @@ impl State {
             let Some(standing) = statements.get(&(name, stated)) else { return Ok(()) };
             let everywhere = several && (stated.role().sends() || standing.duplicate);
             let belongs = everywhere || self.outlet.ways().borrow().main == usize::from(attachment.lane);
-            if !belongs || standing.done & bit(attachment) != 0 {
+            if !belongs || standing.over || standing.done & bit(attachment) != 0 {
                 return Ok(());
             }
             (standing.statement.clone(), everywhere)
@@ -323,8 +432,12 @@ impl State {
         let Response::Peers(peers) = response.await? else { return Err(NodeError::Protocol("to a statement")) };
         // Something newer may have come before; then the RIB tells the whole once more.
         let _ = self.take_peers(name, stated.role(), &peers);
-        if let Some(Standing { done, .. }) = lock(&self.statements).get_mut(&(name, stated)) {
-            *done = if everywhere { *done | bit(attachment) } else { bit(attachment) };
+        // Unless another was put in its place meanwhile.
+        if let Some(standing) = lock(&self.statements).get_mut(&(name, stated)).filter(|it| it.statement == statement) {
+            standing.done = if everywhere { standing.done | bit(attachment) } else { bit(attachment) };
+        }
+        if let Some(publication) = lock(&self.publications).get(&name).filter(|_| stated.role().sends()) {
+            publication.stated();
         }
         if everywhere {
             self.restate();
@@ -355,9 +468,13 @@ impl State {
         let request = |advert| EntityRequest::Withdraw { advert };
         self.ask_signed(attachment, &mut serial, AdvertOp::Withdraw, name, request).await?;
         for other in Stated::ALL {
-            if let Some(Standing { done, .. }) = lock(&self.statements).get_mut(&(name, other)) {
-                *done = 0;
+            if let Some(standing) = lock(&self.statements).get_mut(&(name, other)) {
+                standing.done = 0;
                 self.restate();
+                // Its keys went with it.
+                if let Some(publication) = lock(&self.publications).get(&name).filter(|_| other.role().sends()) {
+                    publication.store_again();
+                }
             }
         }
         Ok(())
@@ -436,6 +553,11 @@ fn bit(attachment: &Attachment) -> u8 {
 
 pub async fn ask(attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {
     Ok(attachment.link.request(&Request::Entity(request)).await?.accepted()?)
+}
+
+/// A refusal that time mends.
+pub fn is_for_now(error: &NodeError) -> bool {
+    matches!(error, NodeError::Refused(refusal) if refusal.code == RefusalCode::Unreachable)
 }
 
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

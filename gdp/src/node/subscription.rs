@@ -1,18 +1,19 @@
 //! The application's receiving end of a name.
 
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, OnceLock};
 
 use gdp_wire::Name;
 use tokio::sync::mpsc;
 
+use super::counters::{Meter, SubscriptionCounters};
+use super::ending::{Ended, Ending};
 use super::intake::Shared;
 use super::receiver::Command;
-use super::state::State;
-use super::{Handle, Stated};
-use crate::cert::CertError;
+use super::state::{State, Statement};
+use super::{Handle, NodeError, Stated};
+use crate::cert::Reading;
 use crate::seal::Message;
-use crate::transport::InboundCounters;
 
 /// Verified messages from the receiving thread.
 pub struct Queue {
@@ -41,12 +42,12 @@ impl Queue {
 pub struct Subscription {
     node: Arc<Handle>,
     queue: Queue,
-    ended: Arc<OnceLock<CertError>>,
+    ending: Arc<Ending>,
 }
 
 impl Subscription {
-    pub(super) fn new(node: Arc<Handle>, queue: Queue, ended: Arc<OnceLock<CertError>>) -> Self {
-        Self { node, queue, ended }
+    pub(super) fn new(node: Arc<Handle>, queue: Queue, ending: Arc<Ending>) -> Self {
+        Self { node, queue, ending }
     }
 
     pub fn name(&self) -> Name {
@@ -58,27 +59,27 @@ impl Subscription {
         self.queue.recv(&self.node.state).await
     }
 
-    /// Why nothing is received any more, if that is because the grant holds no more.
-    pub fn ended(&self) -> Option<&CertError> {
-        self.ended.get()
+    /// Waits until nothing is received any more, and says why.
+    pub fn ended(&self) -> impl Future<Output = Ended> + Send + use<> {
+        self.ending.wait()
     }
 
-    /// What became of messages and segments so far; of those `delivered`, [`Self::queue_full`] and [`Self::repeats`] did not reach the
-    /// application.
-    pub fn counters(&self) -> InboundCounters {
-        self.queue.shared.counters.get()
+    /// Reads on by this grant; nothing is missed, and writers do not notice. To be done before the present one ends. A refusal of the
+    /// RIB leaves the present one in force; while there is no link, the RIB is given the new one with the next.
+    pub async fn renew(&mut self, grant: Reading) -> Result<(), NodeError> {
+        let renewed = |proof| Statement::Read { proof, grant };
+        self.node.state.renew(self.queue.name, Stated::Subscribed, renewed).await
     }
 
-    /// Messages that were dropped because the application did not take them in time; none of a reliable name.
-    pub fn queue_full(&self) -> u64 {
-        self.queue.shared.counters.queue_full.load(Ordering::Relaxed)
+    /// What became of messages and segments so far.
+    pub fn counters(&self) -> SubscriptionCounters {
+        SubscriptionCounters::of(&self.queue.shared)
     }
-}
 
-impl Subscription {
-    /// Latched messages that were sent again for others, and are known here.
-    pub fn repeats(&self) -> u64 {
-        self.queue.shared.counters.repeats.load(Ordering::Relaxed)
+    /// The same at any time, from any task.
+    pub fn meter(&self) -> Meter<SubscriptionCounters> {
+        let shared = self.queue.shared.clone();
+        Meter::new(move || SubscriptionCounters::of(&shared))
     }
 }
 

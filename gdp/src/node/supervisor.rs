@@ -188,6 +188,8 @@ pub async fn run(
         () = state.keep() => {}
         _ = stop.wait_for(|stop| *stop) => {}
     }
+    state.close();
+    state.revoked.save();
     // In this order: the thread is woken through a link.
     state.command(Command::Stop);
     state.outlet.stop();

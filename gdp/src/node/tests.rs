@@ -2,6 +2,8 @@
 
 mod fabric;
 mod links;
+mod qos;
+mod rights;
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
@@ -234,7 +236,7 @@ async fn what_is_lost_on_the_way_comes_again_and_in_order() {
         assert_eq!(message.body[..4], i.to_be_bytes(), "{:?}", cloud.counters());
     }
     let publisher = sending.await.unwrap();
-    let (sent, received) = (publisher.counters(), subscription.counters());
+    let (sent, received) = (publisher.counters().topic, subscription.counters().inbound);
     assert_eq!((sent.messages, sent.evicted, received.delivered), (COUNT.into(), 0, COUNT.into()));
     assert!(sent.repeated > 0 && received.given_up == 0, "{sent:?} {received:?}");
 }
@@ -256,7 +258,7 @@ async fn of_best_effort_messages_each_is_accounted_for() {
     fabric.set_fate(None);
     // The last one is complete some day: then all before it are dealt with.
     let mut last = 1;
-    while last < publisher.counters().messages {
+    while last < publisher.counters().topic.messages {
         publisher.send(Encoding::Bytes, b"last").await.unwrap();
         while let Ok(message) = tokio::time::timeout(Duration::from_millis(200), subscription.recv()).await {
             let sequence = message.unwrap().sequence;
@@ -264,7 +266,7 @@ async fn of_best_effort_messages_each_is_accounted_for() {
             last = sequence;
         }
     }
-    let (sent, received) = (publisher.counters(), subscription.counters());
+    let (sent, received) = (publisher.counters().topic, subscription.counters().inbound);
     let dealt_with = received.delivered + received.overtaken + received.expired;
     assert_eq!((dealt_with, received.given_up), (sent.messages, 0), "{sent:?} {received:?}");
     assert_eq!(cloud.counters().messages_received, received.delivered);
@@ -282,12 +284,12 @@ async fn a_publisher_that_waits_for_its_turn_replaces_nothing() {
         publisher.ready().await.unwrap();
         publisher.send(Encoding::Bytes, &[7; 50_000]).await.unwrap();
     }
-    let TopicCounters { messages, replaced, .. } = publisher.counters();
+    let TopicCounters { messages, replaced, .. } = publisher.counters().topic;
     assert_eq!((messages, replaced), (100, 0));
     for _ in 0..100 {
         publisher.send(Encoding::Bytes, &[7; 50_000]).await.unwrap();
     }
-    assert!(publisher.counters().replaced > 0, "as it is without waiting");
+    assert!(publisher.counters().topic.replaced > 0, "as it is without waiting");
     robot.close().await;
     assert!(matches!(publisher.ready().await, Err(NodeError::Closed)));
 }
@@ -365,7 +367,7 @@ async fn a_revoked_reader_does_not_get_the_next_key() {
     eventually("a new epoch", || newest(&cloud) > newest(&thief)).await;
     assert_eq!(fabric.boxes(owner.name(), &thief), before);
     assert!(stolen.recv().await.is_none(), "it has been told");
-    assert!(matches!(stolen.ended(), Some(CertError::Revoked { serial: 7, .. })));
+    assert!(matches!(stolen.ended().await, Ended::Right(CertError::Revoked { serial: 7, .. })));
     publisher.send(Encoding::Bytes, b"for one").await.unwrap();
     assert_eq!(&recv(&mut subscription).await.body[..], b"for one");
 }
@@ -407,7 +409,7 @@ async fn small_messages_one_upon_another_share_signatures_and_frames_and_keep_th
     }
     // Alone, a message of four bytes is a frame.
     let large = 20_000_u64.div_ceil(1000) * u64::from(BURSTS);
-    let TopicCounters { frames, repeated, .. } = publisher.counters();
+    let TopicCounters { frames, repeated, .. } = publisher.counters().topic;
     assert!(frames - repeated < large + u64::from(BURSTS * BURST) * 2 / 3, "{frames} frames");
     drop(publisher);
 }
@@ -447,7 +449,7 @@ async fn a_reader_that_takes_its_time_holds_the_publisher_and_loses_nothing() {
     for i in 0..200u32 {
         assert_eq!(recv(&mut subscription).await.body[..], i.to_be_bytes());
     }
-    assert_eq!(sending.await.unwrap().counters().evicted, 0);
+    assert_eq!(sending.await.unwrap().counters().topic.evicted, 0);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -481,7 +483,7 @@ async fn whoever_comes_later_gets_the_latched_messages_and_nobody_twice() {
     for subscription in [&mut early, &mut subscription, &mut another] {
         assert_eq!(&recv(subscription).await.body[..], b"new");
     }
-    eventually("those that came again are known here", || early.repeats() >= 2).await;
+    eventually("those that came again are known here", || early.counters().repeats >= 2).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -498,7 +500,7 @@ async fn a_way_that_swallows_large_frames_is_sent_small_ones() {
     for i in 0..20u8 {
         assert_eq!(recv(&mut subscription).await.body[..], [i; 20_000]);
     }
-    assert_eq!((publisher.counters().evicted, subscription.counters().given_up), (0, 0));
+    assert_eq!((publisher.counters().topic.evicted, subscription.counters().inbound.given_up), (0, 0));
     assert!(swallows.0.load(Ordering::Relaxed) > 0);
 }
 

@@ -14,12 +14,17 @@ use super::reading::Effect;
 use super::receiver::Command;
 use super::state::{State, ask, lock};
 use super::supervisor::{Attachment, Event};
-use crate::cert::CertError;
-use crate::control::{EntityRequest, NameRole, Peers, Response};
+use crate::control::{EntityRequest, NameRole, Peers, RefusalCode, Response};
 use crate::peers::{OutOfStep, PeerEvent};
 
 fn joined(events: &[PeerEvent]) -> Vec<PeerEvent> {
     events.iter().filter(|event| matches!(event, PeerEvent::Joined(_))).cloned().collect()
+}
+
+/// Refusals of key boxes that the same again would meet with.
+fn is_for_good(error: &NodeError) -> bool {
+    let NodeError::Refused(refusal) = error else { return false };
+    !matches!(refusal.code, RefusalCode::Unreachable | RefusalCode::Limit | RefusalCode::NotAttached)
 }
 
 /// How often it is looked for what has ended.
@@ -37,9 +42,18 @@ impl State {
         match counterparts.take(unix_now(), peers) {
             Ok(events) => {
                 for event in &events {
-                    if let PeerEvent::RibIsBehind(revocation) = event {
-                        let (proof, revocation) = (*counterparts.proof(), revocation.clone());
-                        let _ = self.events.send(Event::Revoke { proof, revocation });
+                    let proof = *counterparts.proof();
+                    match event {
+                        PeerEvent::RibIsBehind(revocation) => {
+                            let revocation = revocation.clone();
+                            let _ = self.events.send(Event::Revoke { proof, revocation });
+                        }
+                        PeerEvent::Revoked(claims) => {
+                            let signed = counterparts.signed_revocation().cloned();
+                            signed.into_iter().for_each(|signed| self.revoked.keep(proof, signed, claims.clone()));
+                            self.outlet.upkeep.notify_one();
+                        }
+                        _ => {}
                     }
                 }
                 self.act(name, role, events);
@@ -123,21 +137,6 @@ impl State {
         ended.into_iter().for_each(|caller| self.unregister(caller));
     }
 
-    /// This node's own right in a name has been revoked.
-    fn end(&self, name: Name, role: NameRole, error: CertError) {
-        tracing::warn!(%name, %error, "the owner has revoked the right of this node as a {role}");
-        if role.sends() {
-            if let Some(publication) = lock(&self.publications).get(&name) {
-                publication.end(error);
-            }
-            return;
-        }
-        if let Some(ended) = lock(&self.subscriptions).get(&name) {
-            let _ = ended.set(error);
-        }
-        self.command(Command::Unsubscribe { name });
-    }
-
     pub(super) fn carry_out(&self, name: Name, effects: Vec<Effect>) {
         let mut changes = Vec::new();
         for effect in effects {
@@ -154,9 +153,13 @@ impl State {
 
     /// Runs as long as the node: ends what has ended, sends latched messages to readers that came, and has the RIB store boxes as
     /// soon as there are any.
-    pub async fn keep(&self) {
+    pub async fn keep(self: &Arc<Self>) {
         loop {
             self.expire();
+            if self.revoked.is_unsaved() {
+                let state = self.clone();
+                let _ = tokio::task::spawn_blocking(move || state.revoked.save()).await;
+            }
             let publications: Vec<_> = lock(&self.publications).values().cloned().collect();
             publications.iter().for_each(|publication| publication.latch(&self.outlet));
             if let Ok(attachment) = self.attached_now() {
@@ -184,6 +187,9 @@ impl State {
                 }
             }
         }
+        for (name, stated, error) in self.expired(now) {
+            self.end(name, stated.role(), error);
+        }
         lock(&self.publications).values().for_each(|publication| publication.expire(&self.outlet, now));
         let mut ended = Vec::new();
         for (name, reading) in lock(&self.readings).iter_mut() {
@@ -205,19 +211,23 @@ impl State {
                 }
             };
             let request = EntityRequest::KeyBoxes { boxes: boxes.boxes.clone() };
-            let stored = match ask(attachment, request).await {
-                Ok(Response::Done) => Ok(boxes.epoch),
-                Ok(_) => Err(NodeError::Protocol("to key boxes")),
-                Err(error) => Err(error),
-            };
-            match stored {
-                Ok(epoch) => publication.boxes_stored(Ok(epoch)),
-                // Offered again before long.
-                Err(error) => {
-                    tracing::debug!(name = %publication.name, %error, "key boxes could not be stored");
-                    return publication.boxes_stored(Err(boxes));
+            let error = match ask(attachment, request).await {
+                Ok(Response::Done) => {
+                    publication.boxes_stored(&boxes);
+                    continue;
                 }
+                Ok(_) => NodeError::Protocol("to key boxes"),
+                Err(error) => error,
+            };
+            if is_for_good(&error) {
+                tracing::warn!(name = %publication.name, %error, "the RIB does not take keys for readers");
+                publication.boxes_refused();
+            } else {
+                tracing::debug!(name = %publication.name, %error, "key boxes could not be stored");
+                let no_room = matches!(&error, NodeError::Refused(refusal) if refusal.code == RefusalCode::Limit);
+                publication.boxes_failed(boxes, no_room);
             }
+            return;
         }
     }
 }

@@ -4,6 +4,7 @@
 use std::collections::VecDeque;
 
 use gdp_wire::Name;
+use serde::Serialize;
 
 use super::slot::{Body, Slot};
 use super::{MS, Position};
@@ -85,7 +86,7 @@ pub enum Arrival<M> {
 }
 
 /// What became of a session's messages here. `delivered` and the three after it are all that there are up to the last one dealt with.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct InboundCounters {
     pub delivered: u64,
     /// Best effort: incomplete when a newer one was complete.

@@ -3,6 +3,8 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+use serde::Serialize;
+
 use super::{Position, Sealed};
 use crate::feedback_wire::Missing;
 
@@ -33,7 +35,7 @@ pub struct History {
 }
 
 /// What became of a topic's messages and frames.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct TopicCounters {
     pub messages: u64,
     /// Messages that newer ones replaced before all their frames had gone.
@@ -158,6 +160,11 @@ impl Outbox {
             .skip(self.cursor)
             .find(|entry| !entry.is_sent())
             .map_or(self.last, |entry| entry.message.first() - 1)
+    }
+
+    /// Messages that wait to go, or have not gone whole.
+    pub fn unsent(&self) -> u64 {
+        self.entries.iter().skip(self.cursor).filter(|entry| !entry.is_sent()).map(Entry::messages).sum()
     }
 
     /// The first sequence that can still be repaired.

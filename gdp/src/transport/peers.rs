@@ -248,6 +248,13 @@ impl Peers {
         self.0.values().filter(|peer| peer.is_live()).map(Peer::acknowledged).max().unwrap_or(u64::MAX)
     }
 
+    /// The live ones that lack a message up to this sequence, and how many they lack.
+    pub fn lacking(&self, sequence: u64) -> impl Iterator<Item = (Name, u64)> {
+        let live = self.0.iter().filter(|(_, peer)| peer.is_live());
+        let lacks = move |(name, peer): (&Name, &Peer)| (*name, sequence.saturating_sub(peer.acknowledged));
+        live.map(lacks).filter(|(_, count)| *count > 0)
+    }
+
     /// Whether any reader, live or not, lacks a message up to this sequence.
     pub fn lacks(&self, sequence: u64) -> bool {
         self.0.values().any(|peer| peer.acknowledged < sequence)

@@ -160,6 +160,11 @@ impl TopicState {
         self.wants_turn && self.has_turn()
     }
 
+    /// Messages that have not gone, and the live readers that have not acknowledged so many of all.
+    pub fn unfinished(&self) -> (u64, Vec<(Name, u64)>) {
+        (self.outbox.unsent(), self.peers.lacking(self.outbox.last()).collect())
+    }
+
     pub fn join(&mut self, now: u64, reader: Name) -> bool {
         let known = self.outbox.last();
         self.peers.join(reader, Peer::new(now, known, self.sent))

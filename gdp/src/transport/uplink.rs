@@ -297,6 +297,12 @@ impl Uplink {
         slot.topic.as_ref().map(|state| *state.outbox.counters())
     }
 
+    /// Messages that have not gone, and the live readers that have not acknowledged so many of all; `None` if the topic is closed.
+    pub fn unfinished(&self, topic: Topic) -> Option<(u64, Vec<(Name, u64)>)> {
+        let slot = self.slots.get(topic.index as usize).filter(|slot| slot.generation == topic.generation)?;
+        slot.topic.as_ref().map(|state| state.unfinished())
+    }
+
     /// The next thing to do now. To be called until there is none, after anything else was called and at [`Self::next_wake`].
     pub fn poll(&mut self, now: u64) -> Option<Output> {
         loop {

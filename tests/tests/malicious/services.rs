@@ -1,107 +1,181 @@
-//! A client gone bad, beside another client of the same service: requests are sealed under a key of the client that the server
-//! alone is given, replies under a key of the server that the one client alone is given.
+//! A client gone bad, beside another client of the same service, with a switch that copies to it whatever passes and a RIB that shows it every
+//! key box: requests are sealed under a key of the client that the server alone is given, replies under one of the server that the one
+//! client alone is given.
+
+use std::sync::{Arc, Mutex};
 
 use anyhow::{Context, Result};
-use gdp::cert::issue;
+use gdp::cert::{Signed, issue};
 use gdp::control::{EntityRequest, NameRole, RefusalCode, Response};
 use gdp::crypto::Backend;
 use gdp::keys::{self, KeyBox};
-use gdp::seal::{EpochKey, Writer};
-use gdp::{Identity, Name};
+use gdp::node::{Client, Server};
+use gdp::seal::{Draft, Encoding, EpochKey, MessageId, Segments, Writer};
+use gdp::{Identity, Name, Node};
+use tokio::time::timeout;
 
-use crate::evil::{Frame, Owner, Rogue, Switch, bodies};
+use crate::evil::{Frame, Owner, Rogue, SOON, Switch, drops, eventually, frames, node};
+
+/// How a sealed segment begins, and nothing else that comes to an entity's own name.
+const SEGMENT: u8 = 2;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn another_client_reads_neither_requests_nor_replies() -> Result<()> {
-    let (switch, owner) = (Switch::start()?, Owner::new("/plan")?);
-    let (mut server, mut client, mut other) =
-        (Rogue::attach(&switch)?, Rogue::attach(&switch)?, Rogue::attach(&switch)?);
-    let name = owner.name();
-    for (entity, role) in
-        [(&mut server, NameRole::Server), (&mut client, NameRole::Caller), (&mut other, NameRole::Caller)]
-    {
-        let stated = entity.state(&switch, &owner, role)?;
-        assert!(matches!(stated, Response::Peers(_)), "{stated:?}");
-    }
-    let (requests, replies) = (EpochKey::generate()?, EpochKey::generate()?);
-    let to_server = wrapped(&client, name, &server, &requests)?;
-    let to_client = wrapped(&server, client.name(), &client, &replies)?;
-    for (entity, boxed) in [(&client, &to_server), (&server, &to_client)] {
-        let done = store(&switch, &entity.identity, boxed);
-        assert!(matches!(done, Response::Done), "{done:?}");
-    }
-    // The frames are everybody's: the switch copies them to whom it likes.
-    let request = sealed(&client, name, &requests, b"where to?", other.name())?;
-    let reply = sealed(&server, client.name(), &replies, b"home", other.name())?;
-    let frames = [request, reply].concat();
-    switch.inject(&frames);
-    for entity in [&mut server, &mut client, &mut other] {
-        entity.listen(&switch);
-    }
-    assert_eq!(bodies(&server.read(name, &client.identity, &frames)?), [b"where to?"]);
-    assert_eq!(bodies(&client.read(client.name(), &server.identity, &frames)?), [b"home"]);
+    let mut service = Service::start().await?;
+    let (name, client) = (service.owner.name(), service.client_node.name());
+    let (reply, ()) = tokio::try_join!(
+        async { Ok(timeout(SOON, service.client.call(Encoding::Bytes, b"where to?")).await??) },
+        async {
+            let call = timeout(SOON, service.server.recv()).await?.context("a call")?;
+            assert_eq!((&call.body()[..], call.client()), (&b"where to?"[..], client));
+            anyhow::Ok(call.reply(Encoding::Bytes, b"home").await?)
+        },
+    )?;
+    assert_eq!((&reply.body[..], reply.writer), (&b"home"[..], service.server_identity.name()));
 
-    assert!(other.read(name, &client.identity, &frames)?.is_empty());
-    assert!(other.read(client.name(), &server.identity, &frames)?.is_empty());
-    assert!(other.boxes().is_empty(), "the RIB gives a box to its reader only");
+    let parties = [(name, &service.client_identity), (client, &service.server_identity)];
+    let other = &mut service.other;
+    let mut seen = Vec::new();
+    eventually("both to come to the other client as well", || {
+        seen.extend(other.listen(&service.switch));
+        parties.iter().all(|(to, from)| of(&seen, *to, from.name()).next().is_some()).then_some(())
+    })?;
+    for (to, from) in parties {
+        assert!(other.read(to, from, &seen)?.is_empty());
+        assert!(of(&seen, to, from.name()).all(|frame| !contains(frame, b"where to?") && !contains(frame, b"home")));
+    }
+    for signed in other.boxes() {
+        let claims = signed.claims_unverified()?;
+        assert_eq!((claims.reader, claims.name), (other.name(), other.name()), "of what the server would reply to it");
+    }
     // A RIB that gives it to others gives them nothing.
-    for (boxed, name, writer, reader) in
-        [(&to_server, name, &client.identity, &server), (&to_client, client.name(), &server.identity, &client)]
-    {
+    let mut boxes = service.boxes.lock().unwrap().clone();
+    boxes.retain(|signed| signed.claims_unverified().is_ok_and(|claims| claims.reader != other.name()));
+    assert!(boxes.len() >= 2, "one each way");
+    for signed in &boxes {
+        let claims = signed.claims_unverified()?;
+        let (_, writer) = parties.iter().find(|(_, writer)| writer.name() == claims.writer).context("a writer")?;
         let key = writer.key().verify_key();
-        let as_itself = (other.name(), other.identity.box_key());
-        assert!(keys::open(boxed, name, (writer.name(), &key), as_itself).is_err());
-        let as_reader = (reader.name(), other.identity.box_key());
-        assert!(keys::open(boxed, name, (writer.name(), &key), as_reader).is_err());
+        for reader in [other.name(), claims.reader] {
+            let as_reader = (reader, other.identity.box_key());
+            assert!(keys::open(signed, claims.name, (writer.name(), &key), as_reader).is_err());
+        }
     }
     Ok(())
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_client_answers_no_other_client() -> Result<()> {
-    let (switch, owner) = (Switch::start()?, Owner::new("/plan")?);
-    let (mut server, mut client, mut other) =
-        (Rogue::attach(&switch)?, Rogue::attach(&switch)?, Rogue::attach(&switch)?);
-    for (entity, role) in
-        [(&mut server, NameRole::Server), (&mut client, NameRole::Caller), (&mut other, NameRole::Caller)]
-    {
-        entity.state(&switch, &owner, role)?;
-    }
-    let key = EpochKey::generate()?;
+    let mut service = Service::start().await?;
+    let (robot, to) = (service.server_identity.name(), service.client_node.name());
+    let Service { switch, owner, server, client_identity, client_node, client, other, .. } = &mut service;
     // It is no counterpart of the client, so the RIB takes no box of it for the client's inbox; nor one in the server's name.
-    let own = wrapped(&other, client.name(), &client, &key)?;
-    let claims = KeyBox { writer: server.name(), ..own.claims_unverified()? };
+    let key = EpochKey::generate()?;
+    let own = keys::wrap(to, &other.identity, (to, &client_identity.box_public()), 1, &key)?;
+    let claims = KeyBox { writer: robot, ..own.claims_unverified()? };
     let in_the_servers_name = issue(other.identity.key(), &claims)?;
     for (boxed, code) in [(&own, RefusalCode::NotEntitled), (&in_the_servers_name, RefusalCode::WrongEntity)] {
-        match store(&switch, &other.identity, boxed) {
+        match switch.ask(Some(&other.identity.proof()), &EntityRequest::KeyBoxes { boxes: vec![boxed.clone()] }) {
             Response::Refused(refused) => assert_eq!(refused.code, code, "{refused}"),
             taken => panic!("taken: {taken:?}"),
         }
     }
-    // And if a RIB gave it to the client, it would not open there as the server's.
-    let opened = keys::open(
-        &in_the_servers_name,
-        client.name(),
-        (server.name(), &server.identity.key().verify_key()),
-        (client.name(), client.identity.box_key()),
-    );
-    assert!(opened.is_err());
-    client.listen(&switch);
-    assert!(client.boxes().is_empty());
+    // And a RIB that gives them to the client all the same makes it believe nothing.
+    let told = switch.tell(to, (to, NameRole::Subscriber), vec![], None, vec![own, in_the_servers_name]).await?;
+    assert!(matches!(told, Response::Done), "{told:?}");
+
+    // It sees the request, and answers before the server does: as itself, and as the server.
+    let call = client.call(Encoding::Bytes, b"where to?");
+    let answered = async {
+        let request = timeout(SOON, server.recv()).await?.context("a call")?;
+        let asked = eventually("the request", || {
+            other.listen(switch).into_iter().find(|frame| frame.destination == owner.name())
+        })?;
+        let in_reply_to = Some(message_id(&asked));
+        for (source, reason) in [(other.name(), "seal_unknown_writer"), (robot, "seal_no_key")] {
+            let mut writer = Writer::new(to, source, other.identity.key().clone(), Backend::default())?;
+            writer.set_epoch(1, &key)?;
+            let (mut segments, draft) =
+                (Segments::new(), Draft { in_reply_to, ..Draft::new(Encoding::Bytes, b"hell") });
+            writer.seal_batch(0, &[draft], 1000, &mut segments)?;
+            switch.inject(&frames(&segments, to, source, to));
+            drops(client_node, reason, 1)?;
+        }
+        anyhow::Ok(request.reply(Encoding::Bytes, b"home").await?)
+    };
+    let (reply, ()) = tokio::try_join!(async { Ok(timeout(SOON, call).await??) }, answered)?;
+    assert_eq!((&reply.body[..], reply.writer), (&b"home"[..], robot));
     Ok(())
 }
 
-fn wrapped(writer: &Rogue, name: Name, reader: &Rogue, key: &EpochKey) -> Result<gdp::cert::Signed<KeyBox>> {
-    let to = (reader.name(), &reader.identity.box_public());
-    Ok(keys::wrap(name, &writer.identity, to, 1, key)?)
+/// A server and a client, and another that has the same right as the client.
+struct Service {
+    client: Client,
+    server: Server,
+    client_node: Node,
+    _server_node: Node,
+    client_identity: Identity,
+    server_identity: Identity,
+    other: Rogue,
+    owner: Owner,
+    /// All that writers had the RIB keep.
+    boxes: Arc<Mutex<Vec<Signed<KeyBox>>>>,
+    switch: Switch,
 }
 
-fn store(switch: &Switch, writer: &Identity, boxed: &gdp::cert::Signed<KeyBox>) -> Response {
-    switch.ask(Some(&writer.proof()), &EntityRequest::KeyBoxes { boxes: vec![boxed.clone()] })
+impl Service {
+    async fn start() -> Result<Self> {
+        let (switch, owner) = (Switch::start()?, Owner::new("/plan")?);
+        let (server_identity, client_identity) = (Identity::generate("proxy")?, Identity::generate("proxy")?);
+        let boxes: Arc<Mutex<Vec<Signed<KeyBox>>>> = Arc::default();
+        let adding = boxes.clone();
+        switch.refuse_to_hear(move |request| {
+            if let EntityRequest::KeyBoxes { boxes } = request {
+                adding.lock().unwrap().extend_from_slice(boxes);
+            }
+            false
+        });
+        let mut other = Rogue::attach(&switch)?;
+        let to = other.name();
+        switch.tamper(move |frames| frames.iter_mut().for_each(|frame| frame.to.push(to)));
+        let (server_node, client_node) =
+            (node(&switch, &server_identity).await?, node(&switch, &client_identity).await?);
+        let proof = owner.card.proof();
+        let server = server_node.serve(proof, owner.ad_cert(server_node.name())?).await?;
+        let client = client_node.client(proof, owner.grant(client_node.name())?).await?;
+        let stated = other.state(&switch, &owner, NameRole::Caller)?;
+        assert!(matches!(stated, Response::Peers(_)), "{stated:?}");
+        let _server_node = server_node;
+        Ok(Self {
+            client,
+            server,
+            client_node,
+            _server_node,
+            client_identity,
+            server_identity,
+            other,
+            owner,
+            boxes,
+            switch,
+        })
+    }
 }
 
-fn sealed(from: &Rogue, name: Name, key: &EpochKey, body: &[u8], to: Name) -> Result<Vec<Frame>> {
-    let mut writer = Writer::new(name, from.name(), from.identity.key().clone(), Backend::default())?;
-    writer.set_epoch(1, key).context("a first epoch")?;
-    from.sealed(&mut writer, from.name(), body, to)
+/// What is sealed among the frames from there to here.
+fn of(frames: &[Frame], to: Name, from: Name) -> impl Iterator<Item = &Frame> {
+    frames
+        .iter()
+        .filter(move |frame| (frame.destination, frame.source) == (to, from) && frame.payload.first() == Some(&SEGMENT))
+}
+
+fn contains(frame: &Frame, text: &[u8]) -> bool {
+    frame.payload.windows(text.len()).any(|window| window == text)
+}
+
+/// Which message the first segment of a frame is of: docs/wire-format.md, "Sealed segments".
+fn message_id(frame: &Frame) -> MessageId {
+    let (mut session, mut sequence) = ([0; 16], [0; 8]);
+    session.copy_from_slice(&frame.payload[16..32]);
+    sequence[2..].copy_from_slice(&frame.payload[8..14]);
+    MessageId { session, sequence: u64::from_be_bytes(sequence) }
 }

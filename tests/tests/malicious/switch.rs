@@ -136,7 +136,7 @@ async fn what_a_switch_sends_in_another_order_is_put_right_or_overtaken() -> Res
         } else {
             assert!(numbers.is_sorted_by(|a, b| a < b), "an older one behind a newer: {numbers:?}");
             // None went without being counted.
-            let counts = scene.subscription.counters();
+            let counts = scene.subscription.counters().inbound;
             assert_eq!(counts.delivered as usize, numbers.len() + 2);
             assert_eq!(counts.delivered + counts.overtaken + counts.expired, u64::from(COUNT) + 2, "{counts:?}");
         }

@@ -1,11 +1,13 @@
 //! What an owner takes back: it holds no longer, nowhere, and all concerned know why.
 
+use std::time::Duration;
+
 use gdp::cert::{Delegation, Issued, Revocation, issue};
 use gdp::control::{EntityRequest, NameRole, RefusalCode, Response};
 use gdp::identity::SigningKey;
 
 use super::world::{Parts, UNIX, World, expect_refused};
-use crate::rib::Limits;
+use crate::rib::{Limits, Rib, Run};
 
 #[test]
 fn what_is_revoked_is_dropped_at_once_and_all_are_told() {
@@ -123,4 +125,23 @@ fn a_flood_of_revocations_pushes_out_its_own() {
     let withdrawal = Parts::withdraw(&w, &robot, 0, 2);
     assert!(matches!(w.ask(&robot, 0, withdrawal), Response::Done));
     expect_refused(&w.publish(&robot, 0, 3), "out of use", RefusalCode::Revoked, "");
+}
+
+#[test]
+fn a_rib_after_this_one_knows_what_was_revoked() {
+    let mut w = World::chain(1);
+    let robot = w.attached("robot", 0);
+    let serial = w.serial;
+    assert_eq!(w.rib.revocations_taken(), 0);
+    assert!(matches!(w.revoke(3, 0, &[serial]), Response::Done));
+    assert!(matches!(w.revoke(3, 0, &[serial]), Response::Done));
+    assert_eq!(w.rib.revocations_taken(), 1);
+    let kept = w.rib.kept_revocations();
+    w.rib = Rib::new(w.switch(0), Run { id: 2, settling: Duration::ZERO }, Limits::default());
+    w.report(0, Some(&[]));
+    w.rib.recall(kept.into_iter().map(|kept| (kept.clone(), kept.verify().unwrap())).collect());
+    w.attach(&robot, 0);
+    w.serial = serial;
+    expect_refused(&w.publish(&robot, 0, 1), "again", RefusalCode::Revoked, "AdCert");
+    expect_refused(&w.revoke(2, 0, &[]), "taken back", RefusalCode::ReplayedSerial, "2");
 }

@@ -212,8 +212,8 @@ impl World {
         let mut last = Response::Done;
         for prefix in prefixes {
             let prefix: NamePrefix = prefix.parse().unwrap();
-            last =
-                self.rib.request(self.now, self.switch(0), None, false, &EntityRequest::Query { prefix, after: None });
+            let (switch, query) = (self.switches[0].proof(), EntityRequest::Query { prefix, after: None });
+            last = self.rib.request(self.now, self.switch(0), Some(&switch), true, &query);
             if matches!(&last, Response::Records { records, .. } if !records.is_empty()) {
                 break;
             }

@@ -53,6 +53,9 @@ struct Rib {
     boxes: HashMap<(Name, Name), Vec<Signed<KeyBox>>>,
     revocations: HashMap<Name, Signed<Revocation>>,
     refuse: Option<RefusalCode>,
+    /// What becomes of key boxes of a name, and how often that was asked.
+    refuse_boxes: HashMap<Name, (RefusalCode, u32)>,
+    told_revocations: u32,
     silent: bool,
     fate: Option<Fate>,
     /// What an entity takes on each of its links, and the one on which it wants the rest.
@@ -125,9 +128,19 @@ impl Fabric {
 
     /// With a link for each of these budgets.
     pub async fn node_by<const N: usize>(&self, kind: &str, budgets: [Option<u64>; N]) -> Node {
-        let mut config = NodeConfig::new(Identity::generate(kind).unwrap(), self.target());
+        self.node_of(&Identity::generate(kind).unwrap(), budgets, None).await
+    }
+
+    /// With a folder for what it keeps.
+    pub async fn node_of<const N: usize>(
+        &self,
+        identity: &Identity,
+        budgets: [Option<u64>; N],
+        state: Option<std::path::PathBuf>,
+    ) -> Node {
         let switch = Some(self.identity.name());
-        config.links = budgets.map(|budget| LinkConfig { switch, budget, ..self.target().into() }).to_vec();
+        let links = budgets.map(|budget| LinkConfig { switch, budget, ..self.target().into() }).to_vec();
+        let config = NodeConfig { links, state, ..NodeConfig::new(identity.clone(), self.target()) };
         let node = Node::connect(config).await.unwrap();
         let is_up = |link: &LinkStatus| link.state == LinkState::Up;
         eventually("all links are up", || node.links().iter().all(is_up) && node.links()[0].main).await;
@@ -201,6 +214,25 @@ impl Fabric {
         lock(&self.rib).refuse = code;
     }
 
+    /// Refuses key boxes of a name.
+    pub fn refuse_boxes(&self, name: Name, code: RefusalCode) {
+        lock(&self.rib).refuse_boxes.insert(name, (code, 0));
+    }
+
+    pub fn refused_boxes(&self, name: Name) -> u32 {
+        lock(&self.rib).refuse_boxes[&name].1
+    }
+
+    /// Takes key boxes of every name again.
+    pub fn take_boxes(&self) {
+        lock(&self.rib).refuse_boxes.clear();
+    }
+
+    /// Revocations that nodes passed on.
+    pub fn told_revocations(&self) -> u32 {
+        lock(&self.rib).told_revocations
+    }
+
     /// Whether nodes are told when their counterparts change.
     pub fn push_peers(&self, push: bool) {
         lock(&self.rib).silent = !push;
@@ -245,9 +277,12 @@ impl Owner {
     }
 
     pub fn ad_cert(&self, entity: Name) -> Issued<AdCert> {
+        self.ad_cert_until(entity, 1, unix_now() + 60)
+    }
+
+    pub fn ad_cert_until(&self, entity: Name, serial: u64, not_after: u64) -> Issued<AdCert> {
         let name = self.name();
-        let not_after = unix_now() + 60;
-        let claims = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial: 1, not_before: 0, not_after };
+        let claims = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial, not_before: 0, not_after };
         issue(&self.key, &claims).unwrap().into()
     }
 
@@ -287,7 +322,11 @@ impl Owner {
     }
 
     fn grant(&self, node: &Node, serial: u64) -> Reading {
-        let (name, to, not_after) = (self.name(), Grantee::Entity(node.name()), unix_now() + 60);
+        self.grant_until(node, serial, unix_now() + 60)
+    }
+
+    pub fn grant_until(&self, node: &Node, serial: u64, not_after: u64) -> Reading {
+        let (name, to) = (self.name(), Grantee::Entity(node.name()));
         issue(&self.key, &ReadGrant { name, to, serial, not_before: 0, not_after }).unwrap().into()
     }
 
@@ -351,9 +390,17 @@ impl Rib {
                 let records = found.flat_map(|(_, records)| records.clone()).collect();
                 return (Response::Records { records, truncated: false }, Vec::new());
             }
-            EntityRequest::KeyBoxes { boxes } => return (Response::Done, self.keep(boxes)),
+            EntityRequest::KeyBoxes { boxes } => {
+                let name = boxes[0].claims_unverified().unwrap().name;
+                if let Some((code, asked)) = self.refuse_boxes.get_mut(&name) {
+                    *asked += 1;
+                    return (Refusal::new(*code, "as the test wants it").into(), Vec::new());
+                }
+                return (Response::Done, self.keep(boxes));
+            }
             EntityRequest::Revoke { .. } => {
-                return (Refusal::new(RefusalCode::Unsupported, "no node asks this").into(), Vec::new());
+                self.told_revocations += 1;
+                return (Response::Done, Vec::new());
             }
             EntityRequest::Advertise { advert, .. }
             | EntityRequest::Subscribe { advert, .. }

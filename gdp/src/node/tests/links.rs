@@ -46,7 +46,7 @@ async fn what_goes_by_two_links_is_not_missed_when_one_is_cut_and_comes_once() {
         }
         let publisher = sending.await.unwrap();
         assert!(latest < Duration::from_millis(300), "{latest:?} without a message");
-        assert_eq!(publisher.counters().repeated, 0, "there was no need to");
+        assert_eq!(publisher.counters().topic.repeated, 0, "there was no need to");
         let main = |link: &LinkStatus| (link.main, link.state);
         let links = robot.links();
         assert_eq!(links.iter().map(main).collect::<Vec<_>>(), [(false, LinkState::Silent), (true, LinkState::Up)]);
@@ -79,12 +79,12 @@ async fn copies_are_dropped_at_the_reader_and_counted() {
         publisher.send(Encoding::Bytes, &[0; 1000]).await.unwrap();
         assert_eq!(recv(&mut subscription).await.sequence, i);
     }
-    let (sent, frames) = (publisher.counters(), publisher.counters().frames);
+    let (sent, frames) = (publisher.counters(), publisher.counters().topic.frames);
     eventually("all copies are there", || arrived.load(Ordering::Relaxed) >= 2 * frames).await;
-    let duplicates = || subscription.counters().duplicates;
+    let duplicates = || subscription.counters().inbound.duplicates;
     eventually("and are counted", || duplicates() >= SEGMENTS * 100).await;
-    assert_eq!((sent.repeated, duplicates()), (0, SEGMENTS * 100), "{:?}", robot.links());
-    assert_eq!(one_way.counters().duplicates, 0);
+    assert_eq!((sent.topic.repeated, duplicates()), (0, SEGMENTS * 100), "{:?}", robot.links());
+    assert_eq!(one_way.counters().inbound.duplicates, 0);
     assert_eq!((robot.links()[1].copies_sent, cloud.counters().messages_received), (frames, 200));
 }
 
@@ -110,7 +110,7 @@ async fn what_goes_by_one_link_moves_when_that_fails_and_returns() {
         }
         eventually("the better link is the main one", || robot.links()[usize::from(cut)].main).await;
     }
-    assert_eq!(subscription.counters().given_up + commands.counters().given_up, 0);
+    assert_eq!(subscription.counters().inbound.given_up + commands.counters().inbound.given_up, 0);
     assert_eq!(robot.counters().links, 2, "no link was lost");
     assert!(robot.links().iter().all(|link| link.copies_sent == 0));
 }
@@ -126,7 +126,7 @@ async fn a_reader_may_have_a_name_come_by_each_of_its_links() {
     let (mut latest, mut ticks) = (Duration::ZERO, tokio::time::interval(PERIOD));
     for i in 1..=200 {
         if i == 100 {
-            eventually("each came twice", || commands.counters().duplicates == SEGMENTS * (i - 1)).await;
+            eventually("each came twice", || commands.counters().inbound.duplicates == SEGMENTS * (i - 1)).await;
             fabric.cut(&robot, 0, true);
         }
         let sent = Instant::now();
@@ -136,7 +136,7 @@ async fn a_reader_may_have_a_name_come_by_each_of_its_links() {
         ticks.tick().await;
     }
     assert!(latest < Duration::from_millis(300), "{latest:?} without a message");
-    assert_eq!((commander.counters().repeated, commands.counters().given_up), (0, 0));
+    assert_eq!((commander.counters().topic.repeated, commands.counters().inbound.given_up), (0, 0));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -1,0 +1,123 @@
+//! What an owner has taken back stays so when the daemon with the RIB starts anew, though nobody tells it again.
+
+mod switch;
+
+use std::net::UdpSocket;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::time::SystemTime;
+
+use gdp::cert::{AdCert, CertError, Issued, Mode, Revocation, issue};
+use gdp::control::{EntityRequest, RefusalCode, Response};
+use gdp::node::{Ended, NodeError, PublishOptions};
+use gdp::{Identity, NameCard, NamePrefix, Node, NodeConfig, SigningKey};
+use gdp_ctl::admin::{Client, Request};
+use gdp_ctl::config::Config;
+use gdp_ctl::serve::{Running, start};
+use switch::{PATIENCE, config, wait};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rib_that_starts_anew_refuses_what_was_revoked() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(folder.path(), "s1");
+    let switch = start(config.clone()).await.unwrap();
+    let at = switch.udp_addr().unwrap();
+    config.udp = Some(at);
+    let (owner, robot) = (Owner::new(), Identity::generate("proxy").unwrap());
+    {
+        let node = node(&switch, &robot).await;
+        let publisher =
+            node.publish(owner.card.proof(), owner.ad_cert(&robot, 1), PublishOptions::reliable()).await.unwrap();
+        assert!(matches!(ask(&config, owner.revocation(1, 1)).await, Response::Done));
+        let ended = tokio::time::timeout(PATIENCE, publisher.ended()).await.unwrap();
+        assert!(matches!(ended, Ended::Right(CertError::Revoked { serial: 1, .. })), "{ended}");
+    }
+    let file = folder.path().join("s1.revocations");
+    assert_eq!(std::fs::metadata(&file).unwrap().permissions().mode() & 0o7777, 0o600);
+    switch.stop().await;
+    wait("the address to be free", async || UdpSocket::bind(at).is_ok()).await;
+
+    // Neither the robot nor anybody else tells it.
+    let switch = start(config.clone()).await.unwrap();
+    let robot = node(&switch, &robot).await;
+    let publish = async |serial| {
+        let cert = owner.ad_cert_of(robot.name(), serial);
+        robot.publish(owner.card.proof(), cert, PublishOptions::reliable()).await
+    };
+    let error = publish(1).await.err().unwrap();
+    assert!(matches!(&error, NodeError::Refused(refusal) if refusal.code == RefusalCode::Revoked), "{error}");
+    let _publisher = publish(2).await.unwrap();
+    // Nor can it be taken back by an older one.
+    assert!(matches!(ask(&config, owner.revocation(2, 3)).await, Response::Done));
+    switch.stop().await;
+    wait("the address to be free", async || UdpSocket::bind(at).is_ok()).await;
+    let switch = start(config.clone()).await.unwrap();
+    let refused = tokio::task::spawn_blocking({
+        let (config, request) = (config.clone(), owner.revocation(1, 1));
+        move || try_ask(&config.socket, request)
+    });
+    let error = refused.await.unwrap().unwrap_err();
+    assert!(error.contains("ReplayedSerial"), "{error}");
+    // Who runs the switch may have names listed, by as little as a digit.
+    let digit: NamePrefix = owner.card.name().to_string()[..1].parse().unwrap();
+    wait("the robot to be there again", async || {
+        let query = EntityRequest::Query { prefix: digit.clone(), after: None };
+        matches!(ask(&config, query).await, Response::Records { records, .. } if records.len() == 1)
+    })
+    .await;
+    switch.stop().await;
+
+    std::fs::write(&file, "damaged").unwrap();
+    wait("the address to be free", async || UdpSocket::bind(at).is_ok()).await;
+    let error = start(config).await.err().expect("no start without knowing").to_string();
+    assert!(error.contains("s1.revocations") && error.contains("remove it"), "{error}");
+}
+
+struct Owner {
+    key: SigningKey,
+    card: NameCard,
+}
+
+impl Owner {
+    fn new() -> Self {
+        let key = SigningKey::generate().unwrap();
+        let card = NameCard::create(key.verify_key(), "topic", "/chatter", "T", None).unwrap();
+        Self { key, card }
+    }
+
+    fn ad_cert(&self, entity: &Identity, serial: u64) -> Issued<AdCert> {
+        self.ad_cert_of(entity.name(), serial)
+    }
+
+    fn ad_cert_of(&self, entity: gdp::Name, serial: u64) -> Issued<AdCert> {
+        let (name, mode, scope, not_before) = (self.card.name(), Mode::Multicast, Vec::new(), 0);
+        let not_after = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_secs() + 3600;
+        let claims = AdCert { name, entity, mode, scope, serial, not_before, not_after };
+        issue(&self.key, &claims).unwrap().into()
+    }
+
+    /// Takes back one certificate, in the revocation of this number.
+    fn revocation(&self, number: u64, serial: u64) -> EntityRequest {
+        let mut revoked = vec![1, serial];
+        revoked.dedup();
+        let claims = Revocation { name: self.card.name(), number, floor: 0, revoked };
+        EntityRequest::Revoke { proof: self.card.proof(), revocation: issue(&self.key, &claims).unwrap() }
+    }
+}
+
+async fn node(switch: &Running, identity: &Identity) -> Node {
+    let link = format!("udp://{}", switch.udp_addr().unwrap()).parse().unwrap();
+    Node::connect(NodeConfig::new(identity.clone(), link)).await.unwrap()
+}
+
+/// Asks as the user who runs the daemon.
+async fn ask(config: &Config, request: EntityRequest) -> Response {
+    let socket = config.socket.clone();
+    tokio::task::spawn_blocking(move || try_ask(&socket, request)).await.unwrap().unwrap()
+}
+
+fn try_ask(socket: &Path, request: EntityRequest) -> Result<Response, String> {
+    let mut client = Client::connect(socket).map_err(|error| error.to_string())?;
+    let request = Request::Entity { entity: None, request: request.into() };
+    client.ask_control(&request).map_err(|error| error.to_string())
+}

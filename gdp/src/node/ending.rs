@@ -1,0 +1,62 @@
+//! That a handle is of no more use, and why: said once, by whoever notices first.
+
+use std::pin::pin;
+use std::sync::{Arc, OnceLock};
+
+use tokio::sync::Notify;
+
+use super::NodeError;
+use crate::cert::CertError;
+
+/// Why a handle is of no more use.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Ended {
+    /// The right to it has expired, or its owner has revoked it.
+    #[error(transparent)]
+    Right(#[from] CertError),
+    /// The node is closed, or the handle was dropped.
+    #[error("the node is closed")]
+    Closed,
+}
+
+impl From<Ended> for NodeError {
+    fn from(ended: Ended) -> Self {
+        match ended {
+            Ended::Right(error) => Self::Cert(error),
+            Ended::Closed => Self::Closed,
+        }
+    }
+}
+
+#[derive(Default)]
+pub struct Ending {
+    why: OnceLock<Ended>,
+    told: Notify,
+}
+
+impl Ending {
+    pub fn end(&self, why: Ended) {
+        if self.why.set(why).is_ok() {
+            self.told.notify_waiters();
+        }
+    }
+
+    pub fn get(&self) -> Option<&Ended> {
+        self.why.get()
+    }
+
+    /// Waits for the end, also once the handle is gone.
+    pub fn wait(self: &Arc<Self>) -> impl Future<Output = Ended> + Send + use<> {
+        let ending = self.clone();
+        async move {
+            loop {
+                let mut told = pin!(ending.told.notified());
+                told.as_mut().enable();
+                if let Some(why) = ending.get() {
+                    return why.clone();
+                }
+                told.await;
+            }
+        }
+    }
+}
