@@ -248,7 +248,7 @@ impl Site {
             writer.runtime.block_on(publisher.send(Encoding::Bytes, &[i as u8; LENGTH]))?;
         }
         let _subscription = reader.runtime.block_on(received)??;
-        let told = publisher.counters();
+        let told = publisher.counters().topic;
         self.wire.iter().try_for_each(Wire::check)?;
 
         for (i, before) in before.into_iter().enumerate() {
