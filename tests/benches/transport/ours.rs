@@ -21,6 +21,9 @@ pub const ETHERNET: &str = "gdp, reliable, Ethernet";
 /// Between messages that ask whether the path is there.
 const PROBES: Duration = Duration::from_millis(5);
 
+/// For so long frames on a new link over UDP are as small as any path takes.
+const SETTLING: Duration = Duration::from_millis(3200);
+
 /// What carries frames to the switch and from it.
 #[derive(Clone, Copy)]
 enum Over {
@@ -58,6 +61,9 @@ fn open(
     let (writer, reader) = (identities[0].name(), identities[1].name());
     let [robot, cloud] = identities;
     let (robot, cloud) = (connect(&ends.robot, over, robot)?, connect(&ends.cloud, over, cloud)?);
+    if let Over::Udp = over {
+        std::thread::sleep(SETTLING);
+    }
     for (index, lane) in lanes.iter().enumerate() {
         let card = NameCard::create(owner.verify_key(), "topic", &format!("/lane/{index}"), "bytes", None)?;
         let (name, serial, not_before, not_after) = (card.name(), 1, 0, 4_000_000_000);
