@@ -20,10 +20,10 @@ const LENGTHS: usize = 0x3fff;
 /// in the packet's first buffer, or it is too long.
 #[inline(always)]
 pub fn write(context: &XdpContext, carrier: &Carrier, at: usize, bytes: usize) {
-    let sum = match bytes <= LENGTHS && bytes < (MOST_BLOCKS + 1) * BLOCK {
-        true => sum(context.data() + at, context.data_end(), bytes, pseudo_header(carrier, bytes)),
-        false => None,
-    };
+    if bytes >= (MOST_BLOCKS + 1) * BLOCK {
+        return;
+    }
+    let sum = sum(context.data() + at, context.data_end(), bytes, pseudo_header(carrier, bytes));
     if let (Some(sum), Some(udp)) = (sum, Packet::of(context).get::<Udp>(at)) {
         // Zero would say that there is none (RFC 768).
         let checksum = if sum == 0xffff { sum } else { !sum };
