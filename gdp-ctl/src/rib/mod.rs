@@ -10,13 +10,13 @@
 //! Nobody has to believe this: who is told of others verifies their records again, who is given a key verifies who wrapped it,
 //! and who holds a newer revocation than the RIB gives keeps to that. What a RIB that lies can do is to withhold.
 
+mod bits;
 mod boxes;
 mod entities;
 pub mod fib;
 mod inboxes;
 mod key_boxes;
 mod names;
-pub mod paths;
 mod reports;
 mod revocations;
 mod revoke;
@@ -35,17 +35,21 @@ use gdp::control::{
 use gdp::name::NameProof;
 use gdp_wire::Name;
 
+use crate::topology::Paths;
+use bits::Bits;
 use boxes::Boxes;
 use entities::Entities;
 use fib::{About, Fib, Pushed};
 use inboxes::Inboxes;
 use names::Names;
-use paths::Topology;
 use revocations::{Origin, Revocations};
 use telling::{Source, Stake, Telling};
 
 /// How long the names of a switch that nobody reaches stay: a restart or a short partition must not cost the FIBs.
 pub const HOLD: Duration = Duration::from_secs(10);
+
+/// How long after it is reached a switch that has not reported is asked to.
+const UNREPORTED: Duration = Duration::from_secs(5);
 
 /// A moment, on both clocks that matter.
 #[derive(Clone, Copy, Debug)]
@@ -134,7 +138,9 @@ pub struct Rib {
     root: Name,
     run: Run,
     limits: Limits,
-    topology: Topology,
+    bits: Bits,
+    /// From the RIB's own switch, as that last said.
+    paths: Paths,
     switches: BTreeMap<Name, Switch>,
     entities: Entities,
     names: Names,
@@ -144,6 +150,8 @@ pub struct Rib {
     telling: Telling,
     timers: Timers,
     detached: BTreeSet<(Name, Name)>,
+    /// Switches that are reached and have not reported, and when they are asked to.
+    unreported: BTreeMap<Name, Duration>,
 }
 
 /// One life of a RIB.
@@ -169,6 +177,7 @@ enum Timer {
     Registration(Stake, Name),
     Attachment { entity: Name, lane: u8 },
     Switch { switch: Name },
+    Unreported { switch: Name },
     Settled,
 }
 
@@ -181,7 +190,8 @@ impl Rib {
             root,
             run,
             limits,
-            topology: Topology::default(),
+            bits: Bits::default(),
+            paths: Paths::default(),
             switches: BTreeMap::new(),
             entities: Entities::default(),
             names: Names::default(),
@@ -191,6 +201,7 @@ impl Rib {
             telling: Telling::default(),
             timers: Timers::from([(run.settling, Timer::Settled)]),
             detached: BTreeSet::new(),
+            unreported: BTreeMap::new(),
         }
     }
 
@@ -214,18 +225,18 @@ impl Rib {
         answer.unwrap_or_else(Response::from)
     }
 
-    /// Takes a switch's report of its neighbours with their costs, and after a (re)connect of all attached entities; with the
-    /// egress bit it has had so far.
-    pub fn report(
-        &mut self,
-        now: Now,
-        switch: &NameProof,
-        neighbours: &[(Name, u32)],
-        attached: Option<&[Name]>,
-        own_bit: Option<u8>,
-    ) -> Response {
+    /// Takes a switch's report of all entities attached to it, with the egress bit it has had so far.
+    pub fn report(&mut self, now: Now, switch: &NameProof, attached: &[Name], own_bit: Option<u8>) -> Response {
         self.tick(now);
-        self.try_report(now, switch, neighbours, attached, own_bit).map_or_else(Response::from, |()| Response::Done)
+        self.try_report(now, switch, attached, own_bit).map_or_else(Response::from, |()| Response::Done)
+    }
+
+    /// The paths from the RIB's own switch are now these.
+    pub fn set_paths(&mut self, now: Now, paths: Paths) {
+        self.tick(now);
+        self.paths = paths;
+        self.settle_bits();
+        self.judge_reach(now);
     }
 
     /// An entity's link to `switch` is gone, and with it all that was bound to it. What it has elsewhere stays.
@@ -250,7 +261,8 @@ impl Rib {
                     }
                     self.end_attachment(&entity, lane);
                 }
-                Timer::Switch { switch } => self.forget_switch(now, &switch),
+                Timer::Switch { switch } => self.forget_switch(&switch),
+                Timer::Unreported { switch } => self.ask_to_report(now, switch),
                 // So that they let go of what nobody has stated again.
                 Timer::Settled => self.switches.values_mut().for_each(|switch| switch.fib.restart()),
             }
@@ -274,8 +286,8 @@ impl Rib {
             .collect();
         let (run, settling) = (self.run.id, now.clock < self.run.settling);
         for (name, switch) in &mut self.switches {
-            let Some(own_bit) = self.topology.bit(name) else { continue };
-            let about = About { switch: *name, run, settling, own_bit, reach: self.topology.reach(name) };
+            let Some(own_bit) = self.bits.of(name) else { continue };
+            let about = About { switch: *name, run, settling, own_bit };
             effects.extend(switch.fib.next(now.clock, about).map(Effect::Fib));
         }
         let (names, boxes, revocations) = (&self.names, &self.boxes, &self.revocations);
@@ -330,15 +342,14 @@ impl Rib {
 impl Rib {
     /// Egress bit of a switch.
     pub fn bit(&self, switch: &Name) -> Option<u8> {
-        self.topology.bit(switch)
+        self.bits.of(switch)
     }
 
-    /// Switches with their egress bits, neighbours with costs, and attached entities.
-    pub fn switches(&self) -> impl Iterator<Item = (Name, u8, Vec<(Name, u32)>, Vec<Name>)> {
-        self.switches.iter().filter_map(|(name, state)| {
-            let neighbours = self.topology.neighbours(name).map(|(n, cost)| (*n, cost)).collect();
-            Some((*name, self.topology.bit(name)?, neighbours, state.attached.iter().copied().collect()))
-        })
+    /// Switches with their egress bits and attached entities.
+    pub fn switches(&self) -> impl Iterator<Item = (Name, u8, Vec<Name>)> {
+        self.switches
+            .iter()
+            .filter_map(|(name, state)| Some((*name, self.bits.of(name)?, state.attached.iter().copied().collect())))
     }
 
     /// At most `limit` records behind `after`, and whether there are more.
