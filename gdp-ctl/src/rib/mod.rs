@@ -313,10 +313,15 @@ impl Rib {
     }
 
     /// Whether all switches that need a route for what an entity stated have answered that they hold it (or have failed to
-    /// answer): for the name, and for what it and its counterparts send each other.
+    /// answer), and are on the map with their egress bit: for the name, and for what it and its counterparts send each other.
     pub fn is_settled(&self, name: &Name, entity: &Name, role: NameRole) -> bool {
+        let is_on_the_map = |switch: &Name| {
+            let bit = self.bits.of(switch);
+            !self.paths.reaches(switch) || bit.is_none_or(|bit| self.paths.bits.get(&bit) == Some(switch))
+        };
         let settled = |switch: &Name, name: &Name| {
-            self.switches.get(switch).is_none_or(|switch| switch.fib.is_settled(name.as_bytes()))
+            let holds = |held: &Switch| held.fib.is_settled(name.as_bytes()) && is_on_the_map(switch);
+            self.switches.get(switch).is_none_or(holds)
         };
         let key = name.to_bytes();
         let switches = self.names.bound(&key, role).filter(|(of, _)| of == entity).map(|(_, switch)| switch);

@@ -68,6 +68,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "counters_by_plane": by_plane,
         "busiest": busiest.iter().map(|(name, frames)| json!({"name": name, "frames": frames})).collect::<Vec<_>>(),
         "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
+        "topology": {"switches": core.topology.states().count(), "reached": core.topology.paths().costs.len()},
         "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
         "uplink": core.uplink.map(|switch| json!({
             "switch": switch, "connected": core.link_to(&switch).is_some(), "ready": core.uplink_ready,

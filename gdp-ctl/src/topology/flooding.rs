@@ -136,3 +136,70 @@ impl Desk {
         (states, names)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gdp::cert::{LinkState, issue};
+    use gdp::control::{Request, encode};
+    use gdp::identity::SigningKey;
+    use gdp::name::NameProof;
+
+    const NOW: Duration = Duration::from_secs(1000);
+
+    #[test]
+    fn a_neighbour_is_told_until_it_answers() {
+        let (database, mut flooding) = (database(1), Flooding::default());
+        flooding.up(7, database.switches());
+        let [batch] = &flooding.next(NOW, &database)[..] else { panic!("one batch") };
+        assert!(flooding.next(NOW, &database).is_empty(), "it is on its way");
+        flooding.answered(NOW, batch.id, false);
+        assert!(flooding.next(NOW, &database).is_empty(), "not at once");
+        let retry = flooding.retry_at().unwrap();
+        let [again] = &flooding.next(retry, &database)[..] else { panic!("one batch") };
+        assert_eq!(again.states[0].state, batch.states[0].state);
+        flooding.answered(retry, again.id, true);
+        assert!(flooding.next(retry, &database).is_empty() && flooding.retry_at().is_none());
+        flooding.owe_all(name(0));
+        flooding.holds(7, &name(0));
+        assert!(flooding.next(retry, &database).is_empty(), "it has told us itself");
+        flooding.owe_all(name(0));
+        flooding.down(7);
+        assert!(flooding.next(retry, &database).is_empty());
+    }
+
+    #[test]
+    fn whatever_there_is_to_tell_fits_messages_and_so_many_are_out_at_once() {
+        let (database, mut flooding) = (database(256), Flooding::default());
+        flooding.up(7, database.switches());
+        let mut told = BTreeSet::new();
+        let mut out = flooding.next(NOW, &database);
+        assert_eq!(out.len(), MOST_OUT);
+        while let Some(Batch { id, states }) = out.pop() {
+            told.extend(states.iter().map(|told| told.state.claims_unverified().unwrap().switch));
+            encode(&Request::Flood { states }).expect("it fits");
+            flooding.answered(NOW, id, true);
+            out.extend(flooding.next(NOW, &database));
+        }
+        assert_eq!(told.len(), 256);
+    }
+
+    fn database(switches: u16) -> Database {
+        let (key, mut database) = (SigningKey::generate().unwrap(), Database::default());
+        for i in 0..switches {
+            let neighbours = (1000..1064).map(|i| (name(i), u32::MAX)).collect();
+            let (run, number) = (u64::MAX, u64::MAX);
+            let claims = LinkState { switch: name(i), run, number, bit: Some(63), neighbours, lifetime: 180 };
+            let proof = NameProof { owner_key: key.public(), digest: [0xff; 32] };
+            let flooded = Flooded { proof, state: issue(&key, &claims).unwrap(), expires_in: 180 };
+            database.take(NOW, flooded, claims, |_| true);
+        }
+        database
+    }
+
+    fn name(i: u16) -> Name {
+        let mut bytes = [0xff; 32];
+        bytes[..2].copy_from_slice(&i.to_be_bytes());
+        Name::from_bytes(bytes)
+    }
+}
