@@ -39,7 +39,8 @@ const REFRESH: Duration = Duration::from_secs(LIFETIME as u64 / 3);
 const _: () = assert!(LIFETIME as u64 * 2 / 3 > gdp::link::HOLD.as_secs());
 
 /// Between two statements of this switch, if what it states changes: from the first to the second, doubled with each that comes
-/// within twice the time. The first change after a quiet time is stated at once.
+/// within twice the time. The first change after a quiet time is stated at once; that a neighbour is gone always after the first
+/// time, so what flaps is stated as gone rather than as there.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(5));
 
 /// A statement that its switch has signed.
@@ -72,10 +73,16 @@ struct Own {
     version: (u64, u64),
     bit: Option<u8>,
     neighbours: BTreeMap<Name, u32>,
-    /// It is to be stated again whatever it says.
-    is_due: bool,
+    /// What it last stated; none: it is to be stated whatever it says.
+    stated: Option<Stated>,
+    /// When it last did, or tried.
     stated_at: Option<Duration>,
     wait: Duration,
+}
+
+struct Stated {
+    bit: Option<u8>,
+    neighbours: BTreeMap<Name, u32>,
 }
 
 impl Topology {
@@ -86,7 +93,7 @@ impl Topology {
             version: (run, 0),
             bit: None,
             neighbours: BTreeMap::new(),
-            is_due: true,
+            stated: None,
             stated_at: None,
             wait: BACKOFF.0,
         };
@@ -99,14 +106,11 @@ impl Topology {
         let own = self.own.identity.name();
         let usable = neighbours.into_iter().filter(|(name, _)| *name != own);
         let all: BTreeMap<Name, u32> = usable.map(|(name, cost)| (name, cost.max(1))).collect();
-        let stated = all.into_iter().take(MAX_NEIGHBOURS).collect();
-        self.own.is_due |= stated != self.own.neighbours;
-        self.own.neighbours = stated;
+        self.own.neighbours = all.into_iter().take(MAX_NEIGHBOURS).collect();
     }
 
     /// The egress bit that the RIB has given this switch.
     pub fn set_bit(&mut self, bit: Option<u8>) {
-        self.own.is_due |= bit != self.own.bit;
         self.own.bit = bit;
     }
 
@@ -218,14 +222,19 @@ impl Own {
     fn heard_of_itself(&mut self, older: &LinkState) {
         if older.version() >= self.version {
             self.version = older.version();
-            self.is_due = true;
+            self.stated = None;
         }
     }
 
     /// When the next statement is to be made.
     fn next(&self, now: Duration) -> Option<Duration> {
         let Some(stated_at) = self.stated_at else { return Some(now) };
-        Some(stated_at + if self.is_due { self.wait } else { REFRESH })
+        let wait = match &self.stated {
+            Some(stated) if stated.neighbours.keys().any(|near| !self.neighbours.contains_key(near)) => BACKOFF.0,
+            Some(stated) if (stated.bit, &stated.neighbours) == (self.bit, &self.neighbours) => REFRESH,
+            _ => self.wait,
+        };
+        Some(stated_at + wait)
     }
 
     fn state(&mut self, now: Duration) -> Result<(Flooded, LinkState), CertError> {
@@ -245,7 +254,8 @@ impl Own {
             lifetime: LIFETIME,
         };
         let state = issue(self.identity.key(), &claims)?;
-        (self.version, self.is_due) = ((run, number), false);
+        self.version = (run, number);
+        self.stated = Some(Stated { bit: self.bit, neighbours: self.neighbours.clone() });
         Ok((Flooded { proof: self.identity.proof(), state, expires_in: LIFETIME }, claims))
     }
 }
