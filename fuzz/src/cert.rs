@@ -2,7 +2,8 @@
 
 use gdp::NameCard;
 use gdp::cert::{
-    AdCert, Advert, Claims, Delegation, Issued, MemberCert, Membership, ReadGrant, Reading, Revocation, RtCert, Signed,
+    AdCert, Advert, Claims, Delegation, Issued, LinkState, MemberCert, Membership, ReadGrant, Reading, Revocation,
+    RtCert, Signed,
 };
 
 /// Bytes that are taken for a certificate are its only encoding, and survive their text form.
@@ -14,6 +15,7 @@ pub fn cert(data: &[u8]) {
     decode::<MemberCert>(data);
     decode::<RtCert>(data);
     decode::<Advert>(data);
+    decode::<LinkState>(data);
     let Ok(text) = str::from_utf8(data) else { return };
     if let Ok(issued) = Issued::<AdCert>::from_pem(text) {
         assert_eq!(Issued::from_pem(&issued.to_pem()).expect("its own text"), issued);

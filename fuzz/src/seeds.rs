@@ -2,12 +2,12 @@
 //! are messages of this version, and not of the one before.
 
 use gdp::cert::{
-    AdCert, Advert, AdvertOp, Delegation, Grantee, Issued, MemberCert, Membership, Mode, ReadGrant, Reading,
+    AdCert, Advert, AdvertOp, Delegation, Grantee, Issued, LinkState, MemberCert, Membership, Mode, ReadGrant, Reading,
     Revocation, RtCert, Signed, issue,
 };
 use gdp::control::{
-    Credential, EntityRequest, Extent, FibPush, NameRole, Peers, PeersExtent, PeersPush, Record, Refusal, RefusalCode,
-    Request, Response, Route, encode,
+    Credential, EntityRequest, Extent, FibPush, Flooded, NameRole, Peers, PeersExtent, PeersPush, Record, Refusal,
+    RefusalCode, Request, Response, Route, encode,
 };
 use gdp::feedback_wire::{Feedback, Missing};
 use gdp::keys::KeyBox;
@@ -133,6 +133,7 @@ struct Papers {
     revocation: Signed<Revocation>,
     rt_cert: Signed<RtCert>,
     advert: Signed<Advert>,
+    state: Signed<LinkState>,
 }
 
 impl Papers {
@@ -153,6 +154,8 @@ impl Papers {
         let grant = ReadGrant { name, to: Grantee::Role { domain, role }, serial, not_before, not_after };
         let grant = issue(robot.key(), &grant).expect("a grant");
         let advert = Advert { op: AdvertOp::Publish, name, entity, switch, serial, lifetime: 60, box_key };
+        let neighbours = vec![(Name::default(), 200), (Name::from_bytes([0xff; 32]), u32::MAX)];
+        let state = LinkState { switch: entity, run: 1 << 60, number: 1, bit: Some(63), neighbours, lifetime: 180 };
         let revocation = Revocation { name, number: 3, floor: 2, revoked: vec![4, 1 << 60] };
         Self {
             ad_cert: issue(&owner, &ad_cert).expect("a certificate").into(),
@@ -163,6 +166,7 @@ impl Papers {
             revocation: issue(&owner, &revocation).expect("a revocation"),
             rt_cert: issue(robot.key(), &RtCert { entity, switch, not_after }).expect("a certificate"),
             advert: issue(robot.key(), &advert).expect("a statement"),
+            state: issue(robot.key(), &state).expect("a statement"),
             card,
             robot,
         }
@@ -180,6 +184,7 @@ impl Papers {
             ("a revocation as text", self.revocation.to_pem().into_bytes()),
             ("an rt cert", self.rt_cert.as_bytes().to_vec()),
             ("an advert", self.advert.as_bytes().to_vec()),
+            ("a link state", self.state.as_bytes().to_vec()),
             ("an ad cert as text", self.ad_cert.to_pem().into_bytes()),
             ("a name card", self.card.to_json().into_bytes()),
         ]
@@ -212,7 +217,6 @@ impl Papers {
             generation: 7,
             extent: Extent::Full { part: 0, last: true },
             own_bit: 63,
-            reach: vec![(name, u64::MAX)],
             set: vec![route],
             remove: vec![name],
         };
@@ -226,10 +230,10 @@ impl Papers {
             revocation: Some(self.revocation.clone()),
             boxes: vec![issue(self.robot.key(), &key).expect("a box")],
         };
-        let (neighbours, role) = (vec![(switch, 3)], NameRole::Subscriber);
+        let role = NameRole::Subscriber;
         let from_entity = Request::Entity;
         vec![
-            seed("attach", &from_entity(EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: true, lane: 1 })),
+            seed("attach", &from_entity(EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: true, lane: 3 })),
             seed("relay", &Request::Relay { switch, entity: Some(robot), by_tool: false, request: advertise }),
             seed(
                 "subscribe",
@@ -242,9 +246,10 @@ impl Papers {
             ),
             seed("withdraw", &from_entity(EntityRequest::Withdraw { advert: advert.clone() })),
             seed("query", &from_entity(EntityRequest::Query { prefix: name.into(), after: place })),
+            seed("report", &Request::Report { switch: robot, attached: vec![entity], own_bit: Some(63) }),
             seed(
-                "report",
-                &Request::Report { switch: robot, neighbours, attached: Some(vec![entity]), own_bit: Some(63) },
+                "flood",
+                &Request::Flood { states: vec![Flooded { proof: robot, state: self.state.clone(), expires_in: 180 }] },
             ),
             seed("revoke", &from_entity(EntityRequest::Revoke { proof, revocation: self.revocation.clone() })),
             seed("detach", &Request::Detach { switch, entity }),

@@ -33,6 +33,8 @@ const PATIENCE: Duration = Duration::from_secs(15);
 pub enum Request {
     Status,
     Links,
+    /// What the switch knows of the domain's switches.
+    Topology,
     /// A page of the data plane's routes, behind this name.
     Fib {
         after: Option<Name>,

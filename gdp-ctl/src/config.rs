@@ -54,11 +54,12 @@ pub enum DataPlane {
     Userspace,
 }
 
-/// A switch this one has a link with, and what crossing the link costs.
+/// A switch this one has a link with, and what crossing the link costs; none: as its round-trip time says, see
+/// [`crate::topology::cost`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Neighbour {
     pub place: Place,
-    pub cost: u32,
+    pub cost: Option<u32>,
 }
 
 /// A neighbouring switch and where it is.
@@ -245,7 +246,7 @@ impl File {
                 Some(listed) if listed.place != uplink.place => {
                     return invalid(format!("uplink: {switch} is another place in neighbours"));
                 }
-                Some(listed) if uplink_cost.is_some_and(|cost| cost != listed.cost) => {
+                Some(listed) if uplink_cost.is_some() && uplink_cost != listed.cost => {
                     return invalid(format!("uplink: {switch} has another cost in neighbours; remove one of the two"));
                 }
                 Some(_) => {}
@@ -303,8 +304,8 @@ impl File {
 
 impl PlaceEntry {
     fn neighbour(self, key: &str) -> Result<Neighbour, ParseError> {
-        let cost = self.cost.unwrap_or(1);
-        if cost == 0 {
+        let cost = self.cost;
+        if cost == Some(0) {
             return Err(ParseError::Invalid(format!("{key}: cost of {} is 0; the least is 1", self.switch)));
         }
         Ok(Neighbour { place: self.place(key)?, cost })
@@ -356,7 +357,7 @@ mod tests {
         assert_eq!(config.socket, Path::new("/run/s1.sock"));
         assert_eq!((config.udp, config.data_plane, config.rib), (None, DataPlane::Xdp, false));
         assert_eq!(config.neighbours.len(), 1);
-        assert_eq!(config.neighbours[0].cost, 3);
+        assert_eq!(config.neighbours[0].cost, Some(3));
         assert_eq!(config.uplink.unwrap().via, Via::Interface("l0".into()));
     }
 
@@ -373,7 +374,7 @@ mod tests {
         assert!(!config.rib);
         assert_eq!(config.neighbours.len(), 1, "the uplink is a neighbour");
         let config = parse(&format!("uplink: {{interface: a, switch: {S}, cost: 7}}")).unwrap();
-        assert_eq!(config.neighbours[0].cost, 7);
+        assert_eq!(config.neighbours[0].cost, Some(7));
         assert_eq!(parse("bpffs: null").unwrap().bpffs, None);
     }
 

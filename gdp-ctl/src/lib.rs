@@ -9,3 +9,4 @@ pub mod folders;
 pub mod plane;
 pub mod rib;
 pub mod serve;
+pub mod topology;

@@ -7,8 +7,8 @@ use std::net::{SocketAddr, UdpSocket};
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime};
 
-use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, Mode, ReadGrant, Reading, RtCert, issue};
-use gdp::control::{EntityRequest, Request, Response};
+use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, LinkState, Mode, ReadGrant, Reading, RtCert, issue};
+use gdp::control::{EntityRequest, Flooded, Request, Response};
 use gdp::link::{Link, LinkIds};
 use gdp::node::{NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp::port::{LinkAddr, OutFrame, Port, PortConfig};
@@ -251,6 +251,53 @@ async fn a_name_has_any_number_of_subscribers_and_all_are_found() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn only_what_a_switch_states_itself_becomes_topology() {
+    let folder = tempfile::tempdir().unwrap();
+    let (near, far) = (Identity::generate("switch").unwrap(), Identity::generate("switch").unwrap());
+    let mut config = config(folder.path(), "s1");
+    let place = Place { switch: near.name(), via: Via::Udp("127.0.0.1:9".parse().unwrap()) };
+    config.neighbours = vec![Neighbour { place, cost: None }];
+    let switch = start(config).await.unwrap();
+    let to = LinkAddr::udp(switch.udp_addr().unwrap());
+    let port = |config| Port::udp("127.0.0.1:0".parse().unwrap(), &config).unwrap();
+    let neighbour = port(PortConfig::switch(near.clone(), LinkIds::new()));
+    let link = neighbour.dial(to, Some(switch.name())).await.unwrap();
+    let claims = |of: &Identity, neighbours: &[Name]| {
+        let neighbours = neighbours.iter().collect::<std::collections::BTreeSet<_>>();
+        let neighbours = neighbours.into_iter().map(|name| (*name, 5)).collect();
+        LinkState { switch: of.name(), run: 1, number: 1, bit: None, neighbours, lifetime: 60 }
+    };
+    let flooded = |by: &Identity, claims: &LinkState| Flooded {
+        proof: by.proof(),
+        state: issue(by.key(), claims).unwrap(),
+        expires_in: 60,
+    };
+    let flood = async |state| link.request(&Request::Flood { states: vec![state] }).await.unwrap();
+    let known = async |switches: u64, reached: u64| {
+        let topology = switch.status().await["topology"].clone();
+        topology["switches"] == switches && topology["reached"] == reached
+    };
+    let lies = flood(flooded(&near, &claims(&far, &[near.name()]))).await;
+    assert!(matches!(&lies, Response::Refused(r) if r.reason.contains("wrong name")), "{lies:?}");
+    assert!(matches!(flood(flooded(&near, &claims(&near, &[switch.name(), far.name()]))).await, Response::Done));
+    wait("the neighbour to be reached", async || known(2, 2).await).await;
+    assert!(matches!(flood(flooded(&far, &claims(&far, &[]))).await, Response::Done));
+    wait("the other one to be known", async || known(3, 2).await).await;
+    assert!(known(3, 2).await, "it does not state the link");
+    let (newer, back) = (2, claims(&far, &[near.name()]));
+    assert!(matches!(flood(flooded(&far, &LinkState { number: newer, ..back })).await, Response::Done));
+    wait("the other one to be reached", async || known(3, 3).await).await;
+
+    let (_port, endpoint) = Papers::new().bare_link(&switch).await;
+    let states = vec![flooded(&far, &LinkState { number: 9, ..claims(&far, &[]) })];
+    let refused = endpoint.request(&Request::Flood { states }).await.unwrap();
+    assert!(matches!(&refused, Response::Refused(r) if r.reason.contains("an endpoint may not")), "{refused:?}");
+    link.close("done");
+    wait("nobody to be reached", async || known(3, 1).await).await;
+    switch.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn uplinks_in_a_loop_lead_nowhere_and_say_so() {
     let folder = tempfile::tempdir().unwrap();
     let chain = Chain::new(folder.path());
@@ -317,7 +364,7 @@ impl<'a> Chain<'a> {
             udp: Some(self.addrs[i]),
             rib: i == 2,
             uplink: (i < 2).then(|| place(i + 1)),
-            neighbours: near.into_iter().flatten().map(|j| Neighbour { place: place(j), cost: 1 }).collect(),
+            neighbours: near.into_iter().flatten().map(|j| Neighbour { place: place(j), cost: Some(1) }).collect(),
             ..config(self.folder, &format!("s{}", i + 1))
         }
     }

@@ -14,7 +14,9 @@ pub use peers::{NameRole, Peers, PeersExtent, PeersPush};
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use crate::cert::{AdCert, Advert, CertError, Issued, Reading, Revocation, RtCert, Side, Signed, verify_statement};
+use crate::cert::{
+    AdCert, Advert, CertError, Issued, LinkState, Reading, Revocation, RtCert, Side, Signed, verify_statement,
+};
 use crate::keys::KeyBox;
 use crate::name::{NamePrefix, NameProof};
 
@@ -33,12 +35,14 @@ pub enum Request {
     /// `entity` shows the RIB the key that the entity's statements must verify under; `None` for revocations, and for queries of a name in full.
     /// `by_tool`: not over a link of the entity, so nothing is bound to an attachment, only to the statement's lifetime.
     Relay { switch: Name, entity: Option<NameProof>, by_tool: bool, request: EntityRequest },
-    /// Switch → RIB: the switches this one has live links with, and what each costs. Replaces its last report.
-    /// `attached`, sent first after every (re)connect, is all entities attached to it: the RIB drops those it holds
+    /// Switch → RIB, first after every (re)connect: I am here, with these entities attached. The RIB drops those it holds
     /// beyond these, and answers those it does not hold with [`Request::Detach`], so that they attach again. A switch whose
     /// daemon has just started names those whose links it took over. `own_bit`: the egress bit it had, if it had one; frames
     /// on their way carry it, so a RIB that does not know the switch gives it the same one if nobody else has it.
-    Report { switch: NameProof, neighbours: Vec<(Name, u32)>, attached: Option<Vec<Name>>, own_bit: Option<u8> },
+    Report { switch: NameProof, attached: Vec<Name>, own_bit: Option<u8> },
+    /// Switch → neighbouring switch: what switches of the domain state of their links, as far as the neighbour is not known to
+    /// hold it. Answered once it does; until then it is sent again.
+    Flood { states: Vec<Flooded> },
     /// Switch → RIB: the entity's link is gone, and with it everything it advertised through this switch. RIB → switch → the
     /// entity: I hold no attachment of it; it is to attach again, on the link it has.
     Detach { switch: Name, entity: Name },
@@ -277,8 +281,6 @@ pub struct FibPush {
     pub extent: Extent,
     /// Index (0 … 63) of the switch's own egress bit.
     pub own_bit: u8,
-    /// Which egress switches lie behind which neighbour. Always complete.
-    pub reach: Vec<(Name, u64)>,
     pub set: Vec<Route>,
     pub remove: Vec<Name>,
 }
@@ -307,6 +309,28 @@ pub struct Route {
     /// The local endpoints that may send to the name: those that publish or call it through this switch; to the name of an
     /// entity, its counterparts.
     pub writers: Vec<Name>,
+}
+
+/// What a switch states of its links, as it is passed on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Flooded {
+    /// How the name of the switch is derived, and its key.
+    pub proof: NameProof,
+    pub state: Signed<LinkState>,
+    /// Seconds that are left of its lifetime, as whoever passes it on counts them.
+    pub expires_in: u32,
+}
+
+impl Flooded {
+    /// What it states, if the switch itself stated it.
+    pub fn verify(&self) -> Result<LinkState, CertError> {
+        let claims = self.state.verify_signature(&self.proof.verify_key()?)?;
+        let got = self.proof.name()?;
+        if claims.switch != got {
+            return Err(CertError::WrongName { expected: claims.switch, got });
+        }
+        Ok(claims)
+    }
 }
 
 /// Why a message could not be encoded or decoded.
@@ -365,7 +389,6 @@ mod tests {
             generation: 7,
             extent: Extent::Full { part: 0, last: true },
             own_bit: 63,
-            reach: vec![(Name::from_bytes([2; 32]), u64::MAX)],
             set: vec![Route { name: Name::from_bytes([3; 32]), egress_bits: 1 << 63, ..Route::default() }],
             remove: vec![Name::from_bytes([4; 32])],
         };

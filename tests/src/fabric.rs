@@ -194,9 +194,7 @@ impl Fabric {
 
     /// A `gdp-ctl` command against the daemon of switch `i`, as JSON.
     pub fn ctl(&self, i: usize, arguments: &[&str]) -> Result<Value> {
-        let mut command = Command::new(self.tools.gdp_ctl()?);
-        command.arg("--socket").arg(&self.switches[i].socket).args(arguments).arg("-j");
-        parse(&execute(&mut command)?)
+        self.switches[i].ctl(&self.tools, arguments)
     }
 
     /// The latest counters a proxy has written.
@@ -255,6 +253,35 @@ impl Fabric {
     }
 }
 
+impl Switch {
+    /// Starts a daemon with this configuration, except for where its identity and its socket are: `LABEL.pem` and
+    /// `LABEL.sock` in the folder.
+    pub fn start(
+        tools: &Tools,
+        at: &Namespace,
+        folder: &Path,
+        (label, name): (&str, &str),
+        mut config: Value,
+    ) -> Result<Self> {
+        let socket = folder.join(format!("{label}.sock"));
+        config["identity"] = json!(folder.join(format!("{label}.pem")));
+        config["socket"] = json!(socket);
+        let path = folder.join(format!("{label}.yaml"));
+        write_yaml(&path, &config)?;
+        let mut command = at.command(tools.gdp_ctl()?)?;
+        command.args(["serve", "--config"]).arg(path).env("GDP_EBPF_OBJECT", tools.ebpf_object()?);
+        let process = Process::spawn(label, command, folder)?;
+        Ok(Self { name: name.to_owned(), process, socket })
+    }
+
+    /// A `gdp-ctl` command against the daemon, as JSON.
+    pub fn ctl(&self, tools: &Tools, arguments: &[&str]) -> Result<Value> {
+        let mut command = Command::new(tools.gdp_ctl()?);
+        command.arg("--socket").arg(&self.socket).args(arguments).arg("-j");
+        parse(&execute(&mut command)?)
+    }
+}
+
 fn start_switch(
     tools: &Tools,
     chain: &Chain,
@@ -265,13 +292,10 @@ fn start_switch(
     options: &FabricOptions,
 ) -> Result<Switch> {
     let label = format!("s{}", i + 1);
-    let socket = folder.join(format!("{label}.sock"));
     let last = names.len() - 1;
     let left = (i > 0).then(|| json!({"interface": "l0", "switch": names[i - 1]}));
     let right = (i < last).then(|| json!({"interface": "r0", "switch": names[i + 1]}));
     let mut config = json!({
-        "identity": folder.join(format!("{label}.pem")),
-        "socket": socket,
         "interfaces": ["l0", "r0"],
         "udp": null,
         "data_plane": options.data_plane,
@@ -282,12 +306,7 @@ fn start_switch(
     if let Some(uplink) = right {
         config["uplink"] = uplink;
     }
-    let path = folder.join(format!("{label}.yaml"));
-    write_yaml(&path, &config)?;
-    let mut command = chain.switches()[i].command(tools.gdp_ctl()?)?;
-    command.args(["serve", "--config"]).arg(path).env("GDP_EBPF_OBJECT", tools.ebpf_object()?);
-    let process = Process::spawn(&label, command, folder)?;
-    Ok(Switch { name: name.to_owned(), process, socket })
+    Switch::start(tools, &chain.switches()[i], folder, (&label, name), config)
 }
 
 /// A file system that is unmounted, and with it all that is pinned there.
@@ -301,25 +320,26 @@ impl Drop for Mounted {
 }
 
 /// Keys, names and certificates, made with the command line.
-struct Authority<'a> {
-    tools: &'a Tools,
-    folder: &'a Path,
+pub struct Authority<'a> {
+    pub tools: &'a Tools,
+    pub folder: &'a Path,
 }
 
 impl Authority<'_> {
-    fn switches(&self, count: usize) -> Result<Vec<String>> {
+    /// The names of switches `s1`, `s2`, …
+    pub fn switches(&self, count: usize) -> Result<Vec<String>> {
         (1..=count).map(|i| self.key("", &format!("s{i}.pem"), "switch")).collect()
     }
 
     /// The topic's name, made by its owner.
-    fn topic(&self) -> Result<String> {
+    pub fn topic(&self) -> Result<String> {
         self.key(OWNER, "owner.pem", "owner")?;
         let topic = ["--owner", "owner.pem", "--topic", TOPIC, "--type", TYPE, "-o", "chatter.card"];
         field(&self.ctl(OWNER, &[&["name", "create"], &topic[..]].concat())?, "name")
     }
 
     /// A proxy makes its key and tells the owner its name; the owner hands it the card and a certificate.
-    fn admit(&self, label: &str, right: &str) -> Result<()> {
+    pub fn admit(&self, label: &str, right: &str) -> Result<()> {
         let entity = self.key(label, "key.pem", "proxy")?;
         let (of, file) = (["--key", "owner.pem", right], format!("{label}.cert"));
         let whom = ["--entity", &entity, "-o", &file];

@@ -3,6 +3,7 @@
 //! - [`netns`]: network namespaces, veth pairs, entering one and leaving it again
 //! - [`chain`]: robot – switches – cloud; [`packet`]: what an eavesdropper or attacker does on its cables;
 //!   [`wire`]: a cable that is bad
+//! - [`ring`]: five daemons in a ring
 //! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its ends
 //! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
 //! - [`measure`]: benchmarks: in turn, figures, tables, plots
@@ -20,6 +21,7 @@ pub mod netns;
 pub mod packet;
 pub mod peers;
 pub mod process;
+pub mod ring;
 pub mod tools;
 pub mod wait;
 pub mod wire;

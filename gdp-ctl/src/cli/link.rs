@@ -32,11 +32,25 @@ fn describe(reply: &Value) -> String {
             let (taken, dropped) = arrivals(&link["arrivals"]);
             let place = [text("role"), text("via"), text("address")];
             let [role, via, address] = place;
-            [id, short(&link["peer"]), role, via, address, mtu, rtt, age, text("plane"), taken, dropped]
+            let cost = link["cost"].as_u64().map_or_else(|| "–".to_owned(), |cost| cost.to_string());
+            [id, short(&link["peer"]), role, via, address, mtu, rtt, cost, age, text("plane"), taken, dropped]
         })
         .collect();
     table(
-        ["id", "link to", "role", "via", "address", "MTU", "RTT", "age", "plane", "frames in", "of these dropped"],
+        [
+            "id",
+            "link to",
+            "role",
+            "via",
+            "address",
+            "MTU",
+            "RTT",
+            "cost",
+            "age",
+            "plane",
+            "frames in",
+            "of these dropped",
+        ],
         &rows,
     )
 }

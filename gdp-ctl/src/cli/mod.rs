@@ -14,6 +14,7 @@ mod paper;
 mod query;
 mod serve;
 mod status;
+mod topology;
 mod xdp;
 
 use std::path::PathBuf;
@@ -76,6 +77,8 @@ enum Command {
     /// The daemon's links.
     #[command(subcommand)]
     Link(link::Command),
+    /// Show the domain's switches and the links between them, as this switch knows them.
+    Topology(topology::Options),
     /// Check what the daemon needs from this machine, and name the remedy for what is amiss.
     Doctor(doctor::Options),
     /// What forwards in the kernel, with or without a daemon.
@@ -136,6 +139,7 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Fib(command) => dump::fib(&command, context),
         Command::Rib(command) => dump::rib(&command, context),
         Command::Link(command) => link::run(&command, context),
+        Command::Topology(options) => topology::run(&options, context),
         Command::Doctor(options) => doctor::run(options, context),
         Command::Xdp(command) => xdp::run(&command, context),
     }

@@ -26,7 +26,6 @@ pub struct Fib {
     routes: BTreeMap<[u8; 32], Route>,
     /// Names whose desired route is not what was last sent.
     dirty: BTreeSet<[u8; 32]>,
-    masks_dirty: bool,
     generation: u64,
     phase: Phase,
     /// The push that has not been answered.
@@ -42,7 +41,6 @@ pub struct About {
     pub run: u64,
     pub settling: bool,
     pub own_bit: u8,
-    pub reach: Vec<(Name, u64)>,
 }
 
 #[derive(Debug)]
@@ -76,7 +74,6 @@ impl Default for Fib {
         Self {
             routes: BTreeMap::new(),
             dirty: BTreeSet::new(),
-            masks_dirty: false,
             generation: 0,
             phase: Phase::Full { part: 0, after: None },
             in_flight: None,
@@ -98,12 +95,7 @@ impl Fib {
         };
     }
 
-    /// The masks or the own bit of the switch changed.
-    pub fn touch_masks(&mut self) {
-        self.masks_dirty = true;
-    }
-
-    /// Sends the whole again: the switch is new, or was away. An answer that is still out no longer counts.
+    /// Sends the whole again: the switch is new or was away, or gets another bit. An answer that is still out no longer counts.
     pub fn restart(&mut self) {
         self.phase = Phase::Full { part: 0, after: None };
         self.in_flight = None;
@@ -130,7 +122,7 @@ impl Fib {
                 (extent, set, Vec::new())
             }
             Phase::Following => {
-                if self.dirty.is_empty() && !self.masks_dirty {
+                if self.dirty.is_empty() {
                     return None;
                 }
                 let (mut set, mut remove, mut room) = (Vec::new(), Vec::new(), Room::new());
@@ -148,12 +140,11 @@ impl Fib {
                 (Extent::Delta, set, remove)
             }
         };
-        self.masks_dirty = false;
         self.generation += 1;
         let names = set.iter().map(|route| &route.name).chain(&remove).map(|name| name.to_bytes()).collect();
         self.in_flight = Some(InFlight { generation: self.generation, names });
-        let About { switch, run, settling, own_bit, reach } = about;
-        Some(FibPush { switch, run, settling, generation: self.generation, extent, own_bit, reach, set, remove })
+        let About { switch, run, settling, own_bit } = about;
+        Some(FibPush { switch, run, settling, generation: self.generation, extent, own_bit, set, remove })
     }
 
     /// What became of the push of this generation. If it failed, the whole is sent, a little later.
@@ -251,7 +242,6 @@ mod tests {
         assert!(!switch.follow(&mut fib), "the same route is no change");
         fib.set(&name(1), None);
         fib.set(&name(2), Some(route(2, 4)));
-        fib.touch_masks();
         assert!(switch.follow(&mut fib));
         assert_eq!((switch.pushes, switch.routes.len()), (2, 1));
         switch.agrees(&fib);
@@ -261,15 +251,15 @@ mod tests {
     fn one_push_is_out_at_a_time_and_a_failure_sends_the_whole() {
         let mut fib = Fib::default();
         fib.set(&name(1), Some(route(1, 1)));
-        let push = fib.next(NOW, about(vec![])).unwrap();
+        let push = fib.next(NOW, about()).unwrap();
         fib.set(&name(2), Some(route(2, 1)));
-        assert_eq!(fib.next(NOW, about(vec![])), None);
+        assert_eq!(fib.next(NOW, about()), None);
         fib.answered(NOW, push.generation + 1, Pushed::Done);
-        assert_eq!(fib.next(NOW, about(vec![])), None, "an answer to something else");
+        assert_eq!(fib.next(NOW, about()), None, "an answer to something else");
         fib.answered(NOW, push.generation, Pushed::Failed);
-        assert_eq!(fib.next(NOW, about(vec![])), None, "not at once");
+        assert_eq!(fib.next(NOW, about()), None, "not at once");
         let retry = fib.retry_at().unwrap();
-        let push = fib.next(retry, about(vec![])).unwrap();
+        let push = fib.next(retry, about()).unwrap();
         assert_eq!((push.extent, push.set.len()), (Extent::Full { part: 0, last: true }, 2));
     }
 
@@ -279,16 +269,16 @@ mod tests {
         let key = |i| name(i).to_bytes();
         (1..=NAMES_PER_PUSH as u64 + 1).for_each(|i| fib.set(&name(i), Some(route(i, 1))));
         assert!(!fib.is_settled(&key(1)));
-        let push = fib.next(NOW, about(vec![])).unwrap();
+        let push = fib.next(NOW, about()).unwrap();
         assert!(!fib.is_settled(&key(1)), "sent and not answered");
         fib.answered(NOW, push.generation, Pushed::Done);
         assert!(fib.is_settled(&key(1)) && !fib.is_settled(&key(NAMES_PER_PUSH as u64 + 1)), "of the first part only");
-        let push = fib.next(NOW, about(vec![])).unwrap();
+        let push = fib.next(NOW, about()).unwrap();
         fib.set(&name(1), None);
         fib.answered(NOW, push.generation, Pushed::Partly("full".into()));
         assert_eq!(fib.lacking(), Some("full"));
         assert!(fib.is_settled(&key(2)) && !fib.is_settled(&key(1)), "it changed again");
-        let push = fib.next(NOW, about(vec![])).unwrap();
+        let push = fib.next(NOW, about()).unwrap();
         assert_eq!(push.extent, Extent::Delta, "a switch without room is not sent the whole again");
         fib.answered(NOW, push.generation, Pushed::Done);
         assert!(fib.is_settled(&key(1)) && fib.lacking().is_none());
@@ -317,7 +307,6 @@ mod tests {
                         let i = next(2500);
                         fib.set(&name(i), (next(2) == 0).then(|| route(i, next(64))));
                     }
-                    fib.touch_masks();
                 }
             }
             switch.agrees(&fib);
@@ -332,9 +321,8 @@ mod tests {
         for i in 0..3 {
             fib.set(&name(i), Some(Route { locals: readers.clone(), writers: writers.clone(), ..route(i, 1) }));
         }
-        let reach: Vec<_> = (0..63).map(|i| (name(i), u64::MAX)).collect();
         let mut pushes = 0;
-        while let Some(push) = fib.next(NOW, about(reach.clone())) {
+        while let Some(push) = fib.next(NOW, about()) {
             pushes += 1;
             let generation = push.generation;
             gdp::control::encode(&gdp::control::Request::Fib(push)).expect("it fits");
@@ -351,8 +339,7 @@ mod tests {
             fib.set(&name(i), Some(Route { writers: writers.clone(), ..route(i, 1) }));
         }
         let mut sent = 0;
-        let reach: Vec<_> = (0..63).map(|i| (name(i), u64::MAX)).collect();
-        while let Some(push) = fib.next(NOW, about(reach.clone())) {
+        while let Some(push) = fib.next(NOW, about()) {
             sent += push.set.len();
             let generation = push.generation;
             gdp::control::encode(&gdp::control::Request::Fib(push)).expect("it fits");
@@ -376,7 +363,7 @@ mod tests {
 
     impl Switch {
         fn follow(&mut self, fib: &mut Fib) -> bool {
-            let Some(push) = fib.next(NOW, about(vec![])) else { return false };
+            let Some(push) = fib.next(NOW, about()) else { return false };
             self.pushes += 1;
             assert!(push.set.len() + push.remove.len() <= NAMES_PER_PUSH);
             if push.extent == Extent::Delta {
@@ -412,8 +399,8 @@ mod tests {
         Name::from_bytes(bytes)
     }
 
-    fn about(reach: Vec<(Name, u64)>) -> About {
-        About { switch: name(9), run: 1, settling: false, own_bit: 0, reach }
+    fn about() -> About {
+        About { switch: name(9), run: 1, settling: false, own_bit: 0 }
     }
 
     fn route(i: u64, bits: u64) -> Route {

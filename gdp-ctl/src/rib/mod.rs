@@ -10,13 +10,13 @@
 //! Nobody has to believe this: who is told of others verifies their records again, who is given a key verifies who wrapped it,
 //! and who holds a newer revocation than the RIB gives keeps to that. What a RIB that lies can do is to withhold.
 
+mod bits;
 mod boxes;
 mod entities;
 pub mod fib;
 mod inboxes;
 mod key_boxes;
 mod names;
-pub mod paths;
 mod reports;
 mod revocations;
 mod revoke;
@@ -35,17 +35,21 @@ use gdp::control::{
 use gdp::name::{NamePrefix, NameProof};
 use gdp_wire::Name;
 
+use crate::topology::Paths;
+use bits::Bits;
 use boxes::Boxes;
 use entities::Entities;
 use fib::{About, Fib, Pushed};
 use inboxes::Inboxes;
 use names::Names;
-use paths::Topology;
 use revocations::{Origin, Revocations};
 use telling::{Source, Stake, Telling};
 
 /// How long the names of a switch that nobody reaches stay: a restart or a short partition must not cost the FIBs.
 pub const HOLD: Duration = Duration::from_secs(10);
+
+/// How long after it is reached a switch that has not reported is asked to.
+const UNREPORTED: Duration = Duration::from_secs(5);
 
 /// A moment, on both clocks that matter.
 #[derive(Clone, Copy, Debug)]
@@ -134,7 +138,9 @@ pub struct Rib {
     root: Name,
     run: Run,
     limits: Limits,
-    topology: Topology,
+    bits: Bits,
+    /// From the RIB's own switch, as that last said.
+    paths: Paths,
     switches: BTreeMap<Name, Switch>,
     entities: Entities,
     names: Names,
@@ -144,6 +150,8 @@ pub struct Rib {
     telling: Telling,
     timers: Timers,
     detached: BTreeSet<(Name, Name)>,
+    /// Switches that are reached and have not reported, and when they are asked to.
+    unreported: BTreeMap<Name, Duration>,
 }
 
 /// One life of a RIB.
@@ -169,6 +177,7 @@ enum Timer {
     Registration(Stake, Name),
     Attachment { entity: Name, lane: u8 },
     Switch { switch: Name },
+    Unreported { switch: Name },
     Settled,
 }
 
@@ -181,7 +190,8 @@ impl Rib {
             root,
             run,
             limits,
-            topology: Topology::default(),
+            bits: Bits::default(),
+            paths: Paths::default(),
             switches: BTreeMap::new(),
             entities: Entities::default(),
             names: Names::default(),
@@ -191,6 +201,7 @@ impl Rib {
             telling: Telling::default(),
             timers: Timers::from([(run.settling, Timer::Settled)]),
             detached: BTreeSet::new(),
+            unreported: BTreeMap::new(),
         }
     }
 
@@ -236,18 +247,18 @@ impl Rib {
         Ok(self.names.query(now.clock, prefix, after))
     }
 
-    /// Takes a switch's report of its neighbours with their costs, and after a (re)connect of all attached entities; with the
-    /// egress bit it has had so far.
-    pub fn report(
-        &mut self,
-        now: Now,
-        switch: &NameProof,
-        neighbours: &[(Name, u32)],
-        attached: Option<&[Name]>,
-        own_bit: Option<u8>,
-    ) -> Response {
+    /// Takes a switch's report of all entities attached to it, with the egress bit it has had so far.
+    pub fn report(&mut self, now: Now, switch: &NameProof, attached: &[Name], own_bit: Option<u8>) -> Response {
         self.tick(now);
-        self.try_report(now, switch, neighbours, attached, own_bit).map_or_else(Response::from, |()| Response::Done)
+        self.try_report(now, switch, attached, own_bit).map_or_else(Response::from, |()| Response::Done)
+    }
+
+    /// The paths from the RIB's own switch are now these.
+    pub fn set_paths(&mut self, now: Now, paths: Paths) {
+        self.tick(now);
+        self.paths = paths;
+        self.settle_bits();
+        self.judge_reach(now);
     }
 
     /// An entity's link to `switch` is gone, and with it all that was bound to it. What it has elsewhere stays.
@@ -272,7 +283,8 @@ impl Rib {
                     }
                     self.end_attachment(&entity, lane);
                 }
-                Timer::Switch { switch } => self.forget_switch(now, &switch),
+                Timer::Switch { switch } => self.forget_switch(&switch),
+                Timer::Unreported { switch } => self.ask_to_report(now, switch),
                 // So that they let go of what nobody has stated again.
                 Timer::Settled => self.switches.values_mut().for_each(|switch| switch.fib.restart()),
             }
@@ -296,8 +308,8 @@ impl Rib {
             .collect();
         let (run, settling) = (self.run.id, now.clock < self.run.settling);
         for (name, switch) in &mut self.switches {
-            let Some(own_bit) = self.topology.bit(name) else { continue };
-            let about = About { switch: *name, run, settling, own_bit, reach: self.topology.reach(name) };
+            let Some(own_bit) = self.bits.of(name) else { continue };
+            let about = About { switch: *name, run, settling, own_bit };
             effects.extend(switch.fib.next(now.clock, about).map(Effect::Fib));
         }
         let (names, boxes, revocations) = (&self.names, &self.boxes, &self.revocations);
@@ -323,10 +335,15 @@ impl Rib {
     }
 
     /// Whether all switches that need a route for what an entity stated have answered that they hold it (or have failed to
-    /// answer): for the name, and for what it and its counterparts send each other.
+    /// answer), and are on the map with their egress bit: for the name, and for what it and its counterparts send each other.
     pub fn is_settled(&self, name: &Name, entity: &Name, role: NameRole) -> bool {
+        let is_on_the_map = |switch: &Name| {
+            let bit = self.bits.of(switch);
+            !self.paths.reaches(switch) || bit.is_none_or(|bit| self.paths.bits.get(&bit) == Some(switch))
+        };
         let settled = |switch: &Name, name: &Name| {
-            self.switches.get(switch).is_none_or(|switch| switch.fib.is_settled(name.as_bytes()))
+            let holds = |held: &Switch| held.fib.is_settled(name.as_bytes()) && is_on_the_map(switch);
+            self.switches.get(switch).is_none_or(holds)
         };
         let key = name.to_bytes();
         let switches = self.names.bound(&key, role).filter(|(of, _)| of == entity).map(|(_, switch)| switch);
@@ -352,15 +369,14 @@ impl Rib {
 impl Rib {
     /// Egress bit of a switch.
     pub fn bit(&self, switch: &Name) -> Option<u8> {
-        self.topology.bit(switch)
+        self.bits.of(switch)
     }
 
-    /// Switches with their egress bits, neighbours with costs, and attached entities.
-    pub fn switches(&self) -> impl Iterator<Item = (Name, u8, Vec<(Name, u32)>, Vec<Name>)> {
-        self.switches.iter().filter_map(|(name, state)| {
-            let neighbours = self.topology.neighbours(name).map(|(n, cost)| (*n, cost)).collect();
-            Some((*name, self.topology.bit(name)?, neighbours, state.attached.iter().copied().collect()))
-        })
+    /// Switches with their egress bits and attached entities.
+    pub fn switches(&self) -> impl Iterator<Item = (Name, u8, Vec<Name>)> {
+        self.switches
+            .iter()
+            .filter_map(|(name, state)| Some((*name, self.bits.of(name)?, state.attached.iter().copied().collect())))
     }
 
     /// At most `limit` records behind `after`, and whether there are more.

@@ -1,5 +1,5 @@
-//! What switches report: their neighbours, from which paths follow, and who is attached to them. A switch that nobody
-//! reaches any more is forgotten after a while, with all that came through it.
+//! What is known of switches: who is attached to them, as they report, and whether they are reached, as the topology of the
+//! RIB's own switch says. One that nobody reaches any more is forgotten after a while, with all that came through it.
 
 use std::collections::BTreeSet;
 
@@ -10,33 +10,29 @@ use gdp_wire::Name;
 use gdp_wire::table::MAX_LINKS;
 
 use super::telling::Stake;
-use super::{HOLD, Now, Rib, Timer, limit_reached, refusal};
+use super::{HOLD, Now, Rib, Timer, UNREPORTED, limit_reached, refusal};
 
 impl Rib {
     pub(super) fn try_report(
         &mut self,
         now: Now,
         proof: &NameProof,
-        neighbours: &[(Name, u32)],
-        attached: Option<&[Name]>,
+        attached: &[Name],
         own_bit: Option<u8>,
     ) -> Result<(), Refusal> {
         let switch = proof.name().map_err(|error| refusal(CertError::Crypto(error)))?;
         let most = MAX_LINKS as usize;
-        if neighbours.len() > most || attached.is_some_and(|list| list.len() > most) {
+        if attached.len() > most {
             return Err(limit_reached(format!("a switch has at most {most} links")));
         }
-        self.topology
-            .report(switch, neighbours.iter().copied(), own_bit)
-            .map_err(|full| Refusal::new(RefusalCode::Limit, full.to_string()))?;
-        let known = self.switches.contains_key(&switch);
+        let taken = |bit| self.paths.bits.get(&bit).is_some_and(|of| *of != switch);
+        self.bits.give(switch, own_bit, taken).map_err(|full| Refusal::new(RefusalCode::Limit, full.to_string()))?;
         self.switches.entry(switch).or_default();
-        match attached {
-            Some(attached) => self.reconcile(&switch, attached),
-            None if !known => drop(self.detached.insert((switch, switch))),
-            None => {}
+        if let Some(at) = self.unreported.remove(&switch) {
+            self.timers.remove(&(at, Timer::Unreported { switch }));
         }
-        self.recompute(now);
+        self.reconcile(&switch, attached);
+        self.judge_reach(now);
         Ok(())
     }
 
@@ -54,14 +50,10 @@ impl Rib {
         self.telling.reconnected(switch);
     }
 
-    fn recompute(&mut self, now: Now) {
-        for switch in self.topology.recompute() {
-            if let Some(state) = self.switches.get_mut(&switch) {
-                state.fib.touch_masks();
-            }
-        }
+    /// Holds what is not reached, and has switches that are reached and have not reported asked to.
+    pub(super) fn judge_reach(&mut self, now: Now) {
         for (name, state) in &mut self.switches {
-            let reached = *name == self.root || self.topology.connected(&self.root, name);
+            let reached = *name == self.root || self.paths.reaches(name);
             match (reached, state.hold) {
                 (true, Some(at)) => {
                     self.timers.remove(&(at, Timer::Switch { switch: *name }));
@@ -75,9 +67,48 @@ impl Rib {
                 _ => {}
             }
         }
+        for switch in self.paths.costs.keys().filter(|switch| !self.switches.contains_key(switch)) {
+            self.unreported.entry(*switch).or_insert_with(|| {
+                let at = now.clock + UNREPORTED;
+                self.timers.insert((at, Timer::Unreported { switch: *switch }));
+                at
+            });
+        }
     }
 
-    pub(super) fn forget_switch(&mut self, now: Now, switch: &Name) {
+    /// Somebody the RIB has not heard of states a bit that it gave to another switch, and had it before: as after a
+    /// partition. Switches send what bears that bit to whoever had it first, so the other one gets a new one.
+    pub(super) fn settle_bits(&mut self) {
+        let lost = |(switch, bit): &(Name, u8)| {
+            let has = self.paths.bits.get(bit);
+            has.is_some_and(|has| has != switch && self.bits.of(has).is_none())
+        };
+        for (switch, _) in self.bits.all().filter(lost).collect::<Vec<_>>() {
+            let paths = &self.paths;
+            if self.bits.exchange(switch, |bit| paths.bits.contains_key(&bit)).is_err() {
+                continue;
+            }
+            tracing::warn!(switch = %format_args!("{switch:#}"), "its egress bit is in use elsewhere: it gets another");
+            let registered = self.names.registered_at(&switch);
+            registered.iter().for_each(|(name, ..)| self.follow_up(*name, switch));
+            let entities: BTreeSet<Name> = registered.iter().map(|(_, entity, _)| *entity).collect();
+            entities.iter().for_each(|entity| self.reroute_inbox(entity));
+            if let Some(state) = self.switches.get_mut(&switch) {
+                state.fib.restart();
+            }
+        }
+    }
+
+    /// A switch that is reached has not reported for a while.
+    pub(super) fn ask_to_report(&mut self, now: Now, switch: Name) {
+        self.unreported.remove(&switch);
+        if self.paths.reaches(&switch) && !self.switches.contains_key(&switch) {
+            self.detached.insert((switch, switch));
+            self.judge_reach(now);
+        }
+    }
+
+    pub(super) fn forget_switch(&mut self, switch: &Name) {
         let Some(state) = self.switches.get(switch) else { return };
         for entity in state.attached.clone() {
             self.end_attachments_at(&entity, switch);
@@ -86,7 +117,6 @@ impl Rib {
             self.unregister(Stake { name, entity, role }, *switch);
         }
         self.switches.remove(switch);
-        self.topology.forget(switch);
-        self.recompute(now);
+        self.bits.forget(switch);
     }
 }

@@ -363,13 +363,13 @@ impl Rib {
     }
 
     /// Brings the desired FIBs in line with what is registered for one name, after a change `at` a switch.
-    fn follow_up(&mut self, name: Key, at: Name) {
-        let topology = &self.topology;
-        let switches = self.names.reroute(&name, &at, |switch| topology.bit(switch));
+    pub(super) fn follow_up(&mut self, name: Key, at: Name) {
+        let bits = &self.bits;
+        let switches = self.names.reroute(&name, &at, |switch| bits.of(switch));
         self.reroute(name, switches);
     }
 
-    fn reroute_inbox(&mut self, entity: &Name) {
+    pub(super) fn reroute_inbox(&mut self, entity: &Name) {
         let switches: Vec<Name> = self.inboxes.routed(entity).copied().collect();
         self.reroute(entity.to_bytes(), switches);
     }
@@ -380,7 +380,7 @@ impl Rib {
         for switch in switches {
             let route = match is_stated {
                 true => self.names.route(&name, &switch),
-                false => self.inboxes.route(&name, &switch, |switch| self.topology.bit(switch)),
+                false => self.inboxes.route(&name, &switch, |switch| self.bits.of(switch)),
             };
             if let Some(state) = self.switches.get_mut(&switch) {
                 state.fib.set(&Name::from_bytes(name), route);

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use gdp::cert::{Advert, AdvertOp, ReadGrant, RtCert, Signed, issue};
 use gdp::control;
-use gdp::control::{EntityRequest, Extent, NameRole, PeersExtent, Record, RefusalCode, Response, Route};
+use gdp::control::{EntityRequest, Extent, FibPush, NameRole, PeersExtent, Record, RefusalCode, Response, Route};
 use gdp::identity::{Identity, SigningKey};
 use gdp::link::MAX_LANES;
 use gdp::name::{Name, NamePrefix, NameProof};
@@ -18,7 +18,7 @@ use gdp::name::{Name, NamePrefix, NameProof};
 use self::world::{Parts, UNIX, World, expect_refused};
 use super::fib::Pushed;
 use super::telling::AT_ONCE;
-use super::{Effect, HOLD, Limits, Run, Told};
+use super::{Effect, HOLD, Limits, Run, Told, UNREPORTED};
 
 #[test]
 fn every_bad_advertisement_is_refused_with_its_reason() {
@@ -233,7 +233,7 @@ fn a_reader_is_told_of_its_writers_in_order() {
     assert_eq!(whole.peers.records.len(), 1);
     w.rib.told(w.now, Told::from(second), true);
     w.rib.told(w.now, Told::from(whole), false);
-    w.report(1, Some(&[cloud.name()]));
+    w.report(1, &[cloud.name()]);
     assert_eq!(pushed(&mut w).len(), 1, "its switch is there again");
 }
 
@@ -717,7 +717,7 @@ fn a_reconnected_switch_is_reconciled_both_ways() {
     w.publish(&goes, 1, 1);
     w.settle();
     let new = Identity::generate("proxy").unwrap();
-    w.report(1, Some(&[stays.name(), new.name()]));
+    w.report(1, &[stays.name(), new.name()]);
     assert_eq!(w.rib.name_count(), 1, "what is not attached any more is gone");
     let effects = w.rib.effects(w.now);
     let detach = effects.iter().find_map(|e| match e {
@@ -752,11 +752,11 @@ fn a_rib_that_has_started_has_entities_attach_again_and_says_when_it_knows_all()
     let pushes = w.pushes();
     assert!(pushes.len() == 2 && pushes.iter().all(|push| push.settling && push.run == 7));
     w.carry_out(pushes);
-    w.report(1, Some(&[robot.name()]));
+    w.report(1, &[robot.name()]);
     assert_eq!(w.detaches(), [(w.switch(1), robot.name())]);
     w.attach(&robot, 1);
     w.publish(&robot, 1, 1);
-    w.report(1, Some(&[robot.name()]));
+    w.report(1, &[robot.name()]);
     assert!(w.detaches().is_empty());
     assert_eq!(w.rib.name_count(), 1, "a restart of its switch takes nothing along");
     w.settle();
@@ -773,17 +773,62 @@ fn a_switch_nobody_reaches_is_forgotten_after_a_while() {
     w.publish(&robot, 0, 1);
     w.subscribe(&cloud, 2, 1);
     w.links.retain(|(a, b)| (*a, *b) != (1, 2));
-    w.report(1, None);
+    w.rewire();
     w.pass(HOLD - Duration::from_secs(1));
     assert_eq!(w.routes().len(), 2, "held");
     w.links.push((1, 2));
-    w.report(1, None);
+    w.rewire();
     w.pass(Duration::from_secs(60));
     assert_eq!(w.routes().len(), 2, "it came back");
     w.links.retain(|(a, b)| (*a, *b) != (1, 2));
-    w.report(1, None);
+    w.rewire();
     w.pass(HOLD);
     assert_eq!(w.routes(), []);
     assert_eq!(w.rib.bit(&w.switch(2)), None);
     assert!(matches!(w.subscribe(&cloud, 2, 2), Response::Refused(_)));
+}
+
+#[test]
+fn a_switch_that_is_reached_and_says_nothing_is_asked_to_report() {
+    let mut w = World::chain(3);
+    w.links.retain(|(a, b)| (*a, *b) != (1, 2));
+    w.rewire();
+    w.pass(HOLD);
+    assert_eq!(w.rib.bit(&w.switch(2)), None);
+    let detaches = w.detaches();
+    assert!(!detaches.contains(&(w.switch(2), w.switch(2))));
+    w.links.push((1, 2));
+    w.rewire();
+    for _ in 0..2 {
+        w.pass(UNREPORTED);
+        assert_eq!(w.detaches(), [(w.switch(2), w.switch(2))], "again and again");
+    }
+    w.report(2, &[]);
+    w.pass(UNREPORTED);
+    assert_eq!(w.detaches(), []);
+}
+
+#[test]
+fn a_bit_that_somebody_unknown_had_before_is_given_up() {
+    let mut w = World::chain(3);
+    let (robot, cloud) = (w.attached("robot", 0), w.attached("cloud", 2));
+    w.publish(&robot, 0, 1);
+    w.subscribe(&cloud, 2, 1);
+    w.settle();
+    let (first, stranger) = (w.rib.bit(&w.switch(2)).unwrap(), Name::from_bytes([9; 32]));
+    let mut paths = w.rib.paths.clone();
+    paths.bits.insert(first, stranger);
+    paths.costs.insert(stranger, 1);
+    w.rib.set_paths(w.now, paths);
+    let second = w.rib.bit(&w.switch(2)).unwrap();
+    assert_ne!(first, second);
+    let pushes = w.pushes();
+    assert!(pushes.iter().any(|push| push.switch == w.switch(2) && push.own_bit == second));
+    let sends = |push: &FibPush| push.set.iter().any(|route| route.egress_bits == 1 << second);
+    assert!(pushes.iter().any(|push| push.switch == w.switch(0) && sends(push)), "whoever sends there is told");
+    w.carry_out(pushes);
+    w.rewire();
+    w.settle();
+    w.check_model();
+    w.check_delivery();
 }

@@ -118,6 +118,7 @@ async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
     match request {
         Request::Status => Reply::Ok(status::status(daemon).await),
         Request::Links => Reply::Ok(json!({"links": status::links(&daemon.core())})),
+        Request::Topology => Reply::Ok(status::topology(daemon)),
         Request::Fib { after } => page(status::fib(daemon, after, PAGE)),
         Request::Rib { after } => page(status::rib(daemon, after, PAGE)),
         Request::Entity { entity, request } => {

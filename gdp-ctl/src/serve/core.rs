@@ -1,8 +1,8 @@
-//! What the daemon holds and decides: its links, the RIB or the way to it, the FIB in links, the data planes. Behind one
+//! What the daemon holds and decides: its links, the RIB or the way to it, the topology, the FIB in links, the data planes. Behind one
 //! lock, never held across an await; the tasks around it ([`super::links`], [`super::uplink`], [`super::ports`],
 //! [`super::admin`]) do the waiting.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use gdp::cert::Advert;
@@ -21,6 +21,8 @@ use crate::config::{Neighbour, Via};
 use crate::plane::{PlaneError, PlaneRoute, Planes};
 use crate::rib::fib::Pushed;
 use crate::rib::{Effect, Limits, Now, Rib, Run, Told};
+use crate::topology::Topology;
+use crate::topology::cost::Meter;
 
 /// Switches that reach the RIB through this one; a RIB takes fewer.
 const MAX_DOWNSTREAM: usize = 256;
@@ -51,6 +53,11 @@ pub struct Core {
     pub downstream: HashMap<Name, u32>,
     /// Endpoints that the RIB has attached here.
     pub attached: HashSet<Name>,
+    pub topology: Topology,
+    /// What the links to neighbours cost, of which the configuration does not say it.
+    pub(super) meters: BTreeMap<Name, Meter>,
+    /// Interfaces without a carrier, by index.
+    pub(super) dark: BTreeSet<u32>,
     /// Routes that the data plane refused, and why it refused the last.
     unplaced: (BTreeMap<Name, PlaneRoute>, String),
     /// Until when the data planes keep the ports and programs that an earlier daemon left.
@@ -64,7 +71,7 @@ pub struct LinkState {
     pub via: Via,
     pub since: Instant,
     entry: KeyedEntry,
-    to: LinkAddr,
+    pub(super) to: LinkAddr,
 }
 
 /// Something to send, on behalf of the RIB or of a switch nearer to it.
@@ -120,6 +127,7 @@ impl Core {
         // Should there be no random number: any that a RIB before this one did not have.
         let id = crypto::random::<8>().map_or_else(|_| unix_now(), u64::from_ne_bytes);
         let rib = rib.then(|| Rib::new(identity.name(), Run { id, settling: HOLD }, Limits::default()));
+        let topology = Topology::new(identity.clone(), unix_nanos());
         Self {
             identity,
             neighbours,
@@ -133,6 +141,9 @@ impl Core {
             peers: BTreeMap::new(),
             downstream: HashMap::new(),
             attached: HashSet::new(),
+            topology,
+            meters: BTreeMap::new(),
+            dark: BTreeSet::new(),
             unplaced: Default::default(),
             adopted_until: None,
             start: Instant::now(),
@@ -154,8 +165,9 @@ impl Core {
             let Some(id) = ids.reserve(entry.id) else { continue };
             let id = Kept::Adopted { _id: id };
             self.held.keep(HeldLink { peer: entry.peer, lane: None, role, entry: entry.clone(), to: *to, until, id });
-            if role == Role::Endpoint {
-                self.attached.insert(entry.peer);
+            match role {
+                Role::Endpoint => drop(self.attached.insert(entry.peer)),
+                Role::Switch => drop(self.meters.insert(entry.peer, Meter::new(self.now().clock, None))),
             }
             links.push((entry.clone(), role));
         }
@@ -177,7 +189,8 @@ impl Core {
         let lost = self.held.over(now).into_iter().filter_map(|id| self.release(id)).collect();
         if self.adopted_until.take_if(|until| *until <= now).is_some() {
             tracing::info!("nothing is held any longer from the daemon before this one");
-            let changes = self.routes.end_any_writer();
+            let mut changes = self.routes.end_any_writer();
+            changes.extend(self.routes.end_held_paths());
             self.carry_out(changes);
             if let Err(error) = self.planes.end_adoption() {
                 tracing::error!(%error, "the data plane keeps something of the daemon before this one");
@@ -243,6 +256,7 @@ impl Core {
         self.links.insert(id, LinkState { link: link.clone(), via, since: Instant::now(), entry, to });
         let changes = self.routes.link_up(link.peer().role, peer, lane, id);
         self.carry_out(changes);
+        self.meet(link);
         if self.uplink == Some(peer) {
             self.uplink_ready = false;
         }
@@ -265,6 +279,7 @@ impl Core {
     pub fn link_down(&mut self, link: &Link) -> bool {
         let (id, peer, role, lane) = (link.local_id(), link.peer().name, link.peer().role, link.peer().lane);
         self.downstream.retain(|_, via| *via != id);
+        self.topology.link_down(id);
         if self.peers.get(&(peer, lane)) == Some(&id) {
             self.peers.remove(&(peer, lane));
             if self.uplink == Some(peer) {
@@ -297,7 +312,7 @@ impl Core {
     }
 
     /// The ids of the links to a peer.
-    fn links_of(&self, peer: &Name) -> impl Iterator<Item = u32> {
+    pub(super) fn links_of(&self, peer: &Name) -> impl Iterator<Item = u32> {
         self.peers.range((*peer, 0)..=(*peer, u8::MAX)).map(|(_, id)| *id)
     }
 
@@ -364,13 +379,6 @@ impl Core {
         self.carry_out(changes);
     }
 
-    /// This switch's adjacencies with other switches and their costs: those that frames may go by.
-    pub fn adjacencies(&self) -> Vec<(Name, u32)> {
-        let there = |switch: &Name| self.has_link(switch) || self.held.keeps(switch);
-        let near = self.neighbours.iter().filter(|n| there(&n.place.switch));
-        near.map(|n| (n.place.switch, n.cost)).collect()
-    }
-
     /// What an entity asks, over its link or (`by_tool`) through the admin socket.
     pub fn entity_request(&mut self, entity: Option<&NameProof>, by_tool: bool, request: EntityRequest) -> Next {
         let (now, switch, own) = (self.now(), self.name(), self.identity.proof());
@@ -428,7 +436,12 @@ impl Core {
                     return refuse(RefusalCode::Unreachable, reason);
                 }
             }
-            Request::Entity(_) | Request::Fib(_) | Request::Peers(_) | Request::Ready | Request::Ratcheted { .. } => {
+            Request::Entity(_)
+            | Request::Fib(_)
+            | Request::Peers(_)
+            | Request::Ready
+            | Request::Flood { .. }
+            | Request::Ratcheted { .. } => {
                 let reason = "only the uplink of a switch may send it this; check uplink in the configuration of both";
                 return refuse(RefusalCode::Malformed, reason);
             }
@@ -444,13 +457,14 @@ impl Core {
             Request::Relay { switch, entity, by_tool, request } => {
                 return ask(rib, now, switch, entity.as_ref(), by_tool, &request);
             }
-            Request::Report { switch, neighbours, attached, own_bit } => {
-                rib.report(now, &switch, &neighbours, attached.as_deref(), own_bit)
-            }
+            Request::Report { switch, attached, own_bit } => rib.report(now, &switch, &attached, own_bit),
             Request::Detach { switch, entity } => rib.detach(now, &switch, &entity),
-            Request::Entity(_) | Request::Fib(_) | Request::Peers(_) | Request::Ready | Request::Ratcheted { .. } => {
-                Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into()
-            }
+            Request::Entity(_)
+            | Request::Fib(_)
+            | Request::Peers(_)
+            | Request::Ready
+            | Request::Flood { .. }
+            | Request::Ratcheted { .. } => Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into(),
         })
     }
 
@@ -585,7 +599,7 @@ impl Core {
     }
 
     /// Carries changes out in the data planes. Routes that find no room are kept, and placed when there is some.
-    fn carry_out(&mut self, changes: Vec<Change>) {
+    pub(super) fn carry_out(&mut self, changes: Vec<Change>) {
         for change in changes {
             let result = match change {
                 Change::OwnBit(bit) => self.planes.set_own_bit(bit),
@@ -653,6 +667,11 @@ impl Core {
 
 fn unix_now() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs()
+}
+
+fn unix_nanos() -> u64 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// Puts an entity's request to the RIB.

@@ -1,7 +1,7 @@
 //! What the kernel says over netlink: interfaces with their addresses, stations it has resolved, and when any of it changes.
 //! Only asks; sets nothing.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::net::IpAddr;
 
 use futures::{Stream, StreamExt, TryStreamExt};
@@ -47,6 +47,21 @@ pub fn changes() -> std::io::Result<impl Stream<Item = ()> + Unpin> {
     tokio::spawn(connection);
     // The connection ends with its last handle.
     Ok(messages.map(move |_| drop(handle.clone())))
+}
+
+/// The indices of those that are down, or whose cable is out.
+pub async fn without_carrier() -> Result<BTreeSet<u32>, rtnetlink::Error> {
+    let (connection, handle, _) =
+        rtnetlink::new_connection().map_err(|error| rtnetlink::Error::NamespaceError(error.to_string()))?;
+    let task = tokio::spawn(connection);
+    let working = LinkFlags::Up | LinkFlags::LowerUp;
+    let dark =
+        handle.link().get().execute().try_filter_map(async |message| {
+            Ok((!message.header.flags.contains(working)).then_some(message.header.index))
+        });
+    let result = dark.try_collect().await;
+    task.abort();
+    result
 }
 
 async fn ask(handle: &Handle) -> Result<Vec<InterfaceInfo>, rtnetlink::Error> {

@@ -9,7 +9,7 @@ use gdp_wire::Name;
 use tokio::time::timeout;
 
 use super::core::{Expects, Next, Statement};
-use super::{Daemon, Place, liveness};
+use super::{Daemon, Place, flooding, liveness};
 use crate::config::Via;
 
 /// How long an accepted statement waits for switches to take their routes.
@@ -44,6 +44,7 @@ pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     daemon.spawn(keep_keys(daemon.clone(), link.clone()));
     if switch {
         daemon.topology_changed();
+        daemon.report.notify_one();
         daemon.spawn(say_ready(link.clone()));
         daemon.spawn(serve_switch(daemon.clone(), link));
     } else {
@@ -164,11 +165,15 @@ async fn serve_switch(daemon: Arc<Daemon>, link: Link) {
 }
 
 async fn switch_request(daemon: &Arc<Daemon>, link: &Link, request: Request) -> Response {
+    if let Request::Flood { states } = request {
+        return flooding::take(daemon, link, states);
+    }
     let told_to_report = matches!(&request, Request::Detach { switch, entity } if switch == entity);
     let (next, own) = {
         let mut core = daemon.core();
         (core.switch_request(link, request), core.uplink == Some(link.peer().name) && !core.uplink_ready)
     };
+    daemon.notice_bit();
     if told_to_report && own {
         daemon.report_in_full();
     }
@@ -209,6 +214,17 @@ fn reattached(daemon: &Daemon, link: &Link, response: Option<Response>) {
 }
 
 impl Daemon {
+    /// A push may have brought this switch another egress bit, which it is to state.
+    fn notice_bit(&self) {
+        let changed = {
+            let core = self.core();
+            core.routes.own_bit() != core.topology.bit()
+        };
+        if changed {
+            self.topology_changed();
+        }
+    }
+
     /// Does what a request needs before it can be answered, and what follows from it.
     pub(super) async fn complete(self: &Arc<Self>, next: Next) -> Response {
         self.send_effects();
@@ -269,6 +285,7 @@ impl Daemon {
 
     pub(super) fn dispatch_effects(self: &Arc<Self>) {
         let outgoing = self.core().rib_effects();
+        self.notice_bit();
         self.answered.notify_waiters();
         for message in outgoing {
             let daemon = self.clone();

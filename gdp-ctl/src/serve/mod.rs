@@ -4,6 +4,7 @@
 pub mod admin;
 pub mod core;
 mod ends;
+mod flooding;
 mod hold;
 pub mod interfaces;
 mod kept;
@@ -36,7 +37,7 @@ use crate::folders;
 use crate::plane::host_pair;
 use crate::plane::{PinPlace, PlaneConfig, PlaneError, Planes, Wanted};
 
-/// How often the addresses of peers are looked at, because QUIC moves without saying so; and links that are held.
+/// How often the addresses of peers are looked at, because QUIC moves without saying so; how far they are; and links that are held.
 const FOLLOW: Duration = Duration::from_millis(500);
 
 /// Why a daemon does not start.
@@ -70,6 +71,7 @@ pub struct Daemon {
     /// Makes the links of one entity take turns in what they tell the RIB.
     turns: Mutex<HashMap<Place, Arc<tokio::sync::Mutex<()>>>>,
     report: Notify,
+    topology: Notify,
     rib_changed: Notify,
     /// Switches have answered the RIB here.
     answered: Notify,
@@ -124,6 +126,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         ports: Mutex::default(),
         turns: Mutex::default(),
         report: Notify::new(),
+        topology: Notify::new(),
         rib_changed: Notify::new(),
         answered: Notify::new(),
         stopping: AtomicBool::new(false),
@@ -161,9 +164,11 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind, changes.clone()));
     }
     daemon.spawn(uplink::report(daemon.clone()));
+    daemon.spawn(flooding::run(daemon.clone()));
+    daemon.spawn(flooding::watch_carrier(daemon.clone(), changes));
     daemon.spawn(uplink::rib_clock(daemon.clone()));
     daemon.spawn(follow_addresses(daemon.clone()));
-    daemon.topology_changed();
+    daemon.report.notify_one();
     Ok(Running { daemon, udp: udp.map(|(_, port)| port), admin })
 }
 
@@ -226,9 +231,9 @@ impl Daemon {
         tasks.spawn(task);
     }
 
-    /// Neighbours came or went.
+    /// Neighbours came or went, cost something else, or say something new; or this switch has another egress bit.
     fn topology_changed(&self) {
-        self.report.notify_one();
+        self.topology.notify_one();
     }
 
     /// The RIB may hold less, or more, of this switch's endpoints than are here.
@@ -258,12 +263,14 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 async fn follow_addresses(daemon: Arc<Daemon>) {
     loop {
         tokio::time::sleep(FOLLOW).await;
-        let (lost, neighbours_lost) = {
+        let (lost, neighbours_changed) = {
             let mut core = daemon.core();
             core.follow_addresses();
-            core.end_hold(std::time::Instant::now())
+            let cost_changed = core.measure();
+            let (lost, neighbours_lost) = core.end_hold(std::time::Instant::now());
+            (lost, neighbours_lost || cost_changed)
         };
-        if neighbours_lost {
+        if neighbours_changed {
             daemon.topology_changed();
         }
         for entity in lost {

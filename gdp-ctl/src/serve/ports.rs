@@ -159,7 +159,7 @@ fn refresh(daemon: &Daemon) {
 }
 
 /// Waits for a change of interfaces, but not for long.
-async fn look(changes: &mut watch::Receiver<()>) {
+pub async fn look(changes: &mut watch::Receiver<()>) {
     if let Ok(Err(_)) = timeout(LOOK, changes.changed()).await {
         sleep(LOOK).await;
     }

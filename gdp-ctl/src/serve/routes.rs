@@ -1,8 +1,9 @@
-//! What this switch's FIB says, in names, and what that means in links: pushes from the RIB and links coming and going go
-//! in, changes of the data plane's tables come out. Sans-IO.
+//! What this switch's FIB says, in names, and what that means in links: pushes from the RIB, paths from the topology, and links
+//! coming and going go in, changes of the data plane's tables come out. Sans-IO.
 //!
 //! There are two layers. What the RIB has said since it started is known. What an earlier daemon left, or the RIB before this one
-//! said, is held: it counts besides, until the RIB takes it back or says that it knows all there is to know.
+//! said, is held: it counts besides, until the RIB takes it back or says that it knows all there is to know. Of paths, those are
+//! known that the topology has, and those held by which an earlier daemon forwarded.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -13,6 +14,7 @@ use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE};
 
 use super::ends::Ends;
 use crate::plane::{Left, PlaneRoute};
+use crate::topology::Paths;
 
 /// One change of the data plane's tables. To be carried out in order.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -41,6 +43,8 @@ pub struct OutOfStep {
 #[derive(Debug, Default)]
 pub struct Routes {
     own_bit: Option<u8>,
+    /// Another switch has the same one, and had it before.
+    bit_is_lost: bool,
     known: Layer,
     held: Layer,
     /// Of the RIB that said what is known.
@@ -110,7 +114,7 @@ impl Routes {
             self.hold_what_is_known();
             self.run = Some(push.run);
         }
-        let mut changes = self.set_paths(push);
+        let mut changes = self.set_own_bit(push.own_bit % EGRESS_SET_SIZE as u8);
         self.generation = push.generation;
         if let Extent::Full { part: 0, .. } = push.extent {
             self.sweep = Some((self.known.routes.keys().copied().collect(), 0));
@@ -247,15 +251,13 @@ impl Routes {
 
     /// The RIB is another one than before, and begins with nothing.
     fn hold_what_is_known(&mut self) {
-        self.held.reach = self.reach();
-        self.known.reach.clear();
         for (name, way) in std::mem::take(&mut self.known.routes) {
             let joint = join(Some(&way), self.held.routes.get(&name));
             self.held.routes.extend(joint.map(|joint| (name, joint)));
         }
     }
 
-    /// Egress bits by neighbour; where the RIB knows no path, the one that is held.
+    /// Egress bits by neighbour; where the topology knows no path, the one that is held.
     fn reach(&self) -> BTreeMap<Name, u64> {
         let mut reach = self.known.reach.clone();
         let known = reach.values().fold(0, |all, bits| all | bits);
@@ -266,24 +268,46 @@ impl Routes {
         reach
     }
 
-    fn set_paths(&mut self, push: &FibPush) -> Vec<Change> {
-        let mut changes = Vec::new();
-        let own_bit = push.own_bit % EGRESS_SET_SIZE as u8;
-        if self.own_bit != Some(own_bit) {
-            self.own_bit = Some(own_bit);
-            changes.push(Change::OwnBit(1 << own_bit));
-        }
-        let before = self.reach();
-        self.known.reach = push.reach.iter().copied().collect();
-        if !push.settling {
-            self.held.reach.clear();
-        }
-        let reach = self.reach();
-        if reach != before {
-            let (used, unused) = self.reach_of(&reach, self.switches.iter());
-            changes.extend(used.into_iter().chain([self.next_hops(&reach)]).chain(unused));
-        }
+    fn set_own_bit(&mut self, bit: u8) -> Vec<Change> {
+        let before = self.own_mask();
+        self.own_bit = Some(bit);
+        self.own_mask_after(before)
+    }
+
+    /// The bit as it stands in frames for this switch; 0: none does.
+    fn own_mask(&self) -> u64 {
+        self.own_bit.filter(|_| !self.bit_is_lost).map_or(0, |bit| 1 << bit)
+    }
+
+    fn own_mask_after(&self, before: u64) -> Vec<Change> {
+        let mask = self.own_mask();
+        (mask != before).then_some(Change::OwnBit(mask)).into_iter().collect()
+    }
+
+    /// The topology knows these paths now.
+    pub fn set_paths(&mut self, paths: &Paths, own: &Name) -> Vec<Change> {
+        let (mask, before) = (self.own_mask(), self.reach());
+        self.bit_is_lost = self.own_bit.and_then(|bit| paths.bits.get(&bit)).is_some_and(|has| has != own);
+        self.known.reach = paths.reach.clone();
+        let mut changes = self.own_mask_after(mask);
+        changes.extend(self.reach_after(&before));
         changes
+    }
+
+    /// From now on only those paths count that the topology knows.
+    pub fn end_held_paths(&mut self) -> Vec<Change> {
+        let before = self.reach();
+        self.held.reach.clear();
+        self.reach_after(&before)
+    }
+
+    fn reach_after(&self, before: &BTreeMap<Name, u64>) -> Vec<Change> {
+        let reach = self.reach();
+        if reach == *before {
+            return Vec::new();
+        }
+        let (used, unused) = self.reach_of(&reach, self.switches.iter());
+        used.into_iter().chain([self.next_hops(&reach)]).chain(unused).collect()
     }
 
     /// What follows from other links to a peer.

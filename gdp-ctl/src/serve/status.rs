@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use gdp::cert::LinkState;
 use gdp::control::RecordPlace;
 use gdp::link::Role;
 use gdp_wire::{Counter, ErrorCode, FibEntry, Name};
@@ -67,6 +68,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "counters_by_plane": by_plane,
         "busiest": busiest.iter().map(|(name, frames)| json!({"name": name, "frames": frames})).collect::<Vec<_>>(),
         "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
+        "topology": {"switches": core.topology.states().count(), "reached": core.topology.paths().costs.len()},
         "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
         "uplink": core.uplink.map(|switch| json!({
             "switch": switch, "connected": core.link_to(&switch).is_some(), "ready": core.uplink_ready,
@@ -79,6 +81,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
 pub fn links(core: &Core) -> Vec<Value> {
     let mut links: Vec<_> = core.links.values().collect();
     links.sort_by_key(|state| state.link.local_id());
+    let costs: BTreeMap<Name, u32> = core.adjacencies().into_iter().collect();
     links
         .into_iter()
         .map(|state| {
@@ -93,6 +96,7 @@ pub fn links(core: &Core) -> Vec<Value> {
                 "id": link.local_id(),
                 "mtu": link.mtu(),
                 "key_generations": {"rx": rx_keys, "tx": tx_keys},
+                "cost": costs.get(&peer.name),
                 "rtt_us": link.rtt().as_micros() as u64,
                 "age_s": state.since.elapsed().as_secs(),
                 "errors_received": errors_received(core, link.local_id()),
@@ -132,6 +136,36 @@ fn arrivals(core: &Core, link: u32) -> Value {
         }
         Err(error) => error.to_string().into(),
     }
+}
+
+/// `gdp-ctl topology`: all that this switch knows of the domain's switches, and how it gets there.
+pub fn topology(daemon: &Daemon) -> Value {
+    let core = daemon.core();
+    let paths = core.topology.paths();
+    let switches: Vec<Value> = core
+        .topology
+        .states()
+        .map(|state| {
+            let switch = &state.switch;
+            let bit = paths.bit(switch);
+            let next = bit.map(|bit| core.routes.neighbours_toward(1 << bit)).and_then(|next| next.first().copied());
+            json!({
+                "switch": switch,
+                "bit": bit,
+                "cost": paths.costs.get(switch),
+                "next": next,
+                "run": state.run,
+                "number": state.number,
+                "neighbours": neighbours(state),
+            })
+        })
+        .collect();
+    json!({"own": core.name(), "switches": switches})
+}
+
+/// What a switch states of its neighbours.
+fn neighbours(state: &LinkState) -> Vec<Value> {
+    state.neighbours.iter().map(|(switch, cost)| json!({"switch": switch, "cost": cost})).collect()
 }
 
 fn role(role: Role) -> &'static str {
@@ -203,8 +237,9 @@ pub fn rib(daemon: &Daemon, after: Option<RecordPlace>, limit: usize) -> Result<
     let (records, more) = rib.records(core.now(), after, limit);
     let switches: Vec<Value> = rib
         .switches()
-        .map(|(name, bit, neighbours, attached)| {
-            let neighbours: Vec<_> = neighbours.iter().map(|(n, cost)| json!({"switch": n, "cost": cost})).collect();
+        .map(|(name, bit, attached)| {
+            let stated = core.topology.states().find(|state| state.switch == name);
+            let neighbours = stated.map_or_else(Vec::new, neighbours);
             json!({"switch": name, "bit": bit, "neighbours": neighbours, "attached": attached})
         })
         .collect();

@@ -1,5 +1,5 @@
-//! Tells the RIB which neighbours this switch has: at once when that changes, and in full (with all attached entities) over
-//! every new uplink. Keeps the RIB's clock, if the RIB is here.
+//! Tells the RIB over every new uplink that this switch is there, and who is attached to it. Keeps the RIB's clock, if the RIB is
+//! here.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -33,16 +33,15 @@ pub async fn report(daemon: Arc<Daemon>) {
 
 /// Whether there is nothing left to report for now.
 async fn report_once(daemon: &Arc<Daemon>) -> bool {
-    let (uplink, request, full) = {
+    let (uplink, request) = {
         let mut core = daemon.core();
-        let neighbours = core.adjacencies();
-        let proof = core.identity.proof();
-        let now = core.now();
-        let own_bit = core.routes.own_bit();
-        let full = !core.uplink_ready;
-        let attached: Option<Vec<_>> = full.then(|| core.attached.iter().copied().collect());
+        if core.uplink_ready {
+            return true;
+        }
+        let (switch, now, own_bit) = (core.identity.proof(), core.now(), core.routes.own_bit());
+        let attached: Vec<_> = core.attached.iter().copied().collect();
         if let Some(rib) = &mut core.rib {
-            if let Response::Refused(refusal) = rib.report(now, &proof, &neighbours, attached.as_deref(), own_bit) {
+            if let Response::Refused(refusal) = rib.report(now, &switch, &attached, own_bit) {
                 tracing::error!(%refusal, "the RIB does not take its own switch's report");
             }
             core.uplink_ready = true;
@@ -54,7 +53,7 @@ async fn report_once(daemon: &Arc<Daemon>) -> bool {
             // The next link will ask for a report again.
             return true;
         };
-        (uplink, Request::Report { switch: proof, neighbours, attached, own_bit }, full)
+        (uplink, Request::Report { switch, attached, own_bit })
     };
     match uplink.request(&request).await {
         Ok(Response::Refused(refusal)) => {
@@ -65,7 +64,7 @@ async fn report_once(daemon: &Arc<Daemon>) -> bool {
             tracing::debug!(%error, "the report to the RIB was not answered");
             uplink.close_reason().is_some()
         }
-        Ok(_) if full => {
+        Ok(_) => {
             let below = {
                 let mut core = daemon.core();
                 // Still the same link?
@@ -81,7 +80,6 @@ async fn report_once(daemon: &Arc<Daemon>) -> bool {
             }
             true
         }
-        Ok(_) => true,
     }
 }
 

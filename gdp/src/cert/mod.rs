@@ -1,5 +1,5 @@
-//! Certificates and statements: COSE_Sign1 / ES256 over deterministic CBOR (RFC 9052, RFC 8949 §4.2.1). [`owner`] and
-//! [`statements`] say what they state, [`Signed`] keeps and checks the exact bytes, [`issued`] the chain from a certificate
+//! Certificates and statements: COSE_Sign1 / ES256 over deterministic CBOR (RFC 9052, RFC 8949 §4.2.1). [`owner`],
+//! [`statements`] and [`link_state`] say what they state, [`Signed`] keeps and checks the exact bytes, [`issued`] the chain from a certificate
 //! to the owner of its name. Who must have signed what for a request to be granted is checked in [`request`]. The RIB, and
 //! whoever receives its answers, call this.
 //!
@@ -9,6 +9,7 @@
 
 mod claims;
 mod issued;
+mod link_state;
 mod owner;
 mod pem;
 mod request;
@@ -17,6 +18,7 @@ mod statements;
 
 pub use claims::{Claims, Validity};
 pub use issued::{Issued, MAX_CERT_FILE, Membership, Reading};
+pub use link_state::{LinkState, MAX_NEIGHBOURS};
 pub use owner::{
     AboutName, AdCert, Delegation, Grantee, MAX_REVOKED, MAX_ROLE, MAX_SCOPE, MemberCert, Mode, ReadGrant, Revocation,
 };

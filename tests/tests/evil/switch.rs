@@ -235,7 +235,7 @@ impl Inner {
     fn report(self: &Arc<Self>) {
         let state = &mut *self.state();
         let attached: Vec<Name> = state.links.values().map(|line| line.link.peer().name).collect();
-        state.rib.report(self.now(), &self.identity.proof(), &[], Some(&attached), None);
+        state.rib.report(self.now(), &self.identity.proof(), &attached, None);
         self.carry_out(state);
     }
 

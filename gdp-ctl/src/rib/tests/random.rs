@@ -40,7 +40,7 @@ fn pushes_bring_everything_to_its_desired_state_whatever_happens() {
         let mut w = World::chain(SWITCHES);
         w.loss = 4;
         w.links.extend(LOOSE);
-        (0..SWITCHES).for_each(|i| w.report(i, None));
+        w.rewire();
         let mut entities: Vec<Entity> = (0..ENTITIES)
             .map(|_| {
                 let at = random.below(SWITCHES);
@@ -78,8 +78,7 @@ fn pushes_bring_everything_to_its_desired_state_whatever_happens() {
                         Some(i) => drop(w.links.remove(i)),
                         None => w.links.push(toggled),
                     }
-                    w.report(toggled.0, None);
-                    w.report(toggled.1, None);
+                    w.rewire();
                 }
                 9 => {
                     let readers: Vec<Name> = names.into_iter().collect();
@@ -155,7 +154,7 @@ fn restart(w: &mut World, entities: &[Entity], id: u64) {
     w.rib = Rib::new(w.switch(0), Run { id, settling: Duration::ZERO }, Limits::default());
     (0..SWITCHES).for_each(|i| {
         let here: Vec<Name> = entities.iter().filter(|e| e.is_at(i)).map(|e| e.identity.name()).collect();
-        w.report(i, Some(&here));
+        w.report(i, &here);
     });
     let mut told: Vec<(Name, Name)> = w.detaches();
     let places = (0..SWITCHES).flat_map(|i| entities.iter().filter(move |e| e.is_at(i)).map(move |e| (i, e)));
@@ -168,6 +167,6 @@ fn restart(w: &mut World, entities: &[Entity], id: u64) {
         also.map(|at| w.attach_lane(identity, 1, at));
     }
     (0..SWITCHES).for_each(|i| {
-        w.report(i, Some(&entities.iter().filter(|e| e.is_at(i)).map(|e| e.identity.name()).collect::<Vec<_>>()))
+        w.report(i, &entities.iter().filter(|e| e.is_at(i)).map(|e| e.identity.name()).collect::<Vec<_>>())
     });
 }

@@ -4,7 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use gdp::NameCard;
-use gdp::cert::{AdCert, Advert, AdvertOp, CertError, Grantee, Mode, ReadGrant, Revocation, RtCert, Signed, issue};
+use gdp::cert::{
+    AdCert, Advert, AdvertOp, CertError, Grantee, LinkState, Mode, ReadGrant, Revocation, RtCert, Signed, issue,
+};
 use gdp::control;
 use gdp::control::{
     EntityRequest, Extent, FibPush, NameRole, Peers, PeersPush, Record, RefusalCode, Request, Response, Route,
@@ -17,6 +19,7 @@ use gdp::peers::{Counterparts, PeerEvent};
 use crate::rib::fib::Pushed;
 use crate::rib::telling::Stake;
 use crate::rib::{Effect, Limits, Now, Rib, Run, Told};
+use crate::topology::Paths;
 
 pub const UNIX: u64 = 1_800_000_000;
 const HOUR: u32 = 3600;
@@ -46,7 +49,6 @@ pub struct World {
 #[derive(Default)]
 pub struct Held {
     pub own_bit: u8,
-    pub reach: Vec<(Name, u64)>,
     pub routes: BTreeMap<Name, Route>,
 }
 
@@ -78,7 +80,7 @@ impl World {
             random: Random(3),
             given: BTreeSet::new(),
         };
-        (0..length).for_each(|i| world.report(i, Some(&[])));
+        (0..length).for_each(|i| world.report(i, &[]));
         world
     }
 
@@ -86,15 +88,41 @@ impl World {
         self.switches[index].name()
     }
 
-    pub fn report(&mut self, index: usize, attached: Option<&[Name]>) {
-        let near = self.links.iter().filter_map(|(a, b)| match index {
-            i if i == *a => Some((self.switch(*b), 1)),
-            i if i == *b => Some((self.switch(*a), 1)),
-            _ => None,
-        });
-        let near: Vec<_> = near.collect();
-        let response = self.rib.report(self.now, &self.switches[index].proof(), &near, attached, None);
+    pub fn report(&mut self, index: usize, attached: &[Name]) {
+        let response = self.rib.report(self.now, &self.switches[index].proof(), attached, None);
         assert!(matches!(response, Response::Done), "{response:?}");
+        self.rewire();
+    }
+
+    /// The links are now others, or the bits of switches.
+    pub fn rewire(&mut self) {
+        self.rib.set_paths(self.now, self.paths(0));
+    }
+
+    fn connected(&self, from: &Name, to: &Name) -> bool {
+        let index = self.switches.iter().position(|switch| switch.name() == *from).unwrap();
+        self.paths(index).reaches(to)
+    }
+
+    /// The paths from a switch, once all know all.
+    fn paths(&self, from: usize) -> Paths {
+        let near = |index: usize| {
+            let of = self.links.iter().filter_map(move |(a, b)| match index {
+                i if i == *a => Some((self.switch(*b), 1)),
+                i if i == *b => Some((self.switch(*a), 1)),
+                _ => None,
+            });
+            of.collect::<BTreeMap<_, _>>().into_iter().collect()
+        };
+        let states = (0..self.switches.len()).map(|i| LinkState {
+            switch: self.switch(i),
+            run: 1,
+            number: 1,
+            bit: self.rib.bit(&self.switch(i)),
+            neighbours: near(i),
+            lifetime: 60,
+        });
+        Paths::compute(self.switch(from), states.collect::<Vec<_>>().iter())
     }
 
     pub fn ask(&mut self, entity: &Identity, at: usize, request: EntityRequest) -> Response {
@@ -381,7 +409,7 @@ impl World {
             if matches!(push.extent, Extent::Full { part: 0, .. }) {
                 held.routes.clear();
             }
-            (held.own_bit, held.reach) = (push.own_bit, push.reach);
+            held.own_bit = push.own_bit;
             held.routes.extend(push.set.iter().map(|r| (r.name, r.clone())));
             held.routes.retain(|name, _| !push.remove.contains(name));
             self.rib.pushed(self.now, &push.switch, push.generation, Pushed::Done);
@@ -455,7 +483,7 @@ impl World {
         for sender in &records {
             let role = sender.role().unwrap();
             let others = records.iter().filter(|r| r.name == sender.name && r.role().unwrap() == role.counterpart());
-            let reached = others.filter(|r| self.rib.topology.connected(&sender.switch, &r.switch));
+            let reached = others.filter(|r| self.connected(&sender.switch, &r.switch));
             let reached: Vec<_> = reached.collect();
             let expected: BTreeSet<_> = reached.iter().map(|r| (r.switch, name(r))).collect();
             if role.sends() {
@@ -517,7 +545,9 @@ impl World {
                 if bits & 1 << held.own_bit != 0 {
                     delivered.extend(held.routes[&name].locals.iter().map(|reader| (at, *reader)));
                 }
-                let onward = held.reach.iter().map(|(next, reach)| (*next, bits & reach & !(1 << held.own_bit)));
+                let index = self.switches.iter().position(|switch| switch.name() == at).unwrap();
+                let reach = self.paths(index).reach.into_iter();
+                let onward = reach.map(|(next, reach)| (next, bits & reach & !(1 << held.own_bit)));
                 copies.extend(onward.filter(|(_, bits)| *bits != 0));
             }
         }

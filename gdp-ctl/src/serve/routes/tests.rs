@@ -21,6 +21,7 @@ fn names_become_links_and_follow_them() {
     assert_eq!(gone(&mut r, Role::Endpoint, name(7), 70), [set(1, 0, &[71], &[])], "the old link no longer matters");
     assert_eq!(gone(&mut r, Role::Endpoint, name(7), 71), [Change::Remove(name(1))]);
 
+    assert_eq!(hops(&r.set_paths(&paths(), &name(0))[0])[..4], [0; 4], "there is no link");
     let changes = r.link_up(Role::Switch, name(9), 0, 90);
     assert_eq!(changes[0], Change::Reach { link: 90, bits: 0b101 });
     assert_eq!(hops(&changes[1])[..4], [90, 0, 90, 0]);
@@ -122,14 +123,14 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
     assert_eq!(hops(&changes[1])[..3], [91, 0, 91]);
     assert_eq!(changes[2], Change::Reach { link: 90, bits: 0 });
 
-    // A new RIB does not know them yet, nor the paths.
+    // A new RIB does not know them yet.
     let mut first = push(1, Extent::Full { part: 0, last: true }, vec![route(1, 2, &[6])]);
-    (first.settling, first.reach) = (true, vec![]);
+    first.settling = true;
     let same = set(1, 6, &[70], &[80, 81]);
     assert_eq!(r.push(&first).unwrap(), [same], "it adds an endpoint that has no link yet");
     assert_eq!(r.link_up(Role::Endpoint, name(6), 0, 65), [set(1, 6, &[65, 70], &[80, 81])]);
     let mut taken_back = push(2, Extent::Delta, vec![]);
-    (taken_back.settling, taken_back.reach, taken_back.remove) = (true, vec![], vec![name(2)]);
+    (taken_back.settling, taken_back.remove) = (true, vec![name(2)]);
     assert_eq!(r.push(&taken_back).unwrap(), [Change::Remove(name(2))]);
 
     // Now it knows all there is.
@@ -161,9 +162,8 @@ fn in_the_end_nobody_writes_who_is_not_known_to() {
 fn another_rib_sweeps_nothing_before_it_has_settled() {
     let mut r = Routes::default();
     r.push(&push(7, Extent::Full { part: 0, last: true }, vec![route(1, 1, &[]), route(2, 1, &[])])).unwrap();
-    r.link_up(Role::Switch, name(9), 0, 90);
     let by = |mut push: FibPush, settling| {
-        (push.run, push.settling, push.reach) = (2, settling, vec![]);
+        (push.run, push.settling) = (2, settling);
         push
     };
     assert!(r.push(&by(push(8, Extent::Delta, vec![]), true)).is_err(), "it does not know what the switch holds");
@@ -173,11 +173,42 @@ fn another_rib_sweeps_nothing_before_it_has_settled() {
     assert_eq!(r.push(&by(whole(3, vec![route(1, 2, &[])]), true)).unwrap(), [], "nor the next time");
     assert_eq!(r.push(&by(whole(4, vec![]), true)).unwrap(), [set(1, 1, &[], &[])], "but what it said itself");
     let changes = r.push(&by(whole(5, vec![route(1, 2, &[])]), false)).unwrap();
-    assert_eq!(changes[0], Change::Reach { link: 90, bits: 0 }, "then paths count as it says as well");
     // What each name goes through is in order; the names are not.
-    let (of_two, of_one) =
-        changes[2..].iter().cloned().partition::<Vec<_>, _>(|change| *change == Change::Remove(name(2)));
+    let (of_two, of_one) = changes.into_iter().partition::<Vec<_>, _>(|change| *change == Change::Remove(name(2)));
     assert_eq!((of_one, of_two.len()), (vec![set(1, 3, &[], &[]), set(1, 2, &[], &[])], 1));
+}
+
+/// The neighbour 9 that an earlier daemon sent bits 0 and 2 to, and another one.
+#[test]
+fn held_paths_count_where_the_topology_knows_none() {
+    let mut r = Routes::default();
+    let mut next_hops = [0; 64];
+    (next_hops[0], next_hops[2]) = (90, 90);
+    let link = LinkEntry { id: 90, peer: name(9), ..LinkEntry::default() };
+    let left = Left { own_bit: 2, links: vec![], routes: vec![], next_hops, ports: HashSet::new() };
+    r.adopt(&left, &[(link.into(), Role::Switch)]);
+    r.link_up(Role::Switch, name(8), 0, 80);
+    let way = |neighbour, bits| Paths { reach: [(name(neighbour), bits)].into(), ..Paths::default() };
+    let changes = r.set_paths(&way(8, 0b1100), &name(0));
+    let next = changes.iter().find(|change| matches!(change, Change::NextHops(_))).unwrap();
+    assert_eq!(hops(next)[..4], [90, 0, 80, 80]);
+    assert!(changes.contains(&Change::Reach { link: 90, bits: 1 }));
+    assert!(changes.contains(&Change::Reach { link: 80, bits: 0b1100 }));
+    let changes = r.end_held_paths();
+    assert!(changes.contains(&Change::Reach { link: 90, bits: 0 }));
+    assert_eq!(r.end_held_paths(), []);
+}
+
+#[test]
+fn a_bit_that_another_switch_had_before_is_not_taken() {
+    let mut r = Routes::default();
+    r.push(&push(1, Extent::Full { part: 0, last: true }, vec![])).unwrap();
+    let of = |switch| Paths { bits: [(1, name(switch))].into(), ..Paths::default() };
+    assert_eq!(r.set_paths(&of(0), &name(0)), []);
+    assert_eq!(r.set_paths(&of(9), &name(0)), [Change::OwnBit(0)]);
+    let another = FibPush { own_bit: 7, ..push(2, Extent::Delta, vec![]) };
+    assert_eq!(r.push(&another).unwrap(), [], "not before the topology has it");
+    assert_eq!(r.set_paths(&of(9), &name(0)), [Change::OwnBit(1 << 7)]);
 }
 
 /// Random pushes by a RIB that follows the rules, links and restarts of RIBs: what the data plane was told equals a model's.
@@ -294,17 +325,12 @@ fn gone(r: &mut Routes, role: Role, peer: Name, link: u32) -> Vec<Change> {
 }
 
 fn push(generation: u64, extent: Extent, set: Vec<Route>) -> FibPush {
-    FibPush {
-        switch: name(0),
-        run: 1,
-        settling: false,
-        generation,
-        extent,
-        own_bit: 1,
-        reach: vec![(name(9), 0b101)],
-        set,
-        remove: vec![],
-    }
+    FibPush { switch: name(0), run: 1, settling: false, generation, extent, own_bit: 1, set, remove: vec![] }
+}
+
+/// The neighbour 9 leads to switches 0 and 2.
+fn paths() -> Paths {
+    Paths { reach: [(name(9), 0b101)].into(), ..Paths::default() }
 }
 
 fn route(i: u8, egress_bits: u64, locals: &[u8]) -> Route {

@@ -1,0 +1,149 @@
+//! Shortest paths from one switch to all others, as masks: which egress bits lie behind which of its neighbours. Pure:
+//! statements in, masks out.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use gdp::cert::LinkState;
+use gdp_wire::Name;
+use petgraph::algo::dijkstra;
+use petgraph::graphmap::UnGraphMap;
+
+/// Switches, and the adjacencies that both ends state, with the larger of the two costs.
+type Graph = UnGraphMap<Name, u64>;
+
+/// What follows for one switch from what all state.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Paths {
+    /// Egress bits by neighbour. No bit is behind two of them, and none is the switch's own.
+    pub reach: BTreeMap<Name, u64>,
+    /// The switches there is a path to, this one among them, and what the path costs.
+    pub costs: BTreeMap<Name, u64>,
+    /// Whose each egress bit is: if two switches state the same, that of the one that has run longest counts.
+    pub bits: BTreeMap<u8, Name>,
+}
+
+impl Paths {
+    pub fn compute<'a>(own: Name, states: impl Iterator<Item = &'a LinkState>) -> Self {
+        let states: BTreeMap<Name, &LinkState> = states.map(|state| (state.switch, state)).collect();
+        let graph = graph(&states);
+        let costs = costs_from(&graph, own);
+        let bits = bits(states.values().filter(|state| costs.contains_key(&state.switch)));
+        let onward: Vec<_> = graph.edges(own).map(|(_, via, cost)| (via, *cost, costs_from(&graph, via))).collect();
+        let mut reach = BTreeMap::<Name, u64>::new();
+        for (bit, switch) in bits.iter().filter(|(_, switch)| **switch != own) {
+            // Every hop is strictly nearer to the switch, so paths have no loops whichever tie wins.
+            let ways = onward.iter().filter_map(|(via, cost, costs)| Some((costs.get(switch)? + cost, *via)));
+            if let Some((_, via)) = ways.min() {
+                *reach.entry(via).or_default() |= 1 << bit;
+            }
+        }
+        Self { reach, costs, bits }
+    }
+
+    /// Whether there is a path to a switch.
+    pub fn reaches(&self, switch: &Name) -> bool {
+        self.costs.contains_key(switch)
+    }
+
+    /// The egress bit that counts for a switch.
+    pub fn bit(&self, switch: &Name) -> Option<u8> {
+        self.bits.iter().find(|(_, of)| *of == switch).map(|(bit, _)| *bit)
+    }
+}
+
+fn costs_from(graph: &Graph, switch: Name) -> BTreeMap<Name, u64> {
+    dijkstra(graph, switch, None, |(_, _, cost)| *cost).into_iter().collect()
+}
+
+fn bits<'a>(states: impl Iterator<Item = &'a &'a LinkState>) -> BTreeMap<u8, Name> {
+    let claims: BTreeSet<(u8, u64, Name)> =
+        states.filter_map(|state| Some((state.bit?, state.run, state.switch))).collect();
+    let mut bits = BTreeMap::new();
+    for (bit, _, switch) in claims {
+        bits.entry(bit).or_insert(switch);
+    }
+    bits
+}
+
+fn graph(states: &BTreeMap<Name, &LinkState>) -> Graph {
+    let mut graph = Graph::new();
+    for (name, state) in states {
+        graph.add_node(*name);
+        for (neighbour, cost) in &state.neighbours {
+            let back = states.get(neighbour).and_then(|other| cost_to(other, name));
+            if let Some(back) = back {
+                graph.add_edge(*name, *neighbour, u64::from((*cost).max(back)));
+            }
+        }
+    }
+    graph
+}
+
+fn cost_to(state: &LinkState, neighbour: &Name) -> Option<u32> {
+    let at = state.neighbours.binary_search_by(|(name, _)| name.cmp(neighbour)).ok()?;
+    Some(state.neighbours[at].1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_chain_leads_through_its_middle() {
+        let states = [state(1, 7, &[(2, 1)]), state(2, 8, &[(1, 1), (3, 1)]), state(3, 9, &[(2, 1)])];
+        assert_eq!(reach(1, &states), [(2, 1 << 8 | 1 << 9)]);
+        assert_eq!(reach(2, &states), [(1, 1 << 7), (3, 1 << 9)]);
+        let paths = Paths::compute(name(1), states.iter());
+        assert_eq!((paths.costs[&name(3)], paths.bit(&name(3)), paths.bit(&name(1))), (2, Some(9), Some(7)));
+    }
+
+    #[test]
+    fn an_adjacency_counts_only_if_both_ends_state_it() {
+        let one_sided = [state(1, 1, &[(2, 1)]), state(2, 2, &[])];
+        assert_eq!(reach(1, &one_sided), []);
+        assert!(!Paths::compute(name(1), one_sided.iter()).reaches(&name(2)));
+        assert_eq!(reach(1, &[state(1, 1, &[(2, 1)])]), [], "nor one to somebody who says nothing");
+    }
+
+    #[test]
+    fn the_cheaper_way_wins_and_switches_without_a_bit_pass_on() {
+        // 1 –(1)– 2 –(1)– 3, and 1 –(5)– 3, of which one end says 2; 4 hangs on 1.
+        let mut states = vec![
+            state(1, 1, &[(2, 1), (3, 5), (4, 1)]),
+            state(2, 2, &[(1, 1), (3, 1)]),
+            state(3, 3, &[(1, 2), (2, 1)]),
+            state(4, 4, &[(1, 1)]),
+        ];
+        assert_eq!(reach(1, &states), [(2, 1 << 2 | 1 << 3), (4, 1 << 4)]);
+        states[1].bit = None;
+        assert_eq!(reach(1, &states), [(2, 1 << 3), (4, 1 << 4)]);
+        states[2].neighbours.pop();
+        assert_eq!(reach(1, &states), [(3, 1 << 3), (4, 1 << 4)]);
+        assert_eq!(reach(4, &states), [(1, 1 << 1 | 1 << 3)]);
+    }
+
+    #[test]
+    fn of_two_with_the_same_bit_the_one_that_ran_first_has_it() {
+        let mut states = [state(1, 1, &[(2, 1), (3, 1)]), state(2, 5, &[(1, 1)]), state(3, 5, &[(1, 1)])];
+        assert_eq!(reach(1, &states), [(2, 1 << 5)], "the lower name, if they ran as long");
+        states[1].run = 2;
+        assert_eq!(reach(1, &states), [(3, 1 << 5)]);
+        assert_eq!(reach(2, &states), [(1, 1 << 1 | 1 << 5)], "it has none of its own then");
+        states[2].neighbours.clear();
+        assert_eq!(reach(1, &states), [(2, 1 << 5)], "one that nobody reaches takes it from nobody");
+    }
+
+    fn reach(own: u8, states: &[LinkState]) -> Vec<(u8, u64)> {
+        let reach = Paths::compute(name(own), states.iter()).reach;
+        reach.into_iter().map(|(name, bits)| (name.as_bytes()[0], bits)).collect()
+    }
+
+    fn state(i: u8, bit: u8, neighbours: &[(u8, u32)]) -> LinkState {
+        let neighbours = neighbours.iter().map(|(n, cost)| (name(*n), *cost)).collect();
+        LinkState { switch: name(i), run: 1, number: 1, bit: Some(bit), neighbours, lifetime: 60 }
+    }
+
+    fn name(i: u8) -> Name {
+        Name::from_bytes([i; 32])
+    }
+}

@@ -1,0 +1,109 @@
+//! What a switch states of itself to all switches of its domain: its egress bit, and which switches it has links with.
+
+use super::{CertError, Claims, Validity};
+use crate::name::Name;
+use gdp_wire::table::EGRESS_SET_SIZE;
+use serde::{Deserialize, Serialize};
+
+/// Neighbours that one switch states, at most: with them the statement is still one certificate's size.
+pub const MAX_NEIGHBOURS: usize = 64;
+
+/// The longest that a statement may hold without being renewed, in seconds.
+pub const MAX_LIFETIME: u32 = 3600;
+
+/// A switch → the switches of its domain: these are my neighbours. Signed by its own key; the newest counts.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LinkState {
+    pub switch: Name,
+    /// Which run of the switch this is: higher after a restart.
+    pub run: u64,
+    /// Rises with every statement of the run.
+    pub number: u64,
+    /// Index (0 … 63) of its egress bit, once it has one.
+    pub bit: Option<u8>,
+    /// In the order of their names, with what a frame to each costs: 1 or more.
+    pub neighbours: Vec<(Name, u32)>,
+    /// Seconds from when it was stated, as far as that is known: on the clock of whoever holds it.
+    pub lifetime: u32,
+}
+
+impl LinkState {
+    /// Of two statements of a switch the one with the higher version is the newer.
+    pub fn version(&self) -> (u64, u64) {
+        (self.run, self.number)
+    }
+}
+
+impl Claims for LinkState {
+    const KIND: &'static str = "LinkState";
+    const LABEL: &'static str = "GDP LINK STATE";
+    const CONTEXT: &'static str = "application/vnd.gdp.link-state.v1+cbor";
+
+    fn validity(&self) -> Validity {
+        Validity::ALWAYS
+    }
+
+    fn check_bounds(&self) -> Result<(), CertError> {
+        let malformed = |what: String| Err(CertError::Malformed(what));
+        if self.neighbours.len() > MAX_NEIGHBOURS {
+            return malformed(format!("{} neighbours where at most {MAX_NEIGHBOURS} fit", self.neighbours.len()));
+        }
+        if !self.neighbours.is_sorted_by(|(a, _), (b, _)| a < b) {
+            return malformed("its neighbours are not in the order of their names".into());
+        }
+        if self.neighbours.iter().any(|(name, cost)| *cost == 0 || *name == self.switch) {
+            return malformed("a neighbour costs nothing, or is the switch itself".into());
+        }
+        if self.bit.is_some_and(|bit| u64::from(bit) >= EGRESS_SET_SIZE.into()) {
+            return malformed(format!("its egress bit is not below {EGRESS_SET_SIZE}"));
+        }
+        if !(1..=MAX_LIFETIME).contains(&self.lifetime) {
+            return malformed(format!("its lifetime is not between 1 and {MAX_LIFETIME} s"));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cert::{MAX_SIGNED, issue};
+    use crate::identity::SigningKey;
+
+    #[test]
+    fn the_largest_statement_is_a_certificate_and_what_is_out_of_bounds_is_none() {
+        let key = SigningKey::for_test(1);
+        let near = |i: usize| (Name::from_bytes([0xc0 + i as u8 % 64; 32]), u32::MAX);
+        let neighbours: Vec<_> = (0..MAX_NEIGHBOURS).map(near).collect();
+        let switch = Name::from_bytes([1; 32]);
+        let largest = LinkState {
+            switch,
+            run: u64::MAX,
+            number: u64::MAX,
+            bit: Some(63),
+            neighbours: neighbours.clone(),
+            lifetime: MAX_LIFETIME,
+        };
+        let signed = issue(&key, &largest).unwrap();
+        assert!(signed.as_bytes().len() <= MAX_SIGNED);
+        assert_eq!(signed.verify_signature(&key.verify_key()), Ok(largest.clone()));
+        let with = |change: &dyn Fn(&mut LinkState)| {
+            let mut claims = largest.clone();
+            change(&mut claims);
+            issue(&key, &claims).map(drop).unwrap_err().to_string()
+        };
+        for (error, needle) in [
+            (with(&|s| s.neighbours.push((Name::from_bytes([0xff; 32]), 1))), "65 neighbours"),
+            (with(&|s| s.neighbours.swap(0, 1)), "order"),
+            (with(&|s| s.neighbours[1] = s.neighbours[0]), "order"),
+            (with(&|s| s.neighbours[0].1 = 0), "costs nothing"),
+            (with(&|s| s.switch = s.neighbours[0].0), "the switch itself"),
+            (with(&|s| s.bit = Some(64)), "below 64"),
+            (with(&|s| s.lifetime = 0), "lifetime"),
+            (with(&|s| s.lifetime = MAX_LIFETIME + 1), "lifetime"),
+        ] {
+            assert!(error.contains(needle), "{error}");
+        }
+    }
+}
