@@ -149,7 +149,7 @@ impl Papers {
         let delegation = issue(&owner, &delegation).expect("a delegation");
         let home = Identity::generate("domain").expect("an identity");
         let (domain, role) = (home.name(), "operator".to_owned());
-        let member = MemberCert { domain, entity, role: role.clone(), not_before, not_after };
+        let member = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
         let grant = ReadGrant { name, to: Grantee::Role { domain, role }, serial, not_before, not_after };
         let grant = issue(robot.key(), &grant).expect("a grant");
         let advert = Advert { op: AdvertOp::Publish, name, entity, switch, serial, lifetime: 60, box_key };

@@ -145,7 +145,8 @@ async fn a_certificate_until_the_end_of_time_does_not_stop_the_clock() {
     let (_port, link) = papers.bare_link(&switch).await;
     let claims = RtCert { entity: papers.robot.name(), switch: switch.name(), not_after: u64::MAX };
     let rt_cert = issue(papers.robot.key(), &claims).unwrap();
-    let attached = link.request(&Request::Entity(EntityRequest::Attach { rt_cert, resumes: false, lane: 0 })).await.unwrap();
+    let attached =
+        link.request(&Request::Entity(EntityRequest::Attach { rt_cert, resumes: false, lane: 0 })).await.unwrap();
     assert!(matches!(attached, Response::Attached { .. }), "{attached:?}");
     // The RIB's clock now sleeps for ever, or until there is something nearer.
     let card = &papers.card;
@@ -159,7 +160,8 @@ async fn a_certificate_until_the_end_of_time_does_not_stop_the_clock() {
         box_key: papers.robot.box_public(),
     };
     let advert = issue(papers.robot.key(), &says).unwrap();
-    let request = EntityRequest::Advertise { proof: card.proof(), ad_cert: papers.ad_cert(), advert, everywhere: false };
+    let request =
+        EntityRequest::Advertise { proof: card.proof(), ad_cert: papers.ad_cert(), advert, everywhere: false };
     let done = link.request(&Request::Entity(request)).await.unwrap();
     assert!(matches!(done, Response::Peers(_)), "{done:?}");
     assert_eq!(switch.status().await["rib"]["names"], 1);

@@ -241,7 +241,10 @@ mod tests {
         );
         let config = parse(&text).unwrap();
         let [first, second] = &config.links[..] else { panic!("{:?}", config.links) };
-        assert_eq!((first.switch.unwrap().to_string(), first.to.to_string()), (name, "udp://127.0.0.1:31415%wlan0".into()));
+        assert_eq!(
+            (first.switch.unwrap().to_string(), first.to.to_string()),
+            (name, "udp://127.0.0.1:31415%wlan0".into())
+        );
         assert_eq!(LinkConfig::from(second).budget, Some(250_000));
         assert_eq!(config.domain_id.get(), 42);
         let topic = &config.topics[0];
@@ -271,11 +274,17 @@ mod tests {
             ("{identity: a.pem}", "links"),
             ("{identity: a.pem, links: []}", "links: 0 of them"),
             (&format!("{{identity: a.pem, links: [{}]}}", "{to: 'eth://r0'}, ".repeat(5)), "links: 5 of them"),
-            ("{identity: a.pem, links: [{to: 'eth://r0'}, {to: 'eth://r0'}]}", "links[1].to: eth://r0 is already links[0]"),
+            (
+                "{identity: a.pem, links: [{to: 'eth://r0'}, {to: 'eth://r0'}]}",
+                "links[1].to: eth://r0 is already links[0]",
+            ),
             (&MINIMAL.replace("links:", "lnks:"), "lnks"),
             (&MINIMAL.replace("to:", "via:"), "via"),
             (&MINIMAL.replace("to: 'eth://r0'", "to: 'eth://r0', budget: 0"), "nonzero"),
-            (&MINIMAL.replace("direction:", "duplicate: true, direction:"), "topics[0].duplicate: there is no second link"),
+            (
+                &MINIMAL.replace("direction:", "duplicate: true, direction:"),
+                "topics[0].duplicate: there is no second link",
+            ),
             (&MINIMAL.replace("direction:", "duplicate: twice, direction:"), "boolean"),
             (&MINIMAL.replace("eth://r0", "tcp://r0"), "is no link"),
             (&MINIMAL.replace("cert:", "certs:"), "certs"),

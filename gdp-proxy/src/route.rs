@@ -100,7 +100,10 @@ impl Route {
     ) -> Result<Infallible, RouteError> {
         let (mut reader, mut pause) = (None, RETRY.0);
         loop {
-            let error = match node.publish(card.proof(), cert.clone(), delivery::publish_options(&self.qos, self.duplicate)).await {
+            let error = match node
+                .publish(card.proof(), cert.clone(), delivery::publish_options(&self.qos, self.duplicate))
+                .await
+            {
                 Ok(mut publisher) => {
                     // First the fabric, then DDS: a latched message that comes at once has somewhere to go.
                     let reader = match &reader {

@@ -91,7 +91,8 @@ fn loses_nothing(switches: usize) -> Result<()> {
         robot.wait_for_links(|links| links[lane].state != LinkState::Up && links[1 - lane].main)?;
         let so_far = heard(&flows);
         until("messages while a link is cut", so_far + 50)?;
-        robot.wait_for_links(|links| links[0].main && links.iter().all(|link| link.state == LinkState::Up))
+        robot
+            .wait_for_links(|links| links[0].main && links.iter().all(|link| link.state == LinkState::Up))
             .with_context(|| site.report())?;
         let so_far = heard(&flows);
         until("messages by both links again", so_far + 50)?;
@@ -178,10 +179,8 @@ impl Site {
         robot.ip(&["addr", "add", "10.8.0.3/24", "dev", "wwan0"])?;
         second.ip(&["addr", "add", "10.8.0.1/24", "dev", "l1"])?;
         let delayed = |delay| [(); 2].map(|()| Faults { delay, ..Faults::default() });
-        let wires = vec![
-            Wire::start(&air, ["w0", "w1"], delayed(WIFI), 1)?,
-            Wire::start(&air, ["m0", "m1"], delayed(LTE), 2)?,
-        ];
+        let wires =
+            vec![Wire::start(&air, ["w0", "w1"], delayed(WIFI), 1)?, Wire::start(&air, ["m0", "m1"], delayed(LTE), 2)?];
         let folder = tempfile::Builder::new().prefix("gdp-links-").tempdir()?;
         let mut site = Self { wires, switches: Vec::new(), places: [robot, cloud], folder, count, _networks: vec![] };
         let (first_name, second_name) = (site.key(1)?, site.key(2)?);
@@ -245,7 +244,11 @@ impl Site {
     fn cut(&self, lane: usize) {
         let delay = [WIFI, LTE][lane];
         let partitions = vec![(0, CUT.as_nanos() as u64)];
-        self.wires[lane].change([(); 2].map(|()| Faults { delay, partitions: partitions.clone(), ..Faults::default() }));
+        self.wires[lane].change([(); 2].map(|()| Faults {
+            delay,
+            partitions: partitions.clone(),
+            ..Faults::default()
+        }));
     }
 
     fn report(&self) -> String {

@@ -159,11 +159,15 @@ fn an_attachment_needs_the_entitys_own_certificate_for_this_switch() {
         ("for another switch", robot.key(), &elsewhere, RefusalCode::WrongSwitch),
         ("expired", robot.key(), &old, RefusalCode::Expired),
     ] {
-        let response = w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(key, claims).unwrap(), resumes: true, lane: 0 });
+        let response =
+            w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(key, claims).unwrap(), resumes: true, lane: 0 });
         expect_refused(&response, what, code, "");
     }
-    let response =
-        w.ask(&robot, 0, EntityRequest::Attach { rt_cert: issue(robot.key(), &claims).unwrap(), resumes: true, lane: 0 });
+    let response = w.ask(
+        &robot,
+        0,
+        EntityRequest::Attach { rt_cert: issue(robot.key(), &claims).unwrap(), resumes: true, lane: 0 },
+    );
     assert!(matches!(response, Response::Attached { serial: 0 }), "{response:?}");
     w.publish(&robot, 0, 1);
     w.pass(Duration::from_secs(61));
@@ -470,7 +474,10 @@ fn an_entity_with_two_links_is_reached_by_each_and_loses_one_at_a_time() {
     // What it takes by one link moves.
     w.state(&robot, 1, 4, NameRole::Subscriber);
     w.settle();
-    assert_eq!(w.routes().into_iter().filter(|(.., locals)| !locals.is_empty()).map(|(at, ..)| at).collect::<Vec<_>>(), [1]);
+    assert_eq!(
+        w.routes().into_iter().filter(|(.., locals)| !locals.is_empty()).map(|(at, ..)| at).collect::<Vec<_>>(),
+        [1]
+    );
     let claims = RtCert { entity: robot.name(), switch: w.switch(2), not_after: UNIX + 1_000_000 };
     let rt_cert = issue(robot.key(), &claims).unwrap();
     let anew = EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: false, lane: 0 };

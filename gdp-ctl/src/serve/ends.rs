@@ -212,7 +212,11 @@ mod tests {
         ends.prefer(3);
         assert_eq!(ends.out(), Some(3));
         assert!(ends.silent(3));
-        assert_eq!((ends.out(), ends.each().collect::<Vec<_>>()), (Some(1), vec![1, 3]), "it is held, but not preferred");
+        assert_eq!(
+            (ends.out(), ends.each().collect::<Vec<_>>()),
+            (Some(1), vec![1, 3]),
+            "it is held, but not preferred"
+        );
         assert!(ends.gone(3).is_empty());
         ends.up(2, 4);
         ends.ready(4);

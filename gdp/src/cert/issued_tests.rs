@@ -173,13 +173,14 @@ fn each_way_not_to_have_the_role_has_its_error() {
         ("the domain's key by another name", Membership::issue(&renamed, &claims(renamed.name())).unwrap()),
         (
             "a certificate that names another domain",
-            Membership { domain: f.domain.proof(), cert: issue(f.domain.key(), &claims(other)).unwrap() },
+            Membership { domain: f.domain.proof(), cert: issue(f.domain.key(), &claims(other)).unwrap(), invite: None },
         ),
     ] {
         let error = refused(Reading { member: Some(member), ..f.role_reading(|_| ()) });
         assert!(matches!(error, CertError::WrongDomain { .. }), "{what}: {error}");
     }
-    let forged = Membership { domain: f.domain.proof(), cert: issue(foreign.key(), &f.member()).unwrap() };
+    let forged =
+        Membership { domain: f.domain.proof(), cert: issue(foreign.key(), &f.member()).unwrap(), invite: None };
     let error = refused(Reading { member: Some(forged), ..f.role_reading(|_| ()) });
     assert!(matches!(error, CertError::WrongKey { what: "MemberCert", .. }), "{error}");
     assert!(Membership::issue(&foreign, &f.member()).is_err(), "not its member to name");
@@ -288,6 +289,7 @@ impl Fixture {
             domain: self.domain.name(),
             entity: self.robot(),
             role: "operator".into(),
+            serial: ISSUED,
             not_before: NOW - 60,
             not_after: NOW + 60,
         }

@@ -208,7 +208,11 @@ impl Outlet {
     /// Whether this goes by two links from now on.
     pub fn double(&self, name: Name, doubled: bool) {
         let mut names = lock(&self.doubled);
-        if doubled { names.insert(name) } else { names.remove(&name) };
+        if doubled {
+            names.insert(name)
+        } else {
+            names.remove(&name)
+        };
     }
 
     /// The main link, if it is up at this moment.

@@ -14,13 +14,13 @@ use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::{Instant, sleep, sleep_until, timeout_at};
 use zerocopy::IntoBytes;
 
+use super::choice::Pulse;
 use super::frame_size::FrameSize;
 use super::lane::{Lane, Status};
 use super::receiver::Command;
 use super::shared_entry::SharedEntry;
 use super::state::{self, State};
 use super::{LinkConfig, LinkTarget, NodeError, Stated};
-use super::choice::Pulse;
 use crate::cert::{Revocation, Signed};
 use crate::control::{Refusal, RefusalCode, Request, Response};
 use crate::crypto;
@@ -315,8 +315,7 @@ impl Supervisor {
     /// One link's life; returns why it ended.
     async fn serve(&self, attachment: Arc<Attachment>) -> String {
         let others = self.state.outlet.lanes().len() > 1;
-        let _watch =
-            others.then(|| AbortOnDrop(tokio::spawn(watch_silence(self.state.clone(), attachment.clone()))));
+        let _watch = others.then(|| AbortOnDrop(tokio::spawn(watch_silence(self.state.clone(), attachment.clone()))));
         let _upkeep = AbortOnDrop(tokio::spawn(keep_stated(self.state.clone(), attachment.clone())));
         let _keys = AbortOnDrop(tokio::spawn(attachment.clone().keep_keys()));
         let link = &attachment.link;

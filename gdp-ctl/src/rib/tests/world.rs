@@ -176,7 +176,8 @@ impl World {
     /// As [`Self::state`], besides what is stated at other switches.
     pub fn state_everywhere(&mut self, entity: &Identity, at: usize, serial: u64, role: NameRole) -> Response {
         let mut request = self.statement(entity, at, serial, role);
-        if let EntityRequest::Advertise { everywhere, .. } | EntityRequest::Subscribe { everywhere, .. } = &mut request {
+        if let EntityRequest::Advertise { everywhere, .. } | EntityRequest::Subscribe { everywhere, .. } = &mut request
+        {
             *everywhere = true;
         }
         self.ask(entity, at, request)

@@ -137,7 +137,11 @@ impl Fabric {
     /// Whether frames pass a link of a node.
     pub fn cut(&self, node: &Node, lane: u8, cut: bool) {
         let (mut rib, place) = (lock(&self.rib), (node.name(), lane));
-        if cut { rib.cut.insert(place) } else { rib.cut.remove(&place) };
+        if cut {
+            rib.cut.insert(place)
+        } else {
+            rib.cut.remove(&place)
+        };
     }
 
     pub fn links(&self) -> usize {
@@ -365,7 +369,11 @@ impl Rib {
         }
         if let EntityRequest::Subscribe { proof, everywhere, .. } = &request {
             let place = (proof.name().unwrap(), entity);
-            if *everywhere { self.everywhere.insert(place) } else { self.everywhere.remove(&place) };
+            if *everywhere {
+                self.everywhere.insert(place)
+            } else {
+                self.everywhere.remove(&place)
+            };
         }
         let (proof, credential, advert) = match request {
             EntityRequest::Advertise { proof, ad_cert, advert, .. } => (proof, Credential::Writer(ad_cert), advert),

@@ -22,8 +22,7 @@ async fn what_goes_by_two_links_is_not_missed_when_one_is_cut_and_comes_once() {
             true => owner.subscribe(&cloud).await.unwrap(),
             false => owner.subscribe_as(&cloud, SubscribeOptions::best_effort()).await.unwrap(),
         };
-        let mut publisher =
-            owner.publish_as(&robot, PublishOptions { duplicate: true, ..options }).await.unwrap();
+        let mut publisher = owner.publish_as(&robot, PublishOptions { duplicate: true, ..options }).await.unwrap();
         publisher.send(Encoding::Bytes, &[0]).await.unwrap();
         assert_eq!(recv(&mut subscription).await.sequence, 1);
         let before = robot.links();
