@@ -444,7 +444,7 @@ fn an_entity_with_two_links_is_reached_by_each_and_loses_one_at_a_time() {
     let mut w = World::chain(3);
     let (robot, cloud) = (w.attached("robot", 0), w.attached("cloud", 2));
     assert!(matches!(w.attach_lane(&robot, 1, 1), Response::Attached { serial: 0 }));
-    let mut check = |w: &mut World, expected: &[(usize, usize)]| {
+    let check = |w: &mut World, expected: &[(usize, usize)]| {
         w.tell_all();
         w.settle();
         w.check_model();

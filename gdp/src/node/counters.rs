@@ -45,7 +45,8 @@ pub struct Counters {
     /// Told to counterparts, and what they told.
     pub feedback_sent: Count,
     pub feedback_received: Count,
-    /// Frames to this node's own name: from none of its counterparts; not sealed by it; received before; of no sense.
+    /// Frames to this node's own name: from none of its counterparts; not sealed by it; received before, as by another of two links; of no
+    /// sense.
     pub feedback_unknown: Count,
     pub feedback_forged: Count,
     pub feedback_replayed: Count,

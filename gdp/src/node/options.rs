@@ -87,8 +87,8 @@ pub struct SubscribeOptions {
     /// Every message in its order, asked for again if it does not come: for names whose publishers are reliable. Otherwise each
     /// as soon as it is complete, if it is newer than those before.
     pub reliable: bool,
-    /// It comes by each of the node's links, and what comes twice is dropped: nothing is missed when one fails. Otherwise it comes by the
-    /// main one.
+    /// It comes by each of the node's links, and what comes twice is dropped: nothing is missed when one fails, as long as its frames fit
+    /// each of them. Otherwise it comes by the main one.
     pub duplicate: bool,
     /// For messages that are not complete yet, and for how old they may be.
     pub limits: Limits,

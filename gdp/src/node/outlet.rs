@@ -66,6 +66,8 @@ pub struct Outlet {
 pub struct Ways {
     /// The main one, and how it is; all of them, once the node is closed.
     pub main: usize,
+    /// Rises each time another becomes that.
+    pub turn: u64,
     pub status: Status,
     /// What copies go by.
     second: Option<(usize, Arc<Attachment>)>,
@@ -110,7 +112,7 @@ impl Outlet {
     pub fn new(identity: &Identity, counters: Arc<Counters>, links: &[LinkConfig]) -> Self {
         let lanes: Vec<_> = links.iter().map(Lane::new).collect();
         let budget = lanes.first().and_then(|lane| lane.budget);
-        let ways = Ways { main: 0, status: Status::Down("connecting".into()), second: None };
+        let ways = Ways { main: 0, turn: 0, status: Status::Down("connecting".into()), second: None };
         let (clock, max_payload) = (Clock::start(), usize::from(SMALLEST_PATH) - Header::LEN);
         let uplink = Uplink::new(clock.now(), UplinkOptions { max_payload, budget });
         Self {
@@ -174,14 +176,15 @@ impl Outlet {
             return;
         }
         let (main, second) = (choice.main(), choice.second());
-        let ways = Ways { main, status: self.lanes[main].status(), second: self.second(second) };
+        let (status, second_way) = (self.lanes[main].status(), self.second(second));
         let is_new = |of: usize, ways: &Ways| ways.second.as_ref().is_none_or(|(second, _)| *second != of);
         self.ways.send_if_modified(|present| {
             if matches!(present.status, Status::Closed) {
                 return false;
             }
             second.filter(|of| is_new(*of, present)).into_iter().for_each(|of| self.lanes[of].forget_copies(now));
-            *present = ways;
+            let turn = present.turn + u64::from(main != before);
+            *present = Ways { main, turn, status, second: second_way };
             true
         });
         if main != before {

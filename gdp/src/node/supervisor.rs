@@ -17,6 +17,7 @@ use zerocopy::IntoBytes;
 use super::choice::Pulse;
 use super::frame_size::FrameSize;
 use super::lane::{Lane, Status};
+use super::outlet::Ways;
 use super::receiver::Command;
 use super::shared_entry::SharedEntry;
 use super::state::{self, State};
@@ -433,14 +434,23 @@ impl Supervisor {
 async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
     let mut backoff = Backoff::new();
     let mut renewal = Instant::now() + RENEWAL;
-    let (lane, mut was_main) = (state.outlet.lane(&attachment), false);
+    let (lane, mut preferred) = (state.outlet.lane(&attachment), None);
     loop {
-        let is_main = state.outlet.ways().borrow().main == usize::from(attachment.lane);
-        if is_main && !was_main && !prefer(&state, &attachment).await || !state.state_all(&attachment).await {
+        let turn = {
+            let Ways { main, turn, .. } = *state.outlet.ways().borrow();
+            (main == usize::from(attachment.lane)).then_some(turn)
+        };
+        if turn.is_some() && turn != preferred {
+            if !prefer(&state, &attachment).await {
+                backoff.wait().await;
+                continue;
+            }
+            preferred = turn;
+        }
+        if !state.state_all(&attachment).await {
             backoff.wait().await;
             continue;
         }
-        was_main = is_main;
         backoff = Backoff::new();
         tokio::select! {
             () = lane.unstated.notified() => {}
