@@ -2,6 +2,7 @@
 //! ([`Trust`]). No I/O and no clock. Switches and nodes call this; the certificates are in [`crate::cert::domain`], the
 //! invitation that a person carries in [`token`].
 
+mod files;
 pub mod token;
 
 use std::collections::BTreeMap;
@@ -15,6 +16,7 @@ use crate::link::{Peer, Role};
 use crate::name::{Name, NameProof};
 use crate::revocations::Kept;
 
+pub use files::{PaperFileError, PaperFiles, Stamps};
 pub use token::{Token, TokenError};
 
 /// Certificates for other domains that one entity shows.
