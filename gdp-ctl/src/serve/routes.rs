@@ -158,20 +158,24 @@ impl Routes {
 
     /// The peer takes frames on the link.
     pub fn link_ready(&mut self, role: Role, peer: Name, link: u32) -> Vec<Change> {
-        self.change_ends(role, peer, |ends| ends.ready(link))
-    }
-
-    /// An endpoint wants on this link what it takes on one.
-    pub fn link_preferred(&mut self, peer: Name, link: u32) -> Vec<Change> {
-        self.change_ends(Role::Endpoint, peer, |ends| ends.prefer(link))
-    }
-
-    fn change_ends(&mut self, role: Role, peer: Name, change: impl FnOnce(&mut Ends)) -> Vec<Change> {
         let Some(ends) = self.ends(role).get_mut(&peer) else { return Vec::new() };
         let sent_on = |ends: &Ends| (ends.out(), ends.each().collect::<Vec<_>>());
         let before = sent_on(ends);
-        change(ends);
+        ends.ready(link);
         if sent_on(ends) == before { Vec::new() } else { self.changes_of(role, &peer) }
+    }
+
+    /// An endpoint wants on this link what it takes on one. What it sends, and takes on each, stays as it is.
+    pub fn link_preferred(&mut self, peer: Name, link: u32) -> Vec<Change> {
+        let Some(ends) = self.endpoints.get_mut(&peer) else { return Vec::new() };
+        let before = ends.out();
+        ends.prefer(link);
+        if ends.out() == before {
+            return Vec::new();
+        }
+        let ways = self.concerned.get(&peer).into_iter().flatten().filter_map(|name| self.way(name));
+        let on_one = |way: &Way| way.route.locals.contains(&peer) && !way.route.everywhere.contains(&peer);
+        ways.filter(on_one).map(|way| self.resolve(&way)).collect()
     }
 
     /// The link that an endpoint wants on what it takes on one.

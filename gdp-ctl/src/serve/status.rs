@@ -87,6 +87,7 @@ pub fn links(core: &Core) -> Vec<Value> {
             json!({
                 "peer": peer.name,
                 "role": role(peer.role),
+                "lane": peer.lane,
                 "via": state.via.to_string(),
                 "address": link.addr().to_string(),
                 "id": link.local_id(),

@@ -57,6 +57,25 @@ fn each_local_reader_has_its_link_and_a_reader_may_write() {
 }
 
 #[test]
+fn an_endpoint_with_two_links_takes_a_name_on_one_or_on_each() {
+    let mut r = Routes::default();
+    let each = Route { everywhere: vec![name(7)], ..route(2, 1, &[7, 8]) };
+    let written = Route { writers: vec![name(7)], ..route(3, 4, &[]) };
+    r.push(&push(1, Extent::Full { part: 0, last: true }, vec![route(1, 1, &[7]), each, written])).unwrap();
+    for (lane, link) in [(0, 70), (1, 71)] {
+        r.link_up(Role::Endpoint, name(7), lane, link);
+        r.link_ready(Role::Endpoint, name(7), link);
+    }
+    let changes = r.link_up(Role::Endpoint, name(8), 0, 80);
+    assert_eq!(changes, [set(2, 1, &[70, 71, 80], &[])]);
+    assert_eq!(r.link_preferred(name(7), 70), [], "it is the first");
+    assert_eq!(r.link_preferred(name(7), 71), [set(1, 1, &[71], &[])]);
+    assert_eq!(r.link_to(&name(7)), Some(71));
+    let changes = gone(&mut r, Role::Endpoint, name(7), 71);
+    assert_eq!(changes, [set(1, 1, &[70], &[]), set(2, 1, &[70, 80], &[]), set(3, 4, &[], &[70])]);
+}
+
+#[test]
 fn the_whole_sweeps_what_it_does_not_name() {
     let mut r = Routes::default();
     r.push(&push(1, Extent::Full { part: 0, last: true }, vec![route(1, 1, &[]), route(2, 1, &[])])).unwrap();
