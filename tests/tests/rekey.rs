@@ -85,7 +85,7 @@ impl Scene {
                 data_plane,
                 rib: i == 1,
                 uplink: (i == 0).then(|| place.clone()),
-                neighbours: vec![Neighbour { place, cost: 1 }],
+                neighbours: vec![Neighbour { place, cost: 1, dial: false }],
                 ebpf_object: Some(tools.ebpf_object()?),
                 fib_capacity: 1024,
                 bpffs: None,

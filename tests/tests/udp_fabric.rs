@@ -149,7 +149,7 @@ impl Site {
                 data_plane: DataPlane::Xdp,
                 rib: label == "cloud",
                 uplink: (label == "edge").then(|| near.clone()),
-                neighbours: vec![Neighbour { place: near.clone(), cost: 1 }],
+                neighbours: vec![Neighbour { place: near.clone(), cost: 1, dial: false }],
                 ebpf_object: ebpf_object.clone(),
                 fib_capacity: 1024,
                 bpffs: None,

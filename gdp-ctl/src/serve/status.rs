@@ -10,6 +10,7 @@ use serde_json::{Map, Value, json};
 
 use super::core::Core;
 use super::{Daemon, interfaces};
+use crate::domain::{Domain, Standing};
 use crate::plane::host_pair;
 
 /// Names that the status shows as the busiest.
@@ -68,6 +69,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "busiest": busiest.iter().map(|(name, frames)| json!({"name": name, "frames": frames})).collect::<Vec<_>>(),
         "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
         "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
+        "domain": core.domain.as_ref().map(domain),
         "uplink": core.uplink.map(|switch| json!({
             "switch": switch, "connected": core.link_to(&switch).is_some(), "ready": core.uplink_ready,
         })),
@@ -88,6 +90,9 @@ pub fn links(core: &Core) -> Vec<Value> {
                 "peer": peer.name,
                 "role": role(peer.role),
                 "lane": peer.lane,
+                "standing": state.admission.standing.as_str(),
+                "domain": foreign(&state.admission.standing),
+                "admitted_until": (state.admission.until < u64::MAX).then_some(state.admission.until),
                 "via": state.via.to_string(),
                 "address": link.addr().to_string(),
                 "id": link.local_id(),
@@ -131,6 +136,28 @@ fn arrivals(core: &Core, link: u32) -> Value {
                 .into()
         }
         Err(error) => error.to_string().into(),
+    }
+}
+
+fn domain(domain: &Domain) -> Value {
+    let own = domain.trust.own(super::domain::unix_now());
+    let revocations: Vec<_> = domain.trust.revocations().filter_map(|kept| kept.verify().ok()).collect();
+    json!({
+        "name": domain.trust.home(),
+        "role": own.as_ref().ok().map(|cert| &cert.role),
+        "not_after": own.as_ref().ok().map(|cert| cert.not_after),
+        "error": own.as_ref().err().map(ToString::to_string),
+        "members_only": domain.trust.members_only(),
+        "invitations_used": domain.invitations.all().count(),
+        "revocations": revocations.iter().map(|r| json!({"domain": r.name, "number": r.number})).collect::<Vec<_>>(),
+    })
+}
+
+/// The domain of a peer that is of another than this switch.
+fn foreign(standing: &Standing) -> Option<Name> {
+    match standing {
+        Standing::Border { domain, .. } | Standing::Visitor { domain } | Standing::Host { domain } => Some(*domain),
+        Standing::Stranger | Standing::Member { .. } => None,
     }
 }
 
