@@ -7,6 +7,7 @@
 pub mod config;
 mod delivery;
 pub mod material;
+mod membership;
 pub mod proxy;
 pub mod ros2;
 pub mod route;

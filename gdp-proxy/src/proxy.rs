@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use gdp::Node;
+use gdp::domain::PaperFiles;
 use gdp::link::RekeySchedule;
 use gdp::node::{LinkConfig, NodeConfig, NodeError};
 use tokio::runtime::Handle;
@@ -15,6 +16,7 @@ use tokio::task::JoinSet;
 
 use crate::config::Config;
 use crate::material::Material;
+use crate::membership::keep_papers;
 use crate::ros2::Domain;
 use crate::route::Route;
 use crate::stats::{Stats, StatsFile};
@@ -46,6 +48,9 @@ pub async fn run(
     let entity = node.name().to_string();
     let domain = Arc::new(Domain::join(domain_id, &format!("gdp_proxy_{}", &entity[..8]))?);
     tracing::info!(entity = %node.name(), domain_id, "attached to the switch and in the DDS domain");
+
+    let files = config.domain.as_ref().map(PaperFiles::from);
+    let watched = files.as_ref().zip(material.papers.as_ref().map(|(_, stamps)| stamps.clone()));
 
     let routes: Vec<_> = config
         .topics
@@ -83,6 +88,7 @@ pub async fn run(
         () = stop => Ok(()),
         Some(ended) = running.join_next() => ended.context("a route panicked").flatten(),
         never = show(stats.as_ref(), &shown) => match never {},
+        never = keep_papers(&node, watched) => match never {},
     };
 
     tracing::info!("leaving");
@@ -105,6 +111,7 @@ async fn connect(config: &Config, material: &Material) -> Result<Node> {
         links: config.links.iter().map(LinkConfig::from).collect(),
         connect_timeout: CONNECT_PATIENCE,
         rekey: RekeySchedule::default(),
+        papers: material.papers.as_ref().map(|(papers, _)| papers.clone()),
     };
     let places: Vec<String> = config.links.iter().map(|link| link.to.to_string()).collect();
     let places = places.join(", ");

@@ -20,6 +20,7 @@ mod frame_size;
 mod gathered;
 mod greeting;
 mod held;
+mod home;
 mod intake;
 mod lane;
 mod latched;
@@ -46,11 +47,14 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
 use self::clock::unix_now;
+use self::home::Home;
+use self::lane::Status;
 use self::publication::Publication;
 use self::receiver::Receiver;
 use self::state::{State, Statement, lock};
 use crate::cert::{AdCert, CertError, Issued, Reading as Grant};
-use crate::control::{NameRole, Record, RecordPlace, Refusal};
+use crate::control::{NameRole, Record, RecordPlace, Refusal, Request};
+use crate::domain::{DomainError, Papers};
 use crate::identity::Identity;
 use crate::keys::RingError;
 use crate::link::{LinkError, MAX_LANES, RekeySchedule};
@@ -79,6 +83,9 @@ pub struct NodeConfig {
     pub connect_timeout: Duration,
     /// When the keys of data frames are replaced.
     pub rekey: RekeySchedule,
+    /// What the node shows of its trust domain. With it, it takes switches of that domain only, and of those that the domain has issued
+    /// a PeerCert to; without, any.
+    pub papers: Option<Papers>,
 }
 
 /// One of a node's links.
@@ -101,7 +108,7 @@ impl NodeConfig {
     /// One link, to any switch at `link`, waited for 10 s.
     pub fn new(identity: Identity, link: LinkTarget) -> Self {
         let (connect_timeout, rekey) = (Duration::from_secs(10), RekeySchedule::default());
-        Self { identity, links: vec![link.into()], connect_timeout, rekey }
+        Self { identity, links: vec![link.into()], connect_timeout, rekey, papers: None }
     }
 }
 
@@ -110,6 +117,8 @@ impl NodeConfig {
 pub enum NodeError {
     #[error(transparent)]
     Link(#[from] LinkError),
+    #[error(transparent)]
+    Domain(#[from] DomainError),
     #[error("no answer from {wanted} on interface {interface}; is it running there, and is the cable plugged in?")]
     NoAnswer { interface: String, wanted: String },
     #[error("host {host} has no address: {source}; check the name, and that the network is up")]
@@ -198,13 +207,14 @@ struct Handle {
 impl Node {
     /// Makes links to the switches and attaches by them; returns as soon as one is up. Call within a tokio runtime.
     pub async fn connect(config: NodeConfig) -> Result<Self, NodeError> {
-        let NodeConfig { identity, links, connect_timeout, rekey } = config;
+        let NodeConfig { identity, links, connect_timeout, rekey, papers } = config;
         if !(1..=MAX_LANES).contains(&links.len()) {
             return Err(NodeError::Links(links.len()));
         }
+        let home = Home::new(&identity, papers)?;
         let (commands, command_queue) = std::sync::mpsc::channel();
         let (events, event_queue) = mpsc::unbounded_channel();
-        let state = Arc::new(State::new(identity, &links, commands, events));
+        let state = Arc::new(State::new(identity, home, &links, commands, events));
         let (outlet, feedback) = (state.outlet.clone(), state.feedback.clone());
         let receiver = Receiver { commands: command_queue, outlet, feedback };
         spawn("gdp-receive", move || receiver.run())?;
@@ -350,6 +360,20 @@ impl Node {
         let lanes = state.outlet.lanes().iter().map(|lane| lane.status());
         let socket_drops = lanes.filter_map(|status| Some(status.attachment()?.data.receive_drops())).sum();
         state.counters.snapshot(socket_drops)
+    }
+
+    /// Shows renewed papers from now on, also on the links there are. An error if they are not this node's, or a switch does not take
+    /// them: then what was shown before counts there. Of no effect on a node that was made without.
+    pub async fn renew_papers(&self, papers: Papers) -> Result<(), NodeError> {
+        let (state, papers) = (&self.0.state, Arc::new(papers));
+        state.home.renew(papers.clone())?;
+        for lane in state.outlet.lanes() {
+            if let Status::Up(attachment) = lane.status() {
+                let request = Request::Papers(Box::new(Papers::clone(&papers)));
+                attachment.link.request(&request).await?.accepted()?;
+            }
+        }
+        Ok(())
     }
 
     /// Detaches: the switch is told, and withdraws everything at once. Publishers and subscriptions are of no use after.

@@ -11,6 +11,7 @@ use tokio::sync::mpsc;
 use super::clock::unix_now;
 use super::counters::Counters;
 use super::feedback::Feedbacks;
+use super::home::Home;
 use super::intake::{Intake, Shared};
 use super::lane::{Lane, Status};
 use super::options::{PublishOptions, SubscribeOptions};
@@ -38,6 +39,7 @@ const LINK_PATIENCE: Duration = Duration::from_secs(10);
 /// What the handles, the supervisor and its tasks share.
 pub struct State {
     pub identity: Identity,
+    pub home: Home,
     pub counters: Arc<Counters>,
     pub feedback: Arc<Feedbacks>,
     pub outlet: Arc<Outlet>,
@@ -89,6 +91,7 @@ impl State {
     /// Not attached yet.
     pub fn new(
         identity: Identity,
+        home: Home,
         links: &[LinkConfig],
         commands: std::sync::mpsc::Sender<Command>,
         events: mpsc::UnboundedSender<Event>,
@@ -98,6 +101,7 @@ impl State {
             feedback: Arc::new(Feedbacks::new(identity.name())),
             outlet: Arc::new(Outlet::new(&identity, counters.clone(), links)),
             identity,
+            home,
             counters,
             publications: Mutex::default(),
             readings: Mutex::default(),
