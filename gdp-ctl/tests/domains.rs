@@ -24,13 +24,16 @@ fn members_are_admitted_listed_and_taken_back() {
     let show = ["domain", "show", "s1.member", "--card", "home/domain.card"];
     let shown = user.json(&show);
     assert_eq!((&shown["verified"], &shown["claims"]["role"]), (&true.into(), &"border".into()));
+    key(&user, "owner", "owner");
+    user.card("/chatter");
+    let of_name = user.refusal(1, &["domain", "show", "s1.member", "--card", "chatter.card"]);
+    assert!(of_name.contains("wrong domain"), "{of_name}");
     let again = ["domain", "admit", "--key", "home/domain.pem", &switch, "--role", "border", "-o", "s1.member"];
     assert!(user.refusal(1, &again).contains("not overwritten"));
     let role = ["domain", "admit", "--key", "home/domain.pem", &switch, "--role", "Boss!", "-o", "x"];
     assert!(user.refusal(1, &role).contains("a role has 1 to 32 characters"));
     let other = ["domain", "admit", "--key", "s1.pem", &switch, "--role", "switch", "-o", "x"];
     assert!(user.refusal(1, &other).contains("s1.card"), "no domain's key");
-    // A short one, to be renewed.
     let listed = user.json(&["domain", "show", "home/domain.card"]);
     assert_eq!(states(&listed), ["valid"]);
     assert_eq!(listed["issued"][0]["to"]["member"]["entity"], switch.as_str());

@@ -338,7 +338,9 @@ impl Link {
 
     /// Asks the peer and waits for its answer, [`REQUEST_TIMEOUT`] at most. A refusal is an answer.
     pub async fn request(&self, request: &Request) -> Result<Response, LinkError> {
-        streams::request(&self.0.connection, request).await
+        // A link that is closed says more than its streams.
+        let said = |error| self.close_reason().map_or(error, LinkError::Closed);
+        streams::request(&self.0.connection, request).await.map_err(said)
     }
 
     /// The next request of the peer; `None` when the link is closed.

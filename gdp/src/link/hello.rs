@@ -81,8 +81,22 @@ pub struct PeerEnd {
     pub papers: Option<Papers>,
 }
 
-/// Says hello on a connection this side dialled; `expected` is who should be there, if that is known.
+/// Says hello on a connection this side dialled; `expected` is who should be there, if that is known. A peer that does not want the
+/// link may close it before its hello is read: then the error says why.
 pub async fn greet_as_client(
+    connection: Connection,
+    place: Place,
+    config: &HelloConfig,
+    expected: Option<Name>,
+) -> Result<Link, LinkError> {
+    let greeted = say_and_hear(connection.clone(), place, config, expected).await;
+    greeted.map_err(|error| match (error, connection.close_reason()) {
+        (LinkError::Closed(_), Some(reason)) => reason.into(),
+        (error, _) => error,
+    })
+}
+
+async fn say_and_hear(
     connection: Connection,
     place: Place,
     config: &HelloConfig,
