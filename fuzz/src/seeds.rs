@@ -16,6 +16,7 @@ use gdp_wire::{Counter, Name};
 use serde::Serialize;
 
 use crate::decide::{TAGGED, TWICE};
+use crate::domains::Domain;
 use crate::frames::fixtures;
 use crate::key_box;
 
@@ -183,15 +184,18 @@ impl Papers {
             ("an ad cert as text", self.ad_cert.to_pem().into_bytes()),
             ("a name card", self.card.to_json().into_bytes()),
         ]
+        .into_iter()
+        .chain(Domain::new().certificates())
         .map(|(name, bytes)| (name.to_owned(), bytes))
-        .to_vec()
+        .collect()
     }
 
     fn messages(&self) -> Seeds {
         let (name, entity, switch) = (self.card.name(), self.robot.name(), self.card.name());
         let (proof, robot) = (self.card.proof(), self.robot.proof());
         let Self { ad_cert, grant, rt_cert, advert, .. } = self;
-        let advertise = EntityRequest::Advertise { proof, ad_cert: ad_cert.clone(), advert: advert.clone() };
+        let advertise =
+            EntityRequest::Advertise { proof, ad_cert: ad_cert.clone(), advert: advert.clone(), everywhere: true };
         let record = Record {
             name,
             proof,
@@ -202,7 +206,8 @@ impl Papers {
             expires_in: 60,
         };
         let place = record.place().ok();
-        let route = Route { name, egress_bits: 3, locals: vec![entity], writers: vec![entity] };
+        let route =
+            Route { name, egress_bits: 3, locals: vec![entity], everywhere: vec![entity], writers: vec![entity] };
         let push = FibPush {
             switch,
             run: 1,
@@ -226,32 +231,44 @@ impl Papers {
         };
         let (neighbours, role) = (vec![(switch, 3)], NameRole::Subscriber);
         let from_entity = Request::Entity;
-        vec![
-            seed("attach", &from_entity(EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: true })),
-            seed("relay", &Request::Relay { switch, entity: Some(robot), by_tool: false, request: advertise }),
-            seed(
-                "subscribe",
-                &from_entity(EntityRequest::Subscribe { proof, grant: grant.clone(), advert: advert.clone() }),
-            ),
-            seed("withdraw", &from_entity(EntityRequest::Withdraw { advert: advert.clone() })),
-            seed("query", &from_entity(EntityRequest::Query { prefix: name.into(), after: place })),
-            seed(
-                "report",
-                &Request::Report { switch: robot, neighbours, attached: Some(vec![entity]), own_bit: Some(63) },
-            ),
-            seed("revoke", &from_entity(EntityRequest::Revoke { proof, revocation: self.revocation.clone() })),
-            seed("detach", &Request::Detach { switch, entity }),
-            seed("ready", &Request::Ready),
-            seed("fib push", &Request::Fib(push)),
-            seed("key boxes", &from_entity(EntityRequest::KeyBoxes { boxes: peers.boxes.clone() })),
-            seed("peers push", &Request::Peers(PeersPush { switch, entity, name, role, peers: peers.clone() })),
-            seed("peers", &Response::Peers(peers)),
-            seed("ratcheted", &Request::Ratcheted { generation: u64::MAX }),
-            seed("done", &Response::Done),
-            seed("attached", &Response::Attached { serial: 9 }),
-            seed("records", &Response::Records { records: vec![record], truncated: true }),
-            seed("refused", &Response::from(Refusal::new(RefusalCode::Limit, "full"))),
-        ]
+        let of_domains = Domain::new().messages();
+        let of_domains = of_domains.iter().map(|(name, request)| seed(name, request));
+        of_domains
+            .chain([
+                seed(
+                    "attach",
+                    &from_entity(EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: true, lane: 1 }),
+                ),
+                seed("relay", &Request::Relay { switch, entity: Some(robot), by_tool: false, request: advertise }),
+                seed(
+                    "subscribe",
+                    &from_entity(EntityRequest::Subscribe {
+                        proof,
+                        grant: grant.clone(),
+                        advert: advert.clone(),
+                        everywhere: true,
+                    }),
+                ),
+                seed("withdraw", &from_entity(EntityRequest::Withdraw { advert: advert.clone() })),
+                seed("query", &from_entity(EntityRequest::Query { prefix: name.into(), after: place })),
+                seed(
+                    "report",
+                    &Request::Report { switch: robot, neighbours, attached: Some(vec![entity]), own_bit: Some(63) },
+                ),
+                seed("revoke", &from_entity(EntityRequest::Revoke { proof, revocation: self.revocation.clone() })),
+                seed("detach", &Request::Detach { switch, entity }),
+                seed("ready", &Request::Ready),
+                seed("fib push", &Request::Fib(push)),
+                seed("key boxes", &from_entity(EntityRequest::KeyBoxes { boxes: peers.boxes.clone() })),
+                seed("peers push", &Request::Peers(PeersPush { switch, entity, name, role, peers: peers.clone() })),
+                seed("peers", &Response::Peers(peers)),
+                seed("ratcheted", &Request::Ratcheted { generation: u64::MAX }),
+                seed("done", &Response::Done),
+                seed("attached", &Response::Attached { serial: 9 }),
+                seed("records", &Response::Records { records: vec![record], truncated: true }),
+                seed("refused", &Response::from(Refusal::new(RefusalCode::Limit, "full"))),
+            ])
+            .collect()
     }
 }
 

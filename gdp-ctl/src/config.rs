@@ -270,14 +270,14 @@ impl File {
         }
         if let Some(uplink) = uplink_neighbour {
             let switch = uplink.place.switch;
-            match neighbours.iter().find(|n| n.place.switch == switch) {
+            match neighbours.iter_mut().find(|n| n.place.switch == switch) {
                 Some(listed) if listed.place != uplink.place => {
                     return invalid(format!("uplink: {switch} is another place in neighbours"));
                 }
                 Some(listed) if uplink_cost.is_some_and(|cost| cost != listed.cost) => {
                     return invalid(format!("uplink: {switch} has another cost in neighbours; remove one of the two"));
                 }
-                Some(_) => {}
+                Some(listed) => listed.dial |= uplink.dial,
                 None => neighbours.push(uplink),
             }
         }
@@ -431,7 +431,10 @@ mod tests {
         assert_eq!(domain.files.peers, [Path::new("/etc/gdp/away.peer")]);
         assert!(domain.members_only);
         let config = parse(&format!("uplink: {{udp: '127.0.0.1:9', switch: {S}, dial: true}}")).unwrap();
-        assert!(config.neighbours[0].dial && !parse(&format!("uplink: {{interface: a, switch: {S}}}")).unwrap().neighbours[0].dial);
+        assert!(
+            config.neighbours[0].dial
+                && !parse(&format!("uplink: {{interface: a, switch: {S}}}")).unwrap().neighbours[0].dial
+        );
     }
 
     #[test]

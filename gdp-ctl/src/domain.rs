@@ -44,11 +44,17 @@ pub struct Invitations(BTreeMap<u64, Used>);
 /// Why an invitation does not admit an entity.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotInvited {
-    #[error("the invitation with serial {serial} has admitted {by:#}, and it admits one: have another made with `gdp-ctl domain invite`")]
+    #[error(
+        "the invitation with serial {serial} has admitted {by:#}, and it admits one: have another made with `gdp-ctl domain invite`"
+    )]
     Used { serial: u64, by: Name },
-    #[error("the invitation with serial {serial} ended at Unix time {at} without having been used, now is {now}: have another made")]
+    #[error(
+        "the invitation with serial {serial} ended at Unix time {at} without having been used, now is {now}: have another made"
+    )]
     TooLate { serial: u64, at: u64, now: u64 },
-    #[error("{MAX_USED} members by invitation, and that is the limit of this RIB: have them admitted with `gdp-ctl domain admit`")]
+    #[error(
+        "{MAX_USED} members by invitation, and that is the limit of this RIB: have them admitted with `gdp-ctl domain admit`"
+    )]
     Full,
 }
 
@@ -116,7 +122,10 @@ mod tests {
         assert_eq!(invitations.admit(&invite(7), robot, 150), Ok(false), "it is one already");
         let refused = invitations.admit(&invite(7), thief, 50);
         assert_eq!(refused, Err(NotInvited::Used { serial: 7, by: robot }));
-        assert_eq!(invitations.admit(&invite(8), thief, 101), Err(NotInvited::TooLate { serial: 8, at: 100, now: 101 }));
+        assert_eq!(
+            invitations.admit(&invite(8), thief, 101),
+            Err(NotInvited::TooLate { serial: 8, at: 100, now: 101 })
+        );
 
         let mut after_a_restart = Invitations::recall(invitations.all().copied());
         assert!(after_a_restart.has_admitted(7, &robot) && !after_a_restart.has_admitted(7, &thief));

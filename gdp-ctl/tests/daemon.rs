@@ -317,7 +317,11 @@ impl<'a> Chain<'a> {
             udp: Some(self.addrs[i]),
             rib: i == 2,
             uplink: (i < 2).then(|| place(i + 1)),
-            neighbours: near.into_iter().flatten().map(|j| Neighbour { place: place(j), cost: 1, dial: false }).collect(),
+            neighbours: near
+                .into_iter()
+                .flatten()
+                .map(|j| Neighbour { place: place(j), cost: 1, dial: false })
+                .collect(),
             ..config(self.folder, &format!("s{}", i + 1))
         }
     }

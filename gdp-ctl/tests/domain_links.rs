@@ -34,7 +34,8 @@ async fn a_switch_gets_links_with_members_and_everybody_else_a_reason() {
     let ends = |spoke: &Place, what: &str| {
         let (spoke, what) = (format!("{:#}", spoke.name), what.to_owned());
         let lines = log.lines();
-        let here = lines.iter().any(|line| line.contains("refused a link") && line.contains(&what) && line.contains(&spoke));
+        let here =
+            lines.iter().any(|line| line.contains("refused a link") && line.contains(&what) && line.contains(&spoke));
         let there = lines.iter().any(|line| line.contains("no link") && line.contains(&what));
         here && there
     };
@@ -67,7 +68,10 @@ async fn a_switch_gets_links_with_members_and_everybody_else_a_reason() {
     let why = format!("serial {}", revoked.serial());
     wait("both to say what is revoked", async || ends(&revoked, &why)).await;
     let said = log.lines().into_iter().find(|line| line.contains("no link") && line.contains(&why)).unwrap();
-    assert!(said.contains("by revocation 1") && said.contains("floor 0") && said.contains("have a new one issued"), "{said}");
+    assert!(
+        said.contains("by revocation 1") && said.contains("floor 0") && said.contains("have a new one issued"),
+        "{said}"
+    );
 
     let robot = Place::new("robot");
     let _robot = robot.member(&home, "arm", LONG).dials(&hub).start().await;
@@ -78,7 +82,8 @@ async fn a_switch_gets_links_with_members_and_everybody_else_a_reason() {
     let foreign = Place::new("foreign");
     let running = foreign.member(&away, "border", LONG).dials(&hub).start().await;
     let why = format!("which domain {:#} does not know", away.identity.name());
-    let here = format!("domain {:#} has not issued a PeerCert to domain {:#}", away.identity.name(), home.identity.name());
+    let here =
+        format!("domain {:#} has not issued a PeerCert to domain {:#}", away.identity.name(), home.identity.name());
     wait("both to say why they do not peer", async || {
         let lines = log.lines();
         lines.iter().any(|line| line.contains(&why)) && lines.iter().any(|line| line.contains(&here))
@@ -189,10 +194,7 @@ async fn an_invitation_admits_the_first_that_the_rib_sees() {
     let (hub, mid, first, second) = (Place::new("hub"), Place::new("mid"), Place::new("first"), Place::new("second"));
     let hub_running = hub.member(&home, "rib", LONG).rib().start().await;
     let mid_running = mid.member(&home, "switch", LONG).dials(&hub).start().await;
-    wait("the way to the RIB", async || {
-        mid_running.status().await["uplink"]["ready"] == true
-    })
-    .await;
+    wait("the way to the RIB", async || mid_running.status().await["uplink"]["ready"] == true).await;
     let token = home.invite("switch", &mid);
     let line = token.to_line();
     let token = Token::from_line(&line).unwrap();
@@ -312,7 +314,8 @@ impl Domain {
     }
 
     fn invite(&self, role: &str, at: &Place) -> Token {
-        let (key, domain, role, serial) = (SigningKey::generate().unwrap(), self.identity.name(), role.to_owned(), self.serial());
+        let (key, domain, role, serial) =
+            (SigningKey::generate().unwrap(), self.identity.name(), role.to_owned(), self.serial());
         let not_after = (now() + LONG) as u64;
         let invite =
             Invite { domain, key: key.verify_key(), role, serial, not_before: 0, not_after, member_until: not_after };

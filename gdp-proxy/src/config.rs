@@ -240,10 +240,14 @@ mod tests {
 
     #[test]
     fn a_membership_is_in_files_beside_the_configuration() {
-        let text = "{identity: robot.pem, links: [{to: 'eth://r0'}], domain: {card: domain.card, membership: /m, peers: [p]}}";
+        let text =
+            "{identity: robot.pem, links: [{to: 'eth://r0'}], domain: {card: domain.card, membership: /m, peers: [p]}}";
         let config = Config::parse(text, Path::new("/etc/gdp/proxy.yaml")).unwrap();
         let files = PaperFiles::from(config.domain.as_ref().unwrap());
-        assert_eq!((files.card.as_path(), files.membership.as_path()), (Path::new("/etc/gdp/domain.card"), Path::new("/m")));
+        assert_eq!(
+            (files.card.as_path(), files.membership.as_path()),
+            (Path::new("/etc/gdp/domain.card"), Path::new("/m"))
+        );
         assert_eq!(files.peers, [Path::new("/etc/gdp/p")]);
         let wrong = Config::parse(&text.replace("peers", "peer"), Path::new("p.yaml")).unwrap_err();
         assert!(wrong.to_string().contains("peer"), "{wrong}");

@@ -23,7 +23,9 @@ pub async fn keep_papers(node: &Node, files: Option<(&PaperFiles, Stamps)>) -> s
         };
         match renewed {
             Ok(()) => tracing::info!("took a renewed membership"),
-            Err(error) => tracing::error!("the renewed membership is not taken, what was there goes on to count: {error}"),
+            Err(error) => {
+                tracing::error!("the renewed membership is not taken, what was there goes on to count: {error}")
+            }
         }
     }
 }

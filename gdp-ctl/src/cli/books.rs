@@ -77,8 +77,8 @@ impl Books {
     pub fn ledger<E: Entry>(&self) -> anyhow::Result<Vec<E>> {
         let path = self.ledger_path::<E>();
         let Some(content) = read(&path, MAX_LEDGER)? else { return Ok(Vec::new()) };
-        let ledger: Ledger<E> =
-            serde_json::from_slice(&content).with_context(|| format!("{}: not a ledger of what was issued", path.display()))?;
+        let ledger: Ledger<E> = serde_json::from_slice(&content)
+            .with_context(|| format!("{}: not a ledger of what was issued", path.display()))?;
         if ledger.version != VERSION || ledger.name != self.card.name() {
             let (version, name) = (ledger.version, ledger.name);
             bail!(

@@ -4,11 +4,11 @@ use std::io::Read;
 use std::path::Path;
 
 use anyhow::{Context as _, bail};
-use gdp::{Name, NameCard};
 use gdp::cert::{
     AdCert, CertError, Claims, Delegation, Grantee, Issued, MAX_CERT_FILE, MemberCert, Membership, PeerCert, ReadGrant,
     Reading, Revocation, RtCert, Signed,
 };
+use gdp::{Name, NameCard};
 use serde_json::{Value, json};
 
 pub enum Paper {
@@ -90,7 +90,7 @@ impl Paper {
             }
             Self::Revocation(signed) => about_card(signed.verify(card.owner_key(), now)?.name)?,
             Self::Member(member) => drop(member.verify(card.name(), revocation, now)?),
-            Self::Peer(signed) => drop(signed.verify_peer(&card.proof(), revocation, now)?),
+            Self::Peer(signed) => _ = signed.verify_peer(&card.proof(), revocation, now)?,
             Self::Route(_) => return Ok(false),
         }
         Ok(true)
@@ -102,7 +102,9 @@ impl Paper {
             Self::Ad(issued) => issued.cert.claims_unverified().map(|claims| (claims.name, claims.serial))?,
             Self::Read(reading) => reading.grant.cert.claims_unverified().map(|claims| (claims.name, claims.serial))?,
             Self::Delegation(signed) => signed.claims_unverified().map(|claims| (claims.name, claims.serial))?,
-            Self::Revocation(_) | Self::Member(_) | Self::Peer(_) | Self::Route(_) => bail!("no owner of a name can revoke this"),
+            Self::Revocation(_) | Self::Member(_) | Self::Peer(_) | Self::Route(_) => {
+                bail!("no owner of a name can revoke this")
+            }
         };
         if name != card.name() {
             bail!("the certificate is about {name}, not about the card's name {}", card.name());

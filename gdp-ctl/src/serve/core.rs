@@ -255,8 +255,11 @@ impl Core {
             None => {
                 let unlisted = |name: &Name| self.neighbours.iter().all(|n| n.place.switch != *name);
                 let live = self.links.values().map(|state| state.link.peer());
-                let others: BTreeSet<Name> =
-                    live.filter(|p| p.role == Role::Switch && p.name != switch).map(|p| p.name).filter(unlisted).collect();
+                let others: BTreeSet<Name> = live
+                    .filter(|p| p.role == Role::Switch && p.name != switch)
+                    .map(|p| p.name)
+                    .filter(unlisted)
+                    .collect();
                 if others.len() < MAX_UNLISTED {
                     return Ok(());
                 }
@@ -304,7 +307,8 @@ impl Core {
         let Some(domain) = &self.domain else { return Default::default() };
         let judge = |link: &Link| domain.trust.admit(Role::Switch, link.peer(), link.papers().as_deref(), now);
         let mut refused = Vec::new();
-        for state in self.links.values_mut().filter(|state| !only_ended || state.admission.until < now) {
+        let is_due = |state: &&mut LinkState| !only_ended || state.admission.until < now;
+        for state in self.links.values_mut().filter(is_due).filter(|state| state.link.close_reason().is_none()) {
             match judge(&state.link) {
                 Ok(admission) if admission.standing.as_str() == state.admission.standing.as_str() => {
                     state.admission = admission;
@@ -316,7 +320,9 @@ impl Core {
                 Err(error) => refused.push((state.link.clone(), error.to_string())),
             }
         }
-        let over: Vec<u32> = self.held.iter().filter(|held| held.link().is_some_and(|l| judge(l).is_err())).map(|held| held.entry.id).collect();
+        // What is held ends soon by itself.
+        let may_stay = |held: &HeldLink| only_ended || held.link().is_none_or(|link| judge(link).is_ok());
+        let over: Vec<u32> = self.held.iter().filter(|held| !may_stay(held)).map(|held| held.entry.id).collect();
         let lost = over.into_iter().filter_map(|id| self.release(id)).collect();
         (refused, lost)
     }
@@ -563,9 +569,7 @@ impl Core {
             | Request::Ratcheted { .. }
             | Request::Papers(_)
             | Request::DomainRevoked { .. }
-            | Request::Admitted { .. } => {
-                Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into()
-            }
+            | Request::Admitted { .. } => Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into(),
         })
     }
 

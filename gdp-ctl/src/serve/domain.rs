@@ -82,7 +82,9 @@ fn load_used(path: &Path) -> Result<Vec<Used>, SecretFileError> {
     };
     cbor::decode(&bytes, MAX_INVITATIONS).map_err(|error| SecretFileError::Malformed {
         path: path.into(),
-        reason: format!("not a list of invitations ({error}); without it, each of them may admit another: remove it to begin anew"),
+        reason: format!(
+            "not a list of invitations ({error}); without it, each of them may admit another: remove it to begin anew"
+        ),
     })
 }
 
@@ -98,7 +100,9 @@ pub async fn watch(daemon: Arc<Daemon>, config: DomainConfig, shown: CurrentPape
                     shown.set(papers.clone());
                     daemon.show_renewed(&papers);
                 }
-                Err(error) => tracing::error!("the renewed membership is not taken, what was there goes on to count: {error}"),
+                Err(error) => {
+                    tracing::error!("the renewed membership is not taken, what was there goes on to count: {error}")
+                }
             }
         }
     }
@@ -249,7 +253,8 @@ impl Daemon {
         let (file, path) = (kept.revocations.clone(), kept.invitations.clone());
         let write = move || -> Result<(), SecretFileError> {
             file.save(&revocations)?;
-            let malformed = |error: cbor::CborError| SecretFileError::Malformed { path: path.clone(), reason: error.to_string() };
+            let malformed =
+                |error: cbor::CborError| SecretFileError::Malformed { path: path.clone(), reason: error.to_string() };
             secret_file::replace(&path, &cbor::encode(&used).map_err(malformed)?)
         };
         match tokio::task::spawn_blocking(write).await {

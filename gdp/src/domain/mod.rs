@@ -122,9 +122,9 @@ pub enum DomainError {
     )]
     NoMembership { peer: Name, home: Name },
     #[error("the {what} with serial {serial} of {of:#}, issued by domain {domain:#}: {source}")]
-    Paper { what: &'static str, serial: u64, of: Name, domain: Name, source: CertError },
+    Paper { what: &'static str, serial: u64, of: Name, domain: Name, source: Box<CertError> },
     #[error("what {of:#} shows of its domain cannot be read: {source}")]
-    Unreadable { of: Name, source: CertError },
+    Unreadable { of: Name, source: Box<CertError> },
     #[error(
         "{peer:#} is {role} in domain {domain:#}, and a switch there has the role switch, rib or border: have it admitted as one"
     )]
@@ -198,7 +198,7 @@ impl Trust {
             return Err(DomainError::NoMembership { peer: peer.name, home: self.home });
         };
         let own_cert = self.own(now)?;
-        let unreadable = |source| DomainError::Unreadable { of: peer.name, source };
+        let unreadable = |source: CertError| DomainError::Unreadable { of: peer.name, source: source.into() };
         shown.check_bounds().map_err(unreadable)?;
         let domain = shown.membership.domain.name().map_err(|error| unreadable(error.into()))?;
         if domain == self.home {
@@ -250,11 +250,12 @@ impl Trust {
 
     /// Takes in what a domain has revoked. Whether that is news; nothing of domains that this one has nothing to do with is kept.
     pub fn take_revocation(&mut self, proof: &NameProof, signed: &Signed<Revocation>) -> Result<bool, CertError> {
-        let kept = Kept { proof: *proof, revocation: signed.clone() };
-        let claims = kept.verify()?;
-        if !self.knows(&claims.name) {
+        // Anybody may send one: those of no interest cost no more than this.
+        if !self.knows(&proof.name()?) {
             return Ok(false);
         }
+        let kept = Kept { proof: *proof, revocation: signed.clone() };
+        let claims = kept.verify()?;
         let held = self.revocation(&claims.name);
         claims.check_replaces(held)?;
         if held == Some(&claims) {
@@ -281,10 +282,10 @@ impl Trust {
 
     /// The certificate of a member of `domain`, if it holds.
     fn member(&self, of: Name, membership: &Membership, domain: Name, now: u64) -> Result<MemberCert, DomainError> {
-        let unreadable = |source| DomainError::Unreadable { of, source };
+        let unreadable = |source: CertError| DomainError::Unreadable { of, source: source.into() };
         let serial = membership.serial_unverified().map_err(unreadable)?;
         let what = if membership.invite.is_some() { "invitation" } else { "MemberCert" };
-        let wrong = |source| DomainError::Paper { what, serial, of, domain, source };
+        let wrong = |source: CertError| DomainError::Paper { what, serial, of, domain, source: source.into() };
         let cert = membership.verify(domain, self.revocation(&domain), now).map_err(wrong)?;
         if cert.entity != of {
             return Err(wrong(CertError::WrongEntity { expected: of, got: cert.entity }));
@@ -304,7 +305,7 @@ impl Trust {
             match signed.verify_peer(&papers.membership.domain, self.revocation(&domain), now) {
                 Ok(claims) => return Ok(Some(claims)),
                 Err(source) => {
-                    let (what, serial) = ("PeerCert", claims.serial);
+                    let (what, serial, source) = ("PeerCert", claims.serial, source.into());
                     failure = Some(DomainError::Paper { what, serial, of: to, domain, source });
                 }
             }
@@ -320,7 +321,7 @@ fn needs(cert: &PeerCert, held: bool, right: &'static str) -> Result<(), DomainE
 
 /// The domain that an entity's own papers are of, if the signatures in them are right.
 fn check_own(entity: Name, papers: &Papers) -> Result<Name, DomainError> {
-    let unreadable = |source| DomainError::Unreadable { of: entity, source };
+    let unreadable = |source: CertError| DomainError::Unreadable { of: entity, source: source.into() };
     papers.check_bounds().map_err(unreadable)?;
     let domain = papers.membership.domain.name().map_err(|error| unreadable(error.into()))?;
     let cert = papers.membership.verify_signatures(domain).map_err(unreadable)?;

@@ -49,7 +49,7 @@ fn what_has_ended_or_was_taken_back_is_refused_by_serial_and_remedy() {
     let home = Domain::new(1);
     let (switch, other) = (home.member(11, "switch"), home.member(12, "switch"));
     let mut trust = switch.trust(true);
-    let mut meet = |trust: &Trust, now| trust.admit(Role::Switch, &other.as_switch(), other.shows(), now);
+    let meet = |trust: &Trust, now| trust.admit(Role::Switch, &other.as_switch(), other.shows(), now);
     assert!(meet(&trust, NOW + 60).is_ok());
     for (now, why) in [(NOW + 61, "expired at"), (NOW - 61, "not yet valid")] {
         let refused = meet(&trust, now).unwrap_err().to_string();
@@ -219,6 +219,36 @@ fn papers_are_bounded_and_an_entitys_own() {
     let of_other = home.member(12, "switch").papers;
     let error = Trust::new(switch.identity.name(), Arc::new(of_other), true).unwrap_err();
     assert!(error.to_string().contains("wrong entity"), "{error}");
+}
+
+/// What is signed, and where it is in an invitation's line. Signatures are random, so they are not part of it.
+#[test]
+fn vectors_of_domains() {
+    let (home, away) = (Domain::new(1), Domain::new(2));
+    let (member, token) = (home.member(11, "switch"), home.invite("switch", 7));
+    let revocation = home.revoke(1, ISSUED, vec![ISSUED + 12]);
+    let computed = serde_json::json!({
+        "domain_key": hex::encode(home.identity.key().public()),
+        "domain": home.identity.name(),
+        "member_cert": signed(&member.papers.membership.cert),
+        "invite": signed(token.invite_signed()),
+        "peer_cert": signed(&home.peer(&away, "peering,visit", 5)),
+        "revocation": signed(&revocation),
+        "invited_key": hex::encode([77; 32]),
+        "at": token.at().to_string(),
+        "switch": token.switch(),
+    });
+    crate::vectors::check("domain.json", &computed);
+}
+
+fn signed<T: Claims>(signed: &Signed<T>) -> serde_json::Value {
+    use coset::TaggedCborSerializable;
+    let cose = coset::CoseSign1::from_tagged_slice(signed.as_bytes()).unwrap();
+    serde_json::json!({
+        "claims": signed.claims_unverified().unwrap(),
+        "payload": hex::encode(cose.payload.as_ref().unwrap()),
+        "to_be_signed": hex::encode(cose.tbs_data(T::CONTEXT.as_bytes())),
+    })
 }
 
 struct Domain {

@@ -87,6 +87,11 @@ impl Token {
         Ok(claims)
     }
 
+    #[cfg(test)]
+    pub(super) fn invite_signed(&self) -> &Signed<Invite> {
+        &self.invite
+    }
+
     pub fn domain(&self) -> &NameProof {
         &self.domain
     }

@@ -178,6 +178,8 @@ pub(super) fn is_place(at: &LinkTarget) -> anyhow::Result<()> {
     match at {
         LinkTarget::Ethernet { mac: None, .. } => Ok(()),
         LinkTarget::Udp { host, interface: None, .. } if host.parse::<std::net::IpAddr>().is_ok() => Ok(()),
-        _ => bail!("{at}: a switch dials an address, as udp://192.0.2.1:31415 or udp://[2001:db8::1]:31415, or eth://INTERFACE"),
+        _ => bail!(
+            "{at}: a switch dials an address, as udp://192.0.2.1:31415 or udp://[2001:db8::1]:31415, or eth://INTERFACE"
+        ),
     }
 }

@@ -108,7 +108,8 @@ fn switch(token: &Token, role: &str, identity: &Path) -> anyhow::Result<String> 
     };
     let switch = token.switch().context("the invitation does not say which switch to dial; have another made")?;
     let place = format!("{{{via}, switch: {switch}, dial: true}}");
-    let toward = if role == roles::RIB { format!("rib: true\nneighbours: [{place}]") } else { format!("uplink: {place}") };
+    let toward =
+        if role == roles::RIB { format!("rib: true\nneighbours: [{place}]") } else { format!("uplink: {place}") };
     Ok(format!("identity: {}\n{toward}\n{}", json!(identity), domain()))
 }
 

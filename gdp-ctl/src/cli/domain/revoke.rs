@@ -72,7 +72,9 @@ impl Options {
             let of = house.issued.iter().filter(|issue| issue.holder() == Some(*name));
             chosen.extend(of.filter(|i| matches!(i.to, To::Member { .. }) == is_member).map(|i| i.serial));
             if chosen.len() == before {
-                bail!("nothing was issued to {name} from here; name its files or their serials, or those of its invitation");
+                bail!(
+                    "nothing was issued to {name} from here; name its files or their serials, or those of its invitation"
+                );
             }
         }
         Ok(chosen)

@@ -6,9 +6,9 @@ use clap::Args;
 use gdp::cert::{AdCert, Claims, Delegation, ReadGrant, Revocation};
 use serde_json::{Value, json};
 
-use super::super::{Context, output, unix_now};
 use super::super::books::Books;
 use super::super::revocation::describe_revocation;
+use super::super::{Context, output, unix_now};
 use super::ledger::{Grant, Holder};
 
 #[derive(Debug, Args)]

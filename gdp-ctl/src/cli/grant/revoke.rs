@@ -49,7 +49,14 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         (None, Some(known)) => known,
         (None, None) => bail!("nothing of {} is revoked yet; say what to revoke", books.card().name()),
     };
-    publish(&books, signed, &claims, options.revokes(), &format!("gdp-ctl grant revoke {}", options.card.display()), context)
+    publish(
+        &books,
+        signed,
+        &claims,
+        options.revokes(),
+        &format!("gdp-ctl grant revoke {}", options.card.display()),
+        context,
+    )
 }
 
 impl Options {
