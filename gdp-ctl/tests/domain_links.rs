@@ -99,7 +99,7 @@ async fn a_switch_gets_links_with_members_and_everybody_else_a_reason() {
     let (rib, name) = (hub_running.status().await, foreign.name.to_string());
     assert_eq!(rib["rib"]["switches"], 2, "the hub and its member: {rib}");
     let link = rib["links"].as_array().unwrap().iter().find(|link| link["peer"] == name.as_str()).unwrap();
-    assert_eq!(link["domain"], away.identity.name().to_string());
+    assert_eq!((&link["domain"], &link["role"]), (&away.identity.name().to_string().into(), &"border".into()));
 
     // What the domain lets another do is taken back: at once, and said.
     let serial = rights.claims_unverified().unwrap().serial;
@@ -120,12 +120,12 @@ async fn links_end_with_what_they_rest_on_unless_it_is_renewed() {
     let (home, log) = (Domain::new(3), log());
     let (hub, spoke) = (Place::new("hub"), Place::new("spoke"));
     let hub_running = hub.member(&home, "rib", LONG).rib().start().await;
-    let running = spoke.member(&home, "switch", 4).dials(&hub).start().await;
+    let running = spoke.member(&home, "switch", 8).dials(&hub).start().await;
     wait("the link", async || standing(&hub_running, &spoke).await == "member").await;
     let (id, ends) = link_to(&hub_running, &spoke).await.map(|link| (link["id"].clone(), until(&link))).unwrap();
 
     // Before the moment: the same link goes on, for as long as the new one says.
-    spoke.renew(&home, "switch", 8);
+    spoke.renew(&home, "switch", 14);
     wait("the renewal to be taken", async || {
         link_to(&hub_running, &spoke).await.is_some_and(|link| until(&link) > ends)
     })
@@ -208,6 +208,19 @@ async fn an_invitation_admits_the_first_that_the_rib_sees() {
     wait("it to hear why", async || said(&log, "closed by the peer")).await;
     assert_eq!(standing(&mid_running, &second).await, "none");
 
+    // A robot's is one like any other.
+    let token = home.invite("arm", &mid);
+    let [robot, thief] = ["proxy"; 2].map(|kind| Identity::generate(kind).unwrap());
+    let papers = |robot: &Identity| {
+        let membership = token.admit(robot.name(), 0, now() as u64 * 1_000_000_000).unwrap();
+        Some(Papers { membership, peers: vec![] })
+    };
+    let node = attach(&robot, papers(&robot), mid.addr).await.unwrap();
+    assert_eq!(link_of(&mid_running, robot.name()).await.unwrap()["standing"], "member");
+    node.close().await;
+    let error = attach(&thief, papers(&thief), mid.addr).await.err().unwrap().to_string();
+    assert!(error.contains("closed by the peer") && error.contains("has admitted"), "{error}");
+
     // The RIB remembers, and so does the switch: without the RIB, who was admitted gets its link again.
     hub_running.stop().await;
     wait("the address to be free", async || UdpSocket::bind(hub.addr).is_ok()).await;
@@ -216,7 +229,7 @@ async fn an_invitation_admits_the_first_that_the_rib_sees() {
     let mid_running = mid.settings(Some(&home)).dials(&hub).start().await;
     wait("the first again", async || standing(&mid_running, &first).await == "member").await;
     let hub_running = hub.settings(Some(&home)).rib().start().await;
-    assert_eq!(hub_running.status().await["domain"]["invitations_used"], 1);
+    assert_eq!(hub_running.status().await["domain"]["invitations_used"], 2);
     let before = log.lines().len();
     wait("the second to be refused again", async || {
         log.lines()[before..].iter().any(|line| line.contains("closed by the peer") && line.contains(&why))
@@ -263,9 +276,9 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
     assert!(error.contains("closed by the peer") && error.contains("does not know"), "{error}");
 
     // It ends with its papers, and goes on with renewed ones.
-    let node = attach(&robot, Some(papers(&home, 3, &[])), hub.addr).await.unwrap();
+    let node = attach(&robot, Some(papers(&home, 6, &[])), hub.addr).await.unwrap();
     let first = link_of(&hub_running, robot.name()).await.unwrap();
-    node.renew_papers(papers(&home, 6, &[])).await.unwrap();
+    node.renew_papers(papers(&home, 10, &[])).await.unwrap();
     let renewed = link_of(&hub_running, robot.name()).await.unwrap();
     assert!(first["id"] == renewed["id"] && until(&renewed) > until(&first));
     wait("the end of the link", async || link_of(&hub_running, robot.name()).await.is_none()).await;

@@ -31,7 +31,7 @@ fn describe(reply: &Value) -> String {
             let (mtu, rtt) = (link["mtu"].to_string(), format!("{} µs", link["rtt_us"]));
             let (taken, dropped) = arrivals(&link["arrivals"]);
             let role = match text("standing").as_str() {
-                "" | "stranger" => text("role"),
+                "" | "stranger" | "border" => text("role"),
                 standing => format!("{} ({standing})", text("role")),
             };
             let place = [role, text("via"), text("address")];

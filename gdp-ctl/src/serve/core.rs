@@ -76,6 +76,13 @@ pub struct LinkState {
     to: LinkAddr,
 }
 
+impl LinkState {
+    /// What the data planes hold the peer for.
+    pub fn role(&self) -> u32 {
+        self.entry.role
+    }
+}
+
 /// Something to send, on behalf of the RIB or of a switch nearer to it.
 pub struct Outgoing {
     pub link: Option<Link>,

@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use gdp::control::RecordPlace;
-use gdp::link::Role;
-use gdp_wire::{Counter, ErrorCode, FibEntry, Name};
+use gdp_wire::{Counter, ErrorCode, FibEntry, LinkRole, Name};
 use serde_json::{Map, Value, json};
 
 use super::core::Core;
@@ -88,7 +87,7 @@ pub fn links(core: &Core) -> Vec<Value> {
             let (rx_keys, tx_keys) = link.key_generations();
             json!({
                 "peer": peer.name,
-                "role": role(peer.role),
+                "role": role(state.role()),
                 "lane": peer.lane,
                 "standing": state.admission.standing.as_str(),
                 "domain": foreign(&state.admission.standing),
@@ -116,7 +115,7 @@ fn links_held(core: &Core) -> Vec<Value> {
         .map(|link| {
             json!({
                 "peer": link.peer,
-                "role": role(link.role),
+                "role": role(link.entry.role),
                 "address": link.to.to_string(),
                 "id": link.entry.id,
                 "errors_received": errors_received(core, link.entry.id),
@@ -161,10 +160,12 @@ fn foreign(standing: &Standing) -> Option<Name> {
     }
 }
 
-fn role(role: Role) -> &'static str {
+/// As the data planes know the peer.
+fn role(role: u32) -> &'static str {
     match role {
-        Role::Endpoint => "endpoint",
-        Role::Switch => "switch",
+        _ if role == LinkRole::Endpoint as u32 => "endpoint",
+        _ if role == LinkRole::Border as u32 => "border",
+        _ => "switch",
     }
 }
 
