@@ -31,7 +31,8 @@ fn a_switch_joins_by_one_line_and_leaves_when_it_is_revoked() -> Result<()> {
     let user = |arguments: &[&str]| ctl(&tools, folder, arguments);
 
     user(&["domain", "init", "-o", "home"])?;
-    let first = user(&["key", "generate", "first.pem", "--kind", "switch"])?["name"].as_str().context("a name")?.to_owned();
+    let first =
+        user(&["key", "generate", "first.pem", "--kind", "switch"])?["name"].as_str().context("a name")?.to_owned();
     user(&["domain", "admit", "--key", "home/domain.pem", &first, "--role", "rib", "-o", "first.member"])?;
     let config = json!({
         "identity": "first.pem", "socket": "first.sock", "interfaces": ["h0"], "udp": null, "bpffs": null,
@@ -40,7 +41,8 @@ fn a_switch_joins_by_one_line_and_leaves_when_it_is_revoked() -> Result<()> {
     fs::write(folder.join("first.yaml"), config.to_string())?;
     let mut first_process = serve(&tools, &at_home, "first", &folder.join("first.yaml"), folder)?;
 
-    let invite = ["domain", "invite", "--key", "home/domain.pem", "--role", "switch", "--at", "eth://e0", "--switch", &first];
+    let invite =
+        ["domain", "invite", "--key", "home/domain.pem", "--role", "switch", "--at", "eth://e0", "--switch", &first];
     let token = user(&invite)?["token"].as_str().context("a line")?.to_owned();
     let joined = join(&tools, folder, &token)?;
     let name = joined["name"].as_str().context("a name")?.to_owned();

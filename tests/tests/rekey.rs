@@ -89,6 +89,7 @@ impl Scene {
                 ebpf_object: Some(tools.ebpf_object()?),
                 fib_capacity: 1024,
                 bpffs: None,
+                domain: None,
                 rekey: OFTEN,
             };
             let inside = Inside::new(&chain.switches()[i], ROOT)?;

@@ -153,6 +153,7 @@ impl Site {
                 ebpf_object: ebpf_object.clone(),
                 fib_capacity: 1024,
                 bpffs: None,
+                domain: None,
                 rekey: Default::default(),
             })
         };

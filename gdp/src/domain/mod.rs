@@ -293,22 +293,25 @@ impl Trust {
         Ok(cert)
     }
 
-    /// What `domain`, whose member shows `papers`, lets `to` do, if it has stated anything. Of several certificates the one that
-    /// holds counts.
+    /// What `domain`, whose member shows `papers`, lets `to` do, if it has stated anything. Of several certificates the newest
+    /// that holds counts.
     fn granted(&self, papers: &Papers, domain: Name, to: Name, now: u64) -> Result<Option<PeerCert>, DomainError> {
-        let mut failure = None;
+        let (mut newest, mut failure) = (None::<PeerCert>, None);
         for signed in &papers.peers {
             let Ok(claims) = signed.claims_unverified() else { continue };
-            if claims.peer != to {
+            if claims.peer != to || newest.as_ref().is_some_and(|newest| newest.serial > claims.serial) {
                 continue;
             }
             match signed.verify_peer(&papers.membership.domain, self.revocation(&domain), now) {
-                Ok(claims) => return Ok(Some(claims)),
+                Ok(claims) => newest = Some(claims),
                 Err(source) => {
                     let (what, serial, source) = ("PeerCert", claims.serial, source.into());
                     failure = Some(DomainError::Paper { what, serial, of: to, domain, source });
                 }
             }
+        }
+        if newest.is_some() {
+            return Ok(newest);
         }
         failure.map_or(Ok(None), Err)
     }

@@ -112,6 +112,12 @@ fn domains_peer_when_each_has_said_so() {
         assert!(home_says.contains(at_home), "{ours:?} {theirs:?}: {home_says}");
         assert!(away_says.contains(abroad), "{ours:?} {theirs:?}: {away_says}");
     }
+    // Of several certificates the newest that holds counts.
+    let (mut here, there) = both("visit", "peering");
+    here.papers.peers.push(home.peer(&away, "peering", 8));
+    here.papers.peers.push(home.peer(&away, "transit", 7));
+    let refused = meet(&(here, there));
+    assert!(refused.0.is_ok() && refused.1.is_ok());
     // Only borders.
     let (here, mut there) = both("peering", "peering");
     there.papers.membership = away.member(12, "switch").papers.membership;
