@@ -2,9 +2,10 @@
 
 use gdp::NameCard;
 use gdp::cert::{
-    AdCert, Advert, Claims, Delegation, Issued, LinkState, MemberCert, Membership, ReadGrant, Reading, Revocation,
-    RtCert, Signed,
+    AdCert, Advert, Claims, Delegation, Invite, Issued, LinkState, MemberCert, Membership, PeerCert, ReadGrant,
+    Reading, Revocation, RtCert, Signed,
 };
+use gdp::domain::Token;
 
 /// Bytes that are taken for a certificate are its only encoding, and survive their text form.
 pub fn cert(data: &[u8]) {
@@ -13,6 +14,8 @@ pub fn cert(data: &[u8]) {
     decode::<Delegation>(data);
     decode::<Revocation>(data);
     decode::<MemberCert>(data);
+    decode::<Invite>(data);
+    decode::<PeerCert>(data);
     decode::<RtCert>(data);
     decode::<Advert>(data);
     decode::<LinkState>(data);
@@ -28,6 +31,10 @@ pub fn cert(data: &[u8]) {
     }
     if let Ok(member) = Membership::from_pem(text) {
         assert_eq!(Membership::from_pem(&member.to_pem()).expect("its own text"), member);
+    }
+    if let Ok(token) = Token::from_line(text) {
+        let again = Token::from_line(&token.to_line()).expect("its own line");
+        assert_eq!(again.invite().ok(), token.invite().ok());
     }
     if let Ok(card) = NameCard::from_json(text) {
         assert_eq!(NameCard::from_json(&card.to_json()).expect("its own text").name(), card.name());

@@ -5,6 +5,7 @@
 mod cert;
 mod control;
 mod decide;
+mod domains;
 mod feedback;
 mod key_box;
 mod seeds;

@@ -16,6 +16,7 @@ use gdp_wire::{Counter, Name};
 use serde::Serialize;
 
 use crate::decide::{TAGGED, TWICE};
+use crate::domains::Domain;
 use crate::frames::fixtures;
 use crate::key_box;
 
@@ -150,7 +151,7 @@ impl Papers {
         let delegation = issue(&owner, &delegation).expect("a delegation");
         let home = Identity::generate("domain").expect("an identity");
         let (domain, role) = (home.name(), "operator".to_owned());
-        let member = MemberCert { domain, entity, role: role.clone(), not_before, not_after };
+        let member = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
         let grant = ReadGrant { name, to: Grantee::Role { domain, role }, serial, not_before, not_after };
         let grant = issue(robot.key(), &grant).expect("a grant");
         let advert = Advert { op: AdvertOp::Publish, name, entity, switch, serial, lifetime: 60, box_key };
@@ -188,8 +189,10 @@ impl Papers {
             ("an ad cert as text", self.ad_cert.to_pem().into_bytes()),
             ("a name card", self.card.to_json().into_bytes()),
         ]
+        .into_iter()
+        .chain(Domain::new().certificates())
         .map(|(name, bytes)| (name.to_owned(), bytes))
-        .to_vec()
+        .collect()
     }
 
     fn messages(&self) -> Seeds {
@@ -232,38 +235,47 @@ impl Papers {
         };
         let role = NameRole::Subscriber;
         let from_entity = Request::Entity;
-        vec![
-            seed("attach", &from_entity(EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: true, lane: 3 })),
-            seed("relay", &Request::Relay { switch, entity: Some(robot), by_tool: false, request: advertise }),
-            seed(
-                "subscribe",
-                &from_entity(EntityRequest::Subscribe {
-                    proof,
-                    grant: grant.clone(),
-                    advert: advert.clone(),
-                    everywhere: false,
-                }),
-            ),
-            seed("withdraw", &from_entity(EntityRequest::Withdraw { advert: advert.clone() })),
-            seed("query", &from_entity(EntityRequest::Query { prefix: name.into(), after: place })),
-            seed("report", &Request::Report { switch: robot, attached: vec![entity], own_bit: Some(63) }),
-            seed(
-                "flood",
-                &Request::Flood { states: vec![Flooded { proof: robot, state: self.state.clone(), expires_in: 180 }] },
-            ),
-            seed("revoke", &from_entity(EntityRequest::Revoke { proof, revocation: self.revocation.clone() })),
-            seed("detach", &Request::Detach { switch, entity }),
-            seed("ready", &Request::Ready),
-            seed("fib push", &Request::Fib(push)),
-            seed("key boxes", &from_entity(EntityRequest::KeyBoxes { boxes: peers.boxes.clone() })),
-            seed("peers push", &Request::Peers(PeersPush { switch, entity, name, role, peers: peers.clone() })),
-            seed("peers", &Response::Peers(peers)),
-            seed("ratcheted", &Request::Ratcheted { generation: u64::MAX }),
-            seed("done", &Response::Done),
-            seed("attached", &Response::Attached { serial: 9 }),
-            seed("records", &Response::Records { records: vec![record], truncated: true }),
-            seed("refused", &Response::from(Refusal::new(RefusalCode::Limit, "full"))),
-        ]
+        let of_domains = Domain::new().messages();
+        let of_domains = of_domains.iter().map(|(name, request)| seed(name, request));
+        of_domains
+            .chain([
+                seed(
+                    "attach",
+                    &from_entity(EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: true, lane: 1 }),
+                ),
+                seed("relay", &Request::Relay { switch, entity: Some(robot), by_tool: false, request: advertise }),
+                seed(
+                    "subscribe",
+                    &from_entity(EntityRequest::Subscribe {
+                        proof,
+                        grant: grant.clone(),
+                        advert: advert.clone(),
+                        everywhere: true,
+                    }),
+                ),
+                seed("withdraw", &from_entity(EntityRequest::Withdraw { advert: advert.clone() })),
+                seed("query", &from_entity(EntityRequest::Query { prefix: name.into(), after: place })),
+                seed("report", &Request::Report { switch: robot, attached: vec![entity], own_bit: Some(63) }),
+                seed(
+                    "flood",
+                    &Request::Flood {
+                        states: vec![Flooded { proof: robot, state: self.state.clone(), expires_in: 180 }],
+                    },
+                ),
+                seed("revoke", &from_entity(EntityRequest::Revoke { proof, revocation: self.revocation.clone() })),
+                seed("detach", &Request::Detach { switch, entity }),
+                seed("ready", &Request::Ready),
+                seed("fib push", &Request::Fib(push)),
+                seed("key boxes", &from_entity(EntityRequest::KeyBoxes { boxes: peers.boxes.clone() })),
+                seed("peers push", &Request::Peers(PeersPush { switch, entity, name, role, peers: peers.clone() })),
+                seed("peers", &Response::Peers(peers)),
+                seed("ratcheted", &Request::Ratcheted { generation: u64::MAX }),
+                seed("done", &Response::Done),
+                seed("attached", &Response::Attached { serial: 9 }),
+                seed("records", &Response::Records { records: vec![record], truncated: true }),
+                seed("refused", &Response::from(Refusal::new(RefusalCode::Limit, "full"))),
+            ])
+            .collect()
     }
 }
 

@@ -7,6 +7,7 @@ use std::io::Read;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
+use gdp::domain::{MAX_PEERS, PaperFiles};
 use gdp::link::RekeySchedule;
 use gdp_wire::Name;
 use serde::{Deserialize, Deserializer};
@@ -38,8 +39,19 @@ pub struct Config {
     pub fib_capacity: u32,
     /// The BPF file system in which XDP outlives the daemon; `None`: it ends with it.
     pub bpffs: Option<PathBuf>,
+    /// The trust domain it is a member of; without, it takes any neighbour that is listed and any endpoint.
+    pub domain: Option<DomainConfig>,
     /// When the keys of links are replaced. No option of the file.
     pub rekey: RekeySchedule,
+}
+
+/// What makes a daemon a member of a trust domain.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DomainConfig {
+    /// Read again when they change.
+    pub files: PaperFiles,
+    /// Whether endpoints without a membership get no link.
+    pub members_only: bool,
 }
 
 /// Which data plane the user wants.
@@ -60,6 +72,8 @@ pub enum DataPlane {
 pub struct Neighbour {
     pub place: Place,
     pub cost: Option<u32>,
+    /// This side makes the link. Otherwise the one with the smaller name does.
+    pub dial: bool,
 }
 
 /// A neighbouring switch and where it is.
@@ -123,6 +137,7 @@ impl Config {
             ebpf_object: None,
             fib_capacity: FIB_CAPACITY,
             bpffs: default_bpffs(),
+            domain: None,
             rekey: RekeySchedule::default(),
         })
     }
@@ -184,6 +199,18 @@ struct File {
     /// `null` turns it off.
     #[serde(default = "default_bpffs")]
     bpffs: Option<PathBuf>,
+    domain: Option<DomainEntry>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DomainEntry {
+    card: PathBuf,
+    membership: PathBuf,
+    #[serde(default)]
+    peers: Vec<PathBuf>,
+    #[serde(default)]
+    members_only: bool,
 }
 
 /// Absent is not the same as `null`, which turns UDP off.
@@ -211,6 +238,8 @@ struct PlaceEntry {
     interface: Option<String>,
     udp: Option<SocketAddr>,
     cost: Option<u32>,
+    #[serde(default)]
+    dial: bool,
 }
 
 impl File {
@@ -242,14 +271,14 @@ impl File {
         }
         if let Some(uplink) = uplink_neighbour {
             let switch = uplink.place.switch;
-            match neighbours.iter().find(|n| n.place.switch == switch) {
+            match neighbours.iter_mut().find(|n| n.place.switch == switch) {
                 Some(listed) if listed.place != uplink.place => {
                     return invalid(format!("uplink: {switch} is another place in neighbours"));
                 }
                 Some(listed) if uplink_cost.is_some() && uplink_cost != listed.cost => {
                     return invalid(format!("uplink: {switch} has another cost in neighbours; remove one of the two"));
                 }
-                Some(_) => {}
+                Some(listed) => listed.dial |= uplink.dial,
                 None => neighbours.push(uplink),
             }
         }
@@ -274,6 +303,11 @@ impl File {
         if !(1..=1 << 24).contains(&fib_capacity) {
             return invalid(format!("fib_capacity: {fib_capacity} is not between 1 and {}", 1 << 24));
         }
+        if let Some(domain) = &self.domain
+            && domain.peers.len() > MAX_PEERS
+        {
+            return invalid(format!("domain: {} peers, where at most {MAX_PEERS} are shown", domain.peers.len()));
+        }
         let here = |path: PathBuf| folder.join(path);
         Ok(Config {
             identity: match self.identity {
@@ -297,6 +331,14 @@ impl File {
             ebpf_object: self.ebpf_object.map(here),
             fib_capacity,
             bpffs: self.bpffs.map(here),
+            domain: self.domain.map(|entry| DomainConfig {
+                files: PaperFiles {
+                    card: here(entry.card),
+                    membership: here(entry.membership),
+                    peers: entry.peers.into_iter().map(here).collect(),
+                },
+                members_only: entry.members_only,
+            }),
             rekey: RekeySchedule::default(),
         })
     }
@@ -308,7 +350,8 @@ impl PlaceEntry {
         if cost == Some(0) {
             return Err(ParseError::Invalid(format!("{key}: cost of {} is 0; the least is 1", self.switch)));
         }
-        Ok(Neighbour { place: self.place(key)?, cost })
+        let dial = self.dial;
+        Ok(Neighbour { place: self.place(key)?, cost, dial })
     }
 
     fn place(self, key: &str) -> Result<Place, ParseError> {
@@ -379,6 +422,23 @@ mod tests {
     }
 
     #[test]
+    fn a_domain_and_who_dials() {
+        let config = parse("").unwrap();
+        assert_eq!(config.domain, None);
+        let text = "domain: {card: domain.card, membership: /m, peers: [away.peer], members_only: true}\n";
+        let domain = parse(text).unwrap().domain.unwrap();
+        assert_eq!(domain.files.card, Path::new("/etc/gdp/domain.card"));
+        assert_eq!(domain.files.membership, Path::new("/m"));
+        assert_eq!(domain.files.peers, [Path::new("/etc/gdp/away.peer")]);
+        assert!(domain.members_only);
+        let config = parse(&format!("uplink: {{udp: '127.0.0.1:9', switch: {S}, dial: true}}")).unwrap();
+        assert!(
+            config.neighbours[0].dial
+                && !parse(&format!("uplink: {{interface: a, switch: {S}}}")).unwrap().neighbours[0].dial
+        );
+    }
+
+    #[test]
     fn a_secret_given_by_mistake_is_not_repeated() {
         for text in ["-----BEGIN PRIVATE KEY-----\nc2VjcmV0\n", "identity: [c2VjcmV0", "c2VjcmV0"] {
             let error = parse(text).expect_err(text);
@@ -410,6 +470,9 @@ mod tests {
             (&format!("uplink: {{interface: a, switch: {S}, cost: 0}}"), "the least is 1"),
             (&format!("udp: null\nuplink: {{udp: '127.0.0.1:9', switch: {S}}}"), "turns UDP off"),
             ("fib_capacity: 0", "fib_capacity"),
+            ("domain: {card: c}", "membership"),
+            ("domain: {card: c, membership: m, members: true}", "members"),
+            (&format!("domain: {{card: c, membership: m, peers: [{}x]}}", "x, ".repeat(16)), "at most 16"),
         ] {
             let error = parse(text).expect_err(text);
             assert!(error.contains(needle), "{text}: {error}");

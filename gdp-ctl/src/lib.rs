@@ -5,6 +5,7 @@ pub mod admin;
 pub mod cli;
 pub mod config;
 pub mod doctor;
+pub mod domain;
 pub mod folders;
 pub mod plane;
 pub mod rib;

@@ -156,7 +156,7 @@ async fn a_certificate_until_the_end_of_time_does_not_stop_the_clock() {
         entity: papers.robot.name(),
         switch: switch.name(),
         serial: 1,
-        lifetime: 1,
+        lifetime: 3,
         box_key: papers.robot.box_public(),
     };
     let advert = issue(papers.robot.key(), &says).unwrap();
@@ -256,7 +256,7 @@ async fn only_what_a_switch_states_itself_becomes_topology() {
     let (near, far) = (Identity::generate("switch").unwrap(), Identity::generate("switch").unwrap());
     let mut config = config(folder.path(), "s1");
     let place = Place { switch: near.name(), via: Via::Udp("127.0.0.1:9".parse().unwrap()) };
-    config.neighbours = vec![Neighbour { place, cost: None }];
+    config.neighbours = vec![Neighbour { place, cost: None, dial: false }];
     let switch = start(config).await.unwrap();
     let to = LinkAddr::udp(switch.udp_addr().unwrap());
     let port = |config| Port::udp("127.0.0.1:0".parse().unwrap(), &config).unwrap();
@@ -364,7 +364,11 @@ impl<'a> Chain<'a> {
             udp: Some(self.addrs[i]),
             rib: i == 2,
             uplink: (i < 2).then(|| place(i + 1)),
-            neighbours: near.into_iter().flatten().map(|j| Neighbour { place: place(j), cost: Some(1) }).collect(),
+            neighbours: near
+                .into_iter()
+                .flatten()
+                .map(|j| Neighbour { place: place(j), cost: Some(1), dial: false })
+                .collect(),
             ..config(self.folder, &format!("s{}", i + 1))
         }
     }

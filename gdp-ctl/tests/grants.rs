@@ -103,7 +103,7 @@ fn a_grant_to_a_role_is_read_with_the_domains_part_behind_it() {
 
     for (role, refused) in [("operator", None), ("guest", Some("wrong role"))] {
         let (domain_name, entity, role) = (domain.name(), reader.name(), role.to_owned());
-        let claims = MemberCert { domain: domain_name, entity, role, not_before: 0, not_after: u64::MAX };
+        let claims = MemberCert { domain: domain_name, entity, role, serial: 1, not_before: 0, not_after: u64::MAX };
         let member = Membership::issue(&domain, &claims).unwrap();
         let both = std::fs::read_to_string(user.file("operators.grant")).unwrap() + &member.to_pem();
         std::fs::write(user.file("mine.grant"), both).unwrap();

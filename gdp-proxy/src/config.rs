@@ -9,6 +9,7 @@ use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
 
 use gdp::Name;
+use gdp::domain::PaperFiles;
 use gdp::link::MAX_LANES;
 use gdp::node::{LinkConfig, LinkTarget};
 use serde::{Deserialize, Deserializer, de};
@@ -31,11 +32,34 @@ pub struct Config {
     /// A folder for what the proxy must not forget, which is what owners have revoked; made if there is none.
     #[serde(default)]
     pub state: Option<PathBuf>,
+    /// The trust domain that the proxy is a member of, if it is of one.
+    #[serde(default)]
+    pub domain: Option<DomainConfig>,
     /// ROS_DOMAIN_ID.
     #[serde(default)]
     pub domain_id: DomainId,
     #[serde(default)]
     pub topics: Vec<TopicConfig>,
+}
+
+/// What makes the proxy a member of a trust domain (`gdp-ctl domain`).
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DomainConfig {
+    /// The domain's card.
+    pub card: PathBuf,
+    /// Read again when it changes, as the others.
+    pub membership: PathBuf,
+    /// What the domain lets other domains do; for those that the robot visits.
+    #[serde(default)]
+    pub peers: Vec<PathBuf>,
+}
+
+impl From<&DomainConfig> for PaperFiles {
+    fn from(config: &DomainConfig) -> Self {
+        let DomainConfig { card, membership, peers } = config;
+        Self { card: card.clone(), membership: membership.clone(), peers: peers.clone() }
+    }
 }
 
 /// One way to the fabric.
@@ -196,6 +220,9 @@ impl Config {
         let resolve = |path: &mut PathBuf| *path = folder.join(&path);
         resolve(&mut self.identity);
         self.state.as_mut().map(resolve);
+        if let Some(domain) = &mut self.domain {
+            [&mut domain.card, &mut domain.membership].into_iter().chain(&mut domain.peers).for_each(resolve);
+        }
         for topic in &mut self.topics {
             resolve(&mut topic.card);
             resolve(&mut topic.cert);
@@ -214,6 +241,21 @@ mod tests {
 
     const MINIMAL: &str = "{identity: robot.pem, links: [{to: 'eth://r0'}], topics: [{topic: /chatter, direction: out, \
                            card: chatter.card, cert: /etc/gdp/chatter.ad}]}";
+
+    #[test]
+    fn a_membership_is_in_files_beside_the_configuration() {
+        let text =
+            "{identity: robot.pem, links: [{to: 'eth://r0'}], domain: {card: domain.card, membership: /m, peers: [p]}}";
+        let config = Config::parse(text, Path::new("/etc/gdp/proxy.yaml")).unwrap();
+        let files = PaperFiles::from(config.domain.as_ref().unwrap());
+        assert_eq!(
+            (files.card.as_path(), files.membership.as_path()),
+            (Path::new("/etc/gdp/domain.card"), Path::new("/m"))
+        );
+        assert_eq!(files.peers, [Path::new("/etc/gdp/p")]);
+        let wrong = Config::parse(&text.replace("peers", "peer"), Path::new("p.yaml")).unwrap_err();
+        assert!(wrong.to_string().contains("peer"), "{wrong}");
+    }
 
     #[test]
     fn what_is_not_said_has_the_defaults_of_ros_2() {

@@ -8,6 +8,7 @@ mod cert_file;
 pub mod config;
 mod delivery;
 pub mod material;
+mod membership;
 pub mod proxy;
 pub mod ros2;
 pub mod route;

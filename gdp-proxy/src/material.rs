@@ -9,6 +9,7 @@ use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use gdp::cert::{AdCert, CertError, Issued, MAX_CERT_FILE, Reading};
+use gdp::domain::{PaperFiles, Papers, Stamps, Trust};
 use gdp::{Identity, Name, NameCard, SigningKey};
 
 use crate::config::{Config, Direction, TopicConfig};
@@ -17,6 +18,8 @@ use crate::ros2::TypeName;
 /// Everything secret or signed that a proxy works with.
 pub struct Material {
     pub identity: Identity,
+    /// With what their files were like.
+    pub papers: Option<(Papers, Stamps)>,
     /// In the order of the configuration's topics.
     pub topics: Vec<TopicMaterial>,
 }
@@ -70,7 +73,8 @@ impl Material {
                 .map_err(|(key, reason)| MaterialError { key: format!("topics[{i}].{key}"), reason })
         };
         let topics = config.topics.iter().enumerate().map(load).collect::<Result<Vec<_>, _>>()?;
-        let material = Self { identity, topics };
+        let papers = config.domain.as_ref().map(|domain| load_papers(&domain.into(), identity.name())).transpose()?;
+        let material = Self { identity, papers, topics };
         material.check_names(config)?;
         Ok(material)
     }
@@ -100,6 +104,14 @@ fn load_identity(path: &Path) -> Result<Identity, String> {
         }
         Err(error) => Err(error.to_string()),
     }
+}
+
+fn load_papers(files: &PaperFiles, entity: Name) -> Result<(Papers, Stamps), MaterialError> {
+    let wrong = |reason: String| MaterialError { key: "domain".into(), reason };
+    let stamps = files.stamps();
+    let papers = files.load().map_err(|error| wrong(error.to_string()))?;
+    Trust::new(entity, papers.clone().into(), true).map_err(|error| wrong(error.to_string()))?;
+    Ok((papers, stamps))
 }
 
 /// Errors with the key inside the topic.
@@ -232,7 +244,7 @@ pub(crate) mod tests {
         let role = String::from("operator");
         let to = Grantee::Role { domain: domain.name(), role: role.clone() };
         let grant = issue(&delegate, &ReadGrant { name, to, serial, not_before, not_after }).unwrap();
-        let member = MemberCert { domain: domain.name(), entity: files.entity, role, not_before, not_after };
+        let member = MemberCert { domain: domain.name(), entity: files.entity, role, serial, not_before, not_after };
         let member = Some(Membership::issue(&domain, &member).unwrap());
         let mut reading = Reading { grant: Issued { cert: grant, delegation }, member };
         fs::write(files.path("t.grant"), reading.to_pem()).unwrap();

@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use gdp::Node;
+use gdp::domain::PaperFiles;
 use gdp::link::RekeySchedule;
 use gdp::node::{LinkConfig, NodeConfig, NodeError};
 use tokio::runtime::Handle;
@@ -16,6 +17,7 @@ use tokio::task::JoinSet;
 
 use crate::config::Config;
 use crate::material::Material;
+use crate::membership::keep_papers;
 use crate::ros2::Domain;
 use crate::route::Route;
 use crate::stats::{Stats, StatsFile};
@@ -47,6 +49,9 @@ pub async fn run(
     let entity = node.name().to_string();
     let domain = Arc::new(Domain::join(domain_id, &format!("gdp_proxy_{}", &entity[..8]))?);
     tracing::info!(entity = %node.name(), domain_id, "attached to the switch and in the DDS domain");
+
+    let files = config.domain.as_ref().map(PaperFiles::from);
+    let watched = files.as_ref().zip(material.papers.as_ref().map(|(_, stamps)| stamps.clone()));
 
     let routes: Vec<_> = config
         .topics
@@ -81,6 +86,7 @@ pub async fn run(
         () = stop => Ok(()),
         Some(ended) = running.join_next() => ended.context("a route panicked").flatten(),
         never = show(stats.as_ref(), &shown) => match never {},
+        never = keep_papers(&node, watched) => match never {},
     };
 
     tracing::info!("leaving");
@@ -104,6 +110,7 @@ async fn connect(config: &Config, material: &Material) -> Result<Node> {
         connect_timeout: CONNECT_PATIENCE,
         rekey: RekeySchedule::default(),
         state: config.state.clone(),
+        papers: material.papers.as_ref().map(|(papers, _)| papers.clone()),
     };
     if let Some(folder) = &config.state {
         let made = std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);

@@ -15,8 +15,10 @@ use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::cert::{
-    AdCert, Advert, CertError, Issued, LinkState, Reading, Revocation, RtCert, Side, Signed, verify_statement,
+    AdCert, Advert, CertError, Issued, LinkState, Membership, Reading, Revocation, RtCert, Side, Signed,
+    verify_statement,
 };
+use crate::domain::Papers;
 use crate::keys::KeyBox;
 use crate::name::{NamePrefix, NameProof};
 
@@ -56,6 +58,15 @@ pub enum Request {
     /// Either end of a link → the other: my data frames are now under the link key of this generation. Answered once the
     /// one after it is held; until then there is no further change.
     Ratcheted { generation: u64 },
+    /// Either end of a link → the other: my membership, or what my domain lets others do, was renewed. If it does not hold, the answer
+    /// says why, and what was shown before goes on to count.
+    Papers(Box<Papers>),
+    /// Either end of a link → the other: a domain has taken certificates back. Sent of all domains that the sender has to do with, first
+    /// on every link and whenever there is news; it is the domain's signature that counts.
+    DomainRevoked { proof: NameProof, revocation: Signed<Revocation> },
+    /// Switch → its uplink, hop by hop to the RIB: this entity shows a membership by an invitation; is it the one that was admitted?
+    /// The first that asks is.
+    Admitted { switch: Name, entity: Name, membership: Box<Membership> },
 }
 
 /// What an entity may ask of the RIB, through the switch it is attached to.

@@ -98,6 +98,15 @@ impl SigningKey {
         pkcs8_der(&self.0.secret)
     }
 
+    /// The scalar, to be carried in an invitation.
+    pub(crate) fn secret_bytes(&self) -> Zeroizing<[u8; 32]> {
+        Zeroizing::new(self.0.secret.to_bytes().into())
+    }
+
+    pub(crate) fn from_secret_bytes(bytes: &[u8; 32]) -> Result<Self, CryptoError> {
+        Self::from_secret(SecretKey::from_slice(bytes).map_err(|_| CryptoError::BadPrivateKey)?)
+    }
+
     fn from_secret(secret: SecretKey) -> Result<Self, CryptoError> {
         let point = secret.public_key().to_sec1_point(true);
         let public = point.as_bytes().try_into().map_err(|_| CryptoError::BadPrivateKey)?;

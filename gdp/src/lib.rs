@@ -7,6 +7,7 @@ pub mod cbor;
 pub mod cert;
 pub mod control;
 pub mod crypto;
+pub mod domain;
 pub mod feedback_wire;
 pub mod identity;
 pub mod keys;

@@ -16,7 +16,7 @@ mod tls;
 use std::fmt;
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
-use std::sync::{Arc, Mutex as StdMutex};
+use std::sync::{Arc, Mutex as StdMutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use gdp_wire::table::ip_words;
@@ -27,6 +27,7 @@ use tokio::task::JoinHandle;
 use zeroize::Zeroizing;
 
 use crate::control::{CodecError, Refusal, Request, Response};
+use crate::domain::Papers;
 use crate::identity::VerifyKey;
 use crate::name::NameProof;
 use crate::port::{HostPair, LinkAddr};
@@ -62,6 +63,9 @@ pub const HOLD: Duration = Duration::from_secs(60);
 
 /// Links that an endpoint has at once, to one switch or several.
 pub const MAX_LANES: usize = 4;
+
+/// Characters of a peer's reason to close a link that are shown.
+const MAX_REASON: usize = 600;
 
 /// Requests a peer can have open at once.
 pub(crate) const MAX_STREAMS: u32 = 32;
@@ -110,6 +114,9 @@ struct Inner {
     connection: quinn::Connection,
     requests: Mutex<mpsc::Receiver<(Request, Responder)>>,
     streams: JoinHandle<()>,
+    papers: StdMutex<Option<Arc<Papers>>>,
+    /// Why this side closed it.
+    closed_for: OnceLock<String>,
 }
 
 /// What a link needs to know of the port it is on.
@@ -222,11 +229,23 @@ impl Link {
             connection,
             requests: Mutex::new(requests),
             streams,
+            papers: StdMutex::new(peer_end.papers.map(Arc::new)),
+            closed_for: OnceLock::new(),
         })))
     }
 
     pub fn peer(&self) -> &Peer {
         &self.0.peer
+    }
+
+    /// What the peer shows of its domain; judged by nobody yet.
+    pub fn papers(&self) -> Option<Arc<Papers>> {
+        self.0.papers.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The peer shows renewed papers.
+    pub fn set_papers(&self, papers: Arc<Papers>) {
+        *self.0.papers.lock().unwrap_or_else(PoisonError::into_inner) = Some(papers);
     }
 
     /// The id in frames that arrive.
@@ -322,7 +341,9 @@ impl Link {
 
     /// Asks the peer and waits for its answer, [`REQUEST_TIMEOUT`] at most. A refusal is an answer.
     pub async fn request(&self, request: &Request) -> Result<Response, LinkError> {
-        streams::request(&self.0.connection, request).await
+        // A link that is closed says more than its streams.
+        let said = |error| self.close_reason().map_or(error, LinkError::Closed);
+        streams::request(&self.0.connection, request).await.map_err(said)
     }
 
     /// The next request of the peer; `None` when the link is closed.
@@ -332,12 +353,20 @@ impl Link {
 
     /// Waits until the link is closed, by either side or by silence, and says why.
     pub async fn closed(&self) -> String {
-        close_reason(&self.0.connection.closed().await)
+        let error = self.0.connection.closed().await;
+        self.describe(&error)
     }
 
     /// Why the link is closed, if it is.
     pub fn close_reason(&self) -> Option<String> {
-        self.0.connection.close_reason().map(|error| close_reason(&error))
+        self.0.connection.close_reason().map(|error| self.describe(&error))
+    }
+
+    fn describe(&self, error: &quinn::ConnectionError) -> String {
+        match (error, self.0.closed_for.get()) {
+            (quinn::ConnectionError::LocallyClosed, Some(reason)) => format!("closed on this side: {reason}"),
+            _ => close_reason(error),
+        }
     }
 
     /// Whether the link was lost without a word from the peer. Then what forwards its frames may go on; see [`HOLD`].
@@ -348,6 +377,7 @@ impl Link {
 
     /// Closes the link; the peer is told why.
     pub fn close(&self, reason: &str) {
+        let _ = self.0.closed_for.set(reason.into());
         self.0.connection.close(quinn::VarInt::from_u32(0), reason.as_bytes());
     }
 
@@ -407,7 +437,7 @@ fn export_secret(connection: &quinn::Connection, context: &[u8]) -> Result<Zeroi
 fn close_reason(error: &quinn::ConnectionError) -> String {
     match error {
         quinn::ConnectionError::ApplicationClosed(close) => {
-            let words: String = String::from_utf8_lossy(&close.reason).chars().take(200).collect();
+            let words: String = String::from_utf8_lossy(&close.reason).chars().take(MAX_REASON).collect();
             if words.is_empty() {
                 "closed by the peer".into()
             } else {

@@ -21,6 +21,7 @@ mod frame_size;
 mod gathered;
 mod greeting;
 mod held;
+mod home;
 mod intake;
 mod lane;
 mod latched;
@@ -49,12 +50,15 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
 use self::clock::unix_now;
+use self::home::Home;
+use self::lane::Status;
 use self::publication::Publication;
 use self::receiver::Receiver;
 use self::revoked::Revoked;
 use self::state::{State, Statement, lock};
 use crate::cert::{AdCert, CertError, Issued, Reading as Grant};
-use crate::control::{NameRole, Record, RecordPlace, Refusal};
+use crate::control::{NameRole, Record, RecordPlace, Refusal, Request};
+use crate::domain::{DomainError, Papers};
 use crate::identity::Identity;
 use crate::keys::RingError;
 use crate::link::{LinkError, MAX_LANES, RekeySchedule};
@@ -88,6 +92,9 @@ pub struct NodeConfig {
     pub rekey: RekeySchedule,
     /// A folder in which the node keeps the revocations that it hears of; without one, it forgets them when it ends.
     pub state: Option<PathBuf>,
+    /// What the node shows of its trust domain. With it, it takes switches of that domain only, and of those that the domain has issued
+    /// a PeerCert to; without, any.
+    pub papers: Option<Papers>,
 }
 
 /// One of a node's links.
@@ -110,7 +117,7 @@ impl NodeConfig {
     /// One link, to any switch at `link`, waited for 10 s.
     pub fn new(identity: Identity, link: LinkTarget) -> Self {
         let (connect_timeout, rekey) = (Duration::from_secs(10), RekeySchedule::default());
-        Self { identity, links: vec![link.into()], connect_timeout, rekey, state: None }
+        Self { identity, links: vec![link.into()], connect_timeout, rekey, state: None, papers: None }
     }
 }
 
@@ -119,6 +126,8 @@ impl NodeConfig {
 pub enum NodeError {
     #[error(transparent)]
     Link(#[from] LinkError),
+    #[error(transparent)]
+    Domain(#[from] DomainError),
     #[error("no answer from {wanted} on interface {interface}; is it running there, and is the cable plugged in?")]
     NoAnswer { interface: String, wanted: String },
     #[error("host {host} has no address: {source}; check the name, and that the network is up")]
@@ -211,15 +220,16 @@ struct Handle {
 impl Node {
     /// Makes links to the switches and attaches by them; returns as soon as one is up. Call within a tokio runtime.
     pub async fn connect(config: NodeConfig) -> Result<Self, NodeError> {
-        let NodeConfig { identity, links, connect_timeout, rekey, state } = config;
+        let NodeConfig { identity, links, connect_timeout, rekey, state, papers } = config;
         if !(1..=MAX_LANES).contains(&links.len()) {
             return Err(NodeError::Links(links.len()));
         }
+        let home = Home::new(&identity, papers)?;
         let (commands, command_queue) = std::sync::mpsc::channel();
         let (events, event_queue) = mpsc::unbounded_channel();
         let file = |folder: PathBuf| RevocationFile::of_entity(&folder, identity.name(), revoked::MAX_FILE);
         let revoked = Revoked::open(state.map(file))?;
-        let state = Arc::new(State::new(identity, &links, revoked, commands, events));
+        let state = Arc::new(State::new(identity, home, &links, revoked, commands, events));
         let (outlet, feedback) = (state.outlet.clone(), state.feedback.clone());
         let receiver = Receiver { commands: command_queue, outlet, feedback };
         spawn("gdp-receive", move || receiver.run())?;
@@ -362,6 +372,20 @@ impl Node {
     pub fn meter(&self) -> Meter<NodeCounters> {
         let outlet = self.0.state.outlet.clone();
         Meter::new(move || outlet.node_counters())
+    }
+
+    /// Shows renewed papers from now on, also on the links there are. An error if they are not this node's, or a switch does not take
+    /// them: then what was shown before counts there. Of no effect on a node that was made without.
+    pub async fn renew_papers(&self, papers: Papers) -> Result<(), NodeError> {
+        let (state, papers) = (&self.0.state, Arc::new(papers));
+        state.home.renew(papers.clone())?;
+        for lane in state.outlet.lanes() {
+            if let Status::Up(attachment) = lane.status() {
+                let request = Request::Papers(Box::new(Papers::clone(&papers)));
+                attachment.link.request(&request).await?.accepted()?;
+            }
+        }
+        Ok(())
     }
 
     /// Detaches: the switch is told, and withdraws everything at once. Publishers and subscriptions are of no use after.

@@ -29,6 +29,7 @@ use tokio::sync::{Mutex, broadcast, mpsc};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, timeout, timeout_at};
 
+use crate::domain::CurrentPapers;
 use crate::identity::Identity;
 use crate::link::{
     self, HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, Place, QuicMtu, RekeySchedule, Role,
@@ -88,6 +89,8 @@ pub struct PortConfig {
     pub ethertype: u16,
     /// When the keys of data frames are replaced.
     pub rekey: RekeySchedule,
+    /// What is shown of a domain, to peers of links that are made from now on. Shared by all ports of an entity.
+    pub papers: CurrentPapers,
 }
 
 impl PortConfig {
@@ -103,7 +106,8 @@ impl PortConfig {
 
     fn new(identity: Identity, role: Role, link_ids: LinkIds) -> Self {
         let (ethertype, rekey) = (gdp_wire::ETHERTYPE, RekeySchedule::default());
-        Self { identity, role, lane: 0, through: None, link_ids, listen: false, ethertype, rekey }
+        let papers = CurrentPapers::default();
+        Self { identity, role, lane: 0, through: None, link_ids, listen: false, ethertype, rekey, papers }
     }
 }
 
@@ -192,6 +196,7 @@ impl Port {
             zero_checksum: matches!(medium, Medium::Udp { zero_checksum: true, .. }),
             host: if let Medium::Udp { host, .. } = medium { host } else { None },
             pair: CurrentPair::default(),
+            papers: config.papers.clone(),
         };
         let (sender, accepted) = mpsc::channel(MAX_HANDSHAKES);
         let acceptor =

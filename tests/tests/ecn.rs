@@ -200,10 +200,11 @@ impl Site {
             data_plane: self.data_plane,
             rib: i == 1,
             uplink: (i == 0).then(|| near.clone()),
-            neighbours: vec![Neighbour { place: near, cost: 1 }],
+            neighbours: vec![Neighbour { place: near, cost: None, dial: false }],
             ebpf_object: Some(Tools::beside_this_test()?.ebpf_object()?),
             fib_capacity: 1024,
             bpffs: None,
+            domain: None,
             rekey: Default::default(),
         })
     }

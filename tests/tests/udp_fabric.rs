@@ -149,10 +149,11 @@ impl Site {
                 data_plane: DataPlane::Xdp,
                 rib: label == "cloud",
                 uplink: (label == "edge").then(|| near.clone()),
-                neighbours: vec![Neighbour { place: near.clone(), cost: None }],
+                neighbours: vec![Neighbour { place: near.clone(), cost: None, dial: false }],
                 ebpf_object: ebpf_object.clone(),
                 fib_capacity: 1024,
                 bpffs: None,
+                domain: None,
                 rekey: Default::default(),
             })
         };

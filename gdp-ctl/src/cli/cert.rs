@@ -1,12 +1,12 @@
-//! `gdp-ctl cert`: what is in a certificate file. They are made by `gdp-ctl grant`.
+//! `gdp-ctl cert`: what is in a certificate file. They are made by `gdp-ctl grant` and `gdp-ctl domain`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Subcommand;
 use serde_json::json;
 
-use super::grant::Books;
+use super::books::Books;
 use super::paper::Paper;
 use super::{Context, unix_now};
 
@@ -15,7 +15,7 @@ pub enum Command {
     /// Show what a certificate says; with a card, whether the owner of that name stands behind it now.
     Show {
         file: PathBuf,
-        /// The name card. If there is a revocation beside it, that counts.
+        /// The card of the name, or of the domain. If there is a revocation beside it, that counts.
         #[arg(long)]
         card: Option<PathBuf>,
     },
@@ -23,9 +23,14 @@ pub enum Command {
 
 pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     let Command::Show { file, card } = command;
-    let paper = Paper::load(&file)?;
+    show(&file, card.as_deref(), context)
+}
+
+/// What `cert show` and `domain show` print of a certificate.
+pub fn show(file: &Path, card: Option<&Path>, context: &Context) -> anyhow::Result<()> {
+    let paper = Paper::load(file)?;
     let mut value = paper.describe().with_context(|| file.display().to_string())?;
-    value["verified"] = json!(match card.as_deref().map(Books::open).transpose()? {
+    value["verified"] = json!(match card.map(Books::open).transpose()? {
         Some(books) => {
             let (_, revocation) = books.revocation()?.unzip();
             let verdict = paper.verify(books.card(), revocation.as_ref(), unix_now());
@@ -35,7 +40,7 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     });
     context.output.print(value.clone(), || {
         let mut text = format!("kind        {}\n", value["kind"].as_str().unwrap_or_default());
-        for part in ["claims", "delegation", "member"] {
+        for part in ["claims", "delegation", "member", "invite"] {
             if part != "claims" && !value[part].is_null() {
                 text += &format!("by the {part}:\n");
             }
@@ -44,9 +49,9 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
                 text += &format!("{key:<10}  {claim}\n");
             }
         }
-        text + match (value["verified"] == true, &card) {
-            (true, _) => "the owner of the name stands behind it now",
-            (false, Some(_)) => "not verified: no owner of a name signs this",
+        text + match (value["verified"] == true, card) {
+            (true, _) => "the owner of the name, or the domain, stands behind it now",
+            (false, Some(_)) => "not verified: neither an owner nor a domain signs this",
             (false, None) => "not verified: give --card",
         }
     })

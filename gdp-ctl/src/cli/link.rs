@@ -30,7 +30,11 @@ fn describe(reply: &Value) -> String {
             let age = duration(link["age_s"].as_u64().unwrap_or_default());
             let (mtu, rtt) = (link["mtu"].to_string(), format!("{} µs", link["rtt_us"]));
             let (taken, dropped) = arrivals(&link["arrivals"]);
-            let place = [text("role"), text("via"), text("address")];
+            let role = match text("standing").as_str() {
+                "" | "stranger" | "border" => text("role"),
+                standing => format!("{} ({standing})", text("role")),
+            };
+            let place = [role, text("via"), text("address")];
             let [role, via, address] = place;
             let cost = link["cost"].as_u64().map_or_else(|| "–".to_owned(), |cost| cost.to_string());
             [id, short(&link["peer"]), role, via, address, mtu, rtt, cost, age, text("plane"), taken, dropped]

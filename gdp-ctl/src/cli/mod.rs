@@ -2,8 +2,10 @@
 //! admin socket. Data goes to stdout (JSON with `-j`, each object with `"v": 1`), everything else to stderr.
 
 mod advertise;
+mod books;
 mod cert;
 mod doctor;
+mod domain;
 mod dump;
 mod grant;
 mod key;
@@ -12,6 +14,7 @@ mod name;
 mod output;
 mod paper;
 mod query;
+mod revocation;
 mod serve;
 mod status;
 mod topology;
@@ -65,6 +68,9 @@ enum Command {
     /// Let others publish and read a name, see who may, and take it back.
     #[command(subcommand)]
     Grant(grant::Command),
+    /// Make a trust domain and its members, let domains peer, and take it back.
+    #[command(subcommand)]
+    Domain(domain::Command),
     /// Read certificates.
     #[command(subcommand)]
     Cert(cert::Command),
@@ -135,6 +141,7 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Name(command) => name::run(command, context),
         Command::Key(command) => key::run(command, context),
         Command::Grant(command) => grant::run(command, context),
+        Command::Domain(command) => domain::run(command, context),
         Command::Cert(command) => cert::run(command, context),
         Command::Fib(command) => dump::fib(&command, context),
         Command::Rib(command) => dump::rib(&command, context),

@@ -4,11 +4,11 @@ use std::io::Read;
 use std::path::Path;
 
 use anyhow::{Context as _, bail};
-use gdp::NameCard;
 use gdp::cert::{
-    AdCert, CertError, Claims, Delegation, Grantee, Issued, MAX_CERT_FILE, MemberCert, Membership, ReadGrant, Reading,
-    Revocation, RtCert, Signed,
+    AdCert, CertError, Claims, Delegation, Grantee, Issued, MAX_CERT_FILE, MemberCert, Membership, PeerCert, ReadGrant,
+    Reading, Revocation, RtCert, Signed,
 };
+use gdp::{Name, NameCard};
 use serde_json::{Value, json};
 
 pub enum Paper {
@@ -17,6 +17,7 @@ pub enum Paper {
     Delegation(Signed<Delegation>),
     Revocation(Signed<Revocation>),
     Member(Membership),
+    Peer(Signed<PeerCert>),
     Route(Signed<RtCert>),
 }
 
@@ -39,6 +40,7 @@ impl Paper {
             () if begins(Delegation::LABEL) => Self::Delegation(Signed::from_pem(text)?),
             () if begins(Revocation::LABEL) => Self::Revocation(Signed::from_pem(text)?),
             () if begins(MemberCert::LABEL) => Self::Member(Membership::from_pem(text)?),
+            () if begins(PeerCert::LABEL) => Self::Peer(Signed::from_pem(text)?),
             () if begins(RtCert::LABEL) => Self::Route(Signed::from_pem(text)?),
             () => bail!("not a certificate: no line such as \"-----BEGIN {}-----\"", AdCert::LABEL),
         })
@@ -51,12 +53,17 @@ impl Paper {
             Self::Read(Reading { grant, member }) => described(&grant.cert, grant.delegation.as_ref(), member.as_ref()),
             Self::Delegation(signed) => described(signed, None, None),
             Self::Revocation(signed) => described(signed, None, None),
-            Self::Member(member) => described(&member.cert, None, None),
+            Self::Member(member) => {
+                let mut value = described(&member.cert, None, None)?;
+                value["invite"] = json!(member.invite_unverified()?);
+                Ok(value)
+            }
+            Self::Peer(signed) => described(signed, None, None),
             Self::Route(signed) => described(signed, None, None),
         }
     }
 
-    /// That the owner of the card's name stands behind it; `false` for what no owner of a name signs.
+    /// That the owner of the card's name, or the domain whose card it is, stands behind it; `false` for what neither signs.
     pub fn verify(&self, card: &NameCard, revocation: Option<&Revocation>, now: u64) -> Result<bool, CertError> {
         let about_card = |name| match card.name() {
             expected if expected == name => Ok(()),
@@ -82,7 +89,9 @@ impl Paper {
                 revocation.map_or(Ok(()), |revocation| revocation.check(Delegation::KIND, claims.serial))?;
             }
             Self::Revocation(signed) => about_card(signed.verify(card.owner_key(), now)?.name)?,
-            Self::Member(_) | Self::Route(_) => return Ok(false),
+            Self::Member(member) => drop(member.verify(card.name(), revocation, now)?),
+            Self::Peer(signed) => _ = signed.verify_peer(&card.proof(), revocation, now)?,
+            Self::Route(_) => return Ok(false),
         }
         Ok(true)
     }
@@ -93,10 +102,25 @@ impl Paper {
             Self::Ad(issued) => issued.cert.claims_unverified().map(|claims| (claims.name, claims.serial))?,
             Self::Read(reading) => reading.grant.cert.claims_unverified().map(|claims| (claims.name, claims.serial))?,
             Self::Delegation(signed) => signed.claims_unverified().map(|claims| (claims.name, claims.serial))?,
-            Self::Revocation(_) | Self::Member(_) | Self::Route(_) => bail!("no owner of a name can revoke this"),
+            Self::Revocation(_) | Self::Member(_) | Self::Peer(_) | Self::Route(_) => {
+                bail!("no owner of a name can revoke this")
+            }
         };
         if name != card.name() {
             bail!("the certificate is about {name}, not about the card's name {}", card.name());
+        }
+        Ok(serial)
+    }
+
+    /// As [`Self::serial`], of what this domain issued.
+    pub fn domain_serial(&self, domain: Name) -> anyhow::Result<u64> {
+        let (of, serial) = match self {
+            Self::Member(member) => (member.domain.name()?, member.serial_unverified()?),
+            Self::Peer(signed) => signed.claims_unverified().map(|claims| (claims.domain, claims.serial))?,
+            _ => bail!("no domain can revoke this"),
+        };
+        if of != domain {
+            bail!("it is of domain {of}, not of {domain}");
         }
         Ok(serial)
     }

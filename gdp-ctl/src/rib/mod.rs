@@ -422,6 +422,7 @@ fn refusal(error: CertError) -> Refusal {
         CertError::NotDelegated { .. }
         | CertError::BeforeDelegation { .. }
         | CertError::NotAMember { .. }
+        | CertError::ByInvitation { .. }
         | CertError::WrongRole { .. }
         | CertError::WrongDomain { .. } => RefusalCode::NotEntitled,
         CertError::Malformed(_) | CertError::WrongOperation { .. } | CertError::Crypto(_) => RefusalCode::Malformed,

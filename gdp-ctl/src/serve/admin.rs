@@ -122,8 +122,14 @@ async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
         Request::Fib { after } => page(status::fib(daemon, after, PAGE)),
         Request::Rib { after } => page(status::rib(daemon, after, PAGE)),
         Request::Entity { entity, request } => {
-            let next = daemon.core().entity_request(entity.as_ref(), true, *request);
-            match daemon.complete(next).await {
+            let response = match daemon.is_of_domain(&request) {
+                Some((proof, revocation)) => daemon.take_revocation(proof, revocation, None).await,
+                None => {
+                    let next = daemon.core().entity_request(entity.as_ref(), true, *request);
+                    daemon.complete(next).await
+                }
+            };
+            match response {
                 Response::Refused(refusal) => {
                     let code = serde_json::to_value(refusal.code).ok();
                     let code = code.as_ref().and_then(Value::as_str).unwrap_or("Refused").to_owned();

@@ -15,9 +15,11 @@ use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
 use gdp_wire::{LinkRole, Name};
 
+use super::domain::{self, unix_now};
 use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::routes::{Change, Routes};
 use crate::config::{Neighbour, Via};
+use crate::domain::{Admission, Domain, Papers};
 use crate::plane::{PlaneError, PlaneRoute, Planes};
 use crate::rib::fib::Pushed;
 use crate::rib::{Effect, Limits, Now, Rib, Run, Told};
@@ -33,6 +35,9 @@ const MAX_REFUSALS: usize = 16;
 /// Links of endpoints. Anybody can make one, so some are left for switches.
 const MAX_ENDPOINTS: usize = (MAX_LINKS - EGRESS_SET_SIZE) as usize;
 
+/// Switches that have links without being listed.
+const MAX_UNLISTED: usize = EGRESS_SET_SIZE as usize;
+
 /// The daemon's state.
 pub struct Core {
     pub identity: Identity,
@@ -42,6 +47,8 @@ pub struct Core {
     /// The RIB has taken this switch's full report over the present uplink, so requests may follow.
     pub uplink_ready: bool,
     pub rib: Option<Rib>,
+    /// Without it, links are taken with all neighbours that are listed, and with all endpoints.
+    pub domain: Option<Domain>,
     pub planes: Planes,
     pub routes: Routes,
     pub links: HashMap<u32, LinkState>,
@@ -70,8 +77,17 @@ pub struct LinkState {
     pub link: Link,
     pub via: Via,
     pub since: Instant,
+    /// What the peer is to this switch's domain, and until when.
+    pub admission: Admission,
     entry: KeyedEntry,
     pub(super) to: LinkAddr,
+}
+
+impl LinkState {
+    /// What the data planes hold the peer for.
+    pub fn role(&self) -> u32 {
+        self.entry.role
+    }
 }
 
 /// Something to send, on behalf of the RIB or of a switch nearer to it.
@@ -134,6 +150,7 @@ impl Core {
             uplink,
             uplink_ready: false,
             rib,
+            domain: None,
             planes,
             routes: Routes::default(),
             links: HashMap::new(),
@@ -217,35 +234,126 @@ impl Core {
         self.start.checked_add(clock)
     }
 
-    /// Whether a peer may have a link where it came in; if not, why.
-    pub fn admit(&self, peer: &Peer, via: &Via) -> Result<(), String> {
-        let switch = &peer.name;
-        if *switch == self.name() {
-            return Err(format!("the peer has the key of this switch, {switch}: give each a key of its own"));
+    /// Whether a peer may have a link where it came in, and as what; if not, why.
+    pub fn admit(&self, link: &Link, via: &Via) -> Result<Admission, String> {
+        let peer = link.peer();
+        if peer.name == self.name() {
+            return Err(format!("the peer has the key of this switch, {}: give each a key of its own", peer.name));
         }
-        if peer.role == Role::Endpoint {
-            let live = self.links.values().filter(|state| state.link.peer().role == Role::Endpoint).count();
-            let held = self.held.iter().filter(|held| held.role == Role::Endpoint).count();
-            return if live + held < MAX_ENDPOINTS {
-                Ok(())
-            } else {
-                Err(format!("{MAX_ENDPOINTS} endpoints have links to this switch, the most it takes"))
-            };
-        }
-        let Some(neighbour) = self.neighbours.iter().find(|n| n.place.switch == *switch) else {
-            return Err(format!("switch {switch} is not listed in the neighbours of this one"));
+        let admission = match &self.domain {
+            Some(domain) => {
+                let admitted = domain.trust.admit(Role::Switch, peer, link.papers().as_deref(), unix_now());
+                admitted.map_err(|error| error.to_string())?
+            }
+            None => Admission::STRANGER,
         };
-        if neighbour.place.via.same_port(via) {
-            Ok(())
-        } else {
-            Err(format!("switch {switch} is a neighbour elsewhere, not {via}"))
+        match peer.role {
+            Role::Endpoint => self.check_room()?,
+            Role::Switch => self.check_place(peer, via)?,
+        }
+        Ok(admission)
+    }
+
+    fn check_room(&self) -> Result<(), String> {
+        let live = self.links.values().filter(|state| state.link.peer().role == Role::Endpoint).count();
+        let held = self.held.iter().filter(|held| held.role == Role::Endpoint).count();
+        if live + held < MAX_ENDPOINTS {
+            return Ok(());
+        }
+        Err(format!("{MAX_ENDPOINTS} endpoints have links to this switch, the most it takes"))
+    }
+
+    /// A neighbour that is listed has its place. Any other must have been admitted by a domain.
+    fn check_place(&self, peer: &Peer, via: &Via) -> Result<(), String> {
+        let switch = peer.name;
+        match self.neighbours.iter().find(|n| n.place.switch == switch) {
+            Some(neighbour) if neighbour.place.via.same_port(via) => Ok(()),
+            Some(_) => Err(format!("switch {switch} is a neighbour elsewhere, not {via}")),
+            None if self.domain.is_none() => {
+                Err(format!("switch {switch} is not listed in the neighbours of this one"))
+            }
+            None => {
+                let unlisted = |name: &Name| self.neighbours.iter().all(|n| n.place.switch != *name);
+                let live = self.links.values().map(|state| state.link.peer());
+                let others: BTreeSet<Name> = live
+                    .filter(|p| p.role == Role::Switch && p.name != switch)
+                    .map(|p| p.name)
+                    .filter(unlisted)
+                    .collect();
+                if others.len() < MAX_UNLISTED {
+                    return Ok(());
+                }
+                Err(format!("{MAX_UNLISTED} switches that are not listed in the neighbours have links to this one"))
+            }
         }
     }
 
+    /// What the RIB is to be asked before a member that was admitted by an invitation is taken for one. The switch on the way to the
+    /// RIB is taken: there is nobody else to ask.
+    pub fn question(&self, link: &Link, papers: &Papers) -> Option<Request> {
+        let domain = self.domain.as_ref()?;
+        let entity = link.peer().name;
+        let invite = papers.membership.invite_unverified().ok()??;
+        let is_own = papers.membership.domain.name().is_ok_and(|name| name == domain.trust.home());
+        let is_known = domain.invitations.has_admitted(invite.serial, &entity);
+        if !is_own || is_known || self.uplink == Some(entity) {
+            return None;
+        }
+        Some(Request::Admitted { switch: self.name(), entity, membership: Box::new(papers.membership.clone()) })
+    }
+
+    /// Puts to the RIB what [`Self::question`] asks.
+    pub fn admitted(&mut self, question: Request) -> Next {
+        self.upward(question)
+    }
+
+    /// The peer of a link shows other papers: whether it may keep the link by them.
+    pub fn renew_link(&mut self, link: &Link, papers: &Papers) -> Result<(), String> {
+        let Some(domain) = &self.domain else { return Ok(()) };
+        let admitted = domain.trust.admit(Role::Switch, link.peer(), Some(papers), unix_now());
+        let admission = admitted.map_err(|error| error.to_string())?;
+        let Some(state) = self.links.get_mut(&link.local_id()) else { return Ok(()) };
+        if admission.standing.as_str() != state.admission.standing.as_str() {
+            let (was, is) = (state.admission.standing.as_str(), admission.standing.as_str());
+            return Err(format!("the peer was taken as {was} and is {is} now: make the link anew"));
+        }
+        state.admission = admission;
+        Ok(())
+    }
+
+    /// Judges links anew, all or only those whose time has come. Returns those to be closed, with the reason, and endpoints whose last
+    /// link was one that is held.
+    pub fn recheck(&mut self, now: u64, only_ended: bool) -> (Vec<(Link, String)>, Vec<Name>) {
+        let Some(domain) = &self.domain else { return Default::default() };
+        let judge = |link: &Link| domain.trust.admit(Role::Switch, link.peer(), link.papers().as_deref(), now);
+        let mut refused = Vec::new();
+        let is_due = |state: &&mut LinkState| !only_ended || state.admission.until < now;
+        for state in self.links.values_mut().filter(is_due).filter(|state| state.link.close_reason().is_none()) {
+            match judge(&state.link) {
+                Ok(admission) if admission.standing.as_str() == state.admission.standing.as_str() => {
+                    state.admission = admission;
+                }
+                Ok(admission) => {
+                    let is = admission.standing.as_str();
+                    refused.push((state.link.clone(), format!("the peer is {is} now: make the link anew")));
+                }
+                Err(error) => refused.push((state.link.clone(), error.to_string())),
+            }
+        }
+        // What is held ends soon by itself.
+        let may_stay = |held: &HeldLink| only_ended || held.link().is_none_or(|link| judge(link).is_ok());
+        let over: Vec<u32> = self.held.iter().filter(|held| !may_stay(held)).map(|held| held.entry.id).collect();
+        let lost = over.into_iter().filter_map(|id| self.release(id)).collect();
+        (refused, lost)
+    }
+
     /// Takes a link into service. Returns the one to the same peer that it replaces.
-    pub fn link_up(&mut self, link: &Link, via: Via) -> Result<Option<Link>, PlaneError> {
+    pub fn link_up(&mut self, link: &Link, via: Via, admission: Admission) -> Result<Option<Link>, PlaneError> {
         let (id, peer, lane) = (link.local_id(), link.peer().name, link.peer().lane);
-        let (entry, to) = (KeyedEntry::from(link.entry(PORT_USERSPACE)), link.addr());
+        let (mut entry, to) = (KeyedEntry::from(link.entry(PORT_USERSPACE)), link.addr());
+        if admission.standing.is_border() {
+            entry.role = LinkRole::Border as u32;
+        }
         if let Err(error) = self.planes.set_link(*entry, to) {
             // A part of the planes may have taken it.
             let _ = self.planes.remove_link(id);
@@ -253,7 +361,7 @@ impl Core {
         }
         let replaced = self.peers.insert((peer, lane), id);
         let replaced = replaced.and_then(|old| self.links.get(&old)).map(|old| old.link.clone());
-        self.links.insert(id, LinkState { link: link.clone(), via, since: Instant::now(), entry, to });
+        self.links.insert(id, LinkState { link: link.clone(), via, since: Instant::now(), admission, entry, to });
         let changes = self.routes.link_up(link.peer().role, peer, lane, id);
         self.carry_out(changes);
         self.meet(link);
@@ -294,7 +402,7 @@ impl Core {
             return false;
         }
         let time = if is_replaced { GRACE } else { HOLD };
-        let (until, id) = (Instant::now() + time, Kept::Closed { _link: link });
+        let (until, id) = (Instant::now() + time, Kept::Closed { link });
         let held = HeldLink { peer, lane: Some(lane), role, entry, to, until, id };
         if let Some(first) = self.held.keep(held) {
             self.release(first);
@@ -408,6 +516,9 @@ impl Core {
             self.link_ready(from);
             return Next::Answer(Response::Done);
         }
+        if self.links.get(&from.local_id()).is_none_or(|state| state.admission.standing.is_border()) {
+            return refuse(RefusalCode::Unsupported, "nothing of this kind is asked across a border between domains");
+        }
         if self.uplink == Some(peer) {
             return self.downward(request);
         }
@@ -430,7 +541,7 @@ impl Core {
                 }
                 self.downstream.insert(reporter, from.local_id());
             }
-            Request::Relay { switch, .. } | Request::Detach { switch, .. } => {
+            Request::Relay { switch, .. } | Request::Detach { switch, .. } | Request::Admitted { switch, .. } => {
                 if self.downstream.get(switch) != Some(&from.local_id()) {
                     let reason = format!("switch {switch} has not reported over this link");
                     return refuse(RefusalCode::Unreachable, reason);
@@ -441,7 +552,9 @@ impl Core {
             | Request::Peers(_)
             | Request::Ready
             | Request::Flood { .. }
-            | Request::Ratcheted { .. } => {
+            | Request::Ratcheted { .. }
+            | Request::Papers(_)
+            | Request::DomainRevoked { .. } => {
                 let reason = "only the uplink of a switch may send it this; check uplink in the configuration of both";
                 return refuse(RefusalCode::Malformed, reason);
             }
@@ -453,6 +566,9 @@ impl Core {
     fn upward(&mut self, request: Request) -> Next {
         let now = self.now();
         let Some(rib) = &mut self.rib else { return self.to_rib(request) };
+        if let Request::Admitted { entity, membership, .. } = &request {
+            return domain::admitted(self.domain.as_mut(), *entity, membership, now.unix);
+        }
         Next::Answer(match request {
             Request::Relay { switch, entity, by_tool, request } => {
                 return ask(rib, now, switch, entity.as_ref(), by_tool, &request);
@@ -464,7 +580,10 @@ impl Core {
             | Request::Peers(_)
             | Request::Ready
             | Request::Flood { .. }
-            | Request::Ratcheted { .. } => Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into(),
+            | Request::Ratcheted { .. }
+            | Request::Papers(_)
+            | Request::DomainRevoked { .. }
+            | Request::Admitted { .. } => Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into(),
         })
     }
 
@@ -663,10 +782,6 @@ impl Core {
         let live = self.links.iter().map(|(id, state)| (*id, state.link.peer().name));
         live.chain(self.held.iter().map(|held| (held.entry.id, held.peer))).collect()
     }
-}
-
-fn unix_now() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs()
 }
 
 fn unix_nanos() -> u64 {

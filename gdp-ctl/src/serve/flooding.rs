@@ -7,7 +7,7 @@ use std::sync::Arc;
 use gdp::control::{Flooded, Refusal, RefusalCode, Request, Response};
 use gdp::link::{Link, Role};
 use gdp::port::LinkAddr;
-use gdp_wire::Name;
+use gdp_wire::{LinkRole, Name};
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until};
 
@@ -63,10 +63,17 @@ async fn send(daemon: Arc<Daemon>, link: Link, batch: Batch) {
     daemon.topology_changed();
 }
 
-/// Takes in what a neighbour says. Signatures are verified without the lock.
+/// Takes in what a neighbour of the domain says. Signatures are verified without the lock.
 pub fn take(daemon: &Daemon, from: &Link, states: Vec<Flooded>) -> Response {
     let link = from.local_id();
-    let news = daemon.core().topology.news(link, states);
+    let news = {
+        let mut core = daemon.core();
+        if core.is_border(from) {
+            let reason = "the topology of a domain is no business of its neighbours";
+            return Refusal::new(RefusalCode::NotEntitled, reason).into();
+        }
+        core.topology.news(link, states)
+    };
     let verified = news.and_then(|news| news.into_iter().map(Verified::new).collect());
     match verified {
         Ok(states) => {
@@ -102,22 +109,30 @@ pub async fn watch_carrier(daemon: Arc<Daemon>, mut changes: watch::Receiver<()>
 }
 
 impl Core {
-    /// This switch's adjacencies with other switches and their costs: those that frames may go by.
+    /// This switch's adjacencies with other switches of its domain and their costs: those that frames may go by.
     pub fn adjacencies(&self) -> Vec<(Name, u32)> {
         let near = self.neighbours.iter().filter(|n| self.is_adjacent(&n.place.switch));
         let cost = |switch: &Name| self.meters.get(switch).map_or(1, Meter::cost);
         near.map(|n| (n.place.switch, n.cost.unwrap_or_else(|| cost(&n.place.switch)))).collect()
     }
 
+    /// Whether the link leads into another domain.
+    fn is_border(&self, link: &Link) -> bool {
+        self.links.get(&link.local_id()).is_some_and(|state| state.admission.standing.is_border())
+    }
+
     fn is_adjacent(&self, switch: &Name) -> bool {
-        let live = self.links_of(switch).filter_map(|id| self.links.get(&id)).map(|state| state.to);
-        let held = self.held.iter().filter(|held| held.peer == *switch).map(|held| held.to);
+        let live = self.links_of(switch).filter_map(|id| self.links.get(&id));
+        let live = live.filter(|state| !state.admission.standing.is_border()).map(|state| state.to);
+        let border = LinkRole::Border as u32;
+        let held = self.held.iter().filter(|held| held.peer == *switch && held.entry.role != border);
+        let held = held.map(|held| held.to);
         live.chain(held).any(|to| !matches!(to, LinkAddr::Ethernet { ifindex, .. } if self.dark.contains(&ifindex)))
     }
 
-    /// A link to a switch is up.
+    /// A link is up: if it is to a switch of the domain, the topology goes by it.
     pub(super) fn meet(&mut self, link: &Link) {
-        if link.peer().role == Role::Switch {
+        if link.peer().role == Role::Switch && !self.is_border(link) {
             self.topology.link_up(link.local_id());
             let now = self.now().clock;
             self.meters.entry(link.peer().name).or_insert_with(|| Meter::new(now, Some(link.rtt())));

@@ -27,10 +27,20 @@ pub struct HeldLink {
     pub id: Kept,
 }
 
+impl HeldLink {
+    /// The link itself, unless it is from before this daemon.
+    pub fn link(&self) -> Option<&Link> {
+        match &self.id {
+            Kept::Closed { link } => Some(link),
+            Kept::Adopted { .. } => None,
+        }
+    }
+}
+
 /// What reserves the id of a link that is kept.
 pub enum Kept {
     Adopted { _id: LinkId },
-    Closed { _link: Link },
+    Closed { link: Link },
 }
 
 /// All that are kept, by id.

@@ -9,27 +9,44 @@ use gdp_wire::Name;
 use tokio::time::timeout;
 
 use super::core::{Expects, Next, Statement};
-use super::{Daemon, Place, flooding, liveness};
+use super::{Daemon, Place, domain, flooding, liveness};
 use crate::config::Via;
 
 /// How long an accepted statement waits for switches to take their routes.
 const SETTLE: Duration = Duration::from_secs(1);
 
-/// Takes a new link into service, or closes it if its peer may not have one here.
-pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
+/// Takes a new link into service, or closes it and says why if its peer may not have one here. Waits only for the RIB, and only if
+/// [`must_ask`] says so.
+pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), String> {
+    let refuse = |reason: String| {
+        link.close(&reason);
+        Err(reason)
+    };
     let (peer, switch) = (link.peer().name, link.peer().role == Role::Switch);
-    if let Err(reason) = daemon.core().admit(link.peer(), &via) {
-        tracing::warn!(%reason, "refused a link");
-        return link.close(&reason);
+    let admitted = daemon.core().admit(&link, &via);
+    if let Err(reason) = admitted {
+        return refuse(reason);
     }
+    if let Some(question) = question(daemon, &link)
+        && let Err(refusal) = daemon.ask_admitted(question).await
+    {
+        return refuse(refusal.reason);
+    }
+    // Something may have been revoked meanwhile.
+    let admitted = daemon.core().admit(&link, &via);
+    let admission = match admitted {
+        Ok(admission) => admission,
+        Err(reason) => return refuse(reason),
+    };
     if daemon.is_stopping() {
-        return link.close("shutting down");
+        return refuse("shutting down".into());
     }
-    let replaced = match daemon.core().link_up(&link, via.clone()) {
+    let standing = admission.standing.as_str();
+    let replaced = match daemon.core().link_up(&link, via.clone(), admission) {
         Ok(replaced) => replaced,
         Err(error) => {
             tracing::error!(%error, "the data plane did not take a link");
-            return link.close("the data plane of the switch is full");
+            return refuse("the data plane of the switch is full".into());
         }
     };
     if let Some(replaced) = replaced {
@@ -40,7 +57,8 @@ pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
         replaced.close("replaced by a newer link");
     }
     let role = if switch { "switch" } else { "endpoint" };
-    tracing::info!(peer = %format_args!("{peer:#}"), role, %via, addr = %link.addr(), "link up");
+    tracing::info!(peer = %format_args!("{peer:#}"), role, standing, %via, addr = %link.addr(), "link up");
+    daemon.tell_revocations(&link);
     daemon.spawn(keep_keys(daemon.clone(), link.clone()));
     if switch {
         daemon.topology_changed();
@@ -50,6 +68,17 @@ pub fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     } else {
         daemon.spawn(serve_endpoint(daemon.clone(), link));
     }
+    Ok(())
+}
+
+/// Whether the RIB is asked before the link is taken.
+pub fn must_ask(daemon: &Daemon, link: &Link) -> bool {
+    question(daemon, link).is_some()
+}
+
+fn question(daemon: &Daemon, link: &Link) -> Option<Request> {
+    let papers = link.papers()?;
+    daemon.core().question(link, &papers)
 }
 
 /// Replaces the link's keys in the data planes now and then, as long as it lives.
@@ -73,6 +102,13 @@ async fn serve_endpoint(daemon: Arc<Daemon>, link: Link) {
     let turns = daemon.turns(place);
     let turn = turns.lock().await;
     while let Some((request, responder)) = link.accept_request().await {
+        let request = match domain::answer(&daemon, &link, request).await {
+            Ok(response) => {
+                answer(responder, response).await;
+                continue;
+            }
+            Err(request) => request,
+        };
         let response = match request {
             Request::Entity(request) => entity_request(&daemon, &link, request).await,
             Request::Ready => {
@@ -134,6 +170,9 @@ async fn entity_request(daemon: &Arc<Daemon>, link: &Link, request: EntityReques
 }
 
 async fn take_request(daemon: &Arc<Daemon>, link: &Link, request: EntityRequest) -> Response {
+    if let Some((proof, revocation)) = daemon.is_of_domain(&request) {
+        return daemon.take_revocation(proof, revocation, Some(link.local_id())).await;
+    }
     let attach = matches!(request, EntityRequest::Attach { .. });
     let next = {
         let mut core = daemon.core();
@@ -165,8 +204,17 @@ async fn serve_switch(daemon: Arc<Daemon>, link: Link) {
 }
 
 async fn switch_request(daemon: &Arc<Daemon>, link: &Link, request: Request) -> Response {
+    let request = match domain::answer(daemon, link, request).await {
+        Ok(response) => return response,
+        Err(request) => request,
+    };
     if let Request::Flood { states } = request {
         return flooding::take(daemon, link, states);
+    }
+    if let Request::Relay { request, .. } = &request
+        && let Some((proof, revocation)) = daemon.is_of_domain(request)
+    {
+        return daemon.take_revocation(proof, revocation, Some(link.local_id())).await;
     }
     let told_to_report = matches!(&request, Request::Detach { switch, entity } if switch == entity);
     let (next, own) = {
@@ -229,6 +277,7 @@ impl Daemon {
     pub(super) async fn complete(self: &Arc<Self>, next: Next) -> Response {
         self.send_effects();
         self.keep_revocations().await;
+        self.keep_domain().await;
         match next {
             Next::Answer(response) => response,
             Next::Settle(response, statement) => match self.settled(&statement).await {

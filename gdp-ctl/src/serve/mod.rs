@@ -3,6 +3,7 @@
 
 pub mod admin;
 pub mod core;
+mod domain;
 mod ends;
 mod flooding;
 mod hold;
@@ -31,6 +32,7 @@ use tokio::sync::Notify;
 use tokio::task::JoinSet;
 
 use self::core::Core;
+use self::domain::KeptDomain;
 use self::kept::KeptRevocations;
 use crate::config::{Config, DataPlane};
 use crate::folders;
@@ -45,6 +47,8 @@ const FOLLOW: Duration = Duration::from_millis(500);
 pub enum StartError {
     #[error(transparent)]
     Identity(#[from] SecretFileError),
+    #[error(transparent)]
+    Membership(#[from] domain::MembershipError),
     #[error("cannot create the folder {}: {source}", path.display())]
     Folder { path: PathBuf, source: std::io::Error },
     #[error(transparent)]
@@ -67,6 +71,8 @@ pub struct Daemon {
     port_config: PortConfig,
     core: Mutex<Core>,
     revocations: KeptRevocations,
+    /// What is kept of the domain, if this is a member of one.
+    domain: Option<KeptDomain>,
     ports: Mutex<HashMap<String, Arc<Port>>>,
     /// Makes the links of one entity take turns in what they tell the RIB.
     turns: Mutex<HashMap<Place, Arc<tokio::sync::Mutex<()>>>>,
@@ -118,11 +124,20 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     let mut core = Core::new(identity.clone(), config.neighbours.clone(), uplink, config.rib, planes);
     core.take_over(&link_ids);
     let revocations = KeptRevocations::recall(&config.identity, &mut core)?;
+    let port_config = PortConfig { rekey: config.rekey, ..PortConfig::switch(identity.clone(), link_ids) };
+    let mut domain = None;
+    if let Some(domain_config) = &config.domain {
+        let (kept, member) = KeptDomain::recall(domain_config, &identity, &config.identity)?;
+        port_config.papers.set(member.trust.papers().clone());
+        (domain, core.domain) = (Some(kept), Some(member));
+    }
+    let shown = port_config.papers.clone();
     let daemon = Arc::new(Daemon {
         name: identity.name(),
-        port_config: PortConfig { rekey: config.rekey, ..PortConfig::switch(identity, link_ids) },
+        port_config,
         core: Mutex::new(core),
         revocations,
+        domain,
         ports: Mutex::default(),
         turns: Mutex::default(),
         report: Notify::new(),
@@ -169,6 +184,9 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     daemon.spawn(uplink::rib_clock(daemon.clone()));
     daemon.spawn(follow_addresses(daemon.clone()));
     daemon.report.notify_one();
+    if let Some(config) = config.domain {
+        daemon.spawn(domain::watch(daemon.clone(), config, shown));
+    }
     Ok(Running { daemon, udp: udp.map(|(_, port)| port), admin })
 }
 

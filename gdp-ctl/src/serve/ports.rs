@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use futures::StreamExt;
 use gdp::crypto;
-use gdp::link::LinkError;
+use gdp::link::{Link, LinkError};
 use gdp::port::{Interface, LinkAddr, Port};
 use gdp_wire::Name;
 use tokio::sync::watch;
@@ -167,11 +167,11 @@ pub async fn look(changes: &mut watch::Receiver<()>) {
 
 async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
     let own = daemon.name;
-    // Of two neighbours the one with the smaller name dials.
+    // Of two neighbours the one with the smaller name dials, unless it is said otherwise.
     let to_dial: Vec<Place> = {
         let core = daemon.core();
-        let near = core.neighbours.iter().map(|n| n.place.clone());
-        near.filter(|place| place.via.same_port(via) && own.as_bytes() < place.switch.as_bytes()).collect()
+        let near = core.neighbours.iter().filter(|n| n.place.via.same_port(via));
+        near.filter(|n| n.dial || own.as_bytes() < n.place.switch.as_bytes()).map(|n| n.place.clone()).collect()
     };
     let dials = futures::future::join_all(to_dial.into_iter().map(|place| keep_link(daemon, port, place)));
     tokio::join!(accept(daemon, port, via), dials);
@@ -180,9 +180,21 @@ async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
 async fn accept(daemon: &Arc<Daemon>, port: &Port, via: &Via) {
     while let Some(result) = port.accept().await {
         match result {
-            Ok(link) => links::take(daemon, link, via.clone()),
+            // The RIB may take its time to answer.
+            Ok(link) if links::must_ask(daemon, &link) => {
+                let (daemon, via) = (daemon.clone(), via.clone());
+                daemon.clone().spawn(async move { take(&daemon, link, via).await });
+            }
+            Ok(link) => take(daemon, link, via.clone()).await,
             Err(error) => tracing::debug!(%via, %error, "a peer did not get a link"),
         }
+    }
+}
+
+async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
+    let peer = link.peer().name;
+    if let Err(reason) = links::take(daemon, link, via).await {
+        tracing::warn!(peer = %format_args!("{peer:#}"), %reason, "refused a link");
     }
 }
 
@@ -202,13 +214,10 @@ async fn keep_link(daemon: &Arc<Daemon>, port: &Port, place: Place) {
                 reason
             }
             None => match dial(port, &place).await {
-                Ok(link) => {
-                    links::take(daemon, link, place.via.clone());
-                    if daemon.core().link_to(&place.switch).is_some() {
-                        continue;
-                    }
-                    "it was made, but not taken into service".to_owned()
-                }
+                Ok(link) => match links::take(daemon, link, place.via.clone()).await {
+                    Ok(()) => continue,
+                    Err(reason) => format!("refused a link: {reason}"),
+                },
                 Err(error) => error.to_string(),
             },
         };
@@ -221,7 +230,7 @@ async fn keep_link(daemon: &Arc<Daemon>, port: &Port, place: Place) {
     }
 }
 
-async fn dial(port: &Port, place: &Place) -> Result<gdp::link::Link, LinkError> {
+async fn dial(port: &Port, place: &Place) -> Result<Link, LinkError> {
     let to = match &place.via {
         Via::Udp(addr) => LinkAddr::udp(*addr),
         Via::Interface(_) => find(port, place.switch).await?,

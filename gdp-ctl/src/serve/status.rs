@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use gdp::cert::LinkState;
 use gdp::control::RecordPlace;
-use gdp::link::Role;
-use gdp_wire::{Counter, ErrorCode, FibEntry, Name};
+use gdp_wire::{Counter, ErrorCode, FibEntry, LinkRole, Name};
 use serde_json::{Map, Value, json};
 
 use super::core::Core;
 use super::{Daemon, interfaces};
+use crate::domain::{Domain, Standing};
 use crate::plane::host_pair;
 
 /// Names that the status shows as the busiest.
@@ -70,6 +70,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
         "topology": {"switches": core.topology.states().count(), "reached": core.topology.paths().costs.len()},
         "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
+        "domain": core.domain.as_ref().map(domain),
         "uplink": core.uplink.map(|switch| json!({
             "switch": switch, "connected": core.link_to(&switch).is_some(), "ready": core.uplink_ready,
         })),
@@ -89,8 +90,11 @@ pub fn links(core: &Core) -> Vec<Value> {
             let (rx_keys, tx_keys) = link.key_generations();
             json!({
                 "peer": peer.name,
-                "role": role(peer.role),
+                "role": role(state.role()),
                 "lane": peer.lane,
+                "standing": state.admission.standing.as_str(),
+                "domain": foreign(&state.admission.standing),
+                "admitted_until": (state.admission.until < u64::MAX).then_some(state.admission.until),
                 "via": state.via.to_string(),
                 "address": link.addr().to_string(),
                 "id": link.local_id(),
@@ -115,7 +119,7 @@ fn links_held(core: &Core) -> Vec<Value> {
         .map(|link| {
             json!({
                 "peer": link.peer,
-                "role": role(link.role),
+                "role": role(link.entry.role),
                 "address": link.to.to_string(),
                 "id": link.entry.id,
                 "errors_received": errors_received(core, link.entry.id),
@@ -168,10 +172,34 @@ fn neighbours(state: &LinkState) -> Vec<Value> {
     state.neighbours.iter().map(|(switch, cost)| json!({"switch": switch, "cost": cost})).collect()
 }
 
-fn role(role: Role) -> &'static str {
+fn domain(domain: &Domain) -> Value {
+    let own = domain.trust.own(super::domain::unix_now());
+    let revocations: Vec<_> = domain.trust.revocations().filter_map(|kept| kept.verify().ok()).collect();
+    json!({
+        "name": domain.trust.home(),
+        "role": own.as_ref().ok().map(|cert| &cert.role),
+        "not_after": own.as_ref().ok().map(|cert| cert.not_after),
+        "error": own.as_ref().err().map(ToString::to_string),
+        "members_only": domain.trust.members_only(),
+        "invitations_used": domain.invitations.all().count(),
+        "revocations": revocations.iter().map(|r| json!({"domain": r.name, "number": r.number})).collect::<Vec<_>>(),
+    })
+}
+
+/// The domain of a peer that is of another than this switch.
+fn foreign(standing: &Standing) -> Option<Name> {
+    match standing {
+        Standing::Border { domain, .. } | Standing::Visitor { domain } | Standing::Host { domain } => Some(*domain),
+        Standing::Stranger | Standing::Member { .. } => None,
+    }
+}
+
+/// As the data planes know the peer.
+fn role(role: u32) -> &'static str {
     match role {
-        Role::Endpoint => "endpoint",
-        Role::Switch => "switch",
+        _ if role == LinkRole::Endpoint as u32 => "endpoint",
+        _ if role == LinkRole::Border as u32 => "border",
+        _ => "switch",
     }
 }
 

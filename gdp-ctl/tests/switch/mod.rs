@@ -23,6 +23,7 @@ pub fn config(folder: &Path, label: &str) -> Config {
         neighbours: Vec::new(),
         ebpf_object: None,
         fib_capacity: 1024,
+        domain: None,
         rekey: RekeySchedule::default(),
     }
 }

@@ -2,18 +2,15 @@
 //! for a grant to a role, that the reader has that role.
 
 use super::pem::{Blocks, MAX_TEXT};
-use super::{AboutName, CertError, Claims, Delegation, Grantee, MemberCert, ReadGrant, Revocation, Signed, issue};
-use crate::cbor;
-use crate::identity::Identity;
+use super::{AboutName, CertError, Claims, Delegation, Grantee, Membership, ReadGrant, Revocation, Signed};
 use crate::name::{Name, NameProof};
-use p256::pkcs8::{LineEnding, der::pem};
 use serde::{Deserialize, Serialize};
 
 /// Between `-----BEGIN ` and `-----` in a name proof's text form.
-const PROOF_LABEL: &str = "GDP NAME PROOF";
+pub(super) const PROOF_LABEL: &str = "GDP NAME PROOF";
 
 /// A name proof in CBOR has 89 bytes.
-const MAX_PROOF: usize = 128;
+pub(super) const MAX_PROOF: usize = 128;
 
 /// A certificate of a name's owner, or of a delegate with the delegation that allows it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -137,7 +134,11 @@ impl Reading {
                 return Err(CertError::NotAMember { role: role.clone(), domain: *domain });
             }
             (Grantee::Role { domain, role }, Some(member)) => {
-                let member = member.verify(*domain, now)?;
+                // That an invitation admits one reader only is known to the RIB alone, and writers need not believe a RIB.
+                if member.invite.is_some() {
+                    return Err(CertError::ByInvitation { role: role.clone(), domain: *domain });
+                }
+                let member = member.verify(*domain, None, now)?;
                 expect_entity(entity, member.entity)?;
                 if member.role != *role {
                     return Err(CertError::WrongRole { expected: role.clone(), got: member.role });
@@ -150,7 +151,7 @@ impl Reading {
 
     /// Bytes of what is signed in it.
     pub fn size(&self) -> usize {
-        self.grant.size() + self.member.as_ref().map_or(0, |member| member.cert.as_bytes().len() + MAX_PROOF)
+        self.grant.size() + self.member.as_ref().map_or(0, Membership::size)
     }
 
     /// The text form for files: one block after another.
@@ -168,50 +169,6 @@ impl Reading {
     }
 }
 
-/// An entity's role in a domain, and how the domain's name shows the key that says so.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Membership {
-    pub domain: NameProof,
-    pub cert: Signed<MemberCert>,
-}
-
-impl Membership {
-    /// Signed by `domain`, an identity of kind "domain", about one of its members.
-    pub fn issue(domain: &Identity, claims: &MemberCert) -> Result<Self, CertError> {
-        expect_domain(domain.name(), claims.domain)?;
-        Ok(Self { domain: domain.proof(), cert: issue(domain.key(), claims)? })
-    }
-
-    /// What it states, if it is the certificate of this domain.
-    pub fn verify(&self, domain: Name, now: u64) -> Result<MemberCert, CertError> {
-        expect_domain(domain, self.domain.name()?)?;
-        let claims = self.cert.verify(&self.domain.verify_key()?, now)?;
-        expect_domain(domain, claims.domain)?;
-        Ok(claims)
-    }
-
-    pub fn to_pem(&self) -> String {
-        let proof = cbor::encode(&self.domain).expect("a map of two byte strings has an encoding");
-        let proof = pem::encode_string(PROOF_LABEL, LineEnding::LF, &proof);
-        self.cert.to_pem() + &proof.expect("the label and the size are fixed, so there is a text form")
-    }
-
-    pub fn from_pem(text: &str) -> Result<Self, CertError> {
-        let mut blocks = Blocks::of(text)?;
-        let member = Self::from_blocks(&mut blocks)?;
-        blocks.end()?;
-        Ok(member)
-    }
-
-    fn from_blocks(blocks: &mut Blocks) -> Result<Self, CertError> {
-        let cert = Signed::from_pem(blocks.take(MemberCert::LABEL)?)?;
-        let (_, proof) = pem::decode_vec(blocks.take(PROOF_LABEL)?.as_bytes())
-            .map_err(|error| CertError::Malformed(format!("{PROOF_LABEL}: {error}")))?;
-        Ok(Self { cert, domain: cbor::decode(&proof, MAX_PROOF)? })
-    }
-}
-
 /// A longer file is not a certificate.
 pub const MAX_CERT_FILE: usize = MAX_TEXT;
 
@@ -223,6 +180,6 @@ pub(super) fn expect_entity(expected: Name, got: Name) -> Result<(), CertError> 
     if expected == got { Ok(()) } else { Err(CertError::WrongEntity { expected, got }) }
 }
 
-fn expect_domain(expected: Name, got: Name) -> Result<(), CertError> {
+pub(super) fn expect_domain(expected: Name, got: Name) -> Result<(), CertError> {
     if expected == got { Ok(()) } else { Err(CertError::WrongDomain { expected, got }) }
 }

@@ -153,6 +153,25 @@ fn a_grant_to_a_role_reaches_the_domains_members_in_it() {
 }
 
 #[test]
+fn an_invited_member_has_no_role_for_grants() {
+    let f = Fixture::new();
+    let invited = SigningKey::for_test(8);
+    let MemberCert { domain, role, serial, not_before, not_after, .. } = f.member();
+    let invite =
+        Invite { domain, key: invited.verify_key(), role, serial, not_before, not_after, member_until: not_after };
+    let membership = Membership {
+        domain: f.domain.proof(),
+        cert: issue(&invited, &f.member()).unwrap(),
+        invite: Some(issue(f.domain.key(), &invite).unwrap()),
+    };
+    membership.verify(domain, None, NOW).unwrap();
+    let reading = Reading { member: Some(membership), ..f.role_reading(|_| ()) };
+    let error = reading.verify(&f.proof, f.robot(), None, NOW).unwrap_err();
+    assert!(matches!(error, CertError::ByInvitation { .. }), "{error}");
+    assert_eq!(Reading::from_pem(&reading.to_pem()), Ok(reading));
+}
+
+#[test]
 fn each_way_not_to_have_the_role_has_its_error() {
     let f = Fixture::new();
     let other = Name::from_bytes([9; 32]);
@@ -173,13 +192,14 @@ fn each_way_not_to_have_the_role_has_its_error() {
         ("the domain's key by another name", Membership::issue(&renamed, &claims(renamed.name())).unwrap()),
         (
             "a certificate that names another domain",
-            Membership { domain: f.domain.proof(), cert: issue(f.domain.key(), &claims(other)).unwrap() },
+            Membership { domain: f.domain.proof(), cert: issue(f.domain.key(), &claims(other)).unwrap(), invite: None },
         ),
     ] {
         let error = refused(Reading { member: Some(member), ..f.role_reading(|_| ()) });
         assert!(matches!(error, CertError::WrongDomain { .. }), "{what}: {error}");
     }
-    let forged = Membership { domain: f.domain.proof(), cert: issue(foreign.key(), &f.member()).unwrap() };
+    let forged =
+        Membership { domain: f.domain.proof(), cert: issue(foreign.key(), &f.member()).unwrap(), invite: None };
     let error = refused(Reading { member: Some(forged), ..f.role_reading(|_| ()) });
     assert!(matches!(error, CertError::WrongKey { what: "MemberCert", .. }), "{error}");
     assert!(Membership::issue(&foreign, &f.member()).is_err(), "not its member to name");
@@ -288,6 +308,7 @@ impl Fixture {
             domain: self.domain.name(),
             entity: self.robot(),
             role: "operator".into(),
+            serial: ISSUED,
             not_before: NOW - 60,
             not_after: NOW + 60,
         }

@@ -1,4 +1,4 @@
-//! Certificates and statements: COSE_Sign1 / ES256 over deterministic CBOR (RFC 9052, RFC 8949 §4.2.1). [`owner`],
+//! Certificates and statements: COSE_Sign1 / ES256 over deterministic CBOR (RFC 9052, RFC 8949 §4.2.1). [`owner`], [`domain`],
 //! [`statements`] and [`link_state`] say what they state, [`Signed`] keeps and checks the exact bytes, [`issued`] the chain from a certificate
 //! to the owner of its name. Who must have signed what for a request to be granted is checked in [`request`]. The RIB, and
 //! whoever receives its answers, call this.
@@ -8,6 +8,7 @@
 //! this project signs begins with (`gdp::seal` signs "gdp/batch/1…", TLS signs 64 spaces and a context).
 
 mod claims;
+pub mod domain;
 mod issued;
 mod link_state;
 mod owner;
@@ -17,10 +18,11 @@ mod signed;
 mod statements;
 
 pub use claims::{Claims, Validity};
-pub use issued::{Issued, MAX_CERT_FILE, Membership, Reading};
+pub use domain::{Invite, MemberCert, Membership, PeerCert, PeerRights};
+pub use issued::{Issued, MAX_CERT_FILE, Reading};
 pub use link_state::{LinkState, MAX_NEIGHBOURS};
 pub use owner::{
-    AboutName, AdCert, Delegation, Grantee, MAX_REVOKED, MAX_ROLE, MAX_SCOPE, MemberCert, Mode, ReadGrant, Revocation,
+    AboutName, AdCert, Delegation, Grantee, MAX_REVOKED, MAX_ROLE, MAX_SCOPE, Mode, ReadGrant, Revocation,
 };
 pub(crate) use request::{Side, verify_statement};
 pub use request::{Speaker, authorise_advertise, authorise_subscribe, authorise_withdraw};
@@ -56,14 +58,19 @@ pub enum CertError {
     WrongSwitch { expected: Name, got: Name },
     #[error("wrong operation: the statement says {got}, the request needs {expected}")]
     WrongOperation { expected: &'static str, got: AdvertOp },
-    #[error("wrong domain: {got} where {expected} is expected; the grant is for members of that one")]
+    #[error("wrong domain: {got} where {expected} is expected; use the certificate of that one")]
     WrongDomain { expected: Name, got: Name },
-    #[error("wrong role: the member certificate gives role {got}, the grant asks for {expected}")]
+    #[error("wrong role: the member certificate gives role {got}, where {expected} is asked for")]
     WrongRole { expected: String, got: String },
     #[error(
         "not shown to be a member: the grant is for role {role} of domain {domain}; add that domain's member certificate"
     )]
     NotAMember { role: String, domain: Name },
+    #[error(
+        "admitted by invitation: the grant is for role {role} of domain {domain}, whose key itself must say who has it; have \
+         the reader admitted with `gdp-ctl domain admit`"
+    )]
+    ByInvitation { role: String, domain: Name },
     #[error(
         "not delegated: the owner lets {delegate} issue no {what}; have the owner issue it, or widen the delegation"
     )]

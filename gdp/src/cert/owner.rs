@@ -1,5 +1,5 @@
 //! What the owner of a name issues about it: who may write it, who may read it, who else may issue that, and what of it
-//! no longer holds. A domain's certificate for its members is here too, because a [`ReadGrant`] may ask for it.
+//! no longer holds.
 //!
 //! Every certificate has a serial: the Unix time in nanoseconds at which it was issued, so that an owner and its delegates
 //! need not agree on one, and so that a revocation's floor means "nothing issued before then".
@@ -180,7 +180,8 @@ impl Claims for Delegation {
 }
 
 /// Owner → everybody: certificates of the name with a serial below `floor`, or in `revoked`, do not hold. Of two
-/// revocations the one with the higher number counts. No delegate can issue one.
+/// revocations the one with the higher number counts. No delegate can issue one. The name of a domain is one like any other:
+/// what the domain issued falls by the revocation of its name.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Revocation {
@@ -234,33 +235,7 @@ impl Claims for Revocation {
     }
 }
 
-/// Domain → entity: has this role among my members.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MemberCert {
-    pub domain: Name,
-    pub entity: Name,
-    pub role: String,
-    pub not_before: u64,
-    pub not_after: u64,
-}
-
-impl Claims for MemberCert {
-    const KIND: &'static str = "MemberCert";
-    const LABEL: &'static str = "GDP MEMBER CERT";
-    const CONTEXT: &'static str = "application/vnd.gdp.member-cert.v1+cbor";
-
-    fn validity(&self) -> Validity {
-        Validity { not_before: self.not_before, not_after: self.not_after }
-    }
-
-    fn check_bounds(&self) -> Result<(), CertError> {
-        check_role(&self.role)?;
-        self.validity().check_order()
-    }
-}
-
-fn check_role(role: &str) -> Result<(), CertError> {
+pub(super) fn check_role(role: &str) -> Result<(), CertError> {
     let good = |c: u8| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'_' || c == b'-';
     if (1..=MAX_ROLE).contains(&role.len()) && role.bytes().all(good) {
         return Ok(());

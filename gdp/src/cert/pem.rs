@@ -3,8 +3,8 @@
 use super::{CertError, MAX_SIGNED};
 use std::collections::VecDeque;
 
-/// Blocks that one file may have: a grant, a delegation, a member's certificate, a domain's proof.
-const MAX_BLOCKS: usize = 4;
+/// Blocks that one file may have: a grant, a delegation, a member's certificate, an invitation, a domain's proof.
+const MAX_BLOCKS: usize = 5;
 
 /// Base64 and its lines need less than twice the bytes.
 pub(super) const MAX_TEXT: usize = MAX_BLOCKS * 2 * MAX_SIGNED;

@@ -10,14 +10,15 @@ use serde::{Deserialize, Serialize};
 use super::ids::{LinkId, LinkIds};
 use super::{Link, LinkError, MAX_LANES, PairEnd, Peer, Place, RekeySchedule, Role, streams, tls};
 use crate::control;
+use crate::domain::{CurrentPapers, MAX_PAPERS, Papers};
 use crate::identity::Identity;
 use crate::name::NameProof;
 use crate::port::CurrentPair;
 
-const VERSION: u8 = 4;
+const VERSION: u8 = 5;
 
-/// Longest encoded hello, in bytes; a real one has about 100.
-const MAX_HELLO: usize = 512;
+/// Longest encoded hello, in bytes; a real one has about 100, and some 1000 with a membership.
+const MAX_HELLO: usize = MAX_PAPERS + 1024;
 
 /// Largest MTU that makes sense: the payload length has 16 bits.
 const MAX_MTU: u32 = Header::LEN as u32 + u16::MAX as u32;
@@ -45,6 +46,8 @@ struct Hello {
     /// Of a switch, to an endpoint on its host: the link-local IPv4 address where frames are to be sent to, as they will come from
     /// there, and not from where QUIC is. The ports are those of QUIC.
     frames_at: Option<[u8; 4]>,
+    /// What the sender shows of its domain, if it is a member of one. For who takes the link to judge.
+    papers: Option<Papers>,
 }
 
 /// What this side says of itself.
@@ -62,22 +65,38 @@ pub struct HelloConfig {
     pub host: Option<u64>,
     /// A switch's, for endpoints on its host.
     pub pair: CurrentPair,
+    pub papers: CurrentPapers,
     /// Not said, but needed for the link that is made.
     pub rekey: RekeySchedule,
 }
 
 /// What the peer said of its end of the link.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct PeerEnd {
     pub id: u32,
     pub mtu: u32,
     pub zero_checksum: bool,
     pub host: Option<u64>,
     pub frames_at: Option<Ipv4Addr>,
+    pub papers: Option<Papers>,
 }
 
-/// Says hello on a connection this side dialled; `expected` is who should be there, if that is known.
+/// Says hello on a connection this side dialled; `expected` is who should be there, if that is known. A peer that does not want the
+/// link may close it before its hello is read: then the error says why.
 pub async fn greet_as_client(
+    connection: Connection,
+    place: Place,
+    config: &HelloConfig,
+    expected: Option<Name>,
+) -> Result<Link, LinkError> {
+    let greeted = say_and_hear(connection.clone(), place, config, expected).await;
+    greeted.map_err(|error| match (error, connection.close_reason()) {
+        (LinkError::Closed(_), Some(reason)) => reason.into(),
+        (error, _) => error,
+    })
+}
+
+async fn say_and_hear(
     connection: Connection,
     place: Place,
     config: &HelloConfig,
@@ -143,6 +162,7 @@ async fn say(
         zero_checksum: config.zero_checksum,
         host,
         frames_at: frames_at.map(|ip| ip.octets()),
+        papers: config.papers.get().map(|papers| Papers::clone(&papers)),
     };
     streams::write_message(send, &control::encode(&hello)?).await
 }
@@ -166,7 +186,7 @@ async fn hear(recv: &mut RecvStream, connection: &Connection) -> Result<(Peer, P
     let key = tls::peer_key(connection)?;
     let proof = NameProof { owner_key: *key.as_bytes(), digest: hello.digest };
     let name = crate::name::derive(&proof.owner_key, &proof.digest);
-    let Hello { link_id: id, mtu, zero_checksum, host, frames_at, .. } = hello;
-    let end = PeerEnd { id, mtu, zero_checksum, host, frames_at: frames_at.map(Ipv4Addr::from) };
-    Ok((Peer { name, proof, key, role: hello.role, lane: hello.lane }, end))
+    let Hello { role, lane, link_id: id, mtu, zero_checksum, host, frames_at, papers, .. } = hello;
+    let end = PeerEnd { id, mtu, zero_checksum, host, frames_at: frames_at.map(Ipv4Addr::from), papers };
+    Ok((Peer { name, proof, key, role, lane }, end))
 }

@@ -12,6 +12,7 @@ use super::clock::unix_now;
 use super::counters::Counters;
 use super::ending::{Ended, Ending};
 use super::feedback::Feedbacks;
+use super::home::Home;
 use super::intake::{Intake, Shared};
 use super::lane::{Lane, Status};
 use super::options::{PublishOptions, SubscribeOptions};
@@ -40,6 +41,7 @@ const LINK_PATIENCE: Duration = Duration::from_secs(10);
 /// What the handles, the supervisor and its tasks share.
 pub struct State {
     pub identity: Identity,
+    pub home: Home,
     pub counters: Arc<Counters>,
     pub feedback: Arc<Feedbacks>,
     pub outlet: Arc<Outlet>,
@@ -114,6 +116,7 @@ impl State {
     /// Not attached yet.
     pub fn new(
         identity: Identity,
+        home: Home,
         links: &[LinkConfig],
         revoked: Revoked,
         commands: std::sync::mpsc::Sender<Command>,
@@ -124,6 +127,7 @@ impl State {
             feedback: Arc::new(Feedbacks::new(identity.name())),
             outlet: Arc::new(Outlet::new(&identity, counters.clone(), links)),
             identity,
+            home,
             counters,
             publications: Mutex::default(),
             readings: Mutex::default(),

@@ -211,7 +211,8 @@ impl Supervisor {
     fn new(state: Arc<State>, lane: u8, config: LinkConfig, rekey: RekeySchedule) -> Self {
         let LinkConfig { target, switch: pinned, .. } = config;
         let through = if let LinkTarget::Udp { interface, .. } = &target { interface.clone() } else { None };
-        let port_config = PortConfig { rekey, lane, through, ..PortConfig::endpoint(state.identity.clone()) };
+        let papers = state.home.shown.clone();
+        let port_config = PortConfig { rekey, lane, through, papers, ..PortConfig::endpoint(state.identity.clone()) };
         Self { state, lane, target, pinned, port_config, port: None }
     }
 
@@ -321,6 +322,8 @@ impl Supervisor {
         let _watch = others.then(|| AbortOnDrop(tokio::spawn(watch_silence(self.state.clone(), attachment.clone()))));
         let _upkeep = AbortOnDrop(tokio::spawn(keep_stated(self.state.clone(), attachment.clone())));
         let _keys = AbortOnDrop(tokio::spawn(attachment.clone().keep_keys()));
+        let (watched, state) = (attachment.link.clone(), self.state.clone());
+        let _home = AbortOnDrop(tokio::spawn(async move { state.home.watch(&watched).await }));
         let link = &attachment.link;
         loop {
             tokio::select! {
@@ -373,7 +376,13 @@ impl Supervisor {
                 true => port.dial_apart(*to, *expected).await,
             };
             match dialled {
-                Ok(link) if link.peer().role == Role::Switch => return Ok(link),
+                Ok(link) if link.peer().role == Role::Switch => match self.state.home.judge(&link) {
+                    Ok(_) => return Ok(link),
+                    Err(error) => {
+                        link.close(&error.to_string());
+                        failure = Some(error.into());
+                    }
+                },
                 Ok(_) => failure = Some(NodeError::NotASwitch(*to)),
                 Err(error) => failure = Some(error.into()),
             }
@@ -507,6 +516,14 @@ async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request
                 Err(_) => Refusal::new(RefusalCode::Unreachable, "the RIB did not answer").into(),
             }
         }
+        Request::Papers(papers) => match state.home.take_papers(&attachment.link, *papers) {
+            Ok(()) => Response::Done,
+            Err(error) => Refusal::new(RefusalCode::NotEntitled, error.to_string()).into(),
+        },
+        Request::DomainRevoked { proof, revocation } => match state.home.take_revocation(&proof, &revocation) {
+            Ok(()) => Response::Done,
+            Err(error) => Refusal::new(RefusalCode::ReplayedSerial, error.to_string()).into(),
+        },
         _ => {
             Refusal::new(RefusalCode::Unsupported, "an endpoint is told about its counterparts and its attachment only")
                 .into()
@@ -570,6 +587,8 @@ fn worth_another_attempt(error: &NodeError) -> bool {
     match error {
         NodeError::Link(LinkError::Io { .. } | LinkError::WrongPeer { .. }) | NodeError::NotASwitch(_) => false,
         NodeError::Refused(refusal) => refusal.code == RefusalCode::Unreachable,
+        // Papers may be renewed.
+        NodeError::Domain(_) => true,
         NodeError::Link(_) | NodeError::NoAnswer { .. } | NodeError::NoAddress { .. } | NodeError::NoSwitch(_) => true,
         _ => false,
     }

@@ -73,6 +73,7 @@ impl Site {
             ebpf_object: Some(bench.ebpf_object.clone()),
             fib_capacity: 1024,
             bpffs: None,
+            domain: None,
             rekey: RekeySchedule::default(),
         };
         let inside = Inside::new(&chain.switches()[0], ROOT)?;

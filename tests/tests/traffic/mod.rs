@@ -56,7 +56,7 @@ impl Traffic {
                     let number = u64::from_be_bytes(message.body[..].try_into()?);
                     shared.received.lock().expect("no panic").push(number);
                 }
-                shared.duplicates.store(subscription.counters().duplicates, Ordering::Relaxed);
+                shared.duplicates.store(subscription.counters().inbound.duplicates, Ordering::Relaxed);
             }
             Ok(())
         })?;

@@ -11,8 +11,10 @@ use gdp::identity::{SigningKey, VerifyKey};
 use gdp::{Name, NameCard};
 use serde_json::json;
 
-use super::super::{Context, output, parse_seconds, serial_now, unix_now, validity};
-use super::books::{Books, Entry, Holder};
+use super::super::books::Books;
+use super::super::revocation::next_serial;
+use super::super::{Context, output, parse_seconds, unix_now, validity};
+use super::ledger::{Grant, Holder};
 
 #[derive(Debug, Args)]
 #[command(group = ArgGroup::new("to").required(true).args(["entity", "role", "delegate"]))]
@@ -108,7 +110,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     // Remembered first: what is not known to be granted would not be revoked.
     let mut grants = issuer.grants;
     let file = std::path::absolute(&options.output)?;
-    grants.push(Entry { serial, publish, read, to, not_before, not_after, file });
+    grants.push(Grant { serial, publish, read, to, not_before, not_after, file });
     books.keep_ledger(grants)?;
     output::write_new(&options.output, &text)?;
     value["file"] = json!(options.output);
@@ -122,7 +124,7 @@ struct Issuer<'b> {
     key: SigningKey,
     delegation: Option<Signed<Delegation>>,
     revocation: Option<Revocation>,
-    grants: Vec<Entry>,
+    grants: Vec<Grant>,
     serial: u64,
     validity: Validity,
 }
@@ -130,7 +132,7 @@ struct Issuer<'b> {
 impl<'b> Issuer<'b> {
     fn open(options: &Options, books: &'b Books) -> anyhow::Result<Self> {
         let (card, key) = (books.card(), SigningKey::load(&options.key)?);
-        let (grants, revocation) = (books.ledger()?, books.revocation()?.map(|(_, revocation)| revocation));
+        let (grants, revocation) = (books.ledger::<Grant>()?, books.revocation()?.map(|(_, revocation)| revocation));
         let mut serial = next_serial(&grants, revocation.as_ref())?;
         let (not_before, not_after) = validity(u64::from(options.lifetime));
         let mut validity = Validity { not_before, not_after };
@@ -164,34 +166,5 @@ impl<'b> Issuer<'b> {
         let issued = Issued { cert: issue(&self.key, claims)?, delegation: self.delegation.clone() };
         issued.verify(&self.card.proof(), self.revocation.as_ref(), unix_now())?;
         Ok((issued.to_pem(), json!({"kind": T::KIND, "claims": claims})))
-    }
-}
-
-/// The time of issue; above all that was issued or revoked, also if the clock was set back.
-pub(super) fn next_serial(grants: &[Entry], revocation: Option<&Revocation>) -> anyhow::Result<u64> {
-    let issued = grants.iter().map(|grant| grant.serial);
-    let revoked = revocation.into_iter().flat_map(|revocation| {
-        let floor = revocation.floor.checked_sub(1);
-        revocation.revoked.iter().copied().chain(floor)
-    });
-    let next = match issued.chain(revoked).max() {
-        Some(last) => last.checked_add(1).context("the serials of this name are used up; make a new name")?,
-        None => 0,
-    };
-    Ok(serial_now().max(next))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn serials_rise_also_if_the_clock_is_set_back() {
-        assert!(next_serial(&[], None).unwrap() > 1_700_000_000_000_000_000);
-        let later = u64::MAX - 9;
-        let revocation = |floor, revoked| Revocation { name: Name::default(), number: 1, floor, revoked };
-        assert_eq!(next_serial(&[], Some(&revocation(later, vec![]))).unwrap(), later);
-        assert_eq!(next_serial(&[], Some(&revocation(0, vec![later]))).unwrap(), later + 1);
-        assert!(next_serial(&[], Some(&revocation(0, vec![u64::MAX]))).is_err());
     }
 }

@@ -6,8 +6,10 @@ use clap::Args;
 use gdp::cert::{AdCert, Claims, Delegation, ReadGrant, Revocation};
 use serde_json::{Value, json};
 
+use super::super::books::Books;
+use super::super::revocation::describe_revocation;
 use super::super::{Context, output, unix_now};
-use super::books::{Books, Entry, Holder};
+use super::ledger::{Grant, Holder};
 
 #[derive(Debug, Args)]
 pub struct Options {
@@ -17,16 +19,16 @@ pub struct Options {
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let books = Books::open(&options.card)?;
-    let (grants, (_, revocation)) = (books.ledger()?, books.revocation()?.unzip());
+    let (grants, (_, revocation)) = (books.ledger::<Grant>()?, books.revocation()?.unzip());
     let now = unix_now();
-    let state = |grant: &Entry| state(grant, revocation.as_ref(), now);
+    let state = |grant: &Grant| state(grant, revocation.as_ref(), now);
     let value = json!({
         "name": books.card().name(),
         "grants": grants.iter().map(|grant| describe(grant, state(grant))).collect::<Vec<_>>(),
         "revocation": revocation.as_ref().map(describe_revocation),
     });
     context.output.print(value, || {
-        let row = |grant: &Entry| {
+        let row = |grant: &Grant| {
             let left = match grant.not_after.saturating_sub(now) {
                 days @ 86400.. => format!("{} d", days / 86400),
                 seconds => format!("{seconds} s"),
@@ -41,7 +43,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     })
 }
 
-fn describe(grant: &Entry, state: &str) -> Value {
+fn describe(grant: &Grant, state: &str) -> Value {
     json!({
         // JavaScript and jq do not count that far.
         "serial": grant.serial.to_string(),
@@ -50,12 +52,7 @@ fn describe(grant: &Entry, state: &str) -> Value {
     })
 }
 
-pub(super) fn describe_revocation(revocation: &Revocation) -> Value {
-    let revoked: Vec<String> = revocation.revoked.iter().map(u64::to_string).collect();
-    json!({"number": revocation.number, "floor": revocation.floor.to_string(), "revoked": revoked})
-}
-
-fn state(grant: &Entry, revocation: Option<&Revocation>, now: u64) -> &'static str {
+fn state(grant: &Grant, revocation: Option<&Revocation>, now: u64) -> &'static str {
     let kind = match grant.to {
         Holder::Delegate(_) => Delegation::KIND,
         _ if grant.publish => AdCert::KIND,
@@ -69,7 +66,7 @@ fn state(grant: &Entry, revocation: Option<&Revocation>, now: u64) -> &'static s
     }
 }
 
-fn right(grant: &Entry) -> &'static str {
+fn right(grant: &Grant) -> &'static str {
     match (grant.publish, grant.read) {
         (true, true) => "publish, read",
         (true, false) => "publish",

@@ -2,14 +2,13 @@
 //! revocation is sent to one, if one answers.
 
 mod add;
-mod books;
+mod ledger;
 mod list;
 mod revoke;
 
 use clap::Subcommand;
 
 use super::Context;
-pub use books::Books;
 
 const OFF_THE_ROBOT: &str = "The owner's key is never needed on a robot, nor on any machine that publishes, reads or \
                              forwards: run this where the key is kept, and take the certificate file and the name card \

@@ -138,7 +138,7 @@ fn a_rib_after_this_one_knows_what_was_revoked() {
     assert_eq!(w.rib.revocations_taken(), 1);
     let kept = w.rib.kept_revocations();
     w.rib = Rib::new(w.switch(0), Run { id: 2, settling: Duration::ZERO }, Limits::default());
-    w.report(0, Some(&[]));
+    w.report(0, &[]);
     w.rib.recall(kept.into_iter().map(|kept| (kept.clone(), kept.verify().unwrap())).collect());
     w.attach(&robot, 0);
     w.serial = serial;

@@ -1,19 +1,19 @@
-//! What is kept beside a name card: `CARD.grants`, the ledger of what was issued from here, and `CARD.revocation`, the newest
-//! revocation. Both are written whole or not at all, mode 0600; nobody else changes them while [`Books`] are open.
+//! What is kept beside the card of a name or a domain: the ledger of what was issued from here (`CARD.grants`, `CARD.members`), and
+//! `CARD.revocation`, the newest revocation. Both are written whole or not at all, mode 0600; nobody else changes them while
+//! [`Books`] are open.
 //!
 //! The revocation is the owner's word and is checked like one. The ledger is a memory: without it nothing that was granted
 //! stops to hold, but only its serial or its file can name it.
 
-use std::fmt;
 use std::fs::File;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
-use gdp::cert::{Grantee, Revocation, Signed};
-use gdp::identity::VerifyKey;
+use gdp::cert::{Revocation, Signed};
 use gdp::secret_file::{self, SecretFileError};
 use gdp::{Name, NameCard};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 const VERSION: u32 = 1;
@@ -32,54 +32,21 @@ pub struct Books {
 }
 
 /// One certificate that was issued from here.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Entry {
-    pub serial: u64,
-    /// May publish or serve; for a delegate: may let others.
-    pub publish: bool,
-    /// May subscribe or call; for a delegate: may let others.
-    pub read: bool,
-    pub to: Holder,
-    pub not_before: u64,
-    pub not_after: u64,
-    pub file: PathBuf,
-}
+pub trait Entry: Serialize + DeserializeOwned {
+    /// Ends the name of the file with all of them.
+    const SUFFIX: &'static str;
 
-/// Whom a certificate was issued to.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase", deny_unknown_fields)]
-pub enum Holder {
-    Entity(Name),
-    Role { domain: Name, role: String },
-    Delegate(VerifyKey),
-}
-
-impl From<Grantee> for Holder {
-    fn from(grantee: Grantee) -> Self {
-        match grantee {
-            Grantee::Entity(entity) => Self::Entity(entity),
-            Grantee::Role { domain, role } => Self::Role { domain, role },
-        }
-    }
-}
-
-impl fmt::Display for Holder {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Entity(entity) => write!(f, "{entity}"),
-            Self::Role { domain, role } => write!(f, "role {role} of {domain}"),
-            Self::Delegate(key) => write!(f, "delegate {key}"),
-        }
-    }
+    fn serial(&self) -> u64;
+    /// When all that rests on it has ended.
+    fn ends(&self) -> u64;
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Ledger {
+struct Ledger<E> {
     version: u32,
     name: Name,
-    grants: Vec<Entry>,
+    issued: Vec<E>,
 }
 
 impl Books {
@@ -98,8 +65,8 @@ impl Books {
         &self.card
     }
 
-    pub fn ledger_path(&self) -> PathBuf {
-        self.beside(".grants")
+    pub fn ledger_path<E: Entry>(&self) -> PathBuf {
+        self.beside(E::SUFFIX)
     }
 
     pub fn revocation_path(&self) -> PathBuf {
@@ -107,11 +74,11 @@ impl Books {
     }
 
     /// What was issued from here, in the order of serials; empty if nothing was.
-    pub fn ledger(&self) -> anyhow::Result<Vec<Entry>> {
-        let path = self.ledger_path();
+    pub fn ledger<E: Entry>(&self) -> anyhow::Result<Vec<E>> {
+        let path = self.ledger_path::<E>();
         let Some(content) = read(&path, MAX_LEDGER)? else { return Ok(Vec::new()) };
-        let ledger: Ledger =
-            serde_json::from_slice(&content).with_context(|| format!("{}: not a ledger of grants", path.display()))?;
+        let ledger: Ledger<E> = serde_json::from_slice(&content)
+            .with_context(|| format!("{}: not a ledger of what was issued", path.display()))?;
         if ledger.version != VERSION || ledger.name != self.card.name() {
             let (version, name) = (ledger.version, ledger.name);
             bail!(
@@ -120,13 +87,13 @@ impl Books {
                 self.card.name()
             );
         }
-        Ok(ledger.grants)
+        Ok(ledger.issued)
     }
 
-    pub fn keep_ledger(&self, grants: Vec<Entry>) -> anyhow::Result<()> {
-        let ledger = Ledger { version: VERSION, name: self.card.name(), grants };
+    pub fn keep_ledger<E: Entry>(&self, issued: Vec<E>) -> anyhow::Result<()> {
+        let ledger = Ledger { version: VERSION, name: self.card.name(), issued };
         let text = serde_json::to_string_pretty(&ledger)? + "\n";
-        let path = self.ledger_path();
+        let path = self.ledger_path::<E>();
         if text.len() > MAX_LEDGER {
             bail!("{}: longer than {MAX_LEDGER} bytes; make a new name, or a new copy of the card", path.display());
         }

@@ -1,0 +1,185 @@
+//! `gdp-ctl domain init`, `admit`, `invite` and `peer`: what a domain issues.
+
+use std::path::PathBuf;
+
+use anyhow::{Context as _, bail};
+use clap::Args;
+use gdp::cert::domain::roles;
+use gdp::cert::{Claims, Invite, MemberCert, Membership, PeerCert, PeerRights, issue};
+use gdp::domain::Token;
+use gdp::identity::{Identity, SigningKey};
+use gdp::node::LinkTarget;
+use gdp::{Name, NameCard};
+use serde_json::json;
+
+use super::super::{Context, output, unix_now, validity};
+use super::ledger::{Issue, To};
+use super::{House, card_beside, expect_new};
+
+const DAY: u64 = 86400;
+const HOUR: u64 = 3600;
+
+#[derive(Debug, Args)]
+pub struct InitOptions {
+    /// The folder of domain.pem and domain.card.
+    #[arg(short, long, value_name = "DIR", default_value = ".")]
+    output: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub struct KeyOptions {
+    /// The domain's private key file. What is issued is remembered beside the domain's card.
+    #[arg(long, value_name = "FILE")]
+    pub key: PathBuf,
+    /// The domain's card, unless it is beside the key and called as it is.
+    #[arg(long, value_name = "FILE")]
+    pub card: Option<PathBuf>,
+}
+
+impl KeyOptions {
+    pub(super) fn open(&self) -> anyhow::Result<House> {
+        House::open(&self.key, self.card.as_deref())
+    }
+}
+
+#[derive(Debug, Args)]
+pub struct AdmitOptions {
+    #[command(flatten)]
+    key: KeyOptions,
+    /// The new member: 64 hex digits, as `gdp-ctl key show` prints them.
+    entity: Name,
+    /// `switch`, `rib` or `border` for what forwards; any other is for grants to name: 1 to 32 of a-z, 0-9, _ and -.
+    #[arg(long)]
+    role: String,
+    /// How long it is a member.
+    #[arg(long, value_name = "N", default_value = "365", value_parser = clap::value_parser!(u32).range(1..))]
+    days: u32,
+    /// The membership: a new file, to be taken to the member.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub struct InviteOptions {
+    #[command(flatten)]
+    key: KeyOptions,
+    /// As of `gdp-ctl domain admit`.
+    #[arg(long)]
+    role: String,
+    /// Where the new member is to dial: udp://HOST:PORT or eth://INTERFACE (of its own).
+    #[arg(long, value_name = "LINK")]
+    at: LinkTarget,
+    /// The switch that is there.
+    #[arg(long, value_name = "NAME")]
+    switch: Option<Name>,
+    /// How long the invitation may be used.
+    #[arg(long, value_name = "N", default_value = "24", value_parser = clap::value_parser!(u32).range(1..))]
+    hours: u32,
+    /// How long who used it is a member.
+    #[arg(long, value_name = "N", default_value = "365", value_parser = clap::value_parser!(u32).range(1..))]
+    days: u32,
+}
+
+#[derive(Debug, Args)]
+pub struct PeerOptions {
+    #[command(flatten)]
+    key: KeyOptions,
+    /// The other domain: 64 hex digits.
+    domain: Name,
+    /// What it may do: some of peering (links of border switches), transit (send through this domain into a third one), visit (its
+    /// robots attach here).
+    #[arg(long, value_name = "RIGHT,…")]
+    rights: PeerRights,
+    #[arg(long, value_name = "N", default_value = "365", value_parser = clap::value_parser!(u32).range(1..))]
+    days: u32,
+    /// The certificate: a new file, for `peers:` of this domain's own border switches and robots.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+}
+
+pub fn init(options: &InitOptions, context: &Context) -> anyhow::Result<()> {
+    let folder = &options.output;
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
+    let key_file = folder.join("domain.pem");
+    let card_file = card_beside(&key_file);
+    expect_new(&card_file)?;
+    let identity = Identity::new(SigningKey::generate()?, "domain");
+    identity.key().save_new(&key_file)?;
+    let card = NameCard::new(identity.key().verify_key(), identity.metadata().clone())?;
+    output::write_new(&card_file, &card.to_json())?;
+    let name = identity.name();
+    context.output.print(json!({"name": name, "key": key_file, "card": card_file}), || name.to_string())
+}
+
+pub fn admit(options: &AdmitOptions, context: &Context) -> anyhow::Result<()> {
+    let file = expect_new(&options.output)?;
+    let house = options.key.open()?;
+    let (not_before, not_after) = validity(u64::from(options.days) * DAY);
+    let (domain, serial) = (house.identity.name(), house.serial);
+    let (entity, role) = (options.entity, options.role.clone());
+    let claims = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
+    let membership = Membership::issue(&house.identity, &claims)?;
+    membership.verify(domain, house.revocation.as_ref(), unix_now())?;
+    let to = To::Member { entity, role };
+    house.remember(Issue { serial, to, not_before, not_after, ends: not_after, file: Some(file) })?;
+    output::write_new(&options.output, &membership.to_pem())?;
+    let value = json!({
+        "kind": MemberCert::KIND, "claims": claims, "serial": serial.to_string(), "file": options.output,
+    });
+    context.output.print(value, || options.output.display().to_string())
+}
+
+pub fn invite(options: &InviteOptions, context: &Context) -> anyhow::Result<()> {
+    let (role, at, switch) = (options.role.clone(), options.at.clone(), options.switch);
+    if roles::is_switch(&role) {
+        if switch.is_none() {
+            bail!("a switch has to know which one it dials: add --switch NAME, as `gdp-ctl status` there prints it");
+        }
+        is_place(&at)?;
+    }
+    let house = options.key.open()?;
+    let invited = SigningKey::generate()?;
+    let (not_before, not_after) = validity(u64::from(options.hours) * HOUR);
+    let (_, member_until) = validity(u64::from(options.days) * DAY);
+    let member_until = member_until.max(not_after);
+    let (domain, serial, key) = (house.identity.name(), house.serial, invited.verify_key());
+    let claims = Invite { domain, key, role: role.clone(), serial, not_before, not_after, member_until };
+    let signed = issue(house.identity.key(), &claims)?;
+    let token = Token::new(house.identity.proof(), signed, invited, at, switch)?;
+    let to = To::Invited { role };
+    house.remember(Issue { serial, to, not_before, not_after, ends: member_until, file: None })?;
+    let line = token.to_line();
+    let value = json!({
+        "kind": Invite::KIND, "claims": claims, "serial": serial.to_string(), "token": *line,
+    });
+    context.output.print(value, || line.to_string())
+}
+
+pub fn peer(options: &PeerOptions, context: &Context) -> anyhow::Result<()> {
+    let file = expect_new(&options.output)?;
+    let house = options.key.open()?;
+    let (not_before, not_after) = validity(u64::from(options.days) * DAY);
+    let (domain, serial) = (house.identity.name(), house.serial);
+    let (peer, rights) = (options.domain, options.rights);
+    let claims = PeerCert { domain, peer, rights, serial, not_before, not_after };
+    let signed = issue(house.identity.key(), &claims)?;
+    signed.verify_peer(&house.identity.proof(), house.revocation.as_ref(), unix_now())?;
+    let to = To::Peer { domain: peer, rights };
+    house.remember(Issue { serial, to, not_before, not_after, ends: not_after, file: Some(file) })?;
+    output::write_new(&options.output, &signed.to_pem())?;
+    let value = json!({
+        "kind": PeerCert::KIND, "claims": claims, "serial": serial.to_string(), "file": options.output,
+    });
+    context.output.print(value, || options.output.display().to_string())
+}
+
+/// Whether a daemon's configuration can say this.
+pub(super) fn is_place(at: &LinkTarget) -> anyhow::Result<()> {
+    match at {
+        LinkTarget::Ethernet { mac: None, .. } => Ok(()),
+        LinkTarget::Udp { host, interface: None, .. } if host.parse::<std::net::IpAddr>().is_ok() => Ok(()),
+        _ => bail!(
+            "{at}: a switch dials an address, as udp://192.0.2.1:31415 or udp://[2001:db8::1]:31415, or eth://INTERFACE"
+        ),
+    }
+}

@@ -1,0 +1,123 @@
+//! `gdp-ctl domain join`: from an invitation to the files of a member.
+
+use std::io::Read;
+use std::net::{IpAddr, SocketAddr};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail};
+use clap::Args;
+use gdp::cert::domain::roles;
+use gdp::domain::Token;
+use gdp::identity::Identity;
+use gdp::name::{self, Metadata};
+use gdp::node::LinkTarget;
+use gdp::{NameCard, VerifyKey};
+use serde_json::json;
+
+use super::super::{Context, output, serial_now, validity};
+use super::expect_new;
+use super::issue::is_place;
+
+/// Longer than any invitation.
+const MAX_LINE: u64 = 16 << 10;
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// The invitation; `-` reads it from stdin, so that no list of processes shows it.
+    token: String,
+    /// The private key of the new member, made if there is none.
+    #[arg(long, value_name = "FILE")]
+    identity: Option<PathBuf>,
+    /// The folder of what is written: domain.card, membership, gdp.yaml, and the key unless --identity is given.
+    #[arg(short, long, value_name = "DIR", default_value = ".")]
+    output: PathBuf,
+}
+
+pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let token = read_token(&options.token)?;
+    let invite = token.invite()?;
+    let is_switch = roles::is_switch(&invite.role);
+    let kind = if is_switch { "switch" } else { "proxy" };
+    let folder = &options.output;
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
+    let [card_file, membership_file, config_file] =
+        ["domain.card", "membership", "gdp.yaml"].map(|name| folder.join(name));
+    for file in [&card_file, &membership_file, &config_file] {
+        expect_new(file)?;
+    }
+    let own_key = folder.join(format!("{kind}.pem"));
+    let identity_file = options.identity.as_deref().unwrap_or(&own_key);
+    let identity_at = match &options.identity {
+        Some(file) => std::path::absolute(file).with_context(|| file.display().to_string())?,
+        None => PathBuf::from(format!("{kind}.pem")),
+    };
+    // Before anything is written.
+    let config = if is_switch { switch(&token, &invite.role, &identity_at)? } else { proxy(&token, &identity_at) };
+    let card = card(&token)?;
+    let identity = Identity::load_or_generate(identity_file, kind)?;
+    let serial = serial_now();
+    let (not_before, _) = validity(0);
+    let membership = token.admit(identity.name(), not_before, serial)?;
+    output::write_new(&card_file, &card.to_json())?;
+    output::write_new(&membership_file, &membership.to_pem())?;
+    output::write_new(&config_file, &config)?;
+    let value = json!({
+        "name": identity.name(), "domain": invite.domain, "role": invite.role, "not_after": invite.member_until,
+        "identity": identity_file, "card": card_file, "membership": membership_file, "config": config_file,
+    });
+    context.output.print(value, || {
+        format!(
+            "{} is {} of {:#}: {} (to be completed, if it is a proxy's, with its topics)",
+            identity.name(),
+            invite.role,
+            invite.domain,
+            config_file.display()
+        )
+    })
+}
+
+/// An invitation as it was given, or from stdin.
+pub fn read_token(argument: &str) -> anyhow::Result<Token> {
+    if argument != "-" {
+        return Ok(Token::from_line(argument)?);
+    }
+    let mut line = String::new();
+    std::io::stdin().take(MAX_LINE).read_to_string(&mut line).context("cannot read the invitation from stdin")?;
+    let token = Token::from_line(&line);
+    line.clear();
+    Ok(token?)
+}
+
+/// The card of the token's domain, whose metadata is that of all domains.
+fn card(token: &Token) -> anyhow::Result<NameCard> {
+    let metadata = Metadata::from([("kind".to_owned(), "domain".to_owned())]);
+    if name::inner_digest(&metadata) != token.domain().digest {
+        bail!("who invites is no domain");
+    }
+    Ok(NameCard::new(VerifyKey::from_bytes(&token.domain().owner_key)?, metadata)?)
+}
+
+fn switch(token: &Token, role: &str, identity: &Path) -> anyhow::Result<String> {
+    is_place(token.at())?;
+    let via = match token.at() {
+        LinkTarget::Ethernet { interface, .. } => format!("interface: {}", json!(interface)),
+        LinkTarget::Udp { host, port, .. } => {
+            let ip: IpAddr = host.parse().context("an address was expected")?;
+            format!("udp: '{}'", SocketAddr::new(ip, *port))
+        }
+    };
+    let switch = token.switch().context("the invitation does not say which switch to dial; have another made")?;
+    let place = format!("{{{via}, switch: {switch}, dial: true}}");
+    let toward =
+        if role == roles::RIB { format!("rib: true\nneighbours: [{place}]") } else { format!("uplink: {place}") };
+    Ok(format!("identity: {}\n{toward}\n{}", json!(identity), domain()))
+}
+
+fn proxy(token: &Token, identity: &Path) -> String {
+    let switch = token.switch().map_or(String::new(), |switch| format!(", switch: {switch}"));
+    format!("identity: {}\nlinks: [{{to: '{}'{switch}}}]\n{}", json!(identity), token.at(), domain())
+}
+
+fn domain() -> &'static str {
+    "domain: {card: domain.card, membership: membership}\n"
+}

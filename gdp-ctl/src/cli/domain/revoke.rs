@@ -1,0 +1,90 @@
+//! `gdp-ctl domain revoke`: the domain's word on what no longer holds, with a number above the last one.
+
+use std::path::Path;
+
+use anyhow::{Context as _, bail};
+use clap::Args;
+use gdp::Name;
+use gdp::cert::issue;
+use gdp::domain::Token;
+
+use super::super::paper::Paper;
+use super::super::revocation::{next, publish};
+use super::super::{Context, unix_now};
+use super::House;
+use super::issue::KeyOptions;
+use super::ledger::To;
+
+#[derive(Debug, Args)]
+pub struct Options {
+    #[command(flatten)]
+    key: KeyOptions,
+    /// What to take back: serials, as `gdp-ctl domain show` lists them, files, or `-` for an invitation on stdin. With nothing to take
+    /// back, the newest revocation is published again.
+    #[arg(value_name = "SERIAL|FILE")]
+    what: Vec<String>,
+    /// All memberships of this entity that were issued from here.
+    #[arg(long, value_name = "NAME")]
+    entity: Vec<Name>,
+    /// All that this other domain was let do.
+    #[arg(long, value_name = "NAME")]
+    domain: Vec<Name>,
+    /// All that was issued until now.
+    #[arg(long)]
+    all: bool,
+}
+
+pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let house = options.key.open()?;
+    let anew = options.all || !options.what.is_empty() || !options.entity.is_empty() || !options.domain.is_empty();
+    let (signed, claims) = if anew {
+        let floor = options.all.then_some(house.serial);
+        let chosen = options.chosen(&house)?;
+        let (name, known) = (house.identity.name(), house.revocation.as_ref());
+        let claims = next(name, known, &house.issued, &chosen, floor, unix_now())?;
+        let signed = issue(house.identity.key(), &claims)?;
+        house.books.keep_revocation(&signed)?;
+        (signed, claims)
+    } else {
+        let known = house.books.revocation()?;
+        known.with_context(|| format!("nothing of {} is revoked yet; say what to revoke", house.identity.name()))?
+    };
+    let again = format!("gdp-ctl domain revoke --key {}", options.key.key.display());
+    publish(&house.books, signed, &claims, anew, &again, context)
+}
+
+impl Options {
+    fn chosen(&self, house: &House) -> anyhow::Result<Vec<u64>> {
+        let mut chosen = Vec::new();
+        for text in &self.what {
+            chosen.push(match text.parse() {
+                Ok(serial) => serial,
+                Err(_) if text == "-" => serial_of(&super::join::read_token("-")?, house)?,
+                Err(_) => {
+                    let paper = Paper::load(Path::new(text))?;
+                    paper.domain_serial(house.identity.name()).with_context(|| text.clone())?
+                }
+            });
+        }
+        let members = self.entity.iter().map(|name| (name, true));
+        for (name, is_member) in members.chain(self.domain.iter().map(|name| (name, false))) {
+            let before = chosen.len();
+            let of = house.issued.iter().filter(|issue| issue.holder() == Some(*name));
+            chosen.extend(of.filter(|i| matches!(i.to, To::Member { .. }) == is_member).map(|i| i.serial));
+            if chosen.len() == before {
+                bail!(
+                    "nothing was issued to {name} from here; name its files or their serials, or those of its invitation"
+                );
+            }
+        }
+        Ok(chosen)
+    }
+}
+
+fn serial_of(token: &Token, house: &House) -> anyhow::Result<u64> {
+    let invite = token.invite()?;
+    if invite.domain != house.identity.name() {
+        bail!("the invitation is of domain {}", invite.domain);
+    }
+    Ok(invite.serial)
+}

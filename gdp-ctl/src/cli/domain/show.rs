@@ -1,0 +1,72 @@
+//! `gdp-ctl domain show`: what is in a file or an invitation.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use gdp::NameCard;
+use gdp::domain::Token;
+use serde_json::{Value, json};
+
+use super::super::books::Books;
+use super::super::revocation::describe_revocation;
+use super::super::{Context, cert, output, unix_now};
+use super::join::read_token;
+use super::ledger::Issue;
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// A domain's card, a certificate's file, an invitation, or `-` for an invitation on stdin.
+    #[arg(value_name = "FILE|TOKEN")]
+    what: String,
+    /// Of a certificate: the card of the domain. If there is a revocation beside it, that counts.
+    #[arg(long, value_name = "FILE")]
+    card: Option<PathBuf>,
+}
+
+pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let path = Path::new(&options.what);
+    if options.what == "-" || options.what.starts_with("gdp1") && !path.exists() {
+        return token(&read_token(&options.what)?, context);
+    }
+    if options.card.is_none() && NameCard::load(path).is_ok() {
+        return domain(path, context);
+    }
+    cert::show(path, options.card.as_deref(), context)
+}
+
+fn token(token: &Token, context: &Context) -> anyhow::Result<()> {
+    let invite = token.invite()?;
+    let value = json!({
+        "kind": "Invite", "claims": invite, "serial": invite.serial.to_string(),
+        "at": token.at().to_string(), "switch": token.switch(),
+    });
+    context.output.print(value, || {
+        let switch = token.switch().map_or("any".to_owned(), |switch| switch.to_string());
+        format!(
+            "kind        Invite\ndomain      {}\nrole        {}\nserial      {}\nuse until   {}\nmember until {}\ndial        {}\nswitch      {switch}",
+            invite.domain, invite.role, invite.serial, invite.not_after, invite.member_until, token.at()
+        )
+    })
+}
+
+fn domain(card: &Path, context: &Context) -> anyhow::Result<()> {
+    let books = Books::open(card)?;
+    let (issued, (_, revocation), now) = (books.ledger::<Issue>()?, books.revocation()?.unzip(), unix_now());
+    let state = |issue: &Issue| issue.state(revocation.as_ref(), now);
+    let name = books.card().name();
+    let value = json!({
+        "name": name,
+        "public_key": books.card().owner_key().to_string(),
+        "issued": issued.iter().map(|issue| issue.describe(state(issue))).collect::<Vec<Value>>(),
+        "revocation": revocation.as_ref().map(describe_revocation),
+    });
+    context.output.print(value, || {
+        let row = |issue: &Issue| {
+            let holder = issue.holder().map_or("who has the line".to_owned(), |holder| format!("{holder:#}"));
+            let file = issue.file.as_ref().map_or(String::new(), |file| file.display().to_string());
+            [issue.serial.to_string(), issue.kind().into(), holder, issue.right(), state(issue).into(), file]
+        };
+        let rows: Vec<_> = issued.iter().map(row).collect();
+        format!("domain {name}\n{}", output::table(["serial", "kind", "to", "as", "state", "file"], &rows))
+    })
+}

@@ -1,0 +1,66 @@
+//! What the ledger beside a name card remembers of each grant.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use gdp::Name;
+use gdp::cert::Grantee;
+use gdp::identity::VerifyKey;
+use serde::{Deserialize, Serialize};
+
+use super::super::books;
+
+/// One certificate that was issued from here.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Grant {
+    pub serial: u64,
+    /// May publish or serve; for a delegate: may let others.
+    pub publish: bool,
+    /// May subscribe or call; for a delegate: may let others.
+    pub read: bool,
+    pub to: Holder,
+    pub not_before: u64,
+    pub not_after: u64,
+    pub file: PathBuf,
+}
+
+impl books::Entry for Grant {
+    const SUFFIX: &'static str = ".grants";
+
+    fn serial(&self) -> u64 {
+        self.serial
+    }
+
+    fn ends(&self) -> u64 {
+        self.not_after
+    }
+}
+
+/// Whom a certificate was issued to.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
+pub enum Holder {
+    Entity(Name),
+    Role { domain: Name, role: String },
+    Delegate(VerifyKey),
+}
+
+impl From<Grantee> for Holder {
+    fn from(grantee: Grantee) -> Self {
+        match grantee {
+            Grantee::Entity(entity) => Self::Entity(entity),
+            Grantee::Role { domain, role } => Self::Role { domain, role },
+        }
+    }
+}
+
+impl fmt::Display for Holder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Entity(entity) => write!(f, "{entity}"),
+            Self::Role { domain, role } => write!(f, "role {role} of {domain}"),
+            Self::Delegate(key) => write!(f, "delegate {key}"),
+        }
+    }
+}

@@ -1,0 +1,193 @@
+//! What `gdp-ctl grant revoke` and `gdp-ctl domain revoke` share: the next revocation of a name, and telling the fabric.
+
+use anyhow::{Context as _, bail};
+use gdp::cert::{MAX_REVOKED, Revocation, Signed};
+use gdp::control::{EntityRequest, Response};
+use gdp::{Name, NameCard};
+use serde_json::{Value, json};
+
+use super::books::{Books, Entry};
+use super::{Context, serial_now};
+use crate::admin::{ClientError, Request};
+
+/// Seconds that an expired certificate stays listed: a clock may be so much behind.
+const CLOCKS_DIFFER: u64 = 86400;
+
+/// The code of a refusal to go back to an earlier revocation.
+const OLD_NUMBER: &str = "ReplayedSerial";
+
+/// Sends the newest revocation of the books' name to the daemon, and prints what became of it. `anew`: it was made now, so it is
+/// worth something though no daemon answers; `again` is the command that publishes it then.
+pub fn publish(
+    books: &Books,
+    signed: Signed<Revocation>,
+    claims: &Revocation,
+    anew: bool,
+    again: &str,
+    context: &Context,
+) -> anyhow::Result<()> {
+    let file = books.revocation_path();
+    let published = match send(books.card(), signed, context) {
+        Ok(()) => true,
+        // It holds as soon as the fabric knows it; this machine need not be one that is connected.
+        Err(error) if anew && matches!(error.downcast_ref(), Some(ClientError::NoDaemon { .. })) => {
+            eprintln!(
+                "gdp-ctl: not published, so it has no effect yet: {error}. Then, or on another machine with a copy of {} beside \
+                 one of the card, run `{again}`",
+                file.display()
+            );
+            false
+        }
+        Err(error) => {
+            let rolled_back =
+                matches!(error.downcast_ref(), Some(ClientError::Refused { code, .. }) if code == OLD_NUMBER);
+            let remedy = if rolled_back { "; if newer files have been lost, take all back with --all" } else { "" };
+            return Err(error.context(format!("{} is kept, but not published{remedy}", file.display())));
+        }
+    };
+    let mut value = describe_revocation(claims);
+    value["name"] = books.card().name().to_string().into();
+    value["file"] = file.display().to_string().into();
+    value["published"] = published.into();
+    context.output.print(value, || {
+        let told = if published { "published" } else { "not published" };
+        format!("revocation {} of {:#}, {told}: {}", claims.number, claims.name, file.display())
+    })
+}
+
+pub fn describe_revocation(revocation: &Revocation) -> Value {
+    let revoked: Vec<String> = revocation.revoked.iter().map(u64::to_string).collect();
+    json!({"number": revocation.number, "floor": revocation.floor.to_string(), "revoked": revoked})
+}
+
+/// The revocation that follows `known`. With a new `floor` nothing that was said before matters, so it is no harm if that was
+/// lost: the number is then the time, which is above any earlier one.
+pub fn next<E: Entry>(
+    name: Name,
+    known: Option<&Revocation>,
+    issued: &[E],
+    chosen: &[u64],
+    floor: Option<u64>,
+    now: u64,
+) -> anyhow::Result<Revocation> {
+    let number = known.map_or(0, |known| known.number).checked_add(1).context("the numbers are used up")?;
+    let (number, floor) = match floor {
+        Some(floor) => (number.max(now), floor),
+        None => (number, known.map_or(0, |known| known.floor)),
+    };
+    let over = |serial: &u64| {
+        let entry = issued.iter().find(|entry| entry.serial() == *serial);
+        *serial < floor || entry.is_some_and(|entry| entry.ends().saturating_add(CLOCKS_DIFFER) < now)
+    };
+    let mut revoked: Vec<u64> = known.map_or_else(Vec::new, |known| known.revoked.clone());
+    revoked.retain(|serial| !over(serial));
+    revoked.extend(chosen.iter().filter(|serial| **serial >= floor));
+    revoked.sort_unstable();
+    revoked.dedup();
+    if revoked.len() > MAX_REVOKED {
+        bail!(
+            "{} serials, where a revocation holds at most {MAX_REVOKED}; take all back with --all, and issue anew",
+            revoked.len()
+        );
+    }
+    Ok(Revocation { name, number, floor, revoked })
+}
+
+/// The time of issue; above all that was issued or revoked, also if the clock was set back.
+pub fn next_serial<E: Entry>(issued: &[E], revocation: Option<&Revocation>) -> anyhow::Result<u64> {
+    let issued = issued.iter().map(Entry::serial);
+    let revoked = revocation.into_iter().flat_map(|revocation| {
+        let floor = revocation.floor.checked_sub(1);
+        revocation.revoked.iter().copied().chain(floor)
+    });
+    let next = match issued.chain(revoked).max() {
+        Some(last) => last.checked_add(1).context("the serials of this name are used up; make a new name")?,
+        None => 0,
+    };
+    Ok(serial_now().max(next))
+}
+
+fn send(card: &NameCard, revocation: Signed<Revocation>, context: &Context) -> anyhow::Result<()> {
+    let request = EntityRequest::Revoke { proof: card.proof(), revocation };
+    match context.client()?.ask_control(&Request::Entity { entity: None, request: request.into() })? {
+        Response::Done => Ok(()),
+        _ => bail!("the RIB answered another question"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::{Deserialize, Serialize};
+
+    use super::*;
+
+    const NOW: u64 = 1_800_000_000;
+
+    #[test]
+    fn what_is_taken_back_stays_so_until_it_has_expired() {
+        let first = revoke(None, &[], &[7, 3, 7], None).unwrap();
+        assert_eq!((first.number, first.floor, first.revoked.as_slice()), (1, 0, &[3, 7][..]));
+        // Of 3 it is known when it ends, of 7 it is not.
+        let entry = |ends| Item { serial: 3, ends };
+        for (not_after, left) in [(NOW, vec![3, 5, 7]), (NOW - CLOCKS_DIFFER - 1, vec![5, 7])] {
+            assert_eq!(revoke(Some(&first), &[entry(not_after)], &[5], None).unwrap().revoked, left);
+        }
+    }
+
+    #[test]
+    fn all_at_once_needs_no_memory() {
+        let known = revoke(None, &[], &[7], None).unwrap();
+        for known in [None, Some(&known)] {
+            let all = revoke(known, &[], &[5, 200], Some(100)).unwrap();
+            assert_eq!((all.number, all.floor, all.revoked.as_slice()), (NOW, 100, &[200][..]));
+            let more = revoke(Some(&all), &[], &[150, 99], None).unwrap();
+            assert_eq!((more.number, more.floor, more.revoked.as_slice()), (NOW + 1, 100, &[150, 200][..]));
+        }
+    }
+
+    #[test]
+    fn a_list_that_is_full_says_how_to_go_on() {
+        let serials: Vec<u64> = (0..=MAX_REVOKED as u64).collect();
+        assert!(revoke(None, &[], &serials[1..], None).is_ok());
+        assert!(revoke(None, &[], &serials, None).unwrap_err().to_string().contains("--all"));
+        let last = Revocation { name: Name::default(), number: u64::MAX, floor: 0, revoked: vec![] };
+        assert!(revoke(Some(&last), &[], &[1], None).is_err());
+    }
+
+    #[test]
+    fn serials_rise_also_if_the_clock_is_set_back() {
+        assert!(next_serial::<Item>(&[], None).unwrap() > 1_700_000_000_000_000_000);
+        let later = u64::MAX - 9;
+        let revocation = |floor, revoked| Revocation { name: Name::default(), number: 1, floor, revoked };
+        assert_eq!(next_serial::<Item>(&[], Some(&revocation(later, vec![]))).unwrap(), later);
+        assert_eq!(next_serial::<Item>(&[], Some(&revocation(0, vec![later]))).unwrap(), later + 1);
+        assert!(next_serial::<Item>(&[], Some(&revocation(0, vec![u64::MAX]))).is_err());
+    }
+
+    #[derive(Serialize, Deserialize)]
+    struct Item {
+        serial: u64,
+        ends: u64,
+    }
+
+    impl Entry for Item {
+        const SUFFIX: &'static str = ".items";
+
+        fn serial(&self) -> u64 {
+            self.serial
+        }
+
+        fn ends(&self) -> u64 {
+            self.ends
+        }
+    }
+
+    fn revoke(
+        known: Option<&Revocation>,
+        issued: &[Item],
+        chosen: &[u64],
+        floor: Option<u64>,
+    ) -> anyhow::Result<Revocation> {
+        next(Name::default(), known, issued, chosen, floor, NOW)
+    }
+}

@@ -1,0 +1,88 @@
+//! The files that an entity's [`Papers`] are in, and whether they have changed since they were read.
+
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use super::Papers;
+use crate::card::{CardError, NameCard};
+use crate::cert::{CertError, MAX_CERT_FILE, Membership, Signed};
+
+#[derive(Debug, thiserror::Error)]
+pub enum PaperFileError {
+    #[error(transparent)]
+    Card(#[from] CardError),
+    #[error("{}: cannot be read: {source}", path.display())]
+    Io { path: PathBuf, source: io::Error },
+    #[error("{}: {source}", path.display())]
+    Cert { path: PathBuf, source: CertError },
+}
+
+/// Where they are.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PaperFiles {
+    /// The domain's card.
+    pub card: PathBuf,
+    pub membership: PathBuf,
+    /// What the domain lets others do, a certificate to a file.
+    pub peers: Vec<PathBuf>,
+}
+
+/// Another file, or another content, has another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Stamp {
+    modified: SystemTime,
+    inode: u64,
+    length: u64,
+}
+
+/// What the files were like when they were last read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Stamps(Vec<Option<Stamp>>);
+
+impl PaperFiles {
+    /// Reads them; whether they are of each other is checked, not whether they hold.
+    pub fn load(&self) -> Result<Papers, PaperFileError> {
+        let domain = NameCard::load(&self.card)?.proof();
+        let membership = read(&self.membership, Membership::from_pem)?;
+        if membership.domain != domain {
+            let wrong = |source| PaperFileError::Cert { path: self.membership.clone(), source };
+            let expected = domain.name().map_err(|error| wrong(error.into()))?;
+            let got = membership.domain.name().map_err(|error| wrong(error.into()))?;
+            return Err(wrong(CertError::WrongDomain { expected, got }));
+        }
+        let peers = self.peers.iter().map(|path| read(path, Signed::from_pem)).collect::<Result<_, _>>()?;
+        let papers = Papers { membership, peers };
+        papers.check_bounds().map_err(|source| PaperFileError::Cert { path: self.membership.clone(), source })?;
+        Ok(papers)
+    }
+
+    pub fn stamps(&self) -> Stamps {
+        let files = [&self.card, &self.membership].into_iter().chain(&self.peers);
+        Stamps(files.map(|path| stamp(path)).collect())
+    }
+
+    /// Whether the files are others than at `seen`, all of them there: one that is gone may be about to be replaced.
+    pub fn changed(&self, seen: &mut Stamps) -> bool {
+        let now = self.stamps();
+        if now == *seen || now.0.contains(&None) {
+            return false;
+        }
+        *seen = now;
+        true
+    }
+}
+
+fn read<T>(path: &Path, parse: impl Fn(&str) -> Result<T, CertError>) -> Result<T, PaperFileError> {
+    let io = |source| PaperFileError::Io { path: path.into(), source };
+    let mut text = String::new();
+    File::open(path).map_err(io)?.take(MAX_CERT_FILE as u64 + 1).read_to_string(&mut text).map_err(io)?;
+    parse(&text).map_err(|source| PaperFileError::Cert { path: path.into(), source })
+}
+
+fn stamp(path: &Path) -> Option<Stamp> {
+    use std::os::unix::fs::MetadataExt;
+    let metadata = fs::metadata(path).ok()?;
+    Some(Stamp { modified: metadata.modified().ok()?, inode: metadata.ino(), length: metadata.len() })
+}

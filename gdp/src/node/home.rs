@@ -1,0 +1,101 @@
+//! The node's trust domain, if it is a member of one: what it shows its switches, and which of them it takes.
+
+use std::sync::Arc;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use tokio::time::sleep;
+
+use super::clock::unix_now;
+use super::state::lock;
+use crate::cert::{CertError, Revocation, Signed};
+use crate::domain::{Admission, CurrentPapers, DomainError, Papers, Trust};
+use crate::identity::Identity;
+use crate::link::{Link, Role};
+use crate::name::NameProof;
+
+/// How often links are looked at, whether what they rest on has ended.
+const LOOK: Duration = Duration::from_millis(250);
+
+pub struct Home {
+    trust: Option<Mutex<Trust>>,
+    /// For the ports of the node's links.
+    pub shown: CurrentPapers,
+    /// Rises with all that may change a judgement.
+    changes: AtomicU64,
+}
+
+impl Home {
+    /// Without papers the node takes any switch.
+    pub fn new(identity: &Identity, papers: Option<Papers>) -> Result<Self, DomainError> {
+        let shown = CurrentPapers::default();
+        let trust = match papers.map(Arc::new) {
+            Some(papers) => {
+                shown.set(papers.clone());
+                // It is no switch, so nobody is its guest.
+                Some(Mutex::new(Trust::new(identity.name(), papers, true)?))
+            }
+            None => None,
+        };
+        Ok(Self { trust, shown, changes: AtomicU64::new(0) })
+    }
+
+    /// Whether the switch at the other end may have the link.
+    pub fn judge(&self, link: &Link) -> Result<Admission, DomainError> {
+        self.judge_by(link, link.papers().as_deref())
+    }
+
+    fn judge_by(&self, link: &Link, shown: Option<&Papers>) -> Result<Admission, DomainError> {
+        match &self.trust {
+            Some(trust) => lock(trust).admit(Role::Endpoint, link.peer(), shown, unix_now()),
+            None => Ok(Admission::STRANGER),
+        }
+    }
+
+    /// Puts renewed papers in place of those there were; a node without any stays so.
+    pub fn renew(&self, papers: Arc<Papers>) -> Result<(), DomainError> {
+        if let Some(trust) = &self.trust {
+            lock(trust).renew(papers.clone(), true)?;
+            self.shown.set(papers);
+            self.changed();
+        }
+        Ok(())
+    }
+
+    /// The switch shows renewed papers.
+    pub fn take_papers(&self, link: &Link, papers: Papers) -> Result<(), DomainError> {
+        self.judge_by(link, Some(&papers))?;
+        link.set_papers(Arc::new(papers));
+        self.changed();
+        Ok(())
+    }
+
+    pub fn take_revocation(&self, proof: &NameProof, revocation: &Signed<Revocation>) -> Result<(), CertError> {
+        if let Some(trust) = &self.trust
+            && lock(trust).take_revocation(proof, revocation)?
+        {
+            self.changed();
+        }
+        Ok(())
+    }
+
+    /// Closes the link once what it rests on has ended or was taken back, and says why.
+    pub async fn watch(&self, link: &Link) {
+        let (mut until, mut seen) = (0, 0);
+        loop {
+            let changes = self.changes.load(Ordering::Relaxed);
+            if unix_now() > until || changes != seen {
+                match self.judge(link) {
+                    Ok(admission) => (until, seen) = (admission.until, changes),
+                    Err(error) => return link.close(&error.to_string()),
+                }
+            }
+            sleep(LOOK).await;
+        }
+    }
+
+    fn changed(&self) {
+        self.changes.fetch_add(1, Ordering::Relaxed);
+    }
+}
