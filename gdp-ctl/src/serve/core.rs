@@ -516,7 +516,8 @@ impl Core {
             self.link_ready(from);
             return Next::Answer(Response::Done);
         }
-        if self.links.get(&from.local_id()).is_none_or(|state| state.admission.standing.is_border()) {
+        let is_border = |state: &LinkState| state.admission.standing.is_border();
+        if self.domain.is_some() && self.links.get(&from.local_id()).is_none_or(is_border) {
             return refuse(RefusalCode::Unsupported, "nothing of this kind is asked across a border between domains");
         }
         if self.uplink == Some(peer) {
