@@ -316,10 +316,8 @@ impl Rib {
     /// Whether what an entity was to be told arrived; if not, it is told the whole through another of its
     /// switches, or a while later.
     pub fn told(&mut self, now: Now, told: Told, arrived: bool) {
-        self.telling.answered(now.clock, &told.switch, told.stake, told.generation, arrived);
-        if !arrived && self.telling.failing(&told.stake) == Some(told.switch) {
-            self.tell_another_way(told.stake, &told.switch);
-        }
+        let other = if arrived { None } else { self.told_elsewhere(told.stake, &told.switch) };
+        self.telling.answered(now.clock, told, arrived, other);
     }
 
     /// Whether all switches that need a route for what an entity stated have answered that they hold it (or have failed to
@@ -329,7 +327,7 @@ impl Rib {
             self.switches.get(switch).is_none_or(|switch| switch.fib.is_settled(name.as_bytes()))
         };
         let key = name.to_bytes();
-        let switches = self.names.bound(&key, role).filter(|(of, _)| of == entity).map(|(_, switch)| switch);
+        let switches = self.names.bound_at(&key, entity, role);
         let counterparts = || switches.flat_map(|at| self.counterparts(&key, role).map(move |c| (at, c)));
         self.names.routed(&key).all(|switch| settled(switch, name))
             && self.inboxes.routed(entity).all(|switch| settled(switch, entity))

@@ -183,6 +183,13 @@ impl Names {
         all.filter(|(_, registration)| registration.bound).map(|(place, _)| *place)
     }
 
+    /// The switches at which one entity is so.
+    pub fn bound_at(&self, name: &Key, entity: &Name, role: NameRole) -> impl Iterator<Item = Name> {
+        let part = self.0.get(name).map(|topic| topic.part(role));
+        let of = part.into_iter().flat_map(|part| part.of(entity));
+        of.filter(|registration| registration.bound).map(|registration| registration.switch)
+    }
+
     /// Those with this role behind `after`.
     pub fn behind_entity(&self, name: &Key, role: NameRole, after: Option<Name>) -> impl Iterator<Item = Name> {
         let first = after.map_or(Bound::Unbounded, |after| Bound::Excluded((after, LAST)));

@@ -223,24 +223,17 @@ impl Rib {
 
     /// An entity is no longer to be told of this through `switch`, but through another one, if it has stated it there.
     fn tell_elsewhere(&mut self, stake: Stake, switch: &Name) {
-        let other = self.told_through(stake).into_iter().find(|other| other != switch);
+        let other = self.told_elsewhere(stake, switch);
         self.telling.follow(&stake, switch, other);
     }
 
-    /// What did not arrive through one switch may through another.
-    pub(super) fn tell_another_way(&mut self, stake: Stake, failed: &Name) {
-        if self.told_through(stake).iter().any(|other| other != failed) {
-            self.tell_elsewhere(stake, failed);
-        }
-    }
-
-    /// The switches through which an entity may be told of this.
-    fn told_through(&self, stake: Stake) -> Vec<Name> {
+    /// Another switch through which an entity may be told of this.
+    pub(super) fn told_elsewhere(&self, stake: Stake, switch: &Name) -> Option<Name> {
         if stake.is_inbox() {
-            return self.entities.attachments(&stake.entity).map(|(_, attachment)| attachment.switch).collect();
+            let attachments = self.entities.attachments(&stake.entity);
+            return attachments.map(|(_, attachment)| attachment.switch).find(|other| other != switch);
         }
-        let bound = self.names.bound(&stake.name, stake.role).filter(|(entity, _)| *entity == stake.entity);
-        bound.map(|(_, switch)| switch).collect()
+        self.names.bound_at(&stake.name, &stake.entity, stake.role).find(|other| other != switch)
     }
 
     fn register(&mut self, stake: Stake, proof: NameProof, new: Registration) -> Result<(), Refusal> {

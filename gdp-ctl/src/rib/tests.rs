@@ -521,15 +521,33 @@ fn what_does_not_arrive_through_one_link_is_told_through_the_other() {
     w.state_everywhere(&robot, 1, 2, NameRole::Subscriber);
     w.tell_all();
     w.publish(&cloud, 0, 1);
-    let told = |w: &mut World| {
-        let effects = w.rib.effects(w.now).into_iter();
-        effects.filter_map(|e| if let Effect::Peers(push) = e { Some(push) } else { None }).collect::<Vec<_>>()
+    let next = |w: &mut World| {
+        w.rib.effects(w.now).into_iter().find_map(|effect| match effect {
+            Effect::Peers(push) if push.entity == robot.name() => Some(push),
+            _ => None,
+        })
     };
-    let lost = told(&mut w).into_iter().find(|push| push.entity == robot.name()).unwrap();
+    let lost = next(&mut w).unwrap();
     assert_eq!(lost.switch, w.switch(1), "where it was stated last");
     w.rib.told(w.now, Told::from(&lost), false);
-    let again = told(&mut w).into_iter().find(|push| push.entity == robot.name()).unwrap();
+    let again = next(&mut w).unwrap();
     assert_eq!((again.switch, again.peers.records.len()), (w.switch(0), 1));
+    w.rib.told(w.now, Told::from(&again), false);
+    assert!(next(&mut w).is_none(), "both ways were tried");
+    let mut since = Duration::ZERO;
+    for _ in 0..4 {
+        let wait = w.rib.telling.retry_at().unwrap() - w.now.clock;
+        assert!(wait >= (since * 2).max(Duration::from_millis(500)), "{wait:?} after {since:?}");
+        since = wait;
+        w.pass(wait);
+        let tried = std::iter::from_fn(|| {
+            let push = next(&mut w)?;
+            w.rib.told(w.now, Told::from(&push), false);
+            Some(push.switch)
+        });
+        let tried: Vec<_> = tried.take(3).collect();
+        assert_eq!(tried.len(), 2, "each way once: {tried:?}");
+    }
 }
 
 #[test]
