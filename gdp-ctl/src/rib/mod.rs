@@ -334,14 +334,12 @@ impl Rib {
             && counterparts().all(|(at, other)| settled(&at, &other.entity))
     }
 
-    /// To be asked once a statement is settled: takes it back if a switch has no room for the route it needs.
-    pub fn check_room(&mut self, name: &Name, entity: &Name, role: NameRole) -> Result<(), Refusal> {
+    /// To be asked once a statement at `at` is settled: takes it back there if a switch has no room for the route it needs.
+    pub fn check_room(&mut self, name: &Name, entity: &Name, role: NameRole, at: &Name) -> Result<(), Refusal> {
         let lacking = |switch| self.switches.get(switch)?.fib.lacking();
         let Some(reason) = self.names.routed(name.as_bytes()).find_map(lacking) else { return Ok(()) };
         let refusal = Refusal::new(RefusalCode::Limit, reason);
-        let switches = self.names.switches_of(name.as_bytes(), entity, role);
-        let stake = Stake { name: name.to_bytes(), entity: *entity, role };
-        switches.into_iter().for_each(|switch| self.unregister(stake, switch));
+        self.unregister(Stake { name: name.to_bytes(), entity: *entity, role }, *at);
         Err(refusal)
     }
 }

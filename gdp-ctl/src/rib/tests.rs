@@ -268,14 +268,26 @@ fn a_statement_that_a_switch_has_no_room_for_is_taken_back() {
         w.rib.pushed(w.now, &push.switch, push.generation, outcome);
     }
     let name = w.card.name();
-    let refusal = w.rib.check_room(&name, &robot.name(), NameRole::Publisher).unwrap_err();
+    let refusal = w.rib.check_room(&name, &robot.name(), NameRole::Publisher, &w.switch(0)).unwrap_err();
     assert_eq!((refusal.code, refusal.reason.as_str()), (RefusalCode::Limit, "the FIB is full"));
     assert_eq!(w.routes(), []);
     w.settle();
     w.publish(&robot, 0, 2);
     w.settle();
-    w.rib.check_room(&name, &robot.name(), NameRole::Publisher).expect("there is room again");
+    w.rib.check_room(&name, &robot.name(), NameRole::Publisher, &w.switch(0)).expect("there is room again");
     assert_eq!(w.routes().len(), 2);
+
+    // What it has stated where there is room stays.
+    w.state_everywhere(&robot, 0, 3, NameRole::Publisher);
+    w.settle();
+    w.attach_lane(&robot, 1, 1);
+    w.state_everywhere(&robot, 1, 4, NameRole::Publisher);
+    for push in w.pushes() {
+        w.rib.pushed(w.now, &push.switch, push.generation, Pushed::Partly("the FIB is full".into()));
+    }
+    w.rib.check_room(&name, &robot.name(), NameRole::Publisher, &w.switch(1)).unwrap_err();
+    let places = w.rib.names.switches_of(name.as_bytes(), &robot.name(), NameRole::Publisher);
+    assert_eq!(places, [w.switch(0)]);
 }
 
 #[test]

@@ -85,16 +85,21 @@ pub enum Expects {
     Reattach,
 }
 
-/// What an entity has stated: what it is to the name.
+/// What an entity has stated: what it is to the name, at a switch.
 pub struct Statement {
     pub name: Name,
-    pub entity: Name,
-    pub role: NameRole,
+    entity: Name,
+    role: NameRole,
+    switch: Name,
 }
 
 impl Statement {
     pub fn is_settled(&self, rib: &Rib) -> bool {
         rib.is_settled(&self.name, &self.entity, self.role)
+    }
+
+    pub fn check_room(&self, rib: &mut Rib) -> Result<(), Refusal> {
+        rib.check_room(&self.name, &self.entity, self.role, &self.switch)
     }
 }
 
@@ -670,8 +675,8 @@ fn ask(
         _ => None,
     };
     let statement = stated.and_then(|advert| {
-        let Advert { name, entity, op, .. } = advert.claims_unverified().ok()?;
-        Some(Statement { name, entity, role: NameRole::of(op)? })
+        let Advert { name, entity, op, switch, .. } = advert.claims_unverified().ok()?;
+        Some(Statement { name, entity, role: NameRole::of(op)?, switch })
     });
     match statement {
         Some(statement) if !matches!(response, Response::Refused(_)) && !statement.is_settled(rib) => {

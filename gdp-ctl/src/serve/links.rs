@@ -252,7 +252,7 @@ impl Daemon {
             );
         }
         let room = match &mut self.core().rib {
-            Some(rib) => rib.check_room(&statement.name, &statement.entity, statement.role),
+            Some(rib) => statement.check_room(rib),
             None => Ok(()),
         };
         if room.is_err() {
