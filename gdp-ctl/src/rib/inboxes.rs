@@ -65,7 +65,8 @@ impl Inboxes {
             return full(&new.entity);
         }
         let limit = limits.counterparts_per_switch;
-        let lacks = |switch: &Name, more: usize| self.reached_from.get(switch).copied().unwrap_or_default() + more > limit;
+        let lacks =
+            |switch: &Name, more: usize| self.reached_from.get(switch).copied().unwrap_or_default() + more > limit;
         match more.into_iter().find(|(switch, more)| lacks(switch, *more)) {
             Some((switch, _)) => {
                 Err(limit_reached(format!("the entities at switch {switch} have {limit} counterparts")))
