@@ -108,6 +108,8 @@ pub enum Next {
     Answer(Response),
     /// The RIB here has accepted the statement; switches are still to be given the routes that follow.
     Settle(Response, Statement),
+    /// The RIB here has taken a revocation in; it is to be kept before that is said.
+    Keep,
     /// Ask over this link, and pass the response on.
     Forward(Link, Request),
     /// Have the endpoint at the other end attach again, or close the link.
@@ -672,6 +674,7 @@ fn ask(
     let response = rib.request(now, switch, entity, by_tool, request);
     let stated = match request {
         EntityRequest::Advertise { advert, .. } | EntityRequest::Subscribe { advert, .. } => Some(advert),
+        EntityRequest::Revoke { .. } if matches!(response, Response::Done) => return Next::Keep,
         _ => None,
     };
     let statement = stated.and_then(|advert| {
