@@ -684,6 +684,23 @@ fn a_refused_move_leaves_the_attachment_where_it_was() {
 }
 
 #[test]
+fn a_writer_moves_and_has_a_second_place_also_at_the_limit() {
+    let mut w = World::with(2, Limits { writers_per_name: 2, ..Limits::default() });
+    let (robot, other, third) = (w.attached("robot", 0), w.attached("other", 0), w.attached("third", 0));
+    w.publish(&robot, 0, 1);
+    w.attach_lane(&robot, 1, 1);
+    let moved = w.publish(&robot, 1, 2);
+    assert!(matches!(moved, Response::Peers(_)), "{moved:?}");
+    w.state_everywhere(&robot, 0, 3, NameRole::Publisher);
+    let second = w.publish(&other, 0, 1);
+    assert!(matches!(second, Response::Peers(_)), "the first is one writer: {second:?}");
+    w.attach_lane(&other, 1, 1);
+    let moved = w.publish(&other, 1, 2);
+    assert!(matches!(moved, Response::Peers(_)), "{moved:?}");
+    expect_refused(&w.publish(&third, 0, 1), "a third", RefusalCode::Limit, "has 2 publishers");
+}
+
+#[test]
 fn many_counterparts_come_in_parts_that_fit_a_message() {
     let mut w = World::with(1, Limits { writers_per_name: 150, ..Limits::default() });
     let reader = w.attached("reader", 0);
