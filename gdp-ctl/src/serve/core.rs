@@ -160,7 +160,8 @@ impl Core {
             let role = if entry.role == LinkRole::Endpoint as u32 { Role::Endpoint } else { Role::Switch };
             let Some(id) = ids.reserve(entry.id) else { continue };
             let id = Kept::Adopted { _id: id };
-            self.held.keep(HeldLink { peer: entry.peer, lane: None, role, entry: entry.clone(), to: *to, until, id });
+            let (peer, lane) = (entry.peer, entry.lane as u8);
+            self.held.keep(HeldLink { peer, lane, role, entry: entry.clone(), to: *to, until, id });
             if role == Role::Endpoint {
                 self.attached.insert(entry.peer);
             }
@@ -287,7 +288,7 @@ impl Core {
         }
         let time = if is_replaced { GRACE } else { HOLD };
         let (until, id) = (Instant::now() + time, Kept::Closed { _link: link });
-        let held = HeldLink { peer, lane: Some(lane), role, entry, to, until, id };
+        let held = HeldLink { peer, lane, role, entry, to, until, id };
         if let Some(first) = self.held.keep(held) {
             self.release(first);
         }

@@ -42,9 +42,9 @@ impl Ends {
         self.lanes.values().any(|lane| lane.is_earlier(link))
     }
 
-    /// A link from before this daemon, of a lane that nobody knows any more; the last one that is added is the one to send on.
-    pub fn adopt(&mut self, link: u32) {
-        self.lanes.entry(0).or_default().adopt(link);
+    /// A link from before this daemon; of its lane, the last one that is added is the one to send on.
+    pub fn adopt(&mut self, lane: u8, link: u32) {
+        self.lanes.entry(lane).or_default().adopt(link);
     }
 
     /// A new link is up. The one of its lane that was sent on becomes an earlier one.
@@ -186,7 +186,7 @@ mod tests {
     #[test]
     fn a_silent_link_stays_and_one_that_is_ended_takes_earlier_ones_along() {
         let mut ends = Ends::default();
-        ends.adopt(1);
+        ends.adopt(0, 1);
         ends.up(0, 2);
         assert!(!ends.silent(2), "1 is still the better one");
         assert!(ends.gone(2).is_empty(), "and stays");
