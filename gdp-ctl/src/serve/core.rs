@@ -112,8 +112,8 @@ pub enum Next {
     Keep,
     /// Ask over this link, and pass the response on.
     Forward(Link, Request),
-    /// Have the endpoint at the other end attach again, or close the link.
-    Reattach(Link, Request),
+    /// Have the endpoint at the other end of these attach again by each, or close it.
+    Reattach(Vec<Link>, Request),
 }
 
 impl Core {
@@ -483,22 +483,21 @@ impl Core {
                 Some(link) => Next::Forward(link, Request::Peers(push)),
                 None => refuse(RefusalCode::Unreachable, format!("{} has no link here", push.entity)),
             },
-            Request::Detach { switch, entity } => match self.told_to_detach(&entity) {
-                Some(link) => Next::Reattach(link, Request::Detach { switch, entity }),
-                None => Next::Answer(Response::Done),
-            },
+            Request::Detach { switch, entity } => {
+                Next::Reattach(self.told_to_detach(&entity), Request::Detach { switch, entity })
+            }
             _ => refuse(RefusalCode::Malformed, "not a request to a switch"),
         }
     }
 
-    /// The RIB does not hold what this switch thinks it holds. Returns the link of the endpoint that is to attach again.
-    fn told_to_detach(&mut self, entity: &Name) -> Option<Link> {
+    /// The RIB does not hold what this switch thinks it holds. Returns the links of the endpoint that is to attach again.
+    fn told_to_detach(&mut self, entity: &Name) -> Vec<Link> {
         if *entity == self.name() {
             // The caller reports again because of this.
             self.uplink_ready = false;
-            return None;
         }
-        self.link_to(entity).filter(|link| link.peer().role == Role::Endpoint)
+        let links = self.links_of(entity).filter_map(|id| Some(self.links.get(&id)?.link.clone()));
+        links.filter(|link| link.peer().role == Role::Endpoint).collect()
     }
 
     fn push(&mut self, push: &FibPush) -> Response {
@@ -551,9 +550,11 @@ impl Core {
                         (push.switch, Request::Peers(push), expects)
                     }
                     Effect::Detach { switch, entity } if switch == own => {
-                        let Some(link) = self.told_to_detach(&entity) else { continue };
-                        let request = Request::Detach { switch, entity };
-                        outgoing.push(Outgoing { link: Some(link), request, expects: Expects::Reattach });
+                        outgoing.extend(self.told_to_detach(&entity).into_iter().map(|link| Outgoing {
+                            link: Some(link),
+                            request: Request::Detach { switch, entity },
+                            expects: Expects::Reattach,
+                        }));
                         continue;
                     }
                     Effect::Detach { switch, entity } => (switch, Request::Detach { switch, entity }, Expects::Nothing),

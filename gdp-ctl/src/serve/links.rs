@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use futures::future::join_all;
 use gdp::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
 use gdp::link::{Link, LinkKeys, Responder, Role};
 use gdp_wire::Name;
@@ -219,8 +220,9 @@ impl Daemon {
                 Ok(()) => response,
                 Err(refusal) => refusal.into(),
             },
-            Next::Reattach(link, request) => {
-                reattached(self, &link, link.request(&request).await.ok());
+            Next::Reattach(links, request) => {
+                let asked = links.iter().map(async |link| reattached(self, link, link.request(&request).await.ok()));
+                join_all(asked).await;
                 Response::Done
             }
             Next::Forward(link, request) => match link.request(&request).await {
