@@ -33,6 +33,7 @@ use gdp::control::{
     EntityRequest, FibPush, NameRole, PeersPush, Record, RecordPlace, Refusal, RefusalCode, Response, Route,
 };
 use gdp::name::{NamePrefix, NameProof};
+use gdp::revocations::Origin;
 use gdp_wire::Name;
 
 use boxes::Boxes;
@@ -41,7 +42,7 @@ use fib::{About, Fib, Pushed};
 use inboxes::Inboxes;
 use names::Names;
 use paths::Topology;
-use revocations::{Origin, Revocations};
+use revocations::Revocations;
 use telling::{Source, Stake, Telling};
 
 /// How long the names of a switch that nobody reaches stay: a restart or a short partition must not cost the FIBs.
@@ -77,6 +78,8 @@ pub struct Limits {
     pub boxes_per_entity: usize,
     /// Of all entities at a switch.
     pub boxes_per_switch: usize,
+    /// Revocations of names that somebody has a part in, and that came in by one origin; more count as the following.
+    pub used_revocations: usize,
     /// Revocations of names that nobody has a part in.
     pub idle_revocations: usize,
 }
@@ -96,6 +99,7 @@ impl Default for Limits {
             box_readers: 1024,
             boxes_per_entity: 8192,
             boxes_per_switch: 65_536,
+            used_revocations: 4096,
             idle_revocations: 16_384,
         }
     }

@@ -256,7 +256,7 @@ impl Rib {
         }
         let (ends, bound, everywhere) = (new.ends, new.bound, new.everywhere);
         let says_the_same = self.names.get(&key, &entity, role).is_some_and(|old| old.tells_the_same(&new));
-        self.revocations.enter(&key);
+        self.revocations.enter(&key, &self.limits);
         let is_new_name = !self.names.contains(&key);
         let old = self.names.insert(name, proof, entity, new);
         self.timers.insert((ends, Timer::Registration(stake, place.switch)));
@@ -308,7 +308,7 @@ impl Rib {
         }
         if self.names.sweep(&name) {
             self.reroute_inbox(&Name::from_bytes(name));
-            self.revocations.leave(&name, self.limits.idle_revocations);
+            self.revocations.leave(&name, &self.limits);
         }
     }
 
