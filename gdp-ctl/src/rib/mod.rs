@@ -221,23 +221,34 @@ impl Rib {
     /// What is known of a name anybody may hear who knows the name; to have names listed, one has to be attached here, or be the switch
     /// that asks (for those who run it).
     fn query(
-        &self,
+        &mut self,
         now: Now,
         origin: Name,
         entity: Option<&NameProof>,
         prefix: &NamePrefix,
         after: Option<&RecordPlace>,
     ) -> Result<Response, Refusal> {
-        let entity = entity.and_then(|proof| proof.name().ok());
-        let is_here = |entity: Name| {
-            let attached = self.entities.is_attached_at(&entity, &origin);
-            attached || entity == origin && self.switches.contains_key(&origin)
-        };
-        if prefix.full().is_none() && !entity.is_some_and(is_here) {
-            let reason = "names are listed for entities that are attached, and for switches; ask for a name in full";
-            return Err(Refusal::new(RefusalCode::NotEntitled, reason));
+        if prefix.full().is_none() {
+            self.check_reported(origin)?;
+            let entity = entity.and_then(|proof| proof.name().ok());
+            let is_here = |entity: Name| entity == origin || self.entities.is_attached_at(&entity, &origin);
+            if !entity.is_some_and(is_here) {
+                let reason =
+                    "names are listed for entities that are attached, and for switches; ask for a name in full";
+                return Err(Refusal::new(RefusalCode::NotEntitled, reason));
+            }
         }
         Ok(self.names.query(now.clock, prefix, after))
+    }
+
+    /// Whether a switch is known. If not, it is told to report, and what it asks is worth another attempt.
+    fn check_reported(&mut self, switch: Name) -> Result<(), Refusal> {
+        if self.switches.contains_key(&switch) {
+            return Ok(());
+        }
+        self.detached.insert((switch, switch));
+        let reason = format!("switch {switch} has not reported its links to the RIB yet; try again in a moment");
+        Err(Refusal::new(RefusalCode::Unreachable, reason))
     }
 
     /// Takes a switch's report of its neighbours with their costs, and after a (re)connect of all attached entities; with the

@@ -35,11 +35,7 @@ impl Rib {
         by_tool: bool,
         request: &EntityRequest,
     ) -> Result<Response, Refusal> {
-        if !self.switches.contains_key(&origin) {
-            self.detached.insert((origin, origin));
-            let reason = format!("switch {origin} has not reported its links to the RIB yet; try again in a moment");
-            return Err(Refusal::new(RefusalCode::Unreachable, reason));
-        }
+        self.check_reported(origin)?;
         let proof = entity.ok_or_else(|| {
             Refusal::new(RefusalCode::Malformed, "only queries and revocations may be anonymous: show the entity's key")
         })?;

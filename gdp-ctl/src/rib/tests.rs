@@ -18,7 +18,7 @@ use gdp::name::{Name, NamePrefix, NameProof};
 use self::world::{Parts, UNIX, World, expect_refused};
 use super::fib::Pushed;
 use super::telling::AT_ONCE;
-use super::{Effect, HOLD, Limits, Run, Told};
+use super::{Effect, HOLD, Limits, Rib, Run, Told};
 
 #[test]
 fn every_bad_advertisement_is_refused_with_its_reason() {
@@ -408,6 +408,14 @@ fn names_are_listed_for_who_is_attached_or_runs_a_switch_only() {
         let found = ask(at, Some(&whose), digits);
         assert!(matches!(found, Response::Records { records, .. } if records.len() == 1));
     }
+
+    // As for a daemon that is just starting.
+    let switch = w.switches[0].clone();
+    w.rib = Rib::new(switch.name(), Run { id: 2, settling: Duration::ZERO }, Limits::default());
+    let list = EntityRequest::Query { prefix: digits.parse().unwrap(), after: None };
+    let early = w.rib.request(w.now, switch.name(), Some(&switch.proof()), true, &list);
+    expect_refused(&early, "before its report", RefusalCode::Unreachable, "try again");
+    assert_eq!(w.detaches(), [(switch.name(), switch.name())], "it is asked to report");
 }
 
 #[test]

@@ -57,9 +57,10 @@ impl Ends {
         self.lanes.values_mut().for_each(|lane| lane.ready(link));
     }
 
-    /// The peer wants on this link what it wants on one.
+    /// The peer wants on this link what it wants on one. One that is gone by now changes nothing.
     pub fn prefer(&mut self, link: u32) {
-        self.preferred = self.lanes.iter().find(|(_, lane)| lane.all().any(|of| of == link)).map(|(number, _)| *number);
+        let lane = self.lanes.iter().find(|(_, lane)| lane.all().any(|of| of == link));
+        self.preferred = lane.map(|(number, _)| *number).or(self.preferred);
     }
 
     /// The link fell silent. Whether it is worth keeping, as an earlier one: the newest is if it is the one that is sent on.
@@ -211,6 +212,8 @@ mod tests {
         assert!(!ends.is_earlier(1), "3 replaces nothing");
         ends.prefer(3);
         assert_eq!(ends.out(), Some(3));
+        ends.prefer(9);
+        assert_eq!(ends.out(), Some(3), "there is no such link");
         assert!(ends.silent(3));
         assert_eq!(
             (ends.out(), ends.each().collect::<Vec<_>>()),
