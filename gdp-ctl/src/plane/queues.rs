@@ -34,7 +34,8 @@ impl Queues {
         }
     }
 
-    fn note(&self, ifindex: u32, bytes: usize) {
+    /// The same of one interface.
+    pub fn note(&self, ifindex: u32, bytes: usize) {
         if self.is_long(ifindex) == (bytes > LONG) {
             return;
         }
