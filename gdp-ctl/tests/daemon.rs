@@ -142,12 +142,8 @@ async fn a_certificate_until_the_end_of_time_does_not_stop_the_clock() {
     let folder = tempfile::tempdir().unwrap();
     let switch = start(config(folder.path(), "s1")).await.unwrap();
     let papers = Papers::new();
-    let (_port, link) = papers.bare_link(&switch).await;
-    let claims = RtCert { entity: papers.robot.name(), switch: switch.name(), not_after: u64::MAX };
-    let rt_cert = issue(papers.robot.key(), &claims).unwrap();
-    let attached =
-        link.request(&Request::Entity(EntityRequest::Attach { rt_cert, resumes: false, lane: 0 })).await.unwrap();
-    assert!(matches!(attached, Response::Attached { .. }), "{attached:?}");
+    let (_port, link) = papers.bare_link(&switch, 0).await;
+    papers.attach(&switch, (&link, 0), u64::MAX).await;
     // The RIB's clock now sleeps for ever, or until there is something nearer.
     let card = &papers.card;
     let says = Advert {
@@ -166,6 +162,29 @@ async fn a_certificate_until_the_end_of_time_does_not_stop_the_clock() {
     assert!(matches!(done, Response::Peers(_)), "{done:?}");
     assert_eq!(switch.status().await["rib"]["names"], 1);
     wait("the name to end by itself", async || switch.status().await["rib"]["names"] == 0).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_endpoint_that_the_rib_forgets_attaches_again_by_each_of_its_links() {
+    let folder = tempfile::tempdir().unwrap();
+    let switch = start(config(folder.path(), "s1")).await.unwrap();
+    let papers = Papers::new();
+    let (_first_port, first) = papers.bare_link(&switch, 0).await;
+    let (_second_port, second) = papers.bare_link(&switch, 1).await;
+    let not_after = unix_now() + 4;
+    for at in [(&first, 0), (&second, 1)] {
+        papers.attach(&switch, at, not_after).await;
+    }
+    for (link, lane) in [(&first, 0), (&second, 1)] {
+        let request = tokio::time::timeout(PATIENCE, link.accept_request()).await.expect("told in time");
+        let (Request::Detach { entity, .. }, responder) = request.expect("a live link") else {
+            panic!("another request")
+        };
+        assert_eq!(entity, papers.robot.name());
+        papers.attach(&switch, (link, lane), unix_now() + 3600).await;
+        responder.respond(Response::Done).await.unwrap();
+    }
+    switch.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -205,7 +224,7 @@ async fn writers_of_a_name_may_send_to_it_and_nobody_else() {
         assert_eq!(next(&mut subscription).await.writer, papers.robot.name());
     }
 
-    let (port, link) = stranger.bare_link(&switch).await;
+    let (port, link) = stranger.bare_link(&switch, 0).await;
     // This side has the link before the switch does.
     let linked = async || switch.status().await["links"].as_array().is_some_and(|links| links.len() == 4);
     wait("the stranger's link", linked).await;
@@ -288,7 +307,7 @@ async fn only_what_a_switch_states_itself_becomes_topology() {
     assert!(matches!(flood(flooded(&far, &LinkState { number: newer, ..back })).await, Response::Done));
     wait("the other one to be reached", async || known(3, 3).await).await;
 
-    let (_port, endpoint) = Papers::new().bare_link(&switch).await;
+    let (_port, endpoint) = Papers::new().bare_link(&switch, 0).await;
     let states = vec![flooded(&far, &LinkState { number: 9, ..claims(&far, &[]) })];
     let refused = endpoint.request(&Request::Flood { states }).await.unwrap();
     assert!(matches!(&refused, Response::Refused(r) if r.reason.contains("an endpoint may not")), "{refused:?}");
@@ -404,9 +423,19 @@ impl Papers {
         Self { card, ..self.clone() }
     }
 
-    /// The robot's link, not attached; and its port, which closes it when dropped.
-    async fn bare_link(&self, switch: &Running) -> (Port, Link) {
-        let port = Port::udp("127.0.0.1:0".parse().unwrap(), &PortConfig::endpoint(self.robot.clone())).unwrap();
+    /// Has the robot's link attached.
+    async fn attach(&self, switch: &Running, (link, lane): (&Link, u8), not_after: u64) {
+        let claims = RtCert { entity: self.robot.name(), switch: switch.name(), not_after };
+        let rt_cert = issue(self.robot.key(), &claims).unwrap();
+        let request = EntityRequest::Attach { rt_cert, resumes: true, lane };
+        let attached = link.request(&Request::Entity(request)).await.unwrap();
+        assert!(matches!(attached, Response::Attached { .. }), "{attached:?}");
+    }
+
+    /// One of the robot's links, not attached; and its port, which closes it when dropped.
+    async fn bare_link(&self, switch: &Running, lane: u8) -> (Port, Link) {
+        let config = PortConfig { lane, ..PortConfig::endpoint(self.robot.clone()) };
+        let port = Port::udp("127.0.0.1:0".parse().unwrap(), &config).unwrap();
         let link = port.dial(LinkAddr::udp(switch.udp_addr().unwrap()), Some(switch.name())).await.unwrap();
         (port, link)
     }

@@ -73,6 +73,28 @@ async fn a_rib_that_starts_anew_refuses_what_was_revoked() {
     assert!(error.contains("s1.revocations") && error.contains("remove it"), "{error}");
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_kept_is_not_said_to_be_done() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path(), "s1");
+    let switch = start(config.clone()).await.unwrap();
+    let (owner, file) = (Owner::new(), folder.path().join("s1.revocations"));
+    let revoke = async || {
+        let (socket, request) = (config.socket.clone(), owner.revocation(1, 1));
+        tokio::task::spawn_blocking(move || try_ask(&socket, request)).await.unwrap()
+    };
+    // No file takes the place of a folder that has something in it.
+    std::fs::create_dir_all(file.join("in the way")).unwrap();
+    for _ in 0..2 {
+        let error = revoke().await.unwrap_err();
+        assert!(error.contains("taken in, but not kept") && error.contains("s1.revocations"), "{error}");
+    }
+    std::fs::remove_dir_all(&file).unwrap();
+    assert!(matches!(revoke().await, Ok(Response::Done)), "the same again");
+    assert!(file.is_file());
+    switch.stop().await;
+}
+
 struct Owner {
     key: SigningKey,
     card: NameCard,

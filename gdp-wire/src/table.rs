@@ -88,15 +88,17 @@ pub struct LinkEntry {
     pub tx_phase: u32,
     /// What carries frames to the neighbour.
     pub carrier: Carrier,
+    /// Which of the links of an endpoint it is. For the daemon after the present one; data planes do not look at it.
+    pub lane: u32,
 }
 
 impl fmt::Debug for LinkEntry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { id, peer_id, role, port, rx_keys: _, tx_keys: _, reach, peer, mtu, tx_phase, carrier } = self;
+        let Self { id, peer_id, role, port, rx_keys: _, tx_keys: _, reach, peer, mtu, tx_phase, carrier, lane } = self;
         write!(
             f,
             "LinkEntry({id:#x} to {peer_id:#x} of {peer:#}, role {role}, port {port}, reach {reach:#x}, mtu {mtu}, key phase \
-             {tx_phase}, {carrier:?})"
+             {tx_phase}, {carrier:?}, lane {lane})"
         )
     }
 }
@@ -123,8 +125,6 @@ pub struct Carrier {
     pub peer_ip: [u32; 4],
     /// Ours, likewise.
     pub local_ip: [u32; 4],
-    /// Zero.
-    pub reserved2: u32,
 }
 
 impl Carrier {
@@ -334,7 +334,7 @@ const _: () = {
     // What arrives is checked with the first two cache lines; the third is for what leaves.
     assert!(size_of::<LinkEntry>() == 184 && align_of::<LinkEntry>() == 8);
     assert!(core::mem::offset_of!(LinkEntry, carrier) == 128);
-    assert!(size_of::<Carrier>() == 56 && align_of::<Carrier>() == 4);
+    assert!(size_of::<Carrier>() == 52 && align_of::<Carrier>() == 4);
     // With its name and a generation, one.
     assert!(size_of::<FibEntry>() == 24 && align_of::<FibEntry>() == 8);
     assert!(size_of::<Permit>() == 40 && align_of::<Permit>() == 8);

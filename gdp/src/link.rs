@@ -328,6 +328,7 @@ impl Link {
             peer: inner.peer.name,
             mtu: self.mtu(),
             carrier: self.carrier(),
+            lane: inner.peer.lane.into(),
             ..LinkEntry::default()
         };
         self.ratchet().keys().put(&mut entry);

@@ -22,6 +22,17 @@ const MAX_ENTRY: usize = 32 << 10;
 pub struct Kept {
     pub proof: NameProof,
     pub revocation: Signed<Revocation>,
+    /// Where it came in, if a RIB keeps it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub origin: Option<Origin>,
+}
+
+/// Where a RIB took something in: through this switch, from a tool there or from an entity.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Origin {
+    pub switch: Name,
+    pub by_tool: bool,
 }
 
 impl Kept {
@@ -124,7 +135,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = RevocationFile::new(folder.path().join("revocations"), 1 << 20);
         assert_eq!(file.load().unwrap(), []);
+        let origin = Some(Origin { switch: Name::from_bytes([9; 32]), by_tool: true });
         let (one, full) = (kept(1, 1, vec![7]), kept(2, 3, (0..MAX_REVOKED as u64).collect()));
+        let full = Kept { origin, ..full };
         // Signed by another owner.
         let forged = Kept { proof: one.proof, ..full.clone() };
         assert_eq!(file.save([&one, &forged, &full]).unwrap(), 0);
@@ -160,6 +173,6 @@ mod tests {
         let owner = SigningKey::for_test(seed);
         let proof = NameProof { owner_key: owner.public(), digest: [seed; 32] };
         let claims = Revocation { name: proof.name().unwrap(), number, floor: 0, revoked };
-        Kept { proof, revocation: issue(&owner, &claims).unwrap() }
+        Kept { proof, revocation: issue(&owner, &claims).unwrap(), origin: None }
     }
 }

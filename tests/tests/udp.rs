@@ -14,7 +14,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
 use gdp::link::{Link, LinkIds};
-use gdp::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
+use gdp::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch, UDP_MTU};
 use gdp_ctl::plane::kernel::KernelPlane;
 use gdp_ctl::plane::pins::Pins;
 use gdp_ctl::plane::{PinPlace, PlaneConfig, PlaneRoute, Planes, Wanted};
@@ -85,6 +85,35 @@ fn what_the_kernel_sends_is_right_to_the_bit() -> Result<()> {
         site.received(INET6, &payload)?;
     }
     ensure!(site.count(Counter::Delivered)? == (10, 0));
+    Ok(())
+}
+
+/// What is long is summed up in many blocks; what lies in several buffers is not summed up at all, which IPv4 allows.
+#[test]
+fn long_datagrams_are_right_to_the_bit() -> Result<()> {
+    for (mtu, frames) in
+        [(1500, &[(UDP_MTU as usize, true)][..]), (3498, &[(3000, true)]), (9000, &[(3000, true), (5000, false)])]
+    {
+        let mut site = Site::with_mtu(Wanted::Xdp, mtu)?;
+        let cable = PacketSocket::open(&site.router, "s0")?;
+        for index in [ROBOT, INET] {
+            let (mut entry, to) = site.at_switch(index);
+            entry.mtu = 8000;
+            site.planes.set_link(entry, to)?;
+        }
+        for &(frame, is_summed) in frames {
+            let payload: Vec<u8> = (0..frame - Header::LEN).map(|i| (i * 7) as u8).collect();
+            site.send(ROBOT, INET, &payload)?;
+            let sent = cable.receive(SOON, |frame| is_data(frame, 0x0800, 42))?;
+            ensure!(sent.len() == 42 + frame, "{} bytes of {frame} with an MTU of {mtu}", sent.len());
+            match is_summed {
+                true => ensure!(udp_checksum_holds(&sent, 26..34), "{frame} bytes: {:02x?}", &sent[34..42]),
+                false => ensure!(sent[40..42] == [0, 0], "{frame} bytes: {:02x?}", &sent[34..42]),
+            }
+            site.received(INET, &payload)?;
+        }
+        ensure!(site.count(Counter::Delivered)? == (frames.len() as u64, 0), "by the kernel");
+    }
     Ok(())
 }
 
@@ -364,13 +393,17 @@ struct Site {
 
 impl Site {
     fn build(wanted: Wanted) -> Result<Self> {
+        Self::with_mtu(wanted, 1500)
+    }
+
+    fn with_mtu(wanted: Wanted, mtu: u32) -> Result<Self> {
         let [robot, switch, router, cloud] = ["robot", "switch", "router", "cloud"].map(Namespace::create);
         let (robot, switch, router, cloud) = (robot?, switch?, router?, cloud?);
         [&switch, &router, &cloud].into_iter().try_for_each(|side| side.enable_ipv6())?;
         let end = |namespace, interface, mac| End { namespace, interface, mac };
-        veth(&end(&robot, "e0", [2, 0, 0, 0, 1, 1]), &end(&switch, "l0", [2, 0, 0, 0, 1, 2]), 1500)?;
-        veth(&end(&switch, "r0", [2, 0, 0, 0, 2, 1]), &end(&router, "s0", [2, 0, 0, 0, 2, 2]), 1500)?;
-        veth(&end(&router, "c0", [2, 0, 0, 0, 3, 1]), &end(&cloud, "e0", [2, 0, 0, 0, 3, 2]), 1500)?;
+        veth(&end(&robot, "e0", [2, 0, 0, 0, 1, 1]), &end(&switch, "l0", [2, 0, 0, 0, 1, 2]), mtu)?;
+        veth(&end(&switch, "r0", [2, 0, 0, 0, 2, 1]), &end(&router, "s0", [2, 0, 0, 0, 2, 2]), mtu)?;
+        veth(&end(&router, "c0", [2, 0, 0, 0, 3, 1]), &end(&cloud, "e0", [2, 0, 0, 0, 3, 2]), mtu)?;
         for (side, interface) in [(&robot, "e0"), (&router, "s0")] {
             for state in ["off", "on"] {
                 execute(side.command("ethtool")?.args(["-K", interface, "gro", state]))?;
@@ -528,7 +561,7 @@ impl Site {
     fn next_received(&self, at: usize) -> Result<(Header, Vec<u8>)> {
         let end = &self.ends[at];
         let (data, entry) = (end.port.data(), end.link.entry(PORT_USERSPACE));
-        let mut batch = RecvBatch::new(2048);
+        let mut batch = RecvBatch::new(8192);
         wait_for("a frame", SOON, || {
             data.wait_readable(Duration::from_millis(10))?;
             let received = data.try_recv_batch(&mut batch)?;

@@ -172,14 +172,10 @@ impl Worker {
     fn look_at_queues(&mut self) {
         let shared = &self.shared;
         let tables = shared.tables.read().unwrap_or_else(PoisonError::into_inner);
-        self.unseen.retain(|(ifindex, frames)| {
-            if *frames < LOOK && !tables.queues().is_long(*ifindex) {
-                return true;
-            }
+        let due = self.unseen.extract_if(.., |(_, frames)| *frames >= LOOK).map(|(ifindex, _)| ifindex);
+        tables.queues().look(due, |ifindex| {
             let sockets = shared.sockets.read().unwrap_or_else(PoisonError::into_inner);
-            let waiting = sockets.get(&Medium::Ethernet(*ifindex)).map_or(0, |socket| socket.send_queue());
-            tables.queues().note(*ifindex, waiting);
-            false
+            sockets.get(&Medium::Ethernet(ifindex)).map_or(0, |socket| socket.send_queue())
         });
     }
 

@@ -25,6 +25,7 @@ use super::link_memory::{LinkMaps, LinkMemory};
 use super::losses::{self, Losses, LossesError};
 use super::pins::{Pins, PinsError};
 use super::tally::KernelTally;
+use super::verified;
 
 /// The oldest kernel the programs are meant for.
 pub const FLOOR: KernelVersion = KernelVersion(5, 15);
@@ -252,9 +253,9 @@ impl KernelPlane {
         let switches = Buffers::known_to(version);
         let egress = if version >= FRAGS { "gdp_egress" } else { "gdp_egress_linear" };
         for name in switches.iter().map(|buffers| buffers.program()).chain([egress, ROUTE]) {
-            xdp(&mut ebpf, name)
-                .ok_or(LoadError::Mismatch { path: path.into(), what: "program", name })?
-                .load()
+            let program = xdp(&mut ebpf, name);
+            let program = program.ok_or(LoadError::Mismatch { path: path.into(), what: "program", name })?;
+            verified::load(|| program.load())
                 .map_err(|source| LoadError::Program { path: path.into(), source: Box::new(source) })?;
         }
         let egress = || -> Result<ProgramFd, LoadError> {

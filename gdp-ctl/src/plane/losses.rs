@@ -19,6 +19,7 @@ use gdp_wire::losses::NetDevices;
 use super::explain;
 use super::kernel_types::{KernelTypes, TypesError, VMLINUX};
 use super::pins::Pins;
+use super::verified;
 
 /// The map in the object, and in a folder of pins.
 pub const MAP: &str = "REDIRECT_LOSSES";
@@ -129,7 +130,7 @@ fn attach(
     let program: Option<&mut RawTracePoint> = ebpf.program_mut(name).and_then(|program| program.try_into().ok());
     let program = program.ok_or(LossesError::NoProgram(name))?;
     let refused = |source| LossesError::Program { tracepoint, source };
-    match program.load() {
+    match verified::load(|| program.load()) {
         Err(ProgramError::AlreadyLoaded) | Ok(()) => {}
         Err(error) => return Err(refused(error)),
     }

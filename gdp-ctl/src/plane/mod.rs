@@ -40,6 +40,7 @@ pub mod queues;
 pub mod tally;
 pub mod udp;
 pub mod userspace;
+mod verified;
 pub mod xdp_features;
 
 use std::collections::{HashMap, HashSet};

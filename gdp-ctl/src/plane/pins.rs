@@ -14,9 +14,8 @@
 //! maps. Called by it, by [`super::Planes`] and by the command line.
 
 use std::ffi::CString;
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io;
-use std::os::fd::AsRawFd;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
@@ -74,7 +73,15 @@ impl PinsError {
 #[derive(Debug)]
 pub struct Pins {
     folder: PathBuf,
-    _lock: File,
+    lock: File,
+}
+
+impl Drop for Pins {
+    /// A child that this process is just starting has the descriptor too, until it runs its program: closing it here would leave
+    /// the lock to that one.
+    fn drop(&mut self) {
+        let _ = self.lock.unlock();
+    }
 }
 
 /// A folder of pins, whoever's.
@@ -114,13 +121,10 @@ impl Pins {
 
     fn lock(folder: PathBuf) -> Result<Self, PinsError> {
         let file = File::open(&folder).map_err(io_at(&folder))?;
-        // SAFETY: the descriptor is open.
-        match unsafe { libc::flock(file.as_raw_fd(), libc::LOCK_EX | libc::LOCK_NB) } {
-            0 => Ok(Self { folder, _lock: file }),
-            _ => match io::Error::last_os_error() {
-                error if error.raw_os_error() == Some(libc::EWOULDBLOCK) => Err(PinsError::InUse(folder)),
-                source => Err(PinsError::Io { path: folder, source }),
-            },
+        match file.try_lock() {
+            Ok(()) => Ok(Self { folder, lock: file }),
+            Err(TryLockError::WouldBlock) => Err(PinsError::InUse(folder)),
+            Err(TryLockError::Error(source)) => Err(PinsError::Io { path: folder, source }),
         }
     }
 
@@ -233,10 +237,7 @@ fn mount(at: &Path) -> Result<(), PinsError> {
     fs::DirBuilder::new().recursive(true).mode(0o700).create(at).map_err(|error| missing(error.to_string()))?;
     // Of several daemons that start at once, one mounts it: a second one would hide what the first has pinned.
     let folder = File::open(at).map_err(|error| missing(error.to_string()))?;
-    // SAFETY: the descriptor is open; the lock ends with it.
-    if unsafe { libc::flock(folder.as_raw_fd(), libc::LOCK_EX) } != 0 {
-        return Err(missing(format!("it cannot be locked: {}", io::Error::last_os_error())));
-    }
+    folder.lock().map_err(|error| missing(format!("it cannot be locked: {error}")))?;
     if is_bpffs(&path) {
         return Ok(());
     }
@@ -314,6 +315,10 @@ mod tests {
         assert_eq!(found[0].links(), [(3, Mode::Native)]);
         let pins = Pins::of(&found[0]).unwrap();
         assert!(matches!(Pins::of(&found[0]), Err(PinsError::InUse(_))));
+        let of_a_child = pins.lock.try_clone().unwrap();
+        drop(pins);
+        let pins = Pins::of(&found[0]).expect("a process that is being started does not own the switch");
+        drop(of_a_child);
         pins.remove().unwrap();
         assert!(!place.exists());
     }

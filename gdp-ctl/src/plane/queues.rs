@@ -24,7 +24,17 @@ pub struct Queues {
 }
 
 impl Queues {
-    /// Takes note of the queue of an interface. `bytes`: [`gdp::port::DataSocket::send_queue`].
+    /// Takes note of the queues of these interfaces, and of those that were long when they were last asked for: perhaps nothing was
+    /// sent there since. `bytes`: [`gdp::port::DataSocket::send_queue`].
+    pub fn look(&self, interfaces: impl Iterator<Item = u32>, bytes: impl Fn(u32) -> usize) {
+        interfaces.for_each(|ifindex| self.note(ifindex, bytes(ifindex)));
+        if self.any.load(Ordering::Relaxed) {
+            let long = self.long.read().unwrap_or_else(PoisonError::into_inner).clone();
+            long.into_iter().for_each(|ifindex| self.note(ifindex, bytes(ifindex)));
+        }
+    }
+
+    /// The same of one interface.
     pub fn note(&self, ifindex: u32, bytes: usize) {
         if self.is_long(ifindex) == (bytes > LONG) {
             return;
@@ -68,5 +78,17 @@ mod tests {
         assert_eq!(long(), [false, true, false]);
         queues.note(2, 0);
         assert_eq!(long(), [false; 3]);
+    }
+
+    #[test]
+    fn a_long_queue_is_asked_for_until_it_is_not_though_nothing_is_sent_there() {
+        let queues = Queues::default();
+        let of = |first, second| move |ifindex| [first, second][ifindex as usize];
+        queues.look([0].into_iter(), of(LONG + 1, LONG + 1));
+        assert_eq!([0, 1].map(|ifindex| queues.is_long(ifindex)), [true, false], "the other was not due");
+        queues.look([1].into_iter(), of(LONG + 1, LONG + 1));
+        assert_eq!([0, 1].map(|ifindex| queues.is_long(ifindex)), [true, true]);
+        queues.look(std::iter::empty(), of(0, LONG + 1));
+        assert_eq!([0, 1].map(|ifindex| queues.is_long(ifindex)), [false, true]);
     }
 }

@@ -2,7 +2,7 @@
 //! and which switches therefore need a route for it. One that is attached to several switches is reached at each of them. Pairs of
 //! counterparts go in, routes come out.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use gdp::control::{Refusal, Route};
 use gdp_wire::Name;
@@ -25,37 +25,49 @@ struct Inbox {
     senders: BTreeMap<Name, BTreeMap<Name, u32>>,
 }
 
+impl Inbox {
+    /// Whether the entity may send here, from wherever.
+    fn takes_from(&self, sender: &Name) -> bool {
+        self.senders.values().any(|here| here.contains_key(sender))
+    }
+}
+
 #[derive(Debug, Default)]
 pub(super) struct Inboxes {
     inboxes: BTreeMap<Key, Inbox>,
     /// Into how many inboxes each entity may send; it can be reached from as many.
     reaches: HashMap<Name, usize>,
-    /// The same for all entities at a switch.
+    /// The same at each switch, of the entities there: pairs of an inbox and a sender.
     reached_from: HashMap<Name, usize>,
 }
 
 impl Inboxes {
-    /// Whether `new` may have these counterparts besides those it has.
+    /// Whether `new` may have these counterparts besides those it has: whether there is room for what [`Self::allow`] adds.
     pub fn check_room(&self, new: Place, others: &[Place], limits: &Limits) -> Result<(), Refusal> {
         let limit = limits.counterparts;
-        let full = |entity: &Name| limit_reached(format!("{entity} exchanges messages with {limit} entities"));
+        let is_full = |entity: &Name, more: usize| self.reaches.get(entity).copied().unwrap_or_default() + more > limit;
+        let full = |entity: &Name| Err(limit_reached(format!("{entity} exchanges messages with {limit} entities")));
+        let (mut met, mut entered) = (HashSet::new(), HashSet::new());
         let mut more: HashMap<Name, usize> = HashMap::new();
-        for other in others.iter().filter(|other| other.entity != new.entity && !self.allows(new.entity, **other)) {
-            if self.reaches.get(&other.entity).is_some_and(|count| *count >= limit) {
-                return Err(full(&other.entity));
+        for other in others.iter().filter(|other| other.entity != new.entity) {
+            if !self.allows(new.entity, *other) {
+                *more.entry(other.switch).or_default() += 1;
             }
-            *more.entry(other.switch).or_default() += 1;
+            if !self.allows(other.entity, new) && entered.insert(other.entity) {
+                *more.entry(new.switch).or_default() += 1;
+            }
+            let knows = self.inboxes.get(new.entity.as_bytes()).is_some_and(|inbox| inbox.takes_from(&other.entity));
+            if !knows && met.insert(other.entity) && is_full(&other.entity, 1) {
+                return full(&other.entity);
+            }
         }
-        let count: usize = more.values().sum();
-        if self.reaches.get(&new.entity).copied().unwrap_or_default() + count > limit {
-            return Err(full(&new.entity));
+        if !met.is_empty() && is_full(&new.entity, met.len()) {
+            return full(&new.entity);
         }
-        *more.entry(new.switch).or_default() += count;
         let limit = limits.counterparts_per_switch;
-        match more
-            .iter()
-            .find(|(switch, more)| self.reached_from.get(*switch).copied().unwrap_or_default() + **more > limit)
-        {
+        let lacks =
+            |switch: &Name, more: usize| self.reached_from.get(switch).copied().unwrap_or_default() + more > limit;
+        match more.into_iter().find(|(switch, more)| lacks(switch, *more)) {
             Some((switch, _)) => {
                 Err(limit_reached(format!("the entities at switch {switch} have {limit} counterparts")))
             }
@@ -66,12 +78,14 @@ impl Inboxes {
     /// Lets `sender` send to `inbox`, for one more reason. Returns the switches whose route for it may change.
     pub fn allow(&mut self, inbox: Place, sender: Place) -> Vec<Name> {
         let new = || Inbox { homes: BTreeMap::new(), senders: BTreeMap::new() };
-        let Inbox { homes, senders } = self.inboxes.entry(inbox.entity.to_bytes()).or_insert_with(new);
-        *homes.entry(inbox.switch).or_default() += 1;
-        let reasons = senders.entry(sender.switch).or_default().entry(sender.entity).or_default();
+        let held = self.inboxes.entry(inbox.entity.to_bytes()).or_insert_with(new);
+        if !held.takes_from(&sender.entity) {
+            *self.reaches.entry(sender.entity).or_default() += 1;
+        }
+        *held.homes.entry(inbox.switch).or_default() += 1;
+        let reasons = held.senders.entry(sender.switch).or_default().entry(sender.entity).or_default();
         *reasons += 1;
         if *reasons == 1 {
-            *self.reaches.entry(sender.entity).or_default() += 1;
             *self.reached_from.entry(sender.switch).or_default() += 1;
         }
         self.affected(inbox, sender)
@@ -80,13 +94,16 @@ impl Inboxes {
     /// One reason less. Returns the switches whose route may change, and whether `sender` may no longer send from anywhere.
     pub fn deny(&mut self, inbox: Place, sender: Place) -> (Vec<Name>, bool) {
         let before = self.affected(inbox, sender);
-        if self.remove(inbox, sender) {
-            count_out(&mut self.reaches, &sender.entity, 1);
-            count_out(&mut self.reached_from, &sender.switch, 1);
+        if !self.remove(inbox, sender) {
+            return (before, false);
         }
+        count_out(&mut self.reached_from, &sender.switch, 1);
         let held = self.inboxes.get(inbox.entity.as_bytes());
-        let sends = held.is_some_and(|inbox| inbox.senders.values().any(|here| here.contains_key(&sender.entity)));
-        (before, !sends)
+        let ended = !held.is_some_and(|inbox| inbox.takes_from(&sender.entity));
+        if ended {
+            count_out(&mut self.reaches, &sender.entity, 1);
+        }
+        (before, ended)
     }
 
     /// Where the inbox comes or goes: with another switch of its own, the routes of all that send there change.

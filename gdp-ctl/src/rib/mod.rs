@@ -33,6 +33,7 @@ use gdp::control::{
     EntityRequest, FibPush, NameRole, PeersPush, Record, RecordPlace, Refusal, RefusalCode, Response, Route,
 };
 use gdp::name::{NamePrefix, NameProof};
+use gdp::revocations::Origin;
 use gdp_wire::Name;
 
 use crate::topology::Paths;
@@ -42,7 +43,7 @@ use entities::Entities;
 use fib::{About, Fib, Pushed};
 use inboxes::Inboxes;
 use names::Names;
-use revocations::{Origin, Revocations};
+use revocations::Revocations;
 use telling::{Source, Stake, Telling};
 
 /// How long the names of a switch that nobody reaches stay: a restart or a short partition must not cost the FIBs.
@@ -81,6 +82,8 @@ pub struct Limits {
     pub boxes_per_entity: usize,
     /// Of all entities at a switch.
     pub boxes_per_switch: usize,
+    /// Revocations of names that somebody has a part in, and that came in by one origin; more count as the following.
+    pub used_revocations: usize,
     /// Revocations of names that nobody has a part in.
     pub idle_revocations: usize,
 }
@@ -100,6 +103,7 @@ impl Default for Limits {
             box_readers: 1024,
             boxes_per_entity: 8192,
             boxes_per_switch: 65_536,
+            used_revocations: 4096,
             idle_revocations: 16_384,
         }
     }
@@ -228,23 +232,34 @@ impl Rib {
     /// What is known of a name anybody may hear who knows the name; to have names listed, one has to be attached here, or be the switch
     /// that asks (for those who run it).
     fn query(
-        &self,
+        &mut self,
         now: Now,
         origin: Name,
         entity: Option<&NameProof>,
         prefix: &NamePrefix,
         after: Option<&RecordPlace>,
     ) -> Result<Response, Refusal> {
-        let entity = entity.and_then(|proof| proof.name().ok());
-        let is_here = |entity: Name| {
-            let attached = self.entities.is_attached_at(&entity, &origin);
-            attached || entity == origin && self.switches.contains_key(&origin)
-        };
-        if prefix.full().is_none() && !entity.is_some_and(is_here) {
-            let reason = "names are listed for entities that are attached, and for switches; ask for a name in full";
-            return Err(Refusal::new(RefusalCode::NotEntitled, reason));
+        if prefix.full().is_none() {
+            self.check_reported(origin)?;
+            let entity = entity.and_then(|proof| proof.name().ok());
+            let is_here = |entity: Name| entity == origin || self.entities.is_attached_at(&entity, &origin);
+            if !entity.is_some_and(is_here) {
+                let reason =
+                    "names are listed for entities that are attached, and for switches; ask for a name in full";
+                return Err(Refusal::new(RefusalCode::NotEntitled, reason));
+            }
         }
         Ok(self.names.query(now.clock, prefix, after))
+    }
+
+    /// Whether a switch is known. If not, it is told to report, and what it asks is worth another attempt.
+    fn check_reported(&mut self, switch: Name) -> Result<(), Refusal> {
+        if self.switches.contains_key(&switch) {
+            return Ok(());
+        }
+        self.detached.insert((switch, switch));
+        let reason = format!("switch {switch} has not reported its links to the RIB yet; try again in a moment");
+        Err(Refusal::new(RefusalCode::Unreachable, reason))
     }
 
     /// Takes a switch's report of all entities attached to it, with the egress bit it has had so far.
@@ -328,10 +343,8 @@ impl Rib {
     /// Whether what an entity was to be told arrived; if not, it is told the whole through another of its
     /// switches, or a while later.
     pub fn told(&mut self, now: Now, told: Told, arrived: bool) {
-        self.telling.answered(now.clock, &told.switch, told.stake, told.generation, arrived);
-        if !arrived && self.telling.failing(&told.stake) == Some(told.switch) {
-            self.tell_another_way(told.stake, &told.switch);
-        }
+        let other = if arrived { None } else { self.told_elsewhere(told.stake, &told.switch) };
+        self.telling.answered(now.clock, told, arrived, other);
     }
 
     /// Whether all switches that need a route for what an entity stated have answered that they hold it (or have failed to
@@ -346,21 +359,19 @@ impl Rib {
             self.switches.get(switch).is_none_or(holds)
         };
         let key = name.to_bytes();
-        let switches = self.names.bound(&key, role).filter(|(of, _)| of == entity).map(|(_, switch)| switch);
+        let switches = self.names.bound_at(&key, entity, role);
         let counterparts = || switches.flat_map(|at| self.counterparts(&key, role).map(move |c| (at, c)));
         self.names.routed(&key).all(|switch| settled(switch, name))
             && self.inboxes.routed(entity).all(|switch| settled(switch, entity))
             && counterparts().all(|(at, other)| settled(&at, &other.entity))
     }
 
-    /// To be asked once a statement is settled: takes it back if a switch has no room for the route it needs.
-    pub fn check_room(&mut self, name: &Name, entity: &Name, role: NameRole) -> Result<(), Refusal> {
+    /// To be asked once a statement at `at` is settled: takes it back there if a switch has no room for the route it needs.
+    pub fn check_room(&mut self, name: &Name, entity: &Name, role: NameRole, at: &Name) -> Result<(), Refusal> {
         let lacking = |switch| self.switches.get(switch)?.fib.lacking();
         let Some(reason) = self.names.routed(name.as_bytes()).find_map(lacking) else { return Ok(()) };
         let refusal = Refusal::new(RefusalCode::Limit, reason);
-        let switches = self.names.switches_of(name.as_bytes(), entity, role);
-        let stake = Stake { name: name.to_bytes(), entity: *entity, role };
-        switches.into_iter().for_each(|switch| self.unregister(stake, switch));
+        self.unregister(Stake { name: name.to_bytes(), entity: *entity, role }, *at);
         Err(refusal)
     }
 }

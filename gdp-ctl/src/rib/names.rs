@@ -116,7 +116,7 @@ impl Names {
             let reason = format!("{name} has a {other} already, and cannot have a {} too: use another name", new.role);
             return Err(Refusal::new(RefusalCode::Unsupported, reason));
         }
-        if part.by_entity.len() >= limit && !part.by_entity.contains_key(&(*entity, new.switch)) {
+        if part.of(entity).next().is_none() && part.entities().count() >= limit {
             return Err(limit_reached(format!("{name} has {limit} {}s", new.role)));
         }
         Ok(())
@@ -183,13 +183,19 @@ impl Names {
         all.filter(|(_, registration)| registration.bound).map(|(place, _)| *place)
     }
 
+    /// The switches at which one entity is so.
+    pub fn bound_at(&self, name: &Key, entity: &Name, role: NameRole) -> impl Iterator<Item = Name> {
+        let part = self.0.get(name).map(|topic| topic.part(role));
+        let of = part.into_iter().flat_map(|part| part.of(entity));
+        of.filter(|registration| registration.bound).map(|registration| registration.switch)
+    }
+
     /// Those with this role behind `after`.
     pub fn behind_entity(&self, name: &Key, role: NameRole, after: Option<Name>) -> impl Iterator<Item = Name> {
         let first = after.map_or(Bound::Unbounded, |after| Bound::Excluded((after, LAST)));
         let part = self.0.get(name).map(|topic| topic.part(role));
         let all = part.into_iter().flat_map(move |part| part.by_entity.range((first, Bound::Unbounded)));
-        let mut before = None;
-        all.filter_map(move |((entity, _), _)| (before.replace(*entity) != Some(*entity)).then_some(*entity))
+        distinct(all.map(|(place, _)| place))
     }
 
     /// Those of an entity's registrations that end with its attachment to a switch.
@@ -335,6 +341,10 @@ impl Registrations {
         old
     }
 
+    fn entities(&self) -> impl Iterator<Item = Name> {
+        distinct(self.by_entity.keys())
+    }
+
     /// What an entity has stated, at each of its switches.
     fn of(&self, entity: &Name) -> impl Iterator<Item = &Registration> {
         let places = (*entity, Name::default())..=(*entity, LAST);
@@ -355,4 +365,10 @@ impl Registrations {
     fn at(&self, switch: &Name) -> impl Iterator<Item = &Name> {
         self.by_switch.get(switch).into_iter().flatten()
     }
+}
+
+/// Each entity once, of places in order.
+fn distinct<'a>(places: impl Iterator<Item = &'a (Name, Name)>) -> impl Iterator<Item = Name> {
+    let mut before = None;
+    places.filter_map(move |(entity, _)| (before.replace(*entity) != Some(*entity)).then_some(*entity))
 }

@@ -4,9 +4,8 @@
 use gdp::cert::{CertError, Revocation, Signed};
 use gdp::control::{NameRole, Refusal, Response};
 use gdp::name::NameProof;
-use gdp::revocations::Kept;
+use gdp::revocations::{Kept, Origin};
 
-use super::revocations::Origin;
 use super::telling::Stake;
 use super::{Now, Rib, refusal};
 
@@ -30,10 +29,8 @@ impl Rib {
             return Ok(Response::Done);
         }
         let revoked = self.names.revoked(&key, &claims);
-        self.revocations.put(key, Kept { proof: *proof, revocation: signed.clone() }, claims, origin);
-        if !self.names.contains(&key) {
-            self.revocations.leave(&key, self.limits.idle_revocations);
-        }
+        let kept = Kept { proof: *proof, revocation: signed.clone(), origin: Some(origin) };
+        self.revocations.put(key, kept, claims, self.names.contains(&key), &self.limits);
         for (entity, role, switch) in revoked {
             let stake = Stake { name: key, entity, role };
             let is_told = self.names.get_at(&key, &entity, role, &switch).is_some_and(|r| r.bound);
@@ -53,12 +50,10 @@ impl Rib {
 
     /// Takes in what an earlier RIB kept, verified again, as [`Self::kept_revocations`] has it.
     pub fn recall(&mut self, kept: Vec<(Kept, Revocation)>) {
-        let origin = Origin { switch: self.root, by_tool: true };
         for (kept, claims) in kept.into_iter().rev() {
             let key = claims.name.to_bytes();
             if claims.check_replaces(self.revocations.claims(&key)).is_ok() {
-                self.revocations.put(key, kept, claims, origin);
-                self.revocations.leave(&key, self.limits.idle_revocations);
+                self.revocations.put(key, kept, claims, false, &self.limits);
             }
         }
     }

@@ -35,11 +35,7 @@ impl Rib {
         by_tool: bool,
         request: &EntityRequest,
     ) -> Result<Response, Refusal> {
-        if !self.switches.contains_key(&origin) {
-            self.detached.insert((origin, origin));
-            let reason = format!("switch {origin} has not reported its links to the RIB yet; try again in a moment");
-            return Err(Refusal::new(RefusalCode::Unreachable, reason));
-        }
+        self.check_reported(origin)?;
         let proof = entity.ok_or_else(|| {
             Refusal::new(RefusalCode::Malformed, "only queries and revocations may be anonymous: show the entity's key")
         })?;
@@ -223,24 +219,17 @@ impl Rib {
 
     /// An entity is no longer to be told of this through `switch`, but through another one, if it has stated it there.
     fn tell_elsewhere(&mut self, stake: Stake, switch: &Name) {
-        let other = self.told_through(stake).into_iter().find(|other| other != switch);
+        let other = self.told_elsewhere(stake, switch);
         self.telling.follow(&stake, switch, other);
     }
 
-    /// What did not arrive through one switch may through another.
-    pub(super) fn tell_another_way(&mut self, stake: Stake, failed: &Name) {
-        if self.told_through(stake).iter().any(|other| other != failed) {
-            self.tell_elsewhere(stake, failed);
-        }
-    }
-
-    /// The switches through which an entity may be told of this.
-    fn told_through(&self, stake: Stake) -> Vec<Name> {
+    /// Another switch through which an entity may be told of this.
+    pub(super) fn told_elsewhere(&self, stake: Stake, switch: &Name) -> Option<Name> {
         if stake.is_inbox() {
-            return self.entities.attachments(&stake.entity).map(|(_, attachment)| attachment.switch).collect();
+            let attachments = self.entities.attachments(&stake.entity);
+            return attachments.map(|(_, attachment)| attachment.switch).find(|other| other != switch);
         }
-        let bound = self.names.bound(&stake.name, stake.role).filter(|(entity, _)| *entity == stake.entity);
-        bound.map(|(_, switch)| switch).collect()
+        self.names.bound_at(&stake.name, &stake.entity, stake.role).find(|other| other != switch)
     }
 
     fn register(&mut self, stake: Stake, proof: NameProof, new: Registration) -> Result<(), Refusal> {
@@ -263,7 +252,7 @@ impl Rib {
         }
         let (ends, bound, everywhere) = (new.ends, new.bound, new.everywhere);
         let says_the_same = self.names.get(&key, &entity, role).is_some_and(|old| old.tells_the_same(&new));
-        self.revocations.enter(&key);
+        self.revocations.enter(&key, &self.limits);
         let is_new_name = !self.names.contains(&key);
         let old = self.names.insert(name, proof, entity, new);
         self.timers.insert((ends, Timer::Registration(stake, place.switch)));
@@ -315,7 +304,7 @@ impl Rib {
         }
         if self.names.sweep(&name) {
             self.reroute_inbox(&Name::from_bytes(name));
-            self.revocations.leave(&name, self.limits.idle_revocations);
+            self.revocations.leave(&name, &self.limits);
         }
     }
 

@@ -9,6 +9,7 @@ use std::time::Duration;
 use gdp::control::{NameRole, Peers, PeersExtent, PeersPush, Record};
 use gdp_wire::Name;
 
+use super::Told;
 use super::boxes::Boxes;
 use super::names::{Key, Names, RECORDS_SIZE, Registration};
 use super::revocations::Revocations;
@@ -75,6 +76,9 @@ struct Stream {
     is_out: bool,
     is_queued: bool,
     wait: Duration,
+    /// From when on it may turn to another switch because of a failure: once in a [wait](Self::wait), so that an entity that takes
+    /// nothing anywhere is not told without end.
+    turns_from: Duration,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -133,17 +137,12 @@ impl Telling {
         if self.streams.get(stake).is_none_or(|stream| stream.switch != *switch) {
             return;
         }
-        self.streams.remove(stake);
-        if let Some(other) = other {
-            self.streams.insert(*stake, Stream::new(other, Phase::Whole { part: 0, after: None }));
+        let ended = self.streams.remove(stake);
+        if let (Some(Stream { wait, turns_from, .. }), Some(other)) = (ended, other) {
+            let stream = Stream::new(other, Phase::Whole { part: 0, after: None });
+            self.streams.insert(*stake, Stream { wait, turns_from, ..stream });
             self.queue(*stake);
         }
-    }
-
-    /// Where an entity is told of this, if it could not be told last time.
-    pub fn failing(&self, stake: &Stake) -> Option<Name> {
-        let stream = self.streams.get(stake).filter(|stream| matches!(stream.phase, Phase::Failed { .. }))?;
-        Some(stream.switch)
     }
 
     /// Has an entity told that its credential is revoked. Once: one that does not hear it is refused next time.
@@ -206,9 +205,11 @@ impl Telling {
         pushes
     }
 
-    /// Whether the message of this generation arrived; if not, the whole follows a while later.
-    pub fn answered(&mut self, now: Duration, switch: &Name, stake: Stake, generation: u64, arrived: bool) {
-        if let Some(turns) = self.switches.get_mut(switch) {
+    /// Whether a message arrived; if not, the whole follows: through `other`, if that is another way that has not been tried just
+    /// now, or a while later.
+    pub fn answered(&mut self, now: Duration, told: Told, arrived: bool, other: Option<Name>) {
+        let Told { switch, stake, generation } = told;
+        if let Some(turns) = self.switches.get_mut(&switch) {
             turns.done(&stake.entity);
         }
         let Some(stream) = self.streams.get_mut(&stake).filter(|stream| stream.is_out && stream.held == generation)
@@ -221,6 +222,9 @@ impl Telling {
         } else if arrived {
             stream.wait = RETRY.0;
             self.queue(stake);
+        } else if other.is_some() && now >= stream.turns_from {
+            stream.turns_from = now + stream.wait;
+            self.follow(&stake, &switch, other);
         } else {
             let retry = now + stream.wait;
             stream.wait = (stream.wait * 2).min(RETRY.1);
@@ -315,7 +319,7 @@ impl Stream {
     fn new(switch: Name, phase: Phase) -> Self {
         let (records, boxes) = Default::default();
         let (revocation, held, is_out, is_queued, wait) = (false, 0, false, false, RETRY.0);
-        Self { switch, phase, records, boxes, revocation, held, is_out, is_queued, wait }
+        Self { switch, phase, records, boxes, revocation, held, is_out, is_queued, wait, turns_from: Duration::ZERO }
     }
 
     fn has_more(&self) -> bool {

@@ -18,7 +18,7 @@ use gdp::name::{Name, NamePrefix, NameProof};
 use self::world::{Parts, UNIX, World, expect_refused};
 use super::fib::Pushed;
 use super::telling::AT_ONCE;
-use super::{Effect, HOLD, Limits, Run, Told, UNREPORTED};
+use super::{Effect, HOLD, Limits, Rib, Run, Told, UNREPORTED};
 
 #[test]
 fn every_bad_advertisement_is_refused_with_its_reason() {
@@ -268,14 +268,26 @@ fn a_statement_that_a_switch_has_no_room_for_is_taken_back() {
         w.rib.pushed(w.now, &push.switch, push.generation, outcome);
     }
     let name = w.card.name();
-    let refusal = w.rib.check_room(&name, &robot.name(), NameRole::Publisher).unwrap_err();
+    let refusal = w.rib.check_room(&name, &robot.name(), NameRole::Publisher, &w.switch(0)).unwrap_err();
     assert_eq!((refusal.code, refusal.reason.as_str()), (RefusalCode::Limit, "the FIB is full"));
     assert_eq!(w.routes(), []);
     w.settle();
     w.publish(&robot, 0, 2);
     w.settle();
-    w.rib.check_room(&name, &robot.name(), NameRole::Publisher).expect("there is room again");
+    w.rib.check_room(&name, &robot.name(), NameRole::Publisher, &w.switch(0)).expect("there is room again");
     assert_eq!(w.routes().len(), 2);
+
+    // What it has stated where there is room stays.
+    w.state_everywhere(&robot, 0, 3, NameRole::Publisher);
+    w.settle();
+    w.attach_lane(&robot, 1, 1);
+    w.state_everywhere(&robot, 1, 4, NameRole::Publisher);
+    for push in w.pushes() {
+        w.rib.pushed(w.now, &push.switch, push.generation, Pushed::Partly("the FIB is full".into()));
+    }
+    w.rib.check_room(&name, &robot.name(), NameRole::Publisher, &w.switch(1)).unwrap_err();
+    let places = w.rib.names.switches_of(name.as_bytes(), &robot.name(), NameRole::Publisher);
+    assert_eq!(places, [w.switch(0)]);
 }
 
 #[test]
@@ -396,6 +408,14 @@ fn names_are_listed_for_who_is_attached_or_runs_a_switch_only() {
         let found = ask(at, Some(&whose), digits);
         assert!(matches!(found, Response::Records { records, .. } if records.len() == 1));
     }
+
+    // As for a daemon that is just starting.
+    let switch = w.switches[0].clone();
+    w.rib = Rib::new(switch.name(), Run { id: 2, settling: Duration::ZERO }, Limits::default());
+    let list = EntityRequest::Query { prefix: digits.parse().unwrap(), after: None };
+    let early = w.rib.request(w.now, switch.name(), Some(&switch.proof()), true, &list);
+    expect_refused(&early, "before its report", RefusalCode::Unreachable, "try again");
+    assert_eq!(w.detaches(), [(switch.name(), switch.name())], "it is asked to report");
 }
 
 #[test]
@@ -521,15 +541,33 @@ fn what_does_not_arrive_through_one_link_is_told_through_the_other() {
     w.state_everywhere(&robot, 1, 2, NameRole::Subscriber);
     w.tell_all();
     w.publish(&cloud, 0, 1);
-    let told = |w: &mut World| {
-        let effects = w.rib.effects(w.now).into_iter();
-        effects.filter_map(|e| if let Effect::Peers(push) = e { Some(push) } else { None }).collect::<Vec<_>>()
+    let next = |w: &mut World| {
+        w.rib.effects(w.now).into_iter().find_map(|effect| match effect {
+            Effect::Peers(push) if push.entity == robot.name() => Some(push),
+            _ => None,
+        })
     };
-    let lost = told(&mut w).into_iter().find(|push| push.entity == robot.name()).unwrap();
+    let lost = next(&mut w).unwrap();
     assert_eq!(lost.switch, w.switch(1), "where it was stated last");
     w.rib.told(w.now, Told::from(&lost), false);
-    let again = told(&mut w).into_iter().find(|push| push.entity == robot.name()).unwrap();
+    let again = next(&mut w).unwrap();
     assert_eq!((again.switch, again.peers.records.len()), (w.switch(0), 1));
+    w.rib.told(w.now, Told::from(&again), false);
+    assert!(next(&mut w).is_none(), "both ways were tried");
+    let mut since = Duration::ZERO;
+    for _ in 0..4 {
+        let wait = w.rib.telling.retry_at().unwrap() - w.now.clock;
+        assert!(wait >= (since * 2).max(Duration::from_millis(500)), "{wait:?} after {since:?}");
+        since = wait;
+        w.pass(wait);
+        let tried = std::iter::from_fn(|| {
+            let push = next(&mut w)?;
+            w.rib.told(w.now, Told::from(&push), false);
+            Some(push.switch)
+        });
+        let tried: Vec<_> = tried.take(3).collect();
+        assert_eq!(tried.len(), 2, "each way once: {tried:?}");
+    }
 }
 
 #[test]
@@ -651,6 +689,23 @@ fn a_refused_move_leaves_the_attachment_where_it_was() {
     let (_here, there) = (w.attached("here", 0), w.attached("there", 1));
     expect_refused(&w.attach(&there, 0), "a full switch", RefusalCode::Limit, "1 attached entities");
     assert!(matches!(w.publish(&there, 1, 1), Response::Peers(_)));
+}
+
+#[test]
+fn a_writer_moves_and_has_a_second_place_also_at_the_limit() {
+    let mut w = World::with(2, Limits { writers_per_name: 2, ..Limits::default() });
+    let (robot, other, third) = (w.attached("robot", 0), w.attached("other", 0), w.attached("third", 0));
+    w.publish(&robot, 0, 1);
+    w.attach_lane(&robot, 1, 1);
+    let moved = w.publish(&robot, 1, 2);
+    assert!(matches!(moved, Response::Peers(_)), "{moved:?}");
+    w.state_everywhere(&robot, 0, 3, NameRole::Publisher);
+    let second = w.publish(&other, 0, 1);
+    assert!(matches!(second, Response::Peers(_)), "the first is one writer: {second:?}");
+    w.attach_lane(&other, 1, 1);
+    let moved = w.publish(&other, 1, 2);
+    assert!(matches!(moved, Response::Peers(_)), "{moved:?}");
+    expect_refused(&w.publish(&third, 0, 1), "a third", RefusalCode::Limit, "has 2 publishers");
 }
 
 #[test]

@@ -108,16 +108,21 @@ pub enum Expects {
     Reattach,
 }
 
-/// What an entity has stated: what it is to the name.
+/// What an entity has stated: what it is to the name, at a switch.
 pub struct Statement {
     pub name: Name,
-    pub entity: Name,
-    pub role: NameRole,
+    entity: Name,
+    role: NameRole,
+    switch: Name,
 }
 
 impl Statement {
     pub fn is_settled(&self, rib: &Rib) -> bool {
         rib.is_settled(&self.name, &self.entity, self.role)
+    }
+
+    pub fn check_room(&self, rib: &mut Rib) -> Result<(), Refusal> {
+        rib.check_room(&self.name, &self.entity, self.role, &self.switch)
     }
 }
 
@@ -126,10 +131,12 @@ pub enum Next {
     Answer(Response),
     /// The RIB here has accepted the statement; switches are still to be given the routes that follow.
     Settle(Response, Statement),
+    /// The RIB here has taken a revocation in; it is to be kept before that is said.
+    Keep,
     /// Ask over this link, and pass the response on.
     Forward(Link, Request),
-    /// Have the endpoint at the other end attach again, or close the link.
-    Reattach(Link, Request),
+    /// Have the endpoint at the other end of these attach again by each, or close it.
+    Reattach(Vec<Link>, Request),
 }
 
 impl Core {
@@ -181,7 +188,8 @@ impl Core {
             let role = if entry.role == LinkRole::Endpoint as u32 { Role::Endpoint } else { Role::Switch };
             let Some(id) = ids.reserve(entry.id) else { continue };
             let id = Kept::Adopted { _id: id };
-            self.held.keep(HeldLink { peer: entry.peer, lane: None, role, entry: entry.clone(), to: *to, until, id });
+            let (peer, lane) = (entry.peer, entry.lane as u8);
+            self.held.keep(HeldLink { peer, lane, role, entry: entry.clone(), to: *to, until, id });
             match role {
                 Role::Endpoint => drop(self.attached.insert(entry.peer)),
                 Role::Switch => drop(self.meters.insert(entry.peer, Meter::new(self.now().clock, None))),
@@ -403,7 +411,7 @@ impl Core {
         }
         let time = if is_replaced { GRACE } else { HOLD };
         let (until, id) = (Instant::now() + time, Kept::Closed { link });
-        let held = HeldLink { peer, lane: Some(lane), role, entry, to, until, id };
+        let held = HeldLink { peer, lane, role, entry, to, until, id };
         if let Some(first) = self.held.keep(held) {
             self.release(first);
         }
@@ -609,22 +617,21 @@ impl Core {
                 Some(link) => Next::Forward(link, Request::Peers(push)),
                 None => refuse(RefusalCode::Unreachable, format!("{} has no link here", push.entity)),
             },
-            Request::Detach { switch, entity } => match self.told_to_detach(&entity) {
-                Some(link) => Next::Reattach(link, Request::Detach { switch, entity }),
-                None => Next::Answer(Response::Done),
-            },
+            Request::Detach { switch, entity } => {
+                Next::Reattach(self.told_to_detach(&entity), Request::Detach { switch, entity })
+            }
             _ => refuse(RefusalCode::Malformed, "not a request to a switch"),
         }
     }
 
-    /// The RIB does not hold what this switch thinks it holds. Returns the link of the endpoint that is to attach again.
-    fn told_to_detach(&mut self, entity: &Name) -> Option<Link> {
+    /// The RIB does not hold what this switch thinks it holds. Returns the links of the endpoint that is to attach again.
+    fn told_to_detach(&mut self, entity: &Name) -> Vec<Link> {
         if *entity == self.name() {
             // The caller reports again because of this.
             self.uplink_ready = false;
-            return None;
         }
-        self.link_to(entity).filter(|link| link.peer().role == Role::Endpoint)
+        let links = self.links_of(entity).filter_map(|id| Some(self.links.get(&id)?.link.clone()));
+        links.filter(|link| link.peer().role == Role::Endpoint).collect()
     }
 
     fn push(&mut self, push: &FibPush) -> Response {
@@ -677,9 +684,11 @@ impl Core {
                         (push.switch, Request::Peers(push), expects)
                     }
                     Effect::Detach { switch, entity } if switch == own => {
-                        let Some(link) = self.told_to_detach(&entity) else { continue };
-                        let request = Request::Detach { switch, entity };
-                        outgoing.push(Outgoing { link: Some(link), request, expects: Expects::Reattach });
+                        outgoing.extend(self.told_to_detach(&entity).into_iter().map(|link| Outgoing {
+                            link: Some(link),
+                            request: Request::Detach { switch, entity },
+                            expects: Expects::Reattach,
+                        }));
                         continue;
                     }
                     Effect::Detach { switch, entity } => (switch, Request::Detach { switch, entity }, Expects::Nothing),
@@ -802,11 +811,12 @@ fn ask(
     let response = rib.request(now, switch, entity, by_tool, request);
     let stated = match request {
         EntityRequest::Advertise { advert, .. } | EntityRequest::Subscribe { advert, .. } => Some(advert),
+        EntityRequest::Revoke { .. } if matches!(response, Response::Done) => return Next::Keep,
         _ => None,
     };
     let statement = stated.and_then(|advert| {
-        let Advert { name, entity, op, .. } = advert.claims_unverified().ok()?;
-        Some(Statement { name, entity, role: NameRole::of(op)? })
+        let Advert { name, entity, op, switch, .. } = advert.claims_unverified().ok()?;
+        Some(Statement { name, entity, role: NameRole::of(op)?, switch })
     });
     match statement {
         Some(statement) if !matches!(response, Response::Refused(_)) && !statement.is_settled(rib) => {

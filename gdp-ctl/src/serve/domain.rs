@@ -61,7 +61,7 @@ impl KeptDomain {
         let papers = Arc::new(config.files.load()?);
         let mut trust = Trust::new(identity.name(), papers, config.members_only)?;
         let revocations = RevocationFile::new(identity_file.with_extension("domain-revocations"), MAX_REVOCATIONS);
-        for (Kept { proof, revocation }, _) in revocations.load()? {
+        for (Kept { proof, revocation, .. }, _) in revocations.load()? {
             // Of a domain that is no peer any more, perhaps.
             let _ = trust.take_revocation(&proof, &revocation);
         }
@@ -195,7 +195,7 @@ impl Daemon {
             Some(domain) => domain.trust.revocations().cloned().collect(),
             None => return,
         };
-        for Kept { proof, revocation } in known {
+        for Kept { proof, revocation, .. } in known {
             self.spawn(tell(link.clone(), Request::DomainRevoked { proof, revocation }));
         }
     }

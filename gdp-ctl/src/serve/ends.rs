@@ -42,9 +42,9 @@ impl Ends {
         self.lanes.values().any(|lane| lane.is_earlier(link))
     }
 
-    /// A link from before this daemon, of a lane that nobody knows any more; the last one that is added is the one to send on.
-    pub fn adopt(&mut self, link: u32) {
-        self.lanes.entry(0).or_default().adopt(link);
+    /// A link from before this daemon; of its lane, the last one that is added is the one to send on.
+    pub fn adopt(&mut self, lane: u8, link: u32) {
+        self.lanes.entry(lane).or_default().adopt(link);
     }
 
     /// A new link is up. The one of its lane that was sent on becomes an earlier one.
@@ -57,9 +57,10 @@ impl Ends {
         self.lanes.values_mut().for_each(|lane| lane.ready(link));
     }
 
-    /// The peer wants on this link what it wants on one.
+    /// The peer wants on this link what it wants on one. One that is gone by now changes nothing.
     pub fn prefer(&mut self, link: u32) {
-        self.preferred = self.lanes.iter().find(|(_, lane)| lane.all().any(|of| of == link)).map(|(number, _)| *number);
+        let lane = self.lanes.iter().find(|(_, lane)| lane.all().any(|of| of == link));
+        self.preferred = lane.map(|(number, _)| *number).or(self.preferred);
     }
 
     /// The link fell silent. Whether it is worth keeping, as an earlier one: the newest is if it is the one that is sent on.
@@ -186,7 +187,7 @@ mod tests {
     #[test]
     fn a_silent_link_stays_and_one_that_is_ended_takes_earlier_ones_along() {
         let mut ends = Ends::default();
-        ends.adopt(1);
+        ends.adopt(0, 1);
         ends.up(0, 2);
         assert!(!ends.silent(2), "1 is still the better one");
         assert!(ends.gone(2).is_empty(), "and stays");
@@ -211,6 +212,8 @@ mod tests {
         assert!(!ends.is_earlier(1), "3 replaces nothing");
         ends.prefer(3);
         assert_eq!(ends.out(), Some(3));
+        ends.prefer(9);
+        assert_eq!(ends.out(), Some(3), "there is no such link");
         assert!(ends.silent(3));
         assert_eq!(
             (ends.out(), ends.each().collect::<Vec<_>>()),

@@ -111,9 +111,14 @@ pub async fn watch_carrier(daemon: Arc<Daemon>, mut changes: watch::Receiver<()>
 impl Core {
     /// This switch's adjacencies with other switches of its domain and their costs: those that frames may go by.
     pub fn adjacencies(&self) -> Vec<(Name, u32)> {
-        let near = self.neighbours.iter().filter(|n| self.is_adjacent(&n.place.switch));
-        let cost = |switch: &Name| self.meters.get(switch).map_or(1, Meter::cost);
-        near.map(|n| (n.place.switch, n.cost.unwrap_or_else(|| cost(&n.place.switch)))).collect()
+        let live = self.links.values().map(|state| state.link.peer()).filter(|peer| peer.role == Role::Switch);
+        let held = self.held.iter().filter(|held| held.role == Role::Switch).map(|held| held.peer);
+        let near: BTreeSet<Name> = live.map(|peer| peer.name).chain(held).collect();
+        let cost = |switch: &Name| {
+            let configured = self.neighbours.iter().find(|n| n.place.switch == *switch).and_then(|n| n.cost);
+            configured.unwrap_or_else(|| self.meters.get(switch).map_or(1, Meter::cost))
+        };
+        near.into_iter().filter(|switch| self.is_adjacent(switch)).map(|switch| (switch, cost(&switch))).collect()
     }
 
     /// Whether the link leads into another domain.

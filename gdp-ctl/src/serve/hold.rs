@@ -17,8 +17,7 @@ const MOST: usize = 8;
 /// A link that is kept.
 pub struct HeldLink {
     pub peer: Name,
-    /// Unless it is from before this daemon.
-    pub lane: Option<u8>,
+    pub lane: u8,
     pub role: Role,
     pub entry: KeyedEntry,
     pub to: LinkAddr,
@@ -80,7 +79,7 @@ impl Hold {
 
     /// The peer takes frames on a new link: what it sent on others of that lane arrives soon, or never.
     pub fn replaced(&mut self, peer: &Name, lane: u8, now: Instant) {
-        let same = |held: &&mut HeldLink| held.peer == *peer && held.lane.is_none_or(|of| of == lane);
+        let same = |held: &&mut HeldLink| held.peer == *peer && held.lane == lane;
         for held in self.0.values_mut().filter(same) {
             held.until = held.until.min(now + GRACE);
         }
@@ -131,7 +130,7 @@ mod tests {
         let entry = LinkEntry { id, ..LinkEntry::default() }.into();
         let to = LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] };
         let kept = Kept::Adopted { _id: ids.reserve(id).unwrap() };
-        HeldLink { peer: name(peer), lane: Some(0), role: Role::Switch, entry, to, until, id: kept }
+        HeldLink { peer: name(peer), lane: 0, role: Role::Switch, entry, to, until, id: kept }
     }
 
     fn name(i: u8) -> Name {

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use gdp::control::{Refusal, RefusalCode};
 use gdp::revocations::RevocationFile;
 use gdp::secret_file::SecretFileError;
 use tokio::sync::Mutex;
@@ -18,7 +19,7 @@ use super::core::Core;
 const MAX: usize = 16 << 20;
 
 /// The file is written once in so long at most, however many revocations come.
-const BETWEEN: Duration = Duration::from_millis(50);
+const BETWEEN: Duration = Duration::from_millis(250);
 
 pub struct KeptRevocations {
     file: RevocationFile,
@@ -42,31 +43,43 @@ impl KeptRevocations {
 }
 
 impl Daemon {
-    /// Returns once what has been revoked by now is in the file; to be called before it is said to be done.
-    pub(super) async fn keep_revocations(self: &Arc<Self>) {
+    /// Returns once what has been revoked by now is in the file; to be called before it is said to be done. What could not be
+    /// written is tried again by the next call.
+    pub(super) async fn keep_revocations(self: &Arc<Self>) -> Result<(), Refusal> {
         let kept = &self.revocations;
-        let taken = self.core().rib.as_ref().map_or(0, |rib| rib.revocations_taken());
-        if taken <= kept.saved.load(Ordering::Acquire) {
-            return;
+        let wanted = self.core().rib.as_ref().map_or(0, |rib| rib.revocations_taken());
+        let is_saved = || kept.saved.load(Ordering::Acquire) >= wanted;
+        if is_saved() {
+            return Ok(());
         }
         let mut next = kept.next.lock().await;
+        // Who wrote meanwhile may have written this as well.
+        if is_saved() {
+            return Ok(());
+        }
         sleep_until(*next).await;
         let (taken, all) = match &self.core().rib {
-            Some(rib) if rib.revocations_taken() > kept.saved.load(Ordering::Acquire) => {
-                (rib.revocations_taken(), rib.kept_revocations())
-            }
-            _ => return,
+            Some(rib) => (rib.revocations_taken(), rib.kept_revocations()),
+            None => return Ok(()),
         };
         let file = kept.file.clone();
         let saved = tokio::task::spawn_blocking(move || file.save(&all)).await;
-        match saved {
-            Ok(Ok(0)) => {}
-            Ok(Ok(omitted)) => tracing::warn!(omitted, "more revocations than {} holds", kept.file.path().display()),
-            Ok(Err(error)) => tracing::error!(%error, "revocations are forgotten when this daemon ends"),
-            Err(error) => tracing::error!(%error, "revocations could not be kept"),
-        }
-        // What failed is tried again with the next one.
-        kept.saved.store(taken, Ordering::Release);
         *next = Instant::now() + BETWEEN;
+        let failed = match saved {
+            Ok(Ok(omitted)) => {
+                if omitted > 0 {
+                    tracing::warn!(omitted, "more revocations than {} holds", kept.file.path().display());
+                }
+                kept.saved.store(taken, Ordering::Release);
+                return Ok(());
+            }
+            Ok(Err(error)) => error.to_string(),
+            Err(error) => error.to_string(),
+        };
+        tracing::error!("revocations are forgotten when this daemon ends: {failed}");
+        let reason = format!(
+            "taken in, but not kept: {failed}; until that is mended and it is revoked again, it ends with the daemon of the RIB"
+        );
+        Err(Refusal::new(RefusalCode::Unreachable, reason))
     }
 }

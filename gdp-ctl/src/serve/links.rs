@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use futures::future::join_all;
 use gdp::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
 use gdp::link::{Link, LinkKeys, Responder, Role};
 use gdp_wire::Name;
@@ -276,16 +277,17 @@ impl Daemon {
     /// Does what a request needs before it can be answered, and what follows from it.
     pub(super) async fn complete(self: &Arc<Self>, next: Next) -> Response {
         self.send_effects();
-        self.keep_revocations().await;
         self.keep_domain().await;
         match next {
             Next::Answer(response) => response,
+            Next::Keep => self.keep_revocations().await.map_or_else(Response::from, |()| Response::Done),
             Next::Settle(response, statement) => match self.settled(&statement).await {
                 Ok(()) => response,
                 Err(refusal) => refusal.into(),
             },
-            Next::Reattach(link, request) => {
-                reattached(self, &link, link.request(&request).await.ok());
+            Next::Reattach(links, request) => {
+                let asked = links.iter().map(async |link| reattached(self, link, link.request(&request).await.ok()));
+                join_all(asked).await;
                 Response::Done
             }
             Next::Forward(link, request) => match link.request(&request).await {
@@ -317,7 +319,7 @@ impl Daemon {
             );
         }
         let room = match &mut self.core().rib {
-            Some(rib) => rib.check_room(&statement.name, &statement.entity, statement.role),
+            Some(rib) => statement.check_room(rib),
             None => Ok(()),
         };
         if room.is_err() {

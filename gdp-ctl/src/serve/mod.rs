@@ -74,7 +74,7 @@ pub struct Daemon {
     /// What is kept of the domain, if this is a member of one.
     domain: Option<KeptDomain>,
     ports: Mutex<HashMap<String, Arc<Port>>>,
-    /// Makes the links of one entity take turns in what they tell the RIB.
+    /// Who is at each place, and who waits to be.
     turns: Mutex<HashMap<Place, Arc<tokio::sync::Mutex<()>>>>,
     report: Notify,
     topology: Notify,
@@ -264,10 +264,10 @@ impl Daemon {
         lock(&self.turns).entry(place).or_default().clone()
     }
 
-    /// Forgets a lane that nobody is in or waits for.
+    /// Forgets a place that nobody is at or waits for.
     fn leave(&self, place: Place) {
         let mut turns = lock(&self.turns);
-        if turns.get(&place).is_some_and(|lane| Arc::strong_count(lane) == 1) {
+        if turns.get(&place).is_some_and(|held| Arc::strong_count(held) == 1) {
             turns.remove(&place);
         }
     }

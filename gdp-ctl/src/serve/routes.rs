@@ -78,11 +78,11 @@ impl Routes {
         self.own_bit = (left.own_bit != 0).then(|| left.own_bit.trailing_zeros() as u8);
         let peers: HashMap<u32, (Name, Role)> =
             links.iter().map(|(link, role)| (link.id, (link.peer, *role))).collect();
-        let sent_on = left.routes.iter().flat_map(|(_, route)| &route.readers).chain(&left.next_hops);
-        for link in peers.keys().chain(sent_on) {
-            if let Some((peer, role)) = peers.get(link) {
-                self.ends(*role).entry(*peer).or_default().adopt(*link);
-            }
+        let sent_on: HashSet<u32> =
+            left.routes.iter().flat_map(|(_, route)| &route.readers).chain(&left.next_hops).copied().collect();
+        let (used, unused): (Vec<_>, Vec<_>) = links.iter().partition(|(link, _)| sent_on.contains(&link.id));
+        for (link, role) in unused.into_iter().chain(used) {
+            self.ends(*role).entry(link.peer).or_default().adopt(link.lane as u8, link.id);
         }
         for (bit, link) in left.next_hops.iter().enumerate() {
             if let Some((peer, _)) = peers.get(link) {
@@ -97,8 +97,15 @@ impl Routes {
         for (name, plane) in &left.routes {
             let (locals, writers) = (names(&plane.readers), names(&plane.writers));
             let is_of = |link: &u32, local: &Name| peers.get(link).is_some_and(|(peer, _)| peer == local);
-            let several = |local: &&Name| plane.readers.iter().filter(|link| is_of(link, local)).count() > 1;
-            let everywhere = locals.iter().filter(several).copied().collect();
+            let mut everywhere = Vec::new();
+            for local in &locals {
+                let mut links = plane.readers.iter().filter(|link| is_of(link, local));
+                match (links.next(), links.next(), self.endpoints.get_mut(local)) {
+                    (Some(_), Some(_), _) => everywhere.push(*local),
+                    (Some(only), None, Some(ends)) => ends.prefer(*only),
+                    _ => {}
+                }
+            }
             let route = Route { name: *name, egress_bits: plane.egress_bits, locals, everywhere, writers };
             let way = Way { route, anyone: plane.writers.contains(&ANY_WRITER) };
             let change = self.update(name, |routes| drop(routes.held.routes.insert(*name, way)));

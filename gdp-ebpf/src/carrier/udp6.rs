@@ -1,5 +1,5 @@
 //! Frames as payload of UDP over IPv6, to peers that take datagrams without a checksum (RFC 6936). Those that do not are sent to
-//! by the userspace plane: a sum over the whole payload, in whatever buffers, would cost more than all the rest.
+//! by the userspace plane: not every frame can be summed up here, see [`super::checksum`].
 //!
 //! What arrives is looked at as in [`super::udp4`]; extension headers, fragments among them, are the host's.
 

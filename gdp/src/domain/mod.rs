@@ -254,7 +254,7 @@ impl Trust {
         if !self.knows(&proof.name()?) {
             return Ok(false);
         }
-        let kept = Kept { proof: *proof, revocation: signed.clone() };
+        let kept = Kept { proof: *proof, revocation: signed.clone(), origin: None };
         let claims = kept.verify()?;
         let held = self.revocation(&claims.name);
         claims.check_replaces(held)?;

@@ -50,7 +50,7 @@ impl Revoked {
         } else if kept.len() >= MOST {
             kept.remove(0);
         }
-        kept.push((Kept { proof, revocation }, claims));
+        kept.push((Kept { proof, revocation, origin: None }, claims));
         self.unsaved.store(true, Ordering::Relaxed);
     }
 

@@ -319,6 +319,7 @@ impl Link {
             reach: bits(&self.reach),
             peer: gdp_wire::Name::from_bytes(array(&self.peer)),
             mtu: self.mtu,
+            lane: 0,
             tx_phase: self.tx_phase,
             carrier: match &self.udp {
                 None => gdp_wire::Carrier {

@@ -151,6 +151,41 @@ fn counterparts_are_bounded() {
 }
 
 #[test]
+fn a_second_place_takes_room_at_its_switch_and_none_of_its_entity() {
+    let mut w = World::with(4, Limits { counterparts_per_switch: 2, counterparts: 1, ..Limits::default() });
+    let (first, robot, second) = (w.card.clone(), w.attached("robot", 0), w.attached("robot", 0));
+    w.publish(&robot, 0, 1);
+    let readers = [w.attached("reader", 1), w.attached("reader", 2)];
+    w.subscribe(&readers[0], 1, 1);
+    w.another_name();
+    w.publish(&second, 0, 1);
+    w.subscribe(&readers[1], 2, 1);
+    w.attach_lane(&readers[1], 1, 1);
+    let also = w.state_everywhere(&readers[1], 1, 2, NameRole::Subscriber);
+    assert!(matches!(also, Response::Peers(_)), "it is the same counterpart: {also:?}");
+    w.settle();
+    w.check_model();
+
+    // Now two pairs are at switch 1, as many as there may be; who is there stays.
+    w.another_name();
+    let (third, late) = (w.attached("robot", 3), w.attached("reader", 3));
+    w.publish(&third, 3, 1);
+    w.subscribe(&late, 3, 1);
+    w.attach_lane(&late, 1, 1);
+    let more = w.state_everywhere(&late, 1, 2, NameRole::Subscriber);
+    expect_refused(&more, "a second place", RefusalCode::Limit, "have 2 counterparts");
+    w.card = first;
+    assert!(matches!(w.subscribe(&readers[0], 1, 2), Response::Peers(_)), "nothing is added");
+
+    // Nor is a move an entity more.
+    w.attach_lane(&readers[0], 1, 2);
+    let moved = w.subscribe(&readers[0], 2, 3);
+    assert!(matches!(moved, Response::Peers(_)), "{moved:?}");
+    w.settle();
+    w.check_model();
+}
+
+#[test]
 fn an_entity_that_does_not_answer_holds_up_no_other() {
     let mut w = World::chain(2);
     let (deaf, robot, cloud) = (w.attached("deaf", 1), w.attached("robot", 0), w.attached("cloud", 1));

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use gdp::cert::{Delegation, Issued, Revocation, issue};
 use gdp::control::{EntityRequest, NameRole, RefusalCode, Response};
-use gdp::identity::SigningKey;
+use gdp::identity::{Identity, SigningKey};
 
 use super::world::{Parts, UNIX, World, expect_refused};
 use crate::rib::{Limits, Rib, Run};
@@ -100,10 +100,8 @@ fn a_flood_of_revocations_pushes_out_its_own() {
     }
     let flood = |w: &mut World| {
         for _ in 0..20 {
-            let card = w.another_name();
-            let claims = Revocation { name: card.name(), number: 1, floor: after, revoked: vec![] };
-            let request = EntityRequest::Revoke { proof: card.proof(), revocation: issue(&w.owner, &claims).unwrap() };
-            assert!(matches!(w.ask(&robot, 0, request), Response::Done));
+            w.another_name();
+            revoke_by_link(w, &robot, after);
         }
     };
     flood(&mut w);
@@ -128,6 +126,55 @@ fn a_flood_of_revocations_pushes_out_its_own() {
 }
 
 #[test]
+fn each_origin_keeps_its_share_through_a_restart() {
+    let limits = Limits { idle_revocations: 8, ..Limits::default() };
+    let mut w = World::with(1, limits);
+    let (robot, after) = (w.attached("robot", 0), w.serial + 1);
+    let honest = [(); 2].map(|()| {
+        let card = w.another_name();
+        w.revoke(1, after, &[]);
+        card
+    });
+    for run in 2..5 {
+        for _ in 0..20 {
+            w.another_name();
+            revoke_by_link(&mut w, &robot, after);
+        }
+        let kept = w.rib.kept_revocations();
+        assert_eq!(kept.len(), 8);
+        let first: Vec<_> = kept[..4].iter().map(|kept| kept.proof.name().unwrap()).collect();
+        assert!(honest.iter().all(|card| first.contains(&card.name())), "a file that ends early has them too");
+        w.rib = Rib::new(w.switch(0), Run { id: run, settling: Duration::ZERO }, limits);
+        w.report(0, &[]);
+        w.rib.recall(kept.into_iter().map(|kept| (kept.clone(), kept.verify().unwrap())).collect());
+        w.attach(&robot, 0);
+        for card in &honest {
+            w.card = card.clone();
+            expect_refused(&w.publish(&robot, 0, 1), "kept", RefusalCode::Revoked, "");
+        }
+    }
+}
+
+#[test]
+fn what_stays_because_it_is_used_is_bounded() {
+    let mut w = World::with(1, Limits { idle_revocations: 4, used_revocations: 2, ..Limits::default() });
+    let (robot, floor) = (w.attached("robot", 0), w.serial);
+    let used = [1, 2, 3].map(|serial| {
+        let card = w.another_name();
+        assert!(matches!(w.publish(&robot, 0, serial), Response::Peers(_)));
+        revoke_by_link(&mut w, &robot, floor);
+        card
+    });
+    for _ in 0..20 {
+        w.another_name();
+        revoke_by_link(&mut w, &robot, floor);
+    }
+    let is_held = |card: &gdp::NameCard| w.rib.revocations.claims(card.name().as_bytes()).is_some();
+    assert_eq!(used.each_ref().map(is_held), [true, true, false]);
+    assert_eq!(w.rib.kept_revocations().len(), 6);
+}
+
+#[test]
 fn a_rib_after_this_one_knows_what_was_revoked() {
     let mut w = World::chain(1);
     let robot = w.attached("robot", 0);
@@ -144,4 +191,11 @@ fn a_rib_after_this_one_knows_what_was_revoked() {
     w.serial = serial;
     expect_refused(&w.publish(&robot, 0, 1), "again", RefusalCode::Revoked, "AdCert");
     expect_refused(&w.revoke(2, 0, &[]), "taken back", RefusalCode::ReplayedSerial, "2");
+}
+
+/// Has an entity bring the owner's revocation of what is below a floor, for the present name.
+fn revoke_by_link(w: &mut World, entity: &Identity, floor: u64) {
+    let claims = Revocation { name: w.card.name(), number: 1, floor, revoked: vec![] };
+    let request = EntityRequest::Revoke { proof: w.card.proof(), revocation: issue(&w.owner, &claims).unwrap() };
+    assert!(matches!(w.ask(entity, 0, request), Response::Done));
 }

@@ -141,6 +141,23 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
 }
 
 #[test]
+fn what_a_daemon_left_of_an_endpoint_with_two_links_stays_on_them() {
+    let mut r = Routes::default();
+    let plane = |readers: &[u32]| PlaneRoute { egress_bits: 6, readers: readers.to_vec(), writers: vec![] };
+    let routes = vec![(name(1), plane(&[71])), (name(2), plane(&[70, 71]))];
+    let link = |id, lane| (LinkEntry { id, lane, peer: name(7), ..LinkEntry::default() }.into(), Role::Endpoint);
+    let links = [link(70, 0), link(71, 1), link(69, 1)];
+    let left = Left { own_bit: 2, links: vec![], routes, next_hops: [0; 64], ports: HashSet::new() };
+    assert_eq!(r.adopt(&left, &links), [], "nothing moves");
+    assert_eq!(r.link_to(&name(7)), Some(71));
+
+    // One of them is back before the other.
+    r.link_up(Role::Endpoint, name(7), 1, 81);
+    let changes = r.link_ready(Role::Endpoint, name(7), 81);
+    assert_eq!(changes, [set(1, 6, &[81], &[]), set(2, 6, &[70, 81], &[])]);
+}
+
+#[test]
 fn in_the_end_nobody_writes_who_is_not_known_to() {
     let mut r = Routes::default();
     let open = PlaneRoute { egress_bits: 6, readers: vec![], writers: vec![ANY_WRITER] };
