@@ -3,7 +3,7 @@
 //! wait. Frames are stamped when they leave, never before.
 //!
 //! Of the node's links ([`Lane`]) one is the main one: all topics are scheduled for it, and move with it. What goes by two links is
-//! copied when its turn on the main one has come.
+//! copied when its turn on the main one has come; copies that wait for another link when that becomes the main one go by it still.
 //!
 //! Locks: each for a moment, none across an await. Who holds one of [`Publication`]'s may take [`Outlet::uplink`] or [`Outlet::pairs`],
 //! never the other way round, and never both of these. Who holds [`Outlet::sending`] may take any of them, and those of a [`Lane`];
@@ -74,6 +74,16 @@ pub struct Ways {
 }
 
 impl Ways {
+    /// The links that frames go by, with their numbers.
+    fn each(&self) -> impl Iterator<Item = (usize, &Arc<Attachment>)> {
+        let main = self.status.attachment().map(|attachment| (self.main, attachment));
+        main.into_iter().chain(self.second.as_ref().map(|(number, attachment)| (*number, attachment)))
+    }
+
+    fn is_one(&self, lane: usize) -> bool {
+        self.each().any(|(number, _)| number == lane)
+    }
+
     /// Bytes of a payload that each of them takes: a frame may go by one or the other, and by both.
     fn max_payload(&self) -> Option<usize> {
         let main = self.status.attachment()?.max_payload();
@@ -183,14 +193,17 @@ impl Outlet {
         }
         let (main, second) = (choice.main(), choice.second());
         let (status, second_way) = (self.lanes[main].status(), self.second(second));
-        let is_new = |of: usize, ways: &Ways| ways.second.as_ref().is_none_or(|(second, _)| *second != of);
         self.ways.send_if_modified(|present| {
             if matches!(present.status, Status::Closed) {
                 return false;
             }
-            second.filter(|of| is_new(*of, present)).into_iter().for_each(|of| self.lanes[of].forget_copies(now));
             let turn = present.turn + u64::from(main != before);
-            *present = Ways { main, turn, status, second: second_way };
+            let before = std::mem::replace(present, Ways { main, turn, status, second: second_way });
+            for (number, lane) in self.lanes.iter().enumerate() {
+                if !(before.is_one(number) && present.is_one(number)) {
+                    lane.drop_copies();
+                }
+            }
             true
         });
         if main != before {
@@ -387,8 +400,8 @@ impl Outlet {
                 self.lanes[*second].copy(now, &batch.transmits, attachment.max_payload());
             }
             self.send_frames(attachment, batch);
-            if let Some((second, attachment)) = &ways.second {
-                let copies = self.lanes[*second].take_copies(now, &mut batch.transmits, BATCH);
+            for (number, attachment) in ways.each() {
+                let copies = self.lanes[number].take_copies(now, &mut batch.transmits, BATCH);
                 self.send_frames(attachment, batch);
                 next = next.into_iter().chain(copies).min();
             }

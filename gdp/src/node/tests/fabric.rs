@@ -157,6 +157,12 @@ impl Fabric {
         };
     }
 
+    /// A link of a node ends; the node makes another.
+    pub fn end_link(&self, node: &Node, lane: u8) {
+        let links = lock(&self.rib).links_of(&node.name());
+        links.iter().filter(|link| link.peer().lane == lane).for_each(|link| link.close("as the test wants it"));
+    }
+
     pub fn links(&self) -> usize {
         lock(&self.rib).links.len()
     }

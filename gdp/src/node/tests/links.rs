@@ -156,6 +156,50 @@ async fn a_budget_is_that_of_its_link() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn copies_that_wait_for_a_link_go_by_it_also_once_it_is_the_main_one() {
+    let fabric = Fabric::start().await;
+    let (robot, cloud) = (fabric.node_by("proxy", [None, Some(50_000)]).await, fabric.node("proxy").await);
+    let owner = Owner::new("/scan");
+    let mut subscription = owner.subscribe_as(&cloud, SubscribeOptions::best_effort()).await.unwrap();
+    let options = PublishOptions { duplicate: true, ..PublishOptions::best_effort() };
+    let mut publisher = owner.publish_as(&robot, options).await.unwrap();
+    publisher.send(Encoding::Bytes, &[0; 1000]).await.unwrap();
+    recv(&mut subscription).await;
+    fabric.cut(&robot, 0, true);
+    for _ in 0..60 {
+        publisher.send(Encoding::Bytes, &[1; 1000]).await.unwrap();
+    }
+    eventually("the second link is the main one", || robot.links()[1].main).await;
+    let frames = publisher.counters().topic.frames;
+    let copies = |link: &LinkStatus| link.copies_sent + link.copies_dropped;
+    let in_time = copies(&robot.links()[1]);
+    assert!(in_time < frames, "some still wait: {in_time} of {frames}");
+    eventually("all have gone", || robot.links()[1].copies_sent >= frames).await;
+    for _ in 0..60 {
+        recv(&mut subscription).await;
+    }
+    assert_eq!(robot.links()[1].copies_dropped, 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn copies_that_wait_for_a_link_that_is_lost_are_counted() {
+    let fabric = Fabric::start().await;
+    let (robot, cloud) = (fabric.node_by("proxy", [None, Some(10_000)]).await, fabric.node("proxy").await);
+    let owner = Owner::new("/scan");
+    let mut subscription = owner.subscribe(&cloud).await.unwrap();
+    let options = PublishOptions { duplicate: true, ..PublishOptions::reliable() };
+    let mut publisher = owner.publish_as(&robot, options).await.unwrap();
+    publisher.send(Encoding::Bytes, &[1; 100_000]).await.unwrap();
+    recv(&mut subscription).await;
+    let (copies, frames) = (|| robot.links()[1].copies_dropped, publisher.counters().topic.frames);
+    assert_eq!(copies(), 0);
+    fabric.end_link(&robot, 1);
+    eventually("they are thrown away", || copies() > frames / 2).await;
+    let link = &robot.links()[1];
+    assert_eq!(link.copies_sent + link.copies_dropped, frames, "{link:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn one_link_is_enough_to_begin_with_and_there_are_a_few_at_most() {
     let fabric = Fabric::start().await;
     let config = |links: Vec<LinkConfig>| NodeConfig {
