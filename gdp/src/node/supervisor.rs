@@ -28,7 +28,7 @@ use crate::crypto;
 use crate::link::liveness::{Liveness, Pace, Step};
 use crate::link::{HOLD, Link, LinkError, LinkKeys, RekeySchedule, Responder, Role};
 use crate::name::NameProof;
-use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, SMALLEST_PATH};
+use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, SMALLEST_PATH, interface_index};
 
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -205,6 +205,8 @@ struct Supervisor {
     pinned: Option<Name>,
     port_config: PortConfig,
     port: Option<Arc<Port>>,
+    /// Index of the interface that a UDP port is bound to.
+    through: Option<u32>,
 }
 
 impl Supervisor {
@@ -212,7 +214,7 @@ impl Supervisor {
         let LinkConfig { target, switch: pinned, .. } = config;
         let through = if let LinkTarget::Udp { interface, .. } = &target { interface.clone() } else { None };
         let port_config = PortConfig { rekey, lane, through, ..PortConfig::endpoint(state.identity.clone()) };
-        Self { state, lane, target, pinned, port_config, port: None }
+        Self { state, lane, target, pinned, port_config, port: None, through: None }
     }
 
     fn lane(&self) -> &Lane {
@@ -394,8 +396,7 @@ impl Supervisor {
                     port.interface()
                         .is_some_and(|open| (open.index, open.mac, open.mtu) == (found.index, found.mac, found.mtu))
                 };
-                let found = Interface::find(interface)
-                    .map_err(|source| LinkError::Io { what: format!("interface {interface}"), source })?;
+                let found = Interface::find(interface).map_err(|source| no_interface(interface, source))?;
                 let port = match self.port.take().filter(|port| same(&found, port)) {
                     Some(port) => port,
                     None => Arc::new(Port::ethernet(interface, &self.port_config)?),
@@ -411,11 +412,18 @@ impl Supervisor {
                 }
                 Ok((port, answers.into_iter().map(|(to, name)| (to, Some(name))).collect()))
             }
-            LinkTarget::Udp { host, port: number, .. } => {
+            LinkTarget::Udp { host, port: number, interface } => {
+                // Before a port is opened: if it is made anew meanwhile, the next attempt finds out.
+                let index = match interface {
+                    Some(name) => Some(interface_index(name).map_err(|source| no_interface(name, source))?),
+                    None => None,
+                };
                 let no_address = |source| NodeError::NoAddress { host: host.clone(), source };
                 let mut found = tokio::net::lookup_host((host.as_str(), *number)).await.map_err(no_address)?;
                 let to = found.next().ok_or_else(|| no_address(std::io::ErrorKind::AddrNotAvailable.into()))?;
-                let same = |port: &Arc<Port>| port.udp_addr().is_some_and(|open| open.is_ipv4() == to.is_ipv4());
+                let same = |port: &Arc<Port>| {
+                    self.through == index && port.udp_addr().is_some_and(|open| open.is_ipv4() == to.is_ipv4())
+                };
                 let port = match self.port.take().filter(same) {
                     Some(port) => port,
                     None => {
@@ -424,11 +432,15 @@ impl Supervisor {
                         Arc::new(Port::udp(SocketAddr::new(any, 0), &self.port_config)?)
                     }
                 };
-                self.port = Some(port.clone());
+                (self.port, self.through) = (Some(port.clone()), index);
                 Ok((port, vec![(LinkAddr::udp(to), self.pinned)]))
             }
         }
     }
+}
+
+fn no_interface(name: &str, source: std::io::Error) -> LinkError {
+    LinkError::Io { what: format!("interface {name}"), source }
 }
 
 /// States what stands, again when something was refused that time may mend or a withdrawal took it along, and in time
