@@ -54,7 +54,7 @@ use self::receiver::Receiver;
 use self::revoked::Revoked;
 use self::state::{State, Statement, lock};
 use crate::cert::{AdCert, CertError, Issued, Reading as Grant};
-use crate::control::{NameRole, Record, RecordPlace, Refusal};
+use crate::control::{NameRole, Record, RecordPlace, Refusal, RefusalCode};
 use crate::identity::Identity;
 use crate::keys::RingError;
 use crate::link::{LinkError, MAX_LANES, RekeySchedule};
@@ -153,6 +153,22 @@ pub enum NodeError {
     Unflushed(#[from] Unflushed),
     #[error("the node is closed")]
     Closed,
+}
+
+impl NodeError {
+    /// Whether it is about this moment, and time may mend it; otherwise the same again meets with the same.
+    pub fn may_pass(&self) -> bool {
+        match self {
+            Self::Link(LinkError::Io { .. } | LinkError::WrongPeer { .. }) => false,
+            Self::Refused(refusal) => {
+                matches!(refusal.code, RefusalCode::Unreachable | RefusalCode::Limit | RefusalCode::NotAttached)
+            }
+            Self::Link(_) | Self::NoAnswer { .. } | Self::NoAddress { .. } | Self::NoSwitch(_) => true,
+            Self::Detached(_) | Self::NoServer(_) | Self::TooManyCalls(_) | Self::Unflushed(_) => true,
+            Self::NotASwitch(_) | Self::Cert(_) | Self::Seal(_) | Self::Already { .. } | Self::Keys(_) => false,
+            Self::Protocol(_) | Self::Links(_) | Self::State(_) | Self::Closed => false,
+        }
+    }
 }
 
 /// What a node can state about a name.

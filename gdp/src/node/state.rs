@@ -248,16 +248,16 @@ impl State {
             }
             _ => return Err(NodeError::Closed),
         };
-        let stating = async { self.state(&*self.attached().await?, name, stated).await };
+        let stating = async { self.state(&*self.attached_now()?, name, stated).await };
         let result = stating.await;
         match result {
             Ok(()) => {
                 self.restate();
                 Ok(())
             }
-            Err(error @ NodeError::Refused(_)) if !is_for_now(&error) => {
+            Err(error) if !error.may_pass() => {
                 if let Some(standing) = lock(&self.statements).get_mut(&(name, stated)) {
-                    *standing = Standing { done: 0, ..old };
+                    *standing = Standing { done: 0, over: standing.over, ..old };
                 }
                 self.restate();
                 Err(error)
@@ -553,11 +553,6 @@ fn bit(attachment: &Attachment) -> u8 {
 
 pub async fn ask(attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {
     Ok(attachment.link.request(&Request::Entity(request)).await?.accepted()?)
-}
-
-/// A refusal that time mends.
-pub fn is_for_now(error: &NodeError) -> bool {
-    matches!(error, NodeError::Refused(refusal) if refusal.code == RefusalCode::Unreachable)
 }
 
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

@@ -227,7 +227,7 @@ impl Supervisor {
         let attempts = async {
             loop {
                 match self.attempt(None).await {
-                    Err(error) if worth_another_attempt(&error) => {
+                    Err(error) if error.may_pass() => {
                         self.state.still_lost(self.lane(), error.to_string());
                         backoff.wait().await;
                     }
@@ -531,7 +531,7 @@ async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request
 async fn attach_again(state: &State, attachment: &Attachment) -> Result<(), NodeError> {
     let mut backoff = Backoff::new();
     while let Err(error) = state.attach(attachment).await {
-        if !worth_another_attempt(&error) || attachment.link.close_reason().is_some() {
+        if !error.may_pass() || attachment.link.close_reason().is_some() {
             return Err(error);
         }
         backoff.wait().await;
@@ -577,16 +577,6 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
     }
 }
 
-/// Errors that are about this moment, not about the configuration.
-fn worth_another_attempt(error: &NodeError) -> bool {
-    match error {
-        NodeError::Link(LinkError::Io { .. } | LinkError::WrongPeer { .. }) | NodeError::NotASwitch(_) => false,
-        NodeError::Refused(refusal) => refusal.code == RefusalCode::Unreachable,
-        NodeError::Link(_) | NodeError::NoAnswer { .. } | NodeError::NoAddress { .. } | NodeError::NoSwitch(_) => true,
-        _ => false,
-    }
-}
-
 /// Growing pauses, each between half and the whole of its length, so that many nodes do not return at once.
 struct Backoff(Duration);
 
@@ -620,7 +610,7 @@ mod tests {
         let host = "edge.local".to_owned();
         let unresolved = NodeError::NoAddress { host, source: ErrorKind::NotFound.into() };
         let interface = LinkError::Io { what: "interface r0".into(), source: Error::from_raw_os_error(libc::ENODEV) };
-        assert!(worth_another_attempt(&unresolved));
-        assert!(!worth_another_attempt(&interface.into()), "more likely a misspelt name");
+        assert!(unresolved.may_pass());
+        assert!(!NodeError::from(interface).may_pass(), "more likely a misspelt name");
     }
 }

@@ -21,12 +21,6 @@ fn joined(events: &[PeerEvent]) -> Vec<PeerEvent> {
     events.iter().filter(|event| matches!(event, PeerEvent::Joined(_))).cloned().collect()
 }
 
-/// Refusals of key boxes that the same again would meet with.
-fn is_for_good(error: &NodeError) -> bool {
-    let NodeError::Refused(refusal) = error else { return false };
-    !matches!(refusal.code, RefusalCode::Unreachable | RefusalCode::Limit | RefusalCode::NotAttached)
-}
-
 /// How often it is looked for what has ended.
 const LOOK: Duration = Duration::from_secs(1);
 
@@ -219,7 +213,7 @@ impl State {
                 Ok(_) => NodeError::Protocol("to key boxes"),
                 Err(error) => error,
             };
-            if is_for_good(&error) {
+            if !error.may_pass() {
                 tracing::warn!(name = %publication.name, %error, "the RIB does not take keys for readers");
                 publication.boxes_refused();
             } else {

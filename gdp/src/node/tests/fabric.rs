@@ -171,6 +171,15 @@ impl Fabric {
         lock(&self.rib).of(name, NameRole::Publisher).len()
     }
 
+    /// The serials of the certificates that writers of a name state.
+    pub fn write_serials(&self, name: Name) -> Vec<u64> {
+        let serial = |record: &Record| match &record.credential {
+            Credential::Writer(cert) => cert.serials().unwrap()[0].1,
+            Credential::Reader(_) => unreachable!("of a writer"),
+        };
+        lock(&self.rib).of(name, NameRole::Publisher).iter().map(serial).collect()
+    }
+
     pub fn has_subscriber(&self, name: Name) -> bool {
         !lock(&self.rib).of(name, NameRole::Subscriber).is_empty()
     }

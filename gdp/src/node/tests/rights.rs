@@ -38,9 +38,9 @@ async fn only_a_right_to_the_same_renews_and_a_refusal_leaves_the_old_one() {
         assert!(matches!(publisher.renew(wrong).await, Err(NodeError::Cert(_))));
     }
     assert!(matches!(subscription.renew(other.grant_until(&cloud, 2, u64::MAX)).await, Err(NodeError::Cert(_))));
-    fabric.refuse(Some(RefusalCode::Limit));
+    fabric.refuse(Some(RefusalCode::NotEntitled));
     let error = publisher.renew(owner.ad_cert_until(robot.name(), 2, u64::MAX)).await.unwrap_err();
-    assert!(matches!(&error, NodeError::Refused(refusal) if refusal.code == RefusalCode::Limit), "{error}");
+    assert!(matches!(&error, NodeError::Refused(refusal) if refusal.code == RefusalCode::NotEntitled), "{error}");
     fabric.refuse(None);
     fabric.revoke(owner.revocation(1, vec![2])).await;
     publisher.send(Encoding::Bytes, b"by the old one").await.unwrap();
@@ -49,6 +49,32 @@ async fn only_a_right_to_the_same_renews_and_a_refusal_leaves_the_old_one() {
         publisher.renew(owner.ad_cert_until(robot.name(), 2, u64::MAX)).await,
         Err(NodeError::Cert(CertError::Revoked { serial: 2, .. }))
     ));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_renewal_that_meets_with_something_that_passes_is_made_later() {
+    for passes in [RefusalCode::Limit, RefusalCode::NotAttached, RefusalCode::Unreachable] {
+        let fabric = Fabric::start().await;
+        let owner = Owner::new("/chatter");
+        let robot = fabric.node("proxy").await;
+        let mut publisher = owner.publish(&robot).await.unwrap();
+        fabric.refuse(Some(passes));
+        publisher.renew(owner.ad_cert_until(robot.name(), 2, unix_now() + 60)).await.unwrap();
+        assert_eq!(fabric.write_serials(owner.name()), [1]);
+        fabric.refuse(None);
+        eventually("the RIB has the new one", || fabric.write_serials(owner.name()) == [2]).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nothing_is_renewed_once_the_node_is_closed() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/chatter");
+    let robot = fabric.node("proxy").await;
+    let mut publisher = owner.publish(&robot).await.unwrap();
+    robot.close().await;
+    let renewed = publisher.renew(owner.ad_cert_until(robot.name(), 2, unix_now() + 60)).await;
+    assert!(matches!(renewed, Err(NodeError::Closed)), "{renewed:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
