@@ -213,6 +213,14 @@ impl Outlet {
         }
         drop(choice);
         self.wake();
+        if self.ways.borrow().status.attachment().is_none() {
+            self.wake_publishers();
+        }
+    }
+
+    /// Those that wait are to look whether there is sense in it.
+    fn wake_publishers(&self) {
+        lock(&self.publications).values().for_each(|publication| publication.room.notify_waiters());
     }
 
     fn second(&self, lane: Option<usize>) -> Option<(usize, Arc<Attachment>)> {
@@ -224,7 +232,7 @@ impl Outlet {
     pub fn shut(&self) {
         self.ways.send_modify(|ways| (ways.status, ways.second) = (Status::Closed, None));
         self.wake();
-        lock(&self.publications).values().for_each(|publication| publication.room.notify_waiters());
+        self.wake_publishers();
     }
 
     /// Whether this goes by two links from now on.
