@@ -102,8 +102,12 @@ impl Lane {
         lock(&self.status).clone()
     }
 
+    /// Unless it is closed: that is for good.
     pub fn change(&self, change: impl FnOnce(&mut Status)) {
-        change(&mut lock(&self.status));
+        let status = &mut *lock(&self.status);
+        if !matches!(status, Status::Closed) {
+            change(status);
+        }
     }
 
     /// Whether the switch answers; of a link that is up.

@@ -231,6 +231,10 @@ impl Outlet {
     /// Nothing is sent any more.
     pub fn shut(&self) {
         self.ways.send_modify(|ways| (ways.status, ways.second) = (Status::Closed, None));
+        for lane in &self.lanes {
+            lane.change(|status| *status = Status::Closed);
+            lane.drop_copies();
+        }
         self.wake();
         self.wake_publishers();
     }

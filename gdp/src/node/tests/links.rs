@@ -200,6 +200,18 @@ async fn copies_that_wait_for_a_link_that_is_lost_are_counted() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nothing_is_left_of_the_links_of_a_node_that_is_closed() {
+    let fabric = Fabric::start().await;
+    let robot = fabric.node_by("proxy", [None, None]).await;
+    let attachments = robot.0.state.outlet.lanes().iter().map(|lane| lane.status().attachment().cloned().unwrap());
+    let sockets: Vec<_> = attachments.map(|attachment| Arc::downgrade(&attachment.data)).collect();
+    robot.close().await;
+    let links = robot.links();
+    assert!(links.iter().all(|link| link.state == LinkState::Down && link.switch.is_none()), "{links:?}");
+    eventually("the sockets are closed", || sockets.iter().all(|socket| socket.strong_count() == 0)).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn one_link_is_enough_to_begin_with_and_there_are_a_few_at_most() {
     let fabric = Fabric::start().await;
     let config = |links: Vec<LinkConfig>| NodeConfig {
