@@ -6,7 +6,8 @@
 //! copied when its turn on the main one has come; copies that wait for another link when that becomes the main one go by it still.
 //!
 //! Locks: each for a moment, none across an await. Who holds one of [`Publication`]'s may take [`Outlet::uplink`] or [`Outlet::pairs`],
-//! never the other way round, and never both of these. Who holds [`Outlet::sending`] may take any of them, and those of a [`Lane`];
+//! never the other way round, and never both of these. Who holds
+//! any lock may take [`Outlet::doubled`]. Who holds [`Outlet::sending`] may take any of them, and those of a [`Lane`];
 //! publishers try, and never wait for it. Who holds [`Outlet::choice`] may take those of a [`Lane`] and [`Outlet::uplink`], and is
 //! called by nobody who holds a lock.
 
@@ -82,12 +83,6 @@ impl Ways {
 
     fn is_one(&self, lane: usize) -> bool {
         self.each().any(|(number, _)| number == lane)
-    }
-
-    /// Bytes of a payload that each of them takes: a frame may go by one or the other, and by both.
-    fn max_payload(&self) -> Option<usize> {
-        let main = self.status.attachment()?.max_payload();
-        Some(self.second.as_ref().map_or(main, |(_, second)| main.min(second.max_payload())))
     }
 }
 
@@ -249,6 +244,13 @@ impl Outlet {
         };
     }
 
+    /// Bytes of a payload that these links take: the main one, and if anything goes by two, each of them.
+    fn max_payload(&self, ways: &Ways) -> Option<usize> {
+        let main = ways.status.attachment()?.max_payload();
+        let second = ways.second.as_ref().filter(|_| !lock(&self.doubled).is_empty());
+        Some(second.map_or(main, |(_, second)| main.min(second.max_payload())))
+    }
+
     /// The main link, if it is up at this moment.
     pub fn attached_now(&self) -> Result<Arc<Attachment>, NodeError> {
         match &self.ways.borrow().status {
@@ -277,7 +279,7 @@ impl Outlet {
 
     /// Bytes that the frames of a topic's messages may carry.
     pub fn max_payload_of(&self, topic: Topic) -> usize {
-        let of_link = self.ways.borrow().max_payload();
+        let of_link = self.max_payload(&self.ways.borrow());
         let now = self.clock.now();
         let mut uplink = lock(&self.uplink);
         if let Some(of_link) = of_link
@@ -386,7 +388,7 @@ impl Outlet {
     /// thread.
     fn drain(&self, batch: &mut Batch, batches: usize) -> Option<u64> {
         let ways = self.ways.borrow().clone();
-        let (attachment, max_payload) = (ways.status.attachment()?, ways.max_payload()?);
+        let (attachment, max_payload) = (ways.status.attachment()?, self.max_payload(&ways)?);
         for _ in 0..batches {
             let (mut next, mut chores, mut rooms) = (Some(0), Vec::new(), Vec::new());
             let mut uplink = lock(&self.uplink);

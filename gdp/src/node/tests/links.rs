@@ -212,6 +212,29 @@ async fn nothing_is_left_of_the_links_of_a_node_that_is_closed() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn frames_are_as_small_as_another_link_takes_only_if_they_may_go_by_it() {
+    let fabric = Fabric::start().await;
+    let robot = fabric.node_by("proxy", [None, None]).await;
+    let (outlet, owner) = (&robot.0.state.outlet, Owner::new("/scan"));
+    let mut publisher = Owner::new("/image").publish(&robot).await.unwrap();
+    let small = usize::from(SMALLEST_PATH) - Header::LEN;
+    let frames_of_main = |outlet: &super::super::outlet::Outlet| outlet.attached_now().unwrap().max_payload();
+    eventually("the main link takes large frames", || frames_of_main(outlet) > small).await;
+    // It begins anew with small ones.
+    fabric.end_link(&robot, 1);
+    eventually("the other is back", || robot.counters().links == 3 && robot.links()[1].state == LinkState::Up).await;
+    publisher.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
+    assert!(lock(&outlet.uplink).max_payload() > small);
+    let options = PublishOptions { duplicate: true, ..PublishOptions::reliable() };
+    let mut doubled = owner.publish_as(&robot, options).await.unwrap();
+    doubled.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
+    assert_eq!(lock(&outlet.uplink).max_payload(), small);
+    drop(doubled);
+    publisher.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
+    assert!(lock(&outlet.uplink).max_payload() > small);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn one_link_is_enough_to_begin_with_and_there_are_a_few_at_most() {
     let fabric = Fabric::start().await;
     let config = |links: Vec<LinkConfig>| NodeConfig {
