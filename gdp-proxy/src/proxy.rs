@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow};
 use gdp::Node;
 use gdp::link::RekeySchedule;
-use gdp::node::{LinkConfig, NodeConfig, NodeError};
+use gdp::node::{LinkConfig, NodeConfig};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -114,7 +114,7 @@ async fn connect(config: &Config, material: &Material) -> Result<Node> {
     loop {
         match Node::connect(node.clone()).await {
             Ok(node) => return Ok(node),
-            Err(NodeError::Detached(reason)) => tracing::warn!(links = %places, "no switch yet: {reason}"),
+            Err(error) if error.may_pass() => tracing::warn!(links = %places, "no switch yet: {error}"),
             Err(error) => return Err(error).with_context(|| format!("cannot attach at {places}")),
         }
     }

@@ -244,14 +244,18 @@ impl Node {
         let (stop, (first, mut came)) = (watch::Sender::new(false), mpsc::unbounded_channel());
         let all = supervisor::run(state.clone(), links, rekey, connect_timeout, event_queue, first, stop.subscribe());
         let handle = Handle { state, stop, supervisor: Mutex::new(Some(tokio::spawn(all))) };
+        // Of several, one that waiting may mend, and of these the one of the first link.
+        let rank = |lane: u8, error: &NodeError| (!error.may_pass(), lane);
         let mut failure: Option<(u8, NodeError)> = None;
         loop {
             match came.recv().await {
                 Some((_, Ok(()))) => break,
-                Some((lane, Err(error))) if failure.as_ref().is_none_or(|(first, _)| lane < *first) => {
-                    failure = Some((lane, error));
+                Some((lane, Err(error))) => {
+                    let (new, old) = (rank(lane, &error), failure.as_ref().map(|(lane, error)| rank(*lane, error)));
+                    if old.is_none_or(|old| new < old) {
+                        failure = Some((lane, error));
+                    }
                 }
-                Some(_) => {}
                 None => return Err(failure.map_or(NodeError::Closed, |(_, error)| error)),
             }
         }
