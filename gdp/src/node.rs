@@ -330,8 +330,14 @@ impl Node {
         publication: Option<&Arc<Publication>>,
     ) -> Result<(), NodeError> {
         let state = &self.0.state;
-        let attachment = state.attached().await?;
-        state.state(&attachment, name, stated).await?;
+        let attachment = loop {
+            let attachment = state.attached().await?;
+            match state.state(&attachment, name, stated).await {
+                // Another is the main one meanwhile.
+                Err(NodeError::Detached(_)) => {}
+                result => break result.map(|()| attachment)?,
+            }
+        };
         if let Some(publication) = publication {
             state.store_boxes(&attachment, publication).await;
         }

@@ -115,6 +115,10 @@ impl Lane {
         self.silent.store(silent, Ordering::Relaxed);
     }
 
+    pub fn is_silent(&self) -> bool {
+        self.silent.load(Ordering::Relaxed)
+    }
+
     pub fn fitness(&self) -> Fitness {
         match self.state() {
             LinkState::Up => Fitness::Up,
@@ -145,7 +149,7 @@ impl Lane {
 
     fn state(&self) -> LinkState {
         match &*lock(&self.status) {
-            Status::Up(_) if self.silent.load(Ordering::Relaxed) => LinkState::Silent,
+            Status::Up(_) if self.is_silent() => LinkState::Silent,
             Status::Up(_) => LinkState::Up,
             Status::Held(..) => LinkState::Held,
             Status::Down(_) | Status::Closed => LinkState::Down,

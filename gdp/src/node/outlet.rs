@@ -37,6 +37,9 @@ use crate::transport::{Output, Topic, Transmit, Uplink, UplinkOptions};
 /// Batches that a publisher sends itself; the rest of a large message is the sending thread's.
 const OWN_BATCHES: usize = 4;
 
+/// How long a request over another link than the main one may keep that waiting, and four round trips.
+const OTHERS_PATIENCE: Duration = Duration::from_secs(1);
+
 /// Bits of [`Header::flags`]: the traffic class begins there, and the two lowest say that a mark is understood (ECT(0), RFC 3168).
 const CLASS_SHIFT: u8 = 2;
 const UNDERSTANDS_MARKS: u8 = 0b10;
@@ -242,6 +245,15 @@ impl Outlet {
         } else {
             names.remove(&name)
         };
+    }
+
+    /// Returns when the main link is not to wait for an answer on this one any more: at once if this one is silent.
+    pub async fn until_unwanted(&self, attachment: &Attachment) {
+        let (number, lane, mut ways) = (usize::from(attachment.lane), self.lane(attachment), self.ways());
+        // The other end of the channel is this outlet's.
+        let _ = ways.wait_for(|ways| ways.main != number && matches!(ways.status, Status::Up(_))).await;
+        let patience = OTHERS_PATIENCE + 4 * attachment.link.rtt();
+        let _ = tokio::time::timeout(patience, ways.wait_for(|_| lane.is_silent())).await;
     }
 
     /// Bytes of a payload that these links take: the main one, and if anything goes by two, each of them.

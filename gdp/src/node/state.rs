@@ -57,7 +57,8 @@ pub struct State {
     pub counterparts: Mutex<HashMap<(Name, NameRole), Counterparts>>,
     /// What owners have taken back, as far as it came by.
     pub revoked: Revoked,
-    /// The highest serial used, once attached. Held while a statement is on its way, so that they arrive in their order.
+    /// The highest serial used, once attached. Held while a statement is on its way, so that they arrive in their order; by links other
+    /// than the main one for a moment only.
     serial: tokio::sync::Mutex<Option<u64>>,
     commands: std::sync::mpsc::Sender<Command>,
     pub events: mpsc::UnboundedSender<Event>,
@@ -400,7 +401,7 @@ impl State {
         let rt_cert = issue(self.identity.key(), &RtCert { entity: self.identity.name(), switch, not_after })?;
         // A node that has spoken before goes on; one that has just started does not know what another process had stated.
         let (resumes, lane) = (serial.is_some(), attachment.lane);
-        match ask(attachment, EntityRequest::Attach { rt_cert, resumes, lane }).await? {
+        match self.ask_in_turn(attachment, EntityRequest::Attach { rt_cert, resumes, lane }).await? {
             Response::Attached { serial: floor } => *serial = Some(floor.max(serial.unwrap_or(0))),
             _ => return Err(NodeError::Protocol("to an attachment")),
         }
@@ -454,6 +455,10 @@ impl State {
             if let Err(error) = self.state(attachment, name, stated).await {
                 tracing::warn!(%name, %error, "could not be {stated} again");
                 all = false;
+                // The rest would wait in vain as well, and others for it.
+                if matches!(error, NodeError::Link(_) | NodeError::Detached(_)) {
+                    break;
+                }
             }
         }
         all
@@ -518,12 +523,20 @@ impl State {
         name: Name,
         request: impl Fn(Signed<Advert>) -> EntityRequest,
     ) -> Result<Response, NodeError> {
-        match ask(attachment, request(self.advert(attachment, op, name, serial)?)).await {
+        match self.ask_in_turn(attachment, request(self.advert(attachment, op, name, serial)?)).await {
             Err(NodeError::Refused(refusal)) if refusal.code == RefusalCode::ReplayedSerial => {
                 self.attach_locked(attachment, serial).await?;
-                ask(attachment, request(self.advert(attachment, op, name, serial)?)).await
+                self.ask_in_turn(attachment, request(self.advert(attachment, op, name, serial)?)).await
             }
             result => result,
+        }
+    }
+
+    /// As [`ask`], while all that is to be stated on any link waits for the answer: not for long if another link is the main one.
+    async fn ask_in_turn(&self, attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {
+        tokio::select! {
+            answer = ask(attachment, request) => answer,
+            () = self.outlet.until_unwanted(attachment) => Err(NodeError::Detached("another link is used".into())),
         }
     }
 

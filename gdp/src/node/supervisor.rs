@@ -563,6 +563,7 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
                     // It went with an attachment that ended.
                     NodeError::Refused(refusal) if refusal.code == RefusalCode::NotFound => return,
                     // What was stated may outlive the link: that is for the next one to tell.
+                    NodeError::Detached(_) => return state.withdraw_later(name, stated),
                     _ if attachment.link.close_reason().is_some() => return state.withdraw_later(name, stated),
                     error => tracing::warn!(%name, %error, "could not be withdrawn; trying again"),
                 }

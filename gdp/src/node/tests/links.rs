@@ -4,6 +4,7 @@ use std::sync::atomic::AtomicU64;
 use std::time::Instant;
 
 use super::*;
+use crate::link::REQUEST_TIMEOUT;
 
 /// Between two messages in the tests.
 const PERIOD: Duration = Duration::from_millis(10);
@@ -232,6 +233,33 @@ async fn frames_are_as_small_as_another_link_takes_only_if_they_may_go_by_it() {
     drop(doubled);
     publisher.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
     assert!(lock(&outlet.uplink).max_payload() > small);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_link_that_has_no_way_to_the_rib_holds_up_no_other() {
+    let fabric = Fabric::start().await;
+    let robot = fabric.node_by("proxy", [None, None]).await;
+    fabric.mute(&robot, 1);
+    let mut publishers = Vec::new();
+    for _ in 0..4 {
+        let began = Instant::now();
+        publishers.push(Owner::new("/chatter").publish(&robot).await.unwrap());
+        assert!(began.elapsed() < REQUEST_TIMEOUT / 2, "{:?}", began.elapsed());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_asked_over_a_link_that_falls_silent_is_asked_over_another() {
+    let fabric = Fabric::start().await;
+    let robot = fabric.node_by("proxy", [None, None]).await;
+    fabric.mute(&robot, 0);
+    fabric.cut(&robot, 0, true);
+    let (owner, began) = (Owner::new("/chatter"), Instant::now());
+    let publisher = owner.publish(&robot).await.unwrap();
+    assert!(began.elapsed() < REQUEST_TIMEOUT / 2, "{:?}", began.elapsed());
+    assert_eq!(fabric.writers(owner.name()), 1);
+    drop(publisher);
+    eventually("withdrawn", || fabric.writers(owner.name()) == 0).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
