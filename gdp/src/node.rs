@@ -60,7 +60,6 @@ use crate::keys::RingError;
 use crate::link::{LinkError, MAX_LANES, RekeySchedule};
 use crate::name::{NamePrefix, NameProof};
 use crate::port::LinkAddr;
-use crate::revocations::RevocationFile;
 use crate::seal::SealError;
 use crate::secret_file::SecretFileError;
 
@@ -86,7 +85,8 @@ pub struct NodeConfig {
     pub connect_timeout: Duration,
     /// When the keys of data frames are replaced.
     pub rekey: RekeySchedule,
-    /// A folder in which the node keeps the revocations that it hears of; without one, it forgets them when it ends.
+    /// A folder in which the node keeps the revocations that it hears of, made if it is not there; without one, it forgets them when it
+    /// ends.
     pub state: Option<PathBuf>,
 }
 
@@ -233,8 +233,7 @@ impl Node {
         }
         let (commands, command_queue) = std::sync::mpsc::channel();
         let (events, event_queue) = mpsc::unbounded_channel();
-        let file = |folder: PathBuf| RevocationFile::of_entity(&folder, identity.name(), revoked::MAX_FILE);
-        let revoked = Revoked::open(state.map(file))?;
+        let revoked = Revoked::open(state.as_deref(), identity.name())?;
         let state = Arc::new(State::new(identity, &links, revoked, commands, events));
         let (outlet, feedback) = (state.outlet.clone(), state.feedback.clone());
         let receiver = Receiver { commands: command_queue, outlet, feedback };
