@@ -1,6 +1,7 @@
 //! Certificates that end while something runs under them, and those that take their place.
 
 use super::*;
+use crate::link::REQUEST_TIMEOUT;
 use crate::node::Ended;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -130,6 +131,28 @@ async fn handles_tell_that_they_ended_and_why() {
     assert!(!kept_ended.is_finished());
     cloud.close().await;
     assert_eq!(kept_ended.await.unwrap(), Ended::Closed);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn rights_end_in_time_while_the_rib_does_not_answer() {
+    let fabric = Fabric::start().await;
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let owners = [(); 4].map(|()| Owner::new("/chatter"));
+    let (mut publishers, mut subscriptions) = (Vec::new(), Vec::new());
+    for owner in &owners {
+        publishers.push(owner.publish(&robot).await.unwrap());
+    }
+    let (short, soon) = (Owner::new("/short"), unix_now() + 3);
+    let cert = short.ad_cert_until(robot.name(), 1, soon);
+    let publisher = robot.publish(short.card().proof(), cert, PublishOptions::reliable()).await.unwrap();
+    fabric.mute(&robot, 0);
+    // For each there are boxes to store.
+    for owner in &owners {
+        subscriptions.push(owner.subscribe(&cloud).await.unwrap());
+    }
+    publisher.ended().await;
+    let late = unix_now() - soon;
+    assert!(late < REQUEST_TIMEOUT.as_secs(), "{late} s");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
