@@ -2,7 +2,6 @@
 //! leaves both sides properly.
 
 use std::convert::Infallible;
-use std::os::unix::fs::DirBuilderExt;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -18,7 +17,7 @@ use crate::config::Config;
 use crate::material::Material;
 use crate::ros2::Domain;
 use crate::route::Route;
-use crate::stats::{Stats, StatsFile};
+use crate::stats::{Stats, StatsFile, VERSION};
 
 const STATS_PERIOD: Duration = Duration::from_secs(1);
 
@@ -69,7 +68,7 @@ pub async fn run(
     }
 
     let shown = || Stats {
-        version: 1,
+        version: VERSION,
         entity: node.name(),
         domain_id,
         switch: node.switch().ok(),
@@ -105,10 +104,6 @@ async fn connect(config: &Config, material: &Material) -> Result<Node> {
         rekey: RekeySchedule::default(),
         state: config.state.clone(),
     };
-    if let Some(folder) = &config.state {
-        let made = std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);
-        made.with_context(|| format!("cannot create the folder {}", folder.display()))?;
-    }
     let places: Vec<String> = config.links.iter().map(|link| link.to.to_string()).collect();
     let places = places.join(", ");
     loop {
