@@ -72,6 +72,7 @@ pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOpti
 pub use publisher::{Publisher, Unflushed};
 pub use services::{Call, Client, Server};
 pub use subscription::Subscription;
+pub use supervisor::SETTLING;
 pub use target::{LinkTarget, LinkTargetError};
 
 /// How a node finds its switch.

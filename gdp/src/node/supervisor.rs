@@ -54,7 +54,7 @@ const OTHER_ECHOES: Duration = Duration::from_millis(500);
 
 /// How long frames on a new link over UDP stay as small as any path takes: meanwhile QUIC learns the paths of links that are made at the
 /// same time, and switches learn them from it.
-const SETTLING: Duration = Duration::from_secs(3);
+pub const SETTLING: Duration = Duration::from_secs(3);
 
 /// What the rest of the node tells the supervisor.
 pub enum Event {
