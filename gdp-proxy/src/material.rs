@@ -12,6 +12,7 @@ use gdp::cert::{AdCert, CertError, Issued, MAX_CERT_FILE, Reading};
 use gdp::domain::{PaperFiles, Papers, Stamps, Trust};
 use gdp::{Identity, Name, NameCard, SigningKey};
 
+use crate::cert_file::CertFile;
 use crate::config::{Config, Direction, TopicConfig};
 use crate::ros2::TypeName;
 
@@ -29,6 +30,8 @@ pub struct TopicMaterial {
     /// From the configuration or the card; always there for [`Direction::In`].
     pub kind: Option<TypeName>,
     pub permission: Permission,
+    /// Where that came from.
+    pub(crate) file: CertFile,
 }
 
 /// What the owner of the name allows this proxy.
@@ -118,8 +121,9 @@ fn load_papers(files: &PaperFiles, entity: Name) -> Result<(Papers, Stamps), Mat
 fn load_topic(topic: &TopicConfig, entity: Name) -> Result<TopicMaterial, (&'static str, String)> {
     let card = NameCard::load(&topic.card).map_err(|error| ("card", with_path(error, &topic.card)))?;
     let kind = agree_on_type(topic, &card).map_err(|reason| ("type", reason))?;
-    let permission = load_permission(topic, &card, entity).map_err(|error| ("cert", with_path(error, &topic.cert)))?;
-    Ok(TopicMaterial { card, kind, permission })
+    let opened = CertFile::open(topic, &card, entity);
+    let (file, permission) = opened.map_err(|error| ("cert", with_path(error, &topic.cert)))?;
+    Ok(TopicMaterial { card, kind, permission, file })
 }
 
 fn agree_on_type(topic: &TopicConfig, card: &NameCard) -> Result<Option<TypeName>, String> {

@@ -2,7 +2,6 @@
 //! leaves both sides properly.
 
 use std::convert::Infallible;
-use std::os::unix::fs::DirBuilderExt;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,7 +9,7 @@ use anyhow::{Context, Result, anyhow};
 use gdp::Node;
 use gdp::domain::PaperFiles;
 use gdp::link::RekeySchedule;
-use gdp::node::{LinkConfig, NodeConfig, NodeError};
+use gdp::node::{LinkConfig, NodeConfig};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -20,7 +19,7 @@ use crate::material::Material;
 use crate::membership::keep_papers;
 use crate::ros2::Domain;
 use crate::route::Route;
-use crate::stats::{Stats, StatsFile};
+use crate::stats::{Stats, StatsFile, VERSION};
 
 const STATS_PERIOD: Duration = Duration::from_secs(1);
 
@@ -74,7 +73,7 @@ pub async fn run(
     }
 
     let shown = || Stats {
-        version: 1,
+        version: VERSION,
         entity: node.name(),
         domain_id,
         switch: node.switch().ok(),
@@ -112,16 +111,12 @@ async fn connect(config: &Config, material: &Material) -> Result<Node> {
         state: config.state.clone(),
         papers: material.papers.as_ref().map(|(papers, _)| papers.clone()),
     };
-    if let Some(folder) = &config.state {
-        let made = std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);
-        made.with_context(|| format!("cannot create the folder {}", folder.display()))?;
-    }
     let places: Vec<String> = config.links.iter().map(|link| link.to.to_string()).collect();
     let places = places.join(", ");
     loop {
         match Node::connect(node.clone()).await {
             Ok(node) => return Ok(node),
-            Err(NodeError::Detached(reason)) => tracing::warn!(links = %places, "no switch yet: {reason}"),
+            Err(error) if error.may_pass() => tracing::warn!(links = %places, "no switch yet: {error}"),
             Err(error) => return Err(error).with_context(|| format!("cannot attach at {places}")),
         }
     }

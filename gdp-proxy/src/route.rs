@@ -99,8 +99,7 @@ impl Route {
         material: TopicMaterial,
         publisher: &mut Option<Publisher>,
     ) -> Result<Infallible, RouteError> {
-        let TopicMaterial { card, kind, permission } = material;
-        let file = CertFile::new(&self.config, &card, node.name());
+        let TopicMaterial { card, kind, permission, file } = material;
         let kind = match kind {
             Some(kind) => kind,
             None => self.learn_type(domain).await,
@@ -140,7 +139,10 @@ impl Route {
                 Err(error) => error,
             };
             self.pause_after(error, &mut pause).await;
-            self.look(&mut file, Permission::publish, &mut cert);
+            if let Some(new) = file.changed().and_then(Permission::publish) {
+                cert = new;
+                file.taken();
+            }
         }
     }
 
@@ -168,33 +170,23 @@ impl Route {
                 Err(error) => error,
             };
             self.pause_after(error, &mut pause).await;
-            self.look(&mut file, Permission::read, &mut grant);
+            if let Some(new) = file.changed().and_then(Permission::read) {
+                grant = new;
+                file.taken();
+            }
         }
     }
 
-    /// Puts the certificate that took the place of the one in force into `right`, if there is one.
-    fn look<T>(&self, file: &mut CertFile, of: fn(Permission) -> Option<T>, right: &mut T) -> bool {
-        let (topic, path) = (&self.config.topic, file.path().display().to_string());
-        match file.changed().map(|new| new.map(of)) {
-            Some(Ok(Some(new))) => {
-                *right = new;
-                true
+    /// What came of showing the RIB another certificate. Whether it is in force.
+    fn renewed(&self, file: &mut CertFile, result: Result<(), NodeError>) -> bool {
+        match &result {
+            Ok(()) => {
+                file.taken();
+                tracing::info!(topic = %self.config.topic, name = %self.name, "the certificate was renewed");
             }
-            Some(Err(reason)) => {
-                tracing::warn!(%topic, file = path, "the new certificate is of no use, going on with the old one: {reason}");
-                false
-            }
-            None | Some(Ok(None)) => false,
+            Err(error) => file.refused(error),
         }
-    }
-
-    fn renewed(&self, result: Result<(), NodeError>) {
-        match result {
-            Ok(()) => tracing::info!(topic = %self.config.topic, name = %self.name, "the certificate was renewed"),
-            Err(error) => {
-                tracing::warn!(topic = %self.config.topic, name = %self.name, "the new certificate was not taken: {error}");
-            }
-        }
+        result.is_ok()
     }
 
     async fn learn_type(&self, domain: &Domain) -> TypeName {
@@ -233,8 +225,10 @@ impl Route {
                 arrived = reader.recv() => arrived,
                 why = &mut ended => return ended_because(why),
                 _ = ticks.tick() => {
-                    if self.look(file, Permission::publish, cert) {
-                        self.renewed(publisher.renew(cert.clone()).await);
+                    if let Some(new) = file.changed().and_then(Permission::publish)
+                        && self.renewed(file, publisher.renew(new.clone()).await)
+                    {
+                        *cert = new;
                     }
                     continue;
                 }
@@ -279,8 +273,10 @@ impl Route {
             let received = tokio::select! {
                 received = subscription.recv() => received,
                 _ = ticks.tick() => {
-                    if self.look(file, Permission::read, grant) {
-                        self.renewed(subscription.renew(grant.clone()).await);
+                    if let Some(new) = file.changed().and_then(Permission::read)
+                        && self.renewed(file, subscription.renew(new.clone()).await)
+                    {
+                        *grant = new;
                     }
                     continue;
                 }

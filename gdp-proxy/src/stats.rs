@@ -174,10 +174,13 @@ impl RouteStats {
     }
 }
 
+/// Of the statistics file's format: another one whenever a key goes, or means something else.
+pub const VERSION: u32 = 2;
+
 /// The whole statistics file: one JSON object.
 #[derive(Serialize)]
 pub struct Stats {
-    /// Of this format: 1.
+    /// Of this format: [`VERSION`].
     pub version: u32,
     /// The proxy's own name.
     pub entity: Name,
@@ -225,7 +228,27 @@ impl StatsFile {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
+    use gdp::node::LinkState;
+
     use super::*;
+
+    /// Of version 2.
+    const KEYS: [&str; 9] = [
+        "domain_id entity links node switch topics version",
+        "bytes direction drops fabric latency_us messages name status topic type",
+        "malformed own send_failed stalled unreadable write_failed wrong_encoding",
+        "arrival handling",
+        "p50 p99",
+        "copies_dropped copies_sent frames_sent frames_unsent main reason state switch target",
+        "drops echoes_answered errors_received feedback_received feedback_sent frames_received \
+         frames_sent frames_unsent links messages_received messages_sent messages_unsent",
+        "evicted expired frames incompatible_readers marked messages over_budget readers refused \
+         repeated replaced slowed",
+        "beyond delivered drops duplicates expired given_up incompatible_writers overtaken \
+         queue_full repeats",
+    ];
 
     #[test]
     fn reasons_have_their_own_counters() {
@@ -251,6 +274,43 @@ mod tests {
         assert_eq!((&shown["frames"], &shown["incompatible_readers"]), (&0.into(), &0.into()));
     }
 
+    /// Who reads the file relies on them: another [`VERSION`] for others.
+    #[test]
+    fn the_keys_are_those_of_the_version() {
+        let (name, counters) = (Name::from_bytes([7; 32]), RouteCounters::default());
+        counters.arrival.record(Duration::from_millis(1));
+        let route = RouteStats::new("/chatter".into(), None, "up".into(), Direction::Out, name, &counters);
+        let link = LinkStatus {
+            target: "eth://r0".into(),
+            state: LinkState::Up,
+            reason: None,
+            main: true,
+            switch: None,
+            frames_sent: 0,
+            frames_unsent: 0,
+            copies_sent: 0,
+            copies_dropped: 0,
+        };
+        let (topics, links, node) = (vec![route], vec![link], NodeCounters::default());
+        let stats = Stats { version: VERSION, entity: name, domain_id: 0, switch: None, topics, links, node };
+        let shown = serde_json::to_value(stats).unwrap();
+        let keys = |of: &serde_json::Value| of.as_object().unwrap().keys().cloned().collect::<Vec<_>>().join(" ");
+        let of_fabric = |of: FabricStats| keys(&serde_json::to_value(of).unwrap());
+        let topic = &shown["topics"][0];
+        let found = [
+            keys(&shown),
+            keys(topic),
+            keys(&topic["drops"]),
+            keys(&topic["latency_us"]),
+            keys(&topic["latency_us"]["arrival"]),
+            keys(&shown["links"][0]),
+            keys(&shown["node"]),
+            of_fabric(FabricStats::Out(PublisherCounters::default())),
+            of_fabric(FabricStats::In(SubscriptionCounters::default())),
+        ];
+        assert_eq!((VERSION, found), (2, KEYS.map(str::to_owned)));
+    }
+
     #[test]
     fn the_file_is_whole_and_says_what_happened() {
         let folder = tempfile::tempdir().unwrap();
@@ -262,7 +322,7 @@ mod tests {
             let route = RouteStats::new("/chatter".into(), None, "up".into(), Direction::Out, name, &counters);
             let topics = vec![route];
             file.replace(&Stats {
-                version: 1,
+                version: VERSION,
                 entity: name,
                 domain_id: 0,
                 switch: None,

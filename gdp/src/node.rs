@@ -57,14 +57,13 @@ use self::receiver::Receiver;
 use self::revoked::Revoked;
 use self::state::{State, Statement, lock};
 use crate::cert::{AdCert, CertError, Issued, Reading as Grant};
-use crate::control::{NameRole, Record, RecordPlace, Refusal, Request};
+use crate::control::{NameRole, Record, RecordPlace, Refusal, RefusalCode, Request};
 use crate::domain::{DomainError, Papers};
 use crate::identity::Identity;
 use crate::keys::RingError;
 use crate::link::{LinkError, MAX_LANES, RekeySchedule};
 use crate::name::{NamePrefix, NameProof};
 use crate::port::LinkAddr;
-use crate::revocations::RevocationFile;
 use crate::seal::SealError;
 use crate::secret_file::SecretFileError;
 
@@ -77,6 +76,7 @@ pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOpti
 pub use publisher::{Publisher, Unflushed};
 pub use services::{Call, Client, Server};
 pub use subscription::Subscription;
+pub use supervisor::SETTLING;
 pub use target::{LinkTarget, LinkTargetError};
 
 /// How a node finds its switch.
@@ -90,7 +90,8 @@ pub struct NodeConfig {
     pub connect_timeout: Duration,
     /// When the keys of data frames are replaced.
     pub rekey: RekeySchedule,
-    /// A folder in which the node keeps the revocations that it hears of; without one, it forgets them when it ends.
+    /// A folder in which the node keeps the revocations that it hears of, made if it is not there; without one, it forgets them when it
+    /// ends.
     pub state: Option<PathBuf>,
     /// What the node shows of its trust domain. With it, it takes switches of that domain only, and of those that the domain has issued
     /// a PeerCert to; without, any.
@@ -164,6 +165,24 @@ pub enum NodeError {
     Closed,
 }
 
+impl NodeError {
+    /// Whether it is about this moment, and time may mend it; otherwise the same again meets with the same.
+    pub fn may_pass(&self) -> bool {
+        match self {
+            Self::Link(LinkError::Io { .. } | LinkError::WrongPeer { .. }) => false,
+            Self::Refused(refusal) => {
+                matches!(refusal.code, RefusalCode::Unreachable | RefusalCode::Limit | RefusalCode::NotAttached)
+            }
+            Self::Link(_) | Self::NoAnswer { .. } | Self::NoAddress { .. } | Self::NoSwitch(_) => true,
+            // Papers may be renewed.
+            Self::Domain(_) => true,
+            Self::Detached(_) | Self::NoServer(_) | Self::TooManyCalls(_) | Self::Unflushed(_) => true,
+            Self::NotASwitch(_) | Self::Cert(_) | Self::Seal(_) | Self::Already { .. } | Self::Keys(_) => false,
+            Self::Protocol(_) | Self::Links(_) | Self::State(_) | Self::Closed => false,
+        }
+    }
+}
+
 /// What a node can state about a name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Stated {
@@ -227,8 +246,7 @@ impl Node {
         let home = Home::new(&identity, papers)?;
         let (commands, command_queue) = std::sync::mpsc::channel();
         let (events, event_queue) = mpsc::unbounded_channel();
-        let file = |folder: PathBuf| RevocationFile::of_entity(&folder, identity.name(), revoked::MAX_FILE);
-        let revoked = Revoked::open(state.map(file))?;
+        let revoked = Revoked::open(state.as_deref(), identity.name())?;
         let state = Arc::new(State::new(identity, home, &links, revoked, commands, events));
         let (outlet, feedback) = (state.outlet.clone(), state.feedback.clone());
         let receiver = Receiver { commands: command_queue, outlet, feedback };
@@ -238,14 +256,18 @@ impl Node {
         let (stop, (first, mut came)) = (watch::Sender::new(false), mpsc::unbounded_channel());
         let all = supervisor::run(state.clone(), links, rekey, connect_timeout, event_queue, first, stop.subscribe());
         let handle = Handle { state, stop, supervisor: Mutex::new(Some(tokio::spawn(all))) };
+        // Of several, one that waiting may mend, and of these the one of the first link.
+        let rank = |lane: u8, error: &NodeError| (!error.may_pass(), lane);
         let mut failure: Option<(u8, NodeError)> = None;
         loop {
             match came.recv().await {
                 Some((_, Ok(()))) => break,
-                Some((lane, Err(error))) if failure.as_ref().is_none_or(|(first, _)| lane < *first) => {
-                    failure = Some((lane, error));
+                Some((lane, Err(error))) => {
+                    let (new, old) = (rank(lane, &error), failure.as_ref().map(|(lane, error)| rank(*lane, error)));
+                    if old.is_none_or(|old| new < old) {
+                        failure = Some((lane, error));
+                    }
                 }
-                Some(_) => {}
                 None => return Err(failure.map_or(NodeError::Closed, |(_, error)| error)),
             }
         }
@@ -320,8 +342,14 @@ impl Node {
         publication: Option<&Arc<Publication>>,
     ) -> Result<(), NodeError> {
         let state = &self.0.state;
-        let attachment = state.attached().await?;
-        state.state(&attachment, name, stated).await?;
+        let attachment = loop {
+            let attachment = state.attached().await?;
+            match state.state(&attachment, name, stated).await {
+                // Another is the main one meanwhile.
+                Err(NodeError::Detached(_)) => {}
+                result => break result.map(|()| attachment)?,
+            }
+        };
         if let Some(publication) = publication {
             state.store_boxes(&attachment, publication).await;
         }

@@ -39,7 +39,7 @@ use crate::link::{
 pub use addr::{DisplayMac, LinkAddr, parse_mac};
 pub use batch::{BATCH, InFrame, OutFrame, RecvBatch, Sent};
 pub use data::DataSocket;
-pub use ethernet::{Interface, Vlan};
+pub use ethernet::{Interface, Vlan, index_of as interface_index};
 pub(crate) use host::CurrentPair;
 pub use host::HostPair;
 

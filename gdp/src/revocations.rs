@@ -55,6 +55,7 @@ pub struct RevocationFile {
 }
 
 impl RevocationFile {
+    /// At `path`, and of `max` bytes.
     pub fn new(path: PathBuf, max: usize) -> Self {
         Self { path, max }
     }
@@ -64,6 +65,7 @@ impl RevocationFile {
         Self::new(folder.join(format!("{entity}.revocations")), max)
     }
 
+    /// Where it is, if anything was kept.
     pub fn path(&self) -> &Path {
         &self.path
     }

@@ -153,6 +153,17 @@ fn what_comes_twice_is_counted_and_dropped() -> Result<()> {
     Ok(())
 }
 
+#[test]
+fn a_link_through_an_interface_that_is_made_anew_comes_back() -> Result<()> {
+    let mut site = Site::build(2)?;
+    let robot = site.robot()?;
+    robot.wait_for_links(|links| links.iter().all(|link| link.state == LinkState::Up))?;
+    site.places[0].ip(&["link", "del", "wwan0"])?;
+    robot.wait_for_links(|links| links[1].state != LinkState::Up)?;
+    site.lay_second()?;
+    robot.wait_for_links(|links| links[1].state == LinkState::Up).with_context(|| site.report())
+}
+
 /// Switches, the robot's two cables, and room for two nodes.
 struct Site {
     wires: Vec<Wire>,
@@ -160,31 +171,36 @@ struct Site {
     places: [Namespace; 2],
     folder: tempfile::TempDir,
     count: usize,
-    // Last: the others end before their networks do.
-    _networks: Vec<Namespace>,
+    /// The air, and where the switches are. Last: the others end before their networks do.
+    networks: Vec<Namespace>,
+}
+
+fn end<'a>(namespace: &'a Namespace, interface: &'a str, number: u8) -> End<'a> {
+    End { namespace, interface, mac: [2, 0, 0, 0, 0, number] }
+}
+
+fn delayed(delay: u64) -> [Faults; 2] {
+    [(); 2].map(|()| Faults { delay, ..Faults::default() })
 }
 
 impl Site {
     fn build(count: usize) -> Result<Self> {
         let [robot, air, s1, s2, cloud] = ["robot", "air", "s1", "s2", "cloud"].map(Namespace::create);
         let (robot, air, s1, s2, cloud) = (robot?, air?, s1?, s2?, cloud?);
-        let end = |namespace, interface, number| End { namespace, interface, mac: [2, 0, 0, 0, 0, number] };
         let second = if count == 2 { &s2 } else { &s1 };
         veth(&end(&robot, "wlan0", 1), &end(&air, "w0", 2), 1500)?;
         veth(&end(&air, "w1", 3), &end(&s1, "l0", 4), 1500)?;
-        veth(&end(&robot, "wwan0", 5), &end(&air, "m0", 6), 1500)?;
         veth(&end(&air, "m1", 7), &end(second, "l1", 8), 1500)?;
         veth(&end(&s1, "x0", 9), &end(&s2, "x0", 10), 1500)?;
         veth(&end(&s1, "c0", 11), &end(&cloud, "e0", 12), 1500)?;
         // By its routes alone, the robot would look for the second switch on the first link.
         robot.ip(&["addr", "add", "10.8.0.2/24", "dev", "wlan0"])?;
-        robot.ip(&["addr", "add", "10.8.0.3/24", "dev", "wwan0"])?;
         second.ip(&["addr", "add", "10.8.0.1/24", "dev", "l1"])?;
-        let delayed = |delay| [(); 2].map(|()| Faults { delay, ..Faults::default() });
-        let wires =
-            vec![Wire::start(&air, ["w0", "w1"], delayed(WIFI), 1)?, Wire::start(&air, ["m0", "m1"], delayed(LTE), 2)?];
+        let wires = vec![Wire::start(&air, ["w0", "w1"], delayed(WIFI), 1)?];
         let folder = tempfile::Builder::new().prefix("gdp-links-").tempdir()?;
-        let mut site = Self { wires, switches: Vec::new(), places: [robot, cloud], folder, count, _networks: vec![] };
+        let (switches, places, networks) = (Vec::new(), [robot, cloud], vec![air]);
+        let mut site = Self { wires, switches, places, folder, count, networks };
+        site.lay_second()?;
         let (first_name, second_name) = (site.key(1)?, site.key(2)?);
         let one = json!({
             "interfaces": if count == 1 { vec!["l0", "l1", "c0"] } else { vec!["l0", "x0", "c0"] },
@@ -204,8 +220,18 @@ impl Site {
             });
             site.serve(2, &s2, two)?;
         }
-        site._networks = vec![air, s1, s2];
+        site.networks.extend([s1, s2]);
         Ok(site)
+    }
+
+    /// Makes the robot's second interface, with the cable to it.
+    fn lay_second(&mut self) -> Result<()> {
+        let (robot, air) = (&self.places[0], &self.networks[0]);
+        veth(&end(robot, "wwan0", 5), &end(air, "m0", 6), 1500)?;
+        robot.ip(&["addr", "add", "10.8.0.3/24", "dev", "wwan0"])?;
+        self.wires.truncate(1);
+        self.wires.push(Wire::start(air, ["m0", "m1"], delayed(LTE), 2)?);
+        Ok(())
     }
 
     fn path(&self, file: &str) -> PathBuf {

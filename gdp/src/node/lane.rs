@@ -50,7 +50,6 @@ pub struct Lane {
     /// What goes by this link besides the main one.
     copies: Mutex<Uplink>,
     copies_sent: Count,
-    copies_dropped: Count,
 }
 
 /// How a link is, and what went by it.
@@ -66,7 +65,8 @@ pub struct LinkStatus {
     pub switch: Option<Name>,
     pub frames_sent: u64,
     pub frames_unsent: u64,
-    /// Of the frames sent, those that went by the main link as well; and those for which its budget, or its MTU, had no room.
+    /// Of the frames sent, those that went by the main link as well; and those that its budget, or its MTU, had no room
+    /// for, or that still waited when it was lost.
     pub copies_sent: u64,
     pub copies_dropped: u64,
 }
@@ -84,6 +84,7 @@ pub enum LinkState {
 
 impl Lane {
     pub fn new(config: &LinkConfig) -> Self {
+        let max_payload = usize::from(SMALLEST_PATH) - Header::LEN;
         Self {
             budget: config.budget,
             unstated: Notify::new(),
@@ -92,9 +93,8 @@ impl Lane {
             target: config.target.clone(),
             status: Mutex::new(Status::Down("connecting".into())),
             silent: AtomicBool::new(false),
-            copies: Mutex::new(no_copies(0, config.budget)),
+            copies: Mutex::new(Uplink::new(0, UplinkOptions { max_payload, budget: config.budget })),
             copies_sent: Count::default(),
-            copies_dropped: Count::default(),
         }
     }
 
@@ -102,13 +102,21 @@ impl Lane {
         lock(&self.status).clone()
     }
 
+    /// Unless it is closed: that is for good.
     pub fn change(&self, change: impl FnOnce(&mut Status)) {
-        change(&mut lock(&self.status));
+        let status = &mut *lock(&self.status);
+        if !matches!(status, Status::Closed) {
+            change(status);
+        }
     }
 
     /// Whether the switch answers; of a link that is up.
     pub fn set_silent(&self, silent: bool) {
         self.silent.store(silent, Ordering::Relaxed);
+    }
+
+    pub fn is_silent(&self) -> bool {
+        self.silent.load(Ordering::Relaxed)
     }
 
     pub fn fitness(&self) -> Fitness {
@@ -135,22 +143,22 @@ impl Lane {
             frames_sent: self.frames_sent.get(),
             frames_unsent: self.frames_unsent.get(),
             copies_sent: self.copies_sent.get(),
-            copies_dropped: self.copies_dropped.get(),
+            copies_dropped: lock(&self.copies).copies_dropped(),
         }
     }
 
     fn state(&self) -> LinkState {
         match &*lock(&self.status) {
-            Status::Up(_) if self.silent.load(Ordering::Relaxed) => LinkState::Silent,
+            Status::Up(_) if self.is_silent() => LinkState::Silent,
             Status::Up(_) => LinkState::Up,
             Status::Held(..) => LinkState::Held,
             Status::Down(_) | Status::Closed => LinkState::Down,
         }
     }
 
-    /// Copies that wait are of no use any more, or go by the main link now.
-    pub fn forget_copies(&self, now: u64) {
-        *lock(&self.copies) = no_copies(now, self.budget);
+    /// Copies that wait go nowhere: nothing goes by this link at the moment.
+    pub fn drop_copies(&self) {
+        lock(&self.copies).drop_copies();
     }
 
     /// Takes copies of those frames that are to go by two links.
@@ -162,9 +170,7 @@ impl Lane {
         if copies.max_payload() != max_payload {
             copies.set_max_payload(now, max_payload);
         }
-        let before = copies.copies_dropped();
         transmits.iter().filter(|transmit| transmit.doubled).for_each(|transmit| copies.copy(transmit.clone()));
-        self.copies_dropped.add(copies.copies_dropped() - before);
     }
 
     /// Puts copies that may go now into `batch`, up to `most`. Returns when there is more.
@@ -178,9 +184,4 @@ impl Lane {
         self.copies_sent.add(batch.len() as u64);
         copies.next_wake()
     }
-}
-
-fn no_copies(now: u64, budget: Option<u64>) -> Uplink {
-    let max_payload = usize::from(SMALLEST_PATH) - Header::LEN;
-    Uplink::new(now, UplinkOptions { max_payload, budget })
 }

@@ -3,10 +3,11 @@
 //! wait. Frames are stamped when they leave, never before.
 //!
 //! Of the node's links ([`Lane`]) one is the main one: all topics are scheduled for it, and move with it. What goes by two links is
-//! copied when its turn on the main one has come.
+//! copied when its turn on the main one has come; copies that wait for another link when that becomes the main one go by it still.
 //!
 //! Locks: each for a moment, none across an await. Who holds one of [`Publication`]'s may take [`Outlet::uplink`] or [`Outlet::pairs`],
-//! never the other way round, and never both of these. Who holds [`Outlet::sending`] may take any of them, and those of a [`Lane`];
+//! never the other way round, and never both of these. Who holds
+//! any lock may take [`Outlet::doubled`]. Who holds [`Outlet::sending`] may take any of them, and those of a [`Lane`];
 //! publishers try, and never wait for it. Who holds [`Outlet::choice`] may take those of a [`Lane`] and [`Outlet::uplink`], and is
 //! called by nobody who holds a lock.
 
@@ -35,6 +36,9 @@ use crate::transport::{Output, Topic, Transmit, Uplink, UplinkOptions};
 
 /// Batches that a publisher sends itself; the rest of a large message is the sending thread's.
 const OWN_BATCHES: usize = 4;
+
+/// How long a request over another link than the main one may keep that waiting, and four round trips.
+const OTHERS_PATIENCE: Duration = Duration::from_secs(1);
 
 /// Bits of [`Header::flags`]: the traffic class begins there, and the two lowest say that a mark is understood (ECT(0), RFC 3168).
 const CLASS_SHIFT: u8 = 2;
@@ -74,10 +78,14 @@ pub struct Ways {
 }
 
 impl Ways {
-    /// Bytes of a payload that each of them takes: a frame may go by one or the other, and by both.
-    fn max_payload(&self) -> Option<usize> {
-        let main = self.status.attachment()?.max_payload();
-        Some(self.second.as_ref().map_or(main, |(_, second)| main.min(second.max_payload())))
+    /// The links that frames go by, with their numbers.
+    fn each(&self) -> impl Iterator<Item = (usize, &Arc<Attachment>)> {
+        let main = self.status.attachment().map(|attachment| (self.main, attachment));
+        main.into_iter().chain(self.second.as_ref().map(|(number, attachment)| (*number, attachment)))
+    }
+
+    fn is_one(&self, lane: usize) -> bool {
+        self.each().any(|(number, _)| number == lane)
     }
 }
 
@@ -183,14 +191,17 @@ impl Outlet {
         }
         let (main, second) = (choice.main(), choice.second());
         let (status, second_way) = (self.lanes[main].status(), self.second(second));
-        let is_new = |of: usize, ways: &Ways| ways.second.as_ref().is_none_or(|(second, _)| *second != of);
         self.ways.send_if_modified(|present| {
             if matches!(present.status, Status::Closed) {
                 return false;
             }
-            second.filter(|of| is_new(*of, present)).into_iter().for_each(|of| self.lanes[of].forget_copies(now));
             let turn = present.turn + u64::from(main != before);
-            *present = Ways { main, turn, status, second: second_way };
+            let before = std::mem::replace(present, Ways { main, turn, status, second: second_way });
+            for (number, lane) in self.lanes.iter().enumerate() {
+                if !(before.is_one(number) && present.is_one(number)) {
+                    lane.drop_copies();
+                }
+            }
             true
         });
         if main != before {
@@ -200,6 +211,14 @@ impl Outlet {
         }
         drop(choice);
         self.wake();
+        if self.ways.borrow().status.attachment().is_none() {
+            self.wake_publishers();
+        }
+    }
+
+    /// Those that wait are to look whether there is sense in it.
+    fn wake_publishers(&self) {
+        lock(&self.publications).values().for_each(|publication| publication.room.notify_waiters());
     }
 
     fn second(&self, lane: Option<usize>) -> Option<(usize, Arc<Attachment>)> {
@@ -210,8 +229,12 @@ impl Outlet {
     /// Nothing is sent any more.
     pub fn shut(&self) {
         self.ways.send_modify(|ways| (ways.status, ways.second) = (Status::Closed, None));
+        for lane in &self.lanes {
+            lane.change(|status| *status = Status::Closed);
+            lane.drop_copies();
+        }
         self.wake();
-        lock(&self.publications).values().for_each(|publication| publication.room.notify_waiters());
+        self.wake_publishers();
     }
 
     /// Whether this goes by two links from now on.
@@ -222,6 +245,22 @@ impl Outlet {
         } else {
             names.remove(&name)
         };
+    }
+
+    /// Returns when the main link is not to wait for an answer on this one any more: at once if this one is silent.
+    pub async fn until_unwanted(&self, attachment: &Attachment) {
+        let (number, lane, mut ways) = (usize::from(attachment.lane), self.lane(attachment), self.ways());
+        // The other end of the channel is this outlet's.
+        let _ = ways.wait_for(|ways| ways.main != number && matches!(ways.status, Status::Up(_))).await;
+        let patience = OTHERS_PATIENCE + 4 * attachment.link.rtt();
+        let _ = tokio::time::timeout(patience, ways.wait_for(|_| lane.is_silent())).await;
+    }
+
+    /// Bytes of a payload that these links take: the main one, and if anything goes by two, each of them.
+    fn max_payload(&self, ways: &Ways) -> Option<usize> {
+        let main = ways.status.attachment()?.max_payload();
+        let second = ways.second.as_ref().filter(|_| !lock(&self.doubled).is_empty());
+        Some(second.map_or(main, |(_, second)| main.min(second.max_payload())))
     }
 
     /// The main link, if it is up at this moment.
@@ -252,7 +291,7 @@ impl Outlet {
 
     /// Bytes that the frames of a topic's messages may carry.
     pub fn max_payload_of(&self, topic: Topic) -> usize {
-        let of_link = self.ways.borrow().max_payload();
+        let of_link = self.max_payload(&self.ways.borrow());
         let now = self.clock.now();
         let mut uplink = lock(&self.uplink);
         if let Some(of_link) = of_link
@@ -361,7 +400,7 @@ impl Outlet {
     /// thread.
     fn drain(&self, batch: &mut Batch, batches: usize) -> Option<u64> {
         let ways = self.ways.borrow().clone();
-        let (attachment, max_payload) = (ways.status.attachment()?, ways.max_payload()?);
+        let (attachment, max_payload) = (ways.status.attachment()?, self.max_payload(&ways)?);
         for _ in 0..batches {
             let (mut next, mut chores, mut rooms) = (Some(0), Vec::new(), Vec::new());
             let mut uplink = lock(&self.uplink);
@@ -387,8 +426,8 @@ impl Outlet {
                 self.lanes[*second].copy(now, &batch.transmits, attachment.max_payload());
             }
             self.send_frames(attachment, batch);
-            if let Some((second, attachment)) = &ways.second {
-                let copies = self.lanes[*second].take_copies(now, &mut batch.transmits, BATCH);
+            for (number, attachment) in ways.each() {
+                let copies = self.lanes[number].take_copies(now, &mut batch.transmits, BATCH);
                 self.send_frames(attachment, batch);
                 next = next.into_iter().chain(copies).min();
             }

@@ -42,7 +42,7 @@ pub struct Publication {
     pub name: Name,
     pub session: [u8; 16],
     pub topic: Topic,
-    /// There is room again for a publisher that waits, or no sense in waiting.
+    /// There is room again for a publisher that waits, or no sense in waiting: it is to look.
     pub room: Notify,
     /// Boxes are handed out by one task at a time.
     pub boxing: tokio::sync::Mutex<()>,
@@ -159,9 +159,12 @@ impl Publication {
         })
     }
 
-    /// Whether it sends while there is no link: what is reliable waits for one.
-    pub fn waits_for_links(&self) -> bool {
-        self.is_reliable
+    /// What is best effort fails while there is no link; what is reliable waits for one.
+    pub fn check_link(&self, outlet: &Outlet) -> Result<(), NodeError> {
+        match outlet.sending_on() {
+            Err(NodeError::Detached(_)) if self.is_reliable => Ok(()),
+            link => link.map(drop),
+        }
     }
 
     pub fn check(&self) -> Result<(), NodeError> {

@@ -81,7 +81,7 @@ impl Publisher {
     }
 
     /// Returns once all that was sent has left this host, and, if the name is reliable, every reader that is live and asks for every message
-    /// has acknowledged it; or after `patience`, with what is left.
+    /// has acknowledged it; or after `patience`, with what is left. What is best effort fails at once while there is no link.
     pub async fn flush(&mut self, patience: Duration) -> Result<(), NodeError> {
         let (publication, outlet) = (&self.publication, &self.node.state.outlet);
         let deadline = tokio::time::Instant::now() + patience;
@@ -92,6 +92,7 @@ impl Publisher {
             if unfinished == Unflushed::default() {
                 return Ok(());
             }
+            publication.check_link(outlet)?;
             if tokio::time::Instant::now() >= deadline {
                 return Err(unfinished.into());
             }
@@ -115,16 +116,15 @@ impl Publisher {
 
     /// Returns when a message that is sent next goes right behind the one that goes at the moment: it would replace none that still
     /// waits, and wait for no room itself. For publishers of what is best effort that can make messages faster than they go, and had
-    /// rather not seal what newer ones replace. What goes nowhere has its turn at once.
+    /// rather not seal what newer ones replace. What goes nowhere has its turn at once; what [`Self::send`] would fail with for want of a
+    /// link, this does as well.
     pub async fn ready(&self) -> Result<(), NodeError> {
         let outlet = &self.node.state.outlet;
         loop {
             let mut room = pin!(self.publication.room.notified());
             room.as_mut().enable();
             self.publication.check()?;
-            if let Err(NodeError::Closed) = outlet.sending_on() {
-                return Err(NodeError::Closed);
-            }
+            self.publication.check_link(outlet)?;
             if lock(&outlet.uplink).has_turn(self.publication.topic) {
                 return Ok(());
             }
@@ -153,10 +153,7 @@ pub(super) async fn send_through(
     messages: &[Draft<'_>],
     begun: impl FnOnce(u64),
 ) -> Result<u64, NodeError> {
-    match outlet.sending_on() {
-        Err(NodeError::Detached(_)) if publication.waits_for_links() => {}
-        link => drop(link?),
-    }
+    publication.check_link(outlet)?;
     let mut begun = Some(begun);
     loop {
         // One that was cancelled may be waiting still.

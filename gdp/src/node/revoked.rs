@@ -1,5 +1,8 @@
 //! The revocations that a node has heard of, kept in its state folder from one process to the next.
 
+use std::fs::DirBuilder;
+use std::os::unix::fs::DirBuilderExt;
+use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -15,7 +18,7 @@ use crate::secret_file::SecretFileError;
 const MOST: usize = 1024;
 
 /// Bytes of the file.
-pub const MAX_FILE: usize = 16 << 20;
+const MAX_FILE: usize = 16 << 20;
 
 /// What is kept, and where; without a folder, only as long as the node runs.
 #[derive(Default)]
@@ -24,13 +27,20 @@ pub struct Revoked {
     /// Those heard of last come last.
     kept: Mutex<Vec<(Kept, Revocation)>>,
     unsaved: AtomicBool,
+    /// They could not be saved the last time, and the log says so.
+    failing: AtomicBool,
 }
 
 impl Revoked {
-    pub fn open(file: Option<RevocationFile>) -> Result<Self, SecretFileError> {
-        let mut kept = file.as_ref().map_or_else(|| Ok(Vec::new()), RevocationFile::load)?;
+    /// What an entity kept in a folder, which is made if it is not there.
+    pub fn open(folder: Option<&Path>, entity: Name) -> Result<Self, SecretFileError> {
+        let Some(folder) = folder else { return Ok(Self::default()) };
+        let made = DirBuilder::new().recursive(true).mode(0o700).create(folder);
+        made.map_err(|source| SecretFileError::Io { path: folder.into(), action: "make the folder", source })?;
+        let file = RevocationFile::of_entity(folder, entity, MAX_FILE);
+        let mut kept = file.load()?;
         kept.reverse();
-        Ok(Self { file, kept: Mutex::new(kept), unsaved: AtomicBool::default() })
+        Ok(Self { file: Some(file), kept: Mutex::new(kept), ..Self::default() })
     }
 
     pub fn of(&self, name: &Name) -> Option<(Signed<Revocation>, Revocation)> {
@@ -54,7 +64,7 @@ impl Revoked {
         self.unsaved.store(true, Ordering::Relaxed);
     }
 
-    /// Writes what is new to the file. Blocks.
+    /// Writes what is new to the file; if it cannot, that is still to be done. Blocks.
     pub fn save(&self) {
         let Some(file) = &self.file else { return };
         if !self.unsaved.swap(false, Ordering::Relaxed) {
@@ -62,12 +72,59 @@ impl Revoked {
         }
         // The file has those first that count most.
         let kept: Vec<Kept> = lock(&self.kept).iter().rev().map(|(kept, _)| kept.clone()).collect();
-        if let Err(error) = file.save(&kept) {
-            tracing::error!(%error, "revocations are forgotten when this node ends");
+        let saved = file.save(&kept);
+        let failed_before = self.failing.swap(saved.is_err(), Ordering::Relaxed);
+        match saved {
+            Ok(0) => {}
+            Ok(omitted) => {
+                let file = file.path().display();
+                tracing::warn!(%file, omitted, "there is no room for the oldest revocations; they are forgotten when this node ends");
+            }
+            Err(error) => {
+                self.unsaved.store(true, Ordering::Relaxed);
+                if !failed_before {
+                    tracing::error!(%error, "revocations are forgotten when this node ends, unless they can be saved before");
+                }
+            }
         }
     }
 
     pub fn is_unsaved(&self) -> bool {
         self.file.is_some() && self.unsaved.load(Ordering::Relaxed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cert::issue;
+    use crate::identity::SigningKey;
+
+    #[test]
+    fn what_could_not_be_saved_is_saved_later() {
+        let (parent, entity) = (tempfile::tempdir().unwrap(), Name::from_bytes([7; 32]));
+        let folder = parent.path().join("made/for/it");
+        let revoked = Revoked::open(Some(&folder), entity).unwrap();
+        let owner = SigningKey::generate().unwrap();
+        let proof = NameProof { owner_key: owner.public(), digest: [1; 32] };
+        let claims = Revocation { name: proof.name().unwrap(), number: 1, floor: 0, revoked: vec![1] };
+        revoked.keep(proof, issue(&owner, &claims).unwrap(), claims.clone());
+        std::fs::remove_dir(&folder).unwrap();
+        revoked.save();
+        assert!(revoked.is_unsaved());
+        std::fs::create_dir(&folder).unwrap();
+        revoked.save();
+        assert!(!revoked.is_unsaved());
+        let again = Revoked::open(Some(&folder), entity).unwrap();
+        assert_eq!(again.of(&claims.name).unwrap().1, claims);
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_is_told_of() {
+        let parent = tempfile::tempdir().unwrap();
+        let file = parent.path().join("file");
+        std::fs::write(&file, "").unwrap();
+        let error = Revoked::open(Some(&file.join("folder")), Name::default()).err().unwrap().to_string();
+        assert!(error.contains("file/folder: cannot make the folder"), "{error}");
     }
 }

@@ -59,7 +59,8 @@ pub struct State {
     pub counterparts: Mutex<HashMap<(Name, NameRole), Counterparts>>,
     /// What owners have taken back, as far as it came by.
     pub revoked: Revoked,
-    /// The highest serial used, once attached. Held while a statement is on its way, so that they arrive in their order.
+    /// The highest serial used, once attached. Held while a statement is on its way, so that they arrive in their order; by links other
+    /// than the main one for a moment only.
     serial: tokio::sync::Mutex<Option<u64>>,
     commands: std::sync::mpsc::Sender<Command>,
     pub events: mpsc::UnboundedSender<Event>,
@@ -252,16 +253,16 @@ impl State {
             }
             _ => return Err(NodeError::Closed),
         };
-        let stating = async { self.state(&*self.attached().await?, name, stated).await };
+        let stating = async { self.state(&*self.attached_now()?, name, stated).await };
         let result = stating.await;
         match result {
             Ok(()) => {
                 self.restate();
                 Ok(())
             }
-            Err(error @ NodeError::Refused(_)) if !is_for_now(&error) => {
+            Err(error) if !error.may_pass() => {
                 if let Some(standing) = lock(&self.statements).get_mut(&(name, stated)) {
-                    *standing = Standing { done: 0, ..old };
+                    *standing = Standing { done: 0, over: standing.over, ..old };
                 }
                 self.restate();
                 Err(error)
@@ -404,7 +405,7 @@ impl State {
         let rt_cert = issue(self.identity.key(), &RtCert { entity: self.identity.name(), switch, not_after })?;
         // A node that has spoken before goes on; one that has just started does not know what another process had stated.
         let (resumes, lane) = (serial.is_some(), attachment.lane);
-        match ask(attachment, EntityRequest::Attach { rt_cert, resumes, lane }).await? {
+        match self.ask_in_turn(attachment, EntityRequest::Attach { rt_cert, resumes, lane }).await? {
             Response::Attached { serial: floor } => *serial = Some(floor.max(serial.unwrap_or(0))),
             _ => return Err(NodeError::Protocol("to an attachment")),
         }
@@ -458,6 +459,10 @@ impl State {
             if let Err(error) = self.state(attachment, name, stated).await {
                 tracing::warn!(%name, %error, "could not be {stated} again");
                 all = false;
+                // The rest would wait in vain as well, and others for it.
+                if matches!(error, NodeError::Link(_) | NodeError::Detached(_)) {
+                    break;
+                }
             }
         }
         all
@@ -522,12 +527,20 @@ impl State {
         name: Name,
         request: impl Fn(Signed<Advert>) -> EntityRequest,
     ) -> Result<Response, NodeError> {
-        match ask(attachment, request(self.advert(attachment, op, name, serial)?)).await {
+        match self.ask_in_turn(attachment, request(self.advert(attachment, op, name, serial)?)).await {
             Err(NodeError::Refused(refusal)) if refusal.code == RefusalCode::ReplayedSerial => {
                 self.attach_locked(attachment, serial).await?;
-                ask(attachment, request(self.advert(attachment, op, name, serial)?)).await
+                self.ask_in_turn(attachment, request(self.advert(attachment, op, name, serial)?)).await
             }
             result => result,
+        }
+    }
+
+    /// As [`ask`], while all that is to be stated on any link waits for the answer: not for long if another link is the main one.
+    async fn ask_in_turn(&self, attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {
+        tokio::select! {
+            answer = ask(attachment, request) => answer,
+            () = self.outlet.until_unwanted(attachment) => Err(NodeError::Detached("another link is used".into())),
         }
     }
 
@@ -557,11 +570,6 @@ fn bit(attachment: &Attachment) -> u8 {
 
 pub async fn ask(attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {
     Ok(attachment.link.request(&Request::Entity(request)).await?.accepted()?)
-}
-
-/// A refusal that time mends.
-pub fn is_for_now(error: &NodeError) -> bool {
-    matches!(error, NodeError::Refused(refusal) if refusal.code == RefusalCode::Unreachable)
 }
 
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

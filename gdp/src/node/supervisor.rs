@@ -28,7 +28,7 @@ use crate::crypto;
 use crate::link::liveness::{Liveness, Pace, Step};
 use crate::link::{HOLD, Link, LinkError, LinkKeys, RekeySchedule, Responder, Role};
 use crate::name::NameProof;
-use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, SMALLEST_PATH};
+use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, SMALLEST_PATH, interface_index};
 
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -54,7 +54,7 @@ const OTHER_ECHOES: Duration = Duration::from_millis(500);
 
 /// How long frames on a new link over UDP stay as small as any path takes: meanwhile QUIC learns the paths of links that are made at the
 /// same time, and switches learn them from it.
-const SETTLING: Duration = Duration::from_secs(3);
+pub const SETTLING: Duration = Duration::from_secs(3);
 
 /// What the rest of the node tells the supervisor.
 pub enum Event {
@@ -205,6 +205,8 @@ struct Supervisor {
     pinned: Option<Name>,
     port_config: PortConfig,
     port: Option<Arc<Port>>,
+    /// Index of the interface that a UDP port is bound to.
+    through: Option<u32>,
 }
 
 impl Supervisor {
@@ -213,7 +215,7 @@ impl Supervisor {
         let through = if let LinkTarget::Udp { interface, .. } = &target { interface.clone() } else { None };
         let papers = state.home.shown.clone();
         let port_config = PortConfig { rekey, lane, through, papers, ..PortConfig::endpoint(state.identity.clone()) };
-        Self { state, lane, target, pinned, port_config, port: None }
+        Self { state, lane, target, pinned, port_config, port: None, through: None }
     }
 
     fn lane(&self) -> &Lane {
@@ -226,7 +228,7 @@ impl Supervisor {
         let attempts = async {
             loop {
                 match self.attempt(None).await {
-                    Err(error) if worth_another_attempt(&error) => {
+                    Err(error) if error.may_pass() => {
                         self.state.still_lost(self.lane(), error.to_string());
                         backoff.wait().await;
                     }
@@ -403,8 +405,7 @@ impl Supervisor {
                     port.interface()
                         .is_some_and(|open| (open.index, open.mac, open.mtu) == (found.index, found.mac, found.mtu))
                 };
-                let found = Interface::find(interface)
-                    .map_err(|source| LinkError::Io { what: format!("interface {interface}"), source })?;
+                let found = Interface::find(interface).map_err(|source| no_interface(interface, source))?;
                 let port = match self.port.take().filter(|port| same(&found, port)) {
                     Some(port) => port,
                     None => Arc::new(Port::ethernet(interface, &self.port_config)?),
@@ -420,11 +421,18 @@ impl Supervisor {
                 }
                 Ok((port, answers.into_iter().map(|(to, name)| (to, Some(name))).collect()))
             }
-            LinkTarget::Udp { host, port: number, .. } => {
+            LinkTarget::Udp { host, port: number, interface } => {
+                // Before a port is opened: if it is made anew meanwhile, the next attempt finds out.
+                let index = match interface {
+                    Some(name) => Some(interface_index(name).map_err(|source| no_interface(name, source))?),
+                    None => None,
+                };
                 let no_address = |source| NodeError::NoAddress { host: host.clone(), source };
                 let mut found = tokio::net::lookup_host((host.as_str(), *number)).await.map_err(no_address)?;
                 let to = found.next().ok_or_else(|| no_address(std::io::ErrorKind::AddrNotAvailable.into()))?;
-                let same = |port: &Arc<Port>| port.udp_addr().is_some_and(|open| open.is_ipv4() == to.is_ipv4());
+                let same = |port: &Arc<Port>| {
+                    self.through == index && port.udp_addr().is_some_and(|open| open.is_ipv4() == to.is_ipv4())
+                };
                 let port = match self.port.take().filter(same) {
                     Some(port) => port,
                     None => {
@@ -433,11 +441,15 @@ impl Supervisor {
                         Arc::new(Port::udp(SocketAddr::new(any, 0), &self.port_config)?)
                     }
                 };
-                self.port = Some(port.clone());
+                (self.port, self.through) = (Some(port.clone()), index);
                 Ok((port, vec![(LinkAddr::udp(to), self.pinned)]))
             }
         }
     }
+}
+
+fn no_interface(name: &str, source: std::io::Error) -> LinkError {
+    LinkError::Io { what: format!("interface {name}"), source }
 }
 
 /// States what stands, again when something was refused that time may mend or a withdrawal took it along, and in time
@@ -536,7 +548,7 @@ async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request
 async fn attach_again(state: &State, attachment: &Attachment) -> Result<(), NodeError> {
     let mut backoff = Backoff::new();
     while let Err(error) = state.attach(attachment).await {
-        if !worth_another_attempt(&error) || attachment.link.close_reason().is_some() {
+        if !error.may_pass() || attachment.link.close_reason().is_some() {
             return Err(error);
         }
         backoff.wait().await;
@@ -568,6 +580,7 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
                     // It went with an attachment that ended.
                     NodeError::Refused(refusal) if refusal.code == RefusalCode::NotFound => return,
                     // What was stated may outlive the link: that is for the next one to tell.
+                    NodeError::Detached(_) => return state.withdraw_later(name, stated),
                     _ if attachment.link.close_reason().is_some() => return state.withdraw_later(name, stated),
                     error => tracing::warn!(%name, %error, "could not be withdrawn; trying again"),
                 }
@@ -579,18 +592,6 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
                 tracing::warn!(%error, "the RIB does not know a revocation, and does not take it");
             }
         }
-    }
-}
-
-/// Errors that are about this moment, not about the configuration.
-fn worth_another_attempt(error: &NodeError) -> bool {
-    match error {
-        NodeError::Link(LinkError::Io { .. } | LinkError::WrongPeer { .. }) | NodeError::NotASwitch(_) => false,
-        NodeError::Refused(refusal) => refusal.code == RefusalCode::Unreachable,
-        // Papers may be renewed.
-        NodeError::Domain(_) => true,
-        NodeError::Link(_) | NodeError::NoAnswer { .. } | NodeError::NoAddress { .. } | NodeError::NoSwitch(_) => true,
-        _ => false,
     }
 }
 
@@ -627,7 +628,7 @@ mod tests {
         let host = "edge.local".to_owned();
         let unresolved = NodeError::NoAddress { host, source: ErrorKind::NotFound.into() };
         let interface = LinkError::Io { what: "interface r0".into(), source: Error::from_raw_os_error(libc::ENODEV) };
-        assert!(worth_another_attempt(&unresolved));
-        assert!(!worth_another_attempt(&interface.into()), "more likely a misspelt name");
+        assert!(unresolved.may_pass());
+        assert!(!NodeError::from(interface).may_pass(), "more likely a misspelt name");
     }
 }

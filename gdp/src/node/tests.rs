@@ -295,6 +295,29 @@ async fn a_publisher_that_waits_for_its_turn_replaces_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_best_effort_waits_for_no_turn_while_there_is_no_link() {
+    let mut fabric = Fabric::start().await;
+    let owner = Owner::new("/camera");
+    let (robot, cloud) = (fabric.node_by("proxy", [Some(1000)]).await, fabric.node("proxy").await);
+    let _subscription = owner.subscribe(&cloud).await.unwrap();
+    let mut publisher = owner.publish_as(&robot, PublishOptions::best_effort()).await.unwrap();
+    eventually("the reader is known", || publisher.readers() == 1).await;
+    for _ in 0..2 {
+        publisher.send(Encoding::Bytes, &[7; 50_000]).await.unwrap();
+    }
+    let stopping = async {
+        let waits = tokio::time::timeout(Duration::from_millis(50), publisher.ready()).await;
+        assert!(waits.is_err(), "another waits still");
+        tokio::join!(publisher.ready(), fabric.stop()).0
+    };
+    let error = tokio::time::timeout(Duration::from_secs(10), stopping).await.expect("it does not wait").unwrap_err();
+    assert!(matches!(error, NodeError::Detached(_)), "{error}");
+    let flushed = tokio::time::timeout(Duration::from_secs(10), publisher.flush(Duration::from_secs(3600))).await;
+    let error = flushed.expect("nor for that").unwrap_err();
+    assert!(matches!(error, NodeError::Detached(_)), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn recorded_messages_of_yesterday_are_not_read_by_a_restarted_reader() {
     let fabric = Fabric::start().await;
     let owner = Owner::new("/cmd_vel");

@@ -5,6 +5,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_wire::Name;
+use tokio::sync::Notify;
+use tokio::time::Instant;
 
 use super::NodeError;
 use super::clock::{unix_nanos, unix_now};
@@ -19,12 +21,6 @@ use crate::peers::{OutOfStep, PeerEvent};
 
 fn joined(events: &[PeerEvent]) -> Vec<PeerEvent> {
     events.iter().filter(|event| matches!(event, PeerEvent::Joined(_))).cloned().collect()
-}
-
-/// Refusals of key boxes that the same again would meet with.
-fn is_for_good(error: &NodeError) -> bool {
-    let NodeError::Refused(refusal) = error else { return false };
-    !matches!(refusal.code, RefusalCode::Unreachable | RefusalCode::Limit | RefusalCode::NotAttached)
 }
 
 /// How often it is looked for what has ended.
@@ -127,8 +123,9 @@ impl State {
 
     /// Ends what was opened for callers that are none any more.
     fn close_replies(&self) {
-        let (statements, publications) =
-            (self.stated_names(), lock(&self.publications).keys().copied().collect::<Vec<_>>());
+        // In this order: what is begun meanwhile is not among those to look at.
+        let publications: Vec<_> = lock(&self.publications).keys().copied().collect();
+        let statements = self.stated_names();
         let replies = publications.into_iter().filter(|name| !statements.contains(name));
         let ended: Vec<Name> = {
             let readings = lock(&self.readings);
@@ -154,24 +151,41 @@ impl State {
     /// Runs as long as the node: ends what has ended, sends latched messages to readers that came, and has the RIB store boxes as
     /// soon as there are any.
     pub async fn keep(self: &Arc<Self>) {
+        // The RIB may take its time: nothing else waits for that.
+        let boxes = Notify::new();
+        tokio::join!(self.look(&boxes), self.store_all_boxes(&boxes));
+    }
+
+    async fn look(self: &Arc<Self>, boxes: &Notify) {
+        let mut saved: Option<Instant> = None;
         loop {
             self.expire();
-            if self.revoked.is_unsaved() {
+            if self.revoked.is_unsaved() && saved.is_none_or(|at| at.elapsed() >= LOOK) {
+                saved = Some(Instant::now());
                 let state = self.clone();
                 let _ = tokio::task::spawn_blocking(move || state.revoked.save()).await;
             }
             let publications: Vec<_> = lock(&self.publications).values().cloned().collect();
             publications.iter().for_each(|publication| publication.latch(&self.outlet));
-            if let Ok(attachment) = self.attached_now() {
-                for publication in &publications {
-                    self.store_boxes(&attachment, publication).await;
-                }
-            }
+            boxes.notify_one();
             let next = publications.iter().map(|publication| publication.boxes_at()).min().unwrap_or(u64::MAX);
             let pause = Duration::from_nanos(next.saturating_sub(unix_nanos())).clamp(LOOK / 20, LOOK);
             tokio::select! {
                 () = self.outlet.upkeep.notified() => {}
                 () = tokio::time::sleep(pause) => {}
+            }
+        }
+    }
+
+    /// `due`: there may be some.
+    async fn store_all_boxes(&self, due: &Notify) {
+        loop {
+            due.notified().await;
+            let publications: Vec<_> = lock(&self.publications).values().cloned().collect();
+            for publication in &publications {
+                if let Ok(attachment) = self.attached_now() {
+                    self.store_boxes(&attachment, publication).await;
+                }
             }
         }
     }
@@ -219,7 +233,7 @@ impl State {
                 Ok(_) => NodeError::Protocol("to key boxes"),
                 Err(error) => error,
             };
-            if is_for_good(&error) {
+            if !error.may_pass() {
                 tracing::warn!(name = %publication.name, %error, "the RIB does not take keys for readers");
                 publication.boxes_refused();
             } else {

@@ -56,15 +56,22 @@ pub struct Vlan {
     pub id: u16,
 }
 
+/// Index of the interface of that name, Ethernet or not, in the network namespace of the calling thread. One that is made anew
+/// has another.
+pub fn index_of(interface: &str) -> io::Result<u32> {
+    let c_name = CString::new(interface).map_err(|_| io::ErrorKind::InvalidInput)?;
+    // SAFETY: a string that ends with 0.
+    let index = unsafe { libc::if_nametoindex(c_name.as_ptr()) };
+    if index == 0 || interface.len() >= libc::IFNAMSIZ {
+        return Err(io::Error::from_raw_os_error(libc::ENODEV));
+    }
+    Ok(index)
+}
+
 impl Interface {
     /// Looks an interface up by name in the network namespace of the calling thread.
     pub fn find(name: &str) -> io::Result<Self> {
-        let c_name = CString::new(name).map_err(|_| io::ErrorKind::InvalidInput)?;
-        // SAFETY: a string that ends with 0.
-        let index = unsafe { libc::if_nametoindex(c_name.as_ptr()) };
-        if index == 0 || name.len() >= libc::IFNAMSIZ {
-            return Err(io::Error::from_raw_os_error(libc::ENODEV));
-        }
+        let index = index_of(name)?;
         // SAFETY: no pointers; the descriptor is owned from here on.
         let socket = unsafe {
             OwnedFd::from_raw_fd(check(libc::socket(libc::AF_INET, libc::SOCK_DGRAM | libc::SOCK_CLOEXEC, 0))?)

@@ -287,7 +287,15 @@ impl Uplink {
         queue.push_back(transmit);
     }
 
-    /// Copies that found no room.
+    /// Copies that wait go nowhere.
+    pub fn drop_copies(&mut self) {
+        for (queue, bytes) in &mut self.copies {
+            self.copies_dropped += queue.len() as u64;
+            (*queue, *bytes) = Default::default();
+        }
+    }
+
+    /// Copies that found no room, or went nowhere.
     pub fn copies_dropped(&self) -> u64 {
         self.copies_dropped
     }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::Result;
 use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
-use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::node::{PublishOptions, Publisher, SETTLING, SubscribeOptions, Subscription};
 use gdp::seal::Encoding;
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
 use tokio::sync::oneshot;
@@ -21,8 +21,8 @@ pub const ETHERNET: &str = "gdp, reliable, Ethernet";
 /// Between messages that ask whether the path is there.
 const PROBES: Duration = Duration::from_millis(5);
 
-/// For so long frames on a new link over UDP are as small as any path takes.
-const SETTLING: Duration = Duration::from_millis(3200);
+/// Beyond [`SETTLING`]: the links are not made at the same time.
+const MARGIN: Duration = Duration::from_millis(200);
 
 /// What carries frames to the switch and from it.
 #[derive(Clone, Copy)]
@@ -62,7 +62,7 @@ fn open(
     let [robot, cloud] = identities;
     let (robot, cloud) = (connect(&ends.robot, over, robot)?, connect(&ends.cloud, over, cloud)?);
     if let Over::Udp = over {
-        std::thread::sleep(SETTLING);
+        std::thread::sleep(SETTLING + MARGIN);
     }
     for (index, lane) in lanes.iter().enumerate() {
         let card = NameCard::create(owner.verify_key(), "topic", &format!("/lane/{index}"), "bytes", None)?;

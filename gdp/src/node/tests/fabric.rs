@@ -63,6 +63,8 @@ struct Rib {
     preferred: HashMap<Name, u8>,
     /// Links that no frames pass, either way.
     cut: HashSet<(Name, u8)>,
+    /// Links on which no request is answered.
+    mute: HashSet<(Name, u8)>,
     run: u64,
     generation: u64,
 }
@@ -157,12 +159,32 @@ impl Fabric {
         };
     }
 
+    /// A link of a node ends; the node makes another.
+    pub fn end_link(&self, node: &Node, lane: u8) {
+        let links = lock(&self.rib).links_of(&node.name());
+        links.iter().filter(|link| link.peer().lane == lane).for_each(|link| link.close("as the test wants it"));
+    }
+
+    /// Answers no request over a link of a node any more.
+    pub fn mute(&self, node: &Node, lane: u8) {
+        lock(&self.rib).mute.insert((node.name(), lane));
+    }
+
     pub fn links(&self) -> usize {
         lock(&self.rib).links.len()
     }
 
     pub fn writers(&self, name: Name) -> usize {
         lock(&self.rib).of(name, NameRole::Publisher).len()
+    }
+
+    /// The serials of the certificates that writers of a name state.
+    pub fn write_serials(&self, name: Name) -> Vec<u64> {
+        let serial = |record: &Record| match &record.credential {
+            Credential::Writer(cert) => cert.serials().unwrap()[0].1,
+            Credential::Reader(_) => unreachable!("of a writer"),
+        };
+        lock(&self.rib).of(name, NameRole::Publisher).iter().map(serial).collect()
     }
 
     pub fn has_subscriber(&self, name: Name) -> bool {
@@ -351,8 +373,13 @@ async fn accept_all(port: Arc<Port>, rib: Arc<Mutex<Rib>>) {
         lock(&rib).links.insert(link.local_id(), link.clone());
         let rib = Arc::downgrade(&rib);
         tokio::spawn(async move {
+            let mut unanswered = Vec::new();
             while let Some((request, responder)) = link.accept_request().await {
                 let Some(rib) = rib.upgrade() else { return };
+                if lock(&rib).mute.contains(&(link.peer().name, link.peer().lane)) {
+                    unanswered.push(responder);
+                    continue;
+                }
                 let (response, pushes) = lock(&rib).answer(&link, request);
                 // Unlike a real RIB, so that the first message of a new writer is never too early.
                 for (other, push) in pushes {

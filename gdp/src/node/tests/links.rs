@@ -4,6 +4,7 @@ use std::sync::atomic::AtomicU64;
 use std::time::Instant;
 
 use super::*;
+use crate::link::REQUEST_TIMEOUT;
 
 /// Between two messages in the tests.
 const PERIOD: Duration = Duration::from_millis(10);
@@ -156,6 +157,108 @@ async fn a_budget_is_that_of_its_link() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn copies_that_wait_for_a_link_go_by_it_also_once_it_is_the_main_one() {
+    let fabric = Fabric::start().await;
+    let (robot, cloud) = (fabric.node_by("proxy", [None, Some(50_000)]).await, fabric.node("proxy").await);
+    let owner = Owner::new("/scan");
+    let mut subscription = owner.subscribe_as(&cloud, SubscribeOptions::best_effort()).await.unwrap();
+    let options = PublishOptions { duplicate: true, ..PublishOptions::best_effort() };
+    let mut publisher = owner.publish_as(&robot, options).await.unwrap();
+    publisher.send(Encoding::Bytes, &[0; 1000]).await.unwrap();
+    recv(&mut subscription).await;
+    fabric.cut(&robot, 0, true);
+    for _ in 0..60 {
+        publisher.send(Encoding::Bytes, &[1; 1000]).await.unwrap();
+    }
+    eventually("the second link is the main one", || robot.links()[1].main).await;
+    let (frames, in_time) =
+        (robot.links()[0].frames_sent - robot.counters().feedback_sent, robot.links()[1].copies_sent);
+    assert!(in_time < frames, "some still wait: {in_time} of {frames}");
+    eventually("all have gone", || robot.links()[1].copies_sent >= frames).await;
+    assert_eq!(robot.links()[1].copies_dropped, 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn copies_that_wait_for_a_link_that_is_lost_are_counted() {
+    let fabric = Fabric::start().await;
+    let (robot, cloud) = (fabric.node_by("proxy", [None, Some(10_000)]).await, fabric.node("proxy").await);
+    let owner = Owner::new("/scan");
+    let mut subscription = owner.subscribe(&cloud).await.unwrap();
+    let options = PublishOptions { duplicate: true, ..PublishOptions::reliable() };
+    let mut publisher = owner.publish_as(&robot, options).await.unwrap();
+    publisher.send(Encoding::Bytes, &[1; 100_000]).await.unwrap();
+    recv(&mut subscription).await;
+    let (copies, frames) = (|| robot.links()[1].copies_dropped, publisher.counters().topic.frames);
+    assert_eq!(copies(), 0);
+    fabric.end_link(&robot, 1);
+    eventually("they are thrown away", || copies() > frames / 2).await;
+    let link = &robot.links()[1];
+    assert_eq!(link.copies_sent + link.copies_dropped, frames, "{link:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nothing_is_left_of_the_links_of_a_node_that_is_closed() {
+    let fabric = Fabric::start().await;
+    let robot = fabric.node_by("proxy", [None, None]).await;
+    let attachments = robot.0.state.outlet.lanes().iter().map(|lane| lane.status().attachment().cloned().unwrap());
+    let sockets: Vec<_> = attachments.map(|attachment| Arc::downgrade(&attachment.data)).collect();
+    robot.close().await;
+    let links = robot.links();
+    assert!(links.iter().all(|link| link.state == LinkState::Down && link.switch.is_none()), "{links:?}");
+    eventually("the sockets are closed", || sockets.iter().all(|socket| socket.strong_count() == 0)).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn frames_are_as_small_as_another_link_takes_only_if_they_may_go_by_it() {
+    let fabric = Fabric::start().await;
+    let robot = fabric.node_by("proxy", [None, None]).await;
+    let (outlet, owner) = (&robot.0.state.outlet, Owner::new("/scan"));
+    let mut publisher = Owner::new("/image").publish(&robot).await.unwrap();
+    let small = usize::from(SMALLEST_PATH) - Header::LEN;
+    let frames_of_main = |outlet: &super::super::outlet::Outlet| outlet.attached_now().unwrap().max_payload();
+    eventually("the main link takes large frames", || frames_of_main(outlet) > small).await;
+    // It begins anew with small ones.
+    fabric.end_link(&robot, 1);
+    eventually("the other is back", || robot.counters().links == 3 && robot.links()[1].state == LinkState::Up).await;
+    publisher.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
+    assert!(lock(&outlet.uplink).max_payload() > small);
+    let options = PublishOptions { duplicate: true, ..PublishOptions::reliable() };
+    let mut doubled = owner.publish_as(&robot, options).await.unwrap();
+    doubled.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
+    assert_eq!(lock(&outlet.uplink).max_payload(), small);
+    drop(doubled);
+    publisher.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
+    assert!(lock(&outlet.uplink).max_payload() > small);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_link_that_has_no_way_to_the_rib_holds_up_no_other() {
+    let fabric = Fabric::start().await;
+    let robot = fabric.node_by("proxy", [None, None]).await;
+    fabric.mute(&robot, 1);
+    let mut publishers = Vec::new();
+    for _ in 0..4 {
+        let began = Instant::now();
+        publishers.push(Owner::new("/chatter").publish(&robot).await.unwrap());
+        assert!(began.elapsed() < REQUEST_TIMEOUT / 2, "{:?}", began.elapsed());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_asked_over_a_link_that_falls_silent_is_asked_over_another() {
+    let fabric = Fabric::start().await;
+    let robot = fabric.node_by("proxy", [None, None]).await;
+    fabric.mute(&robot, 0);
+    fabric.cut(&robot, 0, true);
+    let (owner, began) = (Owner::new("/chatter"), Instant::now());
+    let publisher = owner.publish(&robot).await.unwrap();
+    assert!(began.elapsed() < REQUEST_TIMEOUT / 2, "{:?}", began.elapsed());
+    assert_eq!(fabric.writers(owner.name()), 1);
+    drop(publisher);
+    eventually("withdrawn", || fabric.writers(owner.name()) == 0).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn one_link_is_enough_to_begin_with_and_there_are_a_few_at_most() {
     let fabric = Fabric::start().await;
     let config = |links: Vec<LinkConfig>| NodeConfig {
@@ -175,10 +278,16 @@ async fn one_link_is_enough_to_begin_with_and_there_are_a_few_at_most() {
         link.state == LinkState::Down && link.reason.as_ref().is_some_and(|reason| reason.contains("gdpnone0"))
     })
     .await;
+    let nobody = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let nobody: LinkTarget = format!("udp://{}", nobody.local_addr().unwrap()).parse().unwrap();
+    let error = Node::connect(config(vec![missing.clone(), nobody.into()])).await.err().unwrap();
+    assert!(error.may_pass(), "there may be a switch some day: {error}");
     for count in [0, MAX_LANES + 1] {
         let error = Node::connect(config(vec![missing.clone(); count])).await.err().unwrap();
         assert!(matches!(error, NodeError::Links(links) if links == count), "{error}");
     }
-    let error = Node::connect(config(vec![missing.clone(); 2])).await.err().unwrap().to_string();
+    let error = Node::connect(config(vec![missing.clone(); 2])).await.err().unwrap();
+    assert!(!error.may_pass());
+    let error = error.to_string();
     assert!(error.contains("gdpnone0"), "{error}");
 }

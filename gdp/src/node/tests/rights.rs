@@ -1,6 +1,7 @@
 //! Certificates that end while something runs under them, and those that take their place.
 
 use super::*;
+use crate::link::REQUEST_TIMEOUT;
 use crate::node::Ended;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -38,9 +39,9 @@ async fn only_a_right_to_the_same_renews_and_a_refusal_leaves_the_old_one() {
         assert!(matches!(publisher.renew(wrong).await, Err(NodeError::Cert(_))));
     }
     assert!(matches!(subscription.renew(other.grant_until(&cloud, 2, u64::MAX)).await, Err(NodeError::Cert(_))));
-    fabric.refuse(Some(RefusalCode::Limit));
+    fabric.refuse(Some(RefusalCode::NotEntitled));
     let error = publisher.renew(owner.ad_cert_until(robot.name(), 2, u64::MAX)).await.unwrap_err();
-    assert!(matches!(&error, NodeError::Refused(refusal) if refusal.code == RefusalCode::Limit), "{error}");
+    assert!(matches!(&error, NodeError::Refused(refusal) if refusal.code == RefusalCode::NotEntitled), "{error}");
     fabric.refuse(None);
     fabric.revoke(owner.revocation(1, vec![2])).await;
     publisher.send(Encoding::Bytes, b"by the old one").await.unwrap();
@@ -49,6 +50,32 @@ async fn only_a_right_to_the_same_renews_and_a_refusal_leaves_the_old_one() {
         publisher.renew(owner.ad_cert_until(robot.name(), 2, u64::MAX)).await,
         Err(NodeError::Cert(CertError::Revoked { serial: 2, .. }))
     ));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_renewal_that_meets_with_something_that_passes_is_made_later() {
+    for passes in [RefusalCode::Limit, RefusalCode::NotAttached, RefusalCode::Unreachable] {
+        let fabric = Fabric::start().await;
+        let owner = Owner::new("/chatter");
+        let robot = fabric.node("proxy").await;
+        let mut publisher = owner.publish(&robot).await.unwrap();
+        fabric.refuse(Some(passes));
+        publisher.renew(owner.ad_cert_until(robot.name(), 2, unix_now() + 60)).await.unwrap();
+        assert_eq!(fabric.write_serials(owner.name()), [1]);
+        fabric.refuse(None);
+        eventually("the RIB has the new one", || fabric.write_serials(owner.name()) == [2]).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nothing_is_renewed_once_the_node_is_closed() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/chatter");
+    let robot = fabric.node("proxy").await;
+    let mut publisher = owner.publish(&robot).await.unwrap();
+    robot.close().await;
+    let renewed = publisher.renew(owner.ad_cert_until(robot.name(), 2, unix_now() + 60)).await;
+    assert!(matches!(renewed, Err(NodeError::Closed)), "{renewed:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -104,6 +131,28 @@ async fn handles_tell_that_they_ended_and_why() {
     assert!(!kept_ended.is_finished());
     cloud.close().await;
     assert_eq!(kept_ended.await.unwrap(), Ended::Closed);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn rights_end_in_time_while_the_rib_does_not_answer() {
+    let fabric = Fabric::start().await;
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let owners = [(); 4].map(|()| Owner::new("/chatter"));
+    let (mut publishers, mut subscriptions) = (Vec::new(), Vec::new());
+    for owner in &owners {
+        publishers.push(owner.publish(&robot).await.unwrap());
+    }
+    let (short, soon) = (Owner::new("/short"), unix_now() + 3);
+    let cert = short.ad_cert_until(robot.name(), 1, soon);
+    let publisher = robot.publish(short.card().proof(), cert, PublishOptions::reliable()).await.unwrap();
+    fabric.mute(&robot, 0);
+    // For each there are boxes to store.
+    for owner in &owners {
+        subscriptions.push(owner.subscribe(&cloud).await.unwrap());
+    }
+    publisher.ended().await;
+    let late = unix_now() - soon;
+    assert!(late < REQUEST_TIMEOUT.as_secs(), "{late} s");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
