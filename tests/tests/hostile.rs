@@ -284,6 +284,7 @@ fn forged_and_replayed_errors_and_echoes_are_refused_by_the_next_switch() -> Res
         wait_for(&format!("{counter} to be {expected}"), PATIENCE, || {
             Ok((fabric.counter(S1, counter)? == expected).then_some(()))
         })
+        .with_context(|| format!("{:?}", fabric.status(S1).map(|status| status["counters"].clone())))
     };
     let echo = stranger.stamped(Header::echo(7));
     stranger.send_frames(&[echo, echo, echo])?;
