@@ -81,7 +81,7 @@ fn nobody_speaks_of_congestion_where_nothing_is_marked() -> Result<()> {
 #[test]
 fn the_userspace_plane_marks_what_waits() -> Result<()> {
     let site = Site::build([ETHERNET; 3], None, DataPlane::Userspace)?;
-    let command = "qdisc add dev r0 root tbf rate 40mbit burst 10kb limit 8mb";
+    let command = "qdisc add dev r0 root tbf rate 100mbit burst 10kb limit 8mb";
     execute(site.chain.switches()[0].command("tc")?.args(command.split(' ')))?;
     let told = site.carry_messages()?;
     ensure!(told.marked > 0 && told.slowed > 0, "{told:?}");
