@@ -213,6 +213,11 @@ impl Stranger {
             let link = port.dial(*to, Some(*name)).await?;
             anyhow::Ok((port, link))
         })?;
+        // It is in service a moment after it is made.
+        let own = identity.name().to_string();
+        wait_for("s1 to take the link into service", PATIENCE, || {
+            Ok(fabric.status(S1)?["links"].to_string().contains(&own).then_some(()))
+        })?;
         let (received, window) = (RecvBatch::new(2048), Box::new(replay::empty()));
         Ok(Self { link, port, _runtime: runtime, name: identity.name(), sent: 0, received, window })
     }
