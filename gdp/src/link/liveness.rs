@@ -45,21 +45,45 @@ pub enum Step {
     Silent,
 }
 
-/// The probing of one link.
+/// The echoes on a link that are not answered.
 ///
 /// An answer proves that the neighbour lived when the echo was sent, so it settles that echo and those before it and no later
-/// one; an answer to none of the last [`Pace::misses`] echoes settles nothing. Echoes are counted, not seconds: a caller that did
-/// not run for a while has asked nothing, and concludes nothing.
+/// one; an answer to none of those that are remembered settles nothing.
+#[derive(Clone, Debug, Default)]
+pub struct Unanswered {
+    /// Their cookies, the oldest first.
+    open: VecDeque<u64>,
+}
+
+impl Unanswered {
+    /// Takes in the cookie of the latest answer, or anything if there was none; how many echoes are without one.
+    pub fn settle(&mut self, answer: u64) -> usize {
+        if let Some(settled) = self.open.iter().position(|open| *open == answer) {
+            self.open.drain(..=settled);
+        }
+        self.open.len()
+    }
+
+    /// An echo is sent. Of more than `most` the oldest is not remembered.
+    pub fn add(&mut self, cookie: u64, most: usize) {
+        if self.open.len() >= most {
+            self.open.pop_front();
+        }
+        self.open.push_back(cookie);
+    }
+}
+
+/// The probing of one link. Echoes are counted, not seconds: a caller that did not run for a while has asked nothing, and concludes
+/// nothing.
 #[derive(Clone, Debug)]
 pub struct Liveness {
     pace: Pace,
-    /// Cookies of the echoes without an answer, the oldest first.
-    open: VecDeque<u64>,
+    open: Unanswered,
 }
 
 impl Liveness {
     pub fn new(pace: Pace) -> Self {
-        Self { pace, open: VecDeque::with_capacity(pace.misses) }
+        Self { pace, open: Unanswered::default() }
     }
 
     pub fn pace(&self) -> Pace {
@@ -69,13 +93,10 @@ impl Liveness {
     /// One step, to be taken each [`Pace::interval`]. `answer`: the cookie of the latest answer, or anything if there was none.
     /// `cookie`: random, for the echo that may be sent now.
     pub fn step(&mut self, answer: u64, cookie: u64) -> Step {
-        if let Some(settled) = self.open.iter().position(|open| *open == answer) {
-            self.open.drain(..=settled);
-        }
-        if self.open.len() >= self.pace.misses {
+        if self.open.settle(answer) >= self.pace.misses {
             return Step::Silent;
         }
-        self.open.push_back(cookie);
+        self.open.add(cookie, self.pace.misses);
         Step::Ask
     }
 }
@@ -125,9 +146,9 @@ mod tests {
         (1..=4).for_each(|cookie| assert_eq!(liveness.step(NONE, cookie), Step::Ask));
         // The answer to 2 comes late: 3 and 4 are still open.
         assert_eq!(liveness.step(2, 5), Step::Ask);
-        assert_eq!(liveness.open, [3, 4, 5]);
+        assert_eq!(liveness.open.open, [3, 4, 5]);
         assert_eq!(liveness.step(1, 6), Step::Ask, "an older one says nothing new");
-        assert_eq!(liveness.open, [3, 4, 5, 6]);
+        assert_eq!(liveness.open.open, [3, 4, 5, 6]);
     }
 
     #[test]

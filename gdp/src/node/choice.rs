@@ -1,9 +1,8 @@
 //! Which of a node's links is the main one, that everything goes by, and which is the second, that copies go by; and whether one that
 //! is up is any good. No I/O.
 
-use std::collections::VecDeque;
-
 use crate::link::MAX_LANES;
+use crate::link::liveness::Unanswered;
 
 /// So long a link that is better than the main one has to be up before it becomes that: one that comes and goes would otherwise take
 /// the traffic along each time.
@@ -66,22 +65,16 @@ const MISSES: usize = 5;
 /// Whether the other end of a link answers.
 #[derive(Debug, Default)]
 pub struct Pulse {
-    /// Cookies of the last echoes without an answer, the oldest first.
-    open: VecDeque<u64>,
+    /// The last echoes without an answer.
+    open: Unanswered,
 }
 
 impl Pulse {
     /// To be called with each echo that is sent: its cookie, and the one of the latest answer, if there was any. Whether the link is
     /// silent.
     pub fn beat(&mut self, answer: u64, cookie: u64) -> bool {
-        if let Some(settled) = self.open.iter().position(|open| *open == answer) {
-            self.open.drain(..=settled);
-        }
-        let silent = self.open.len() >= MISSES;
-        if silent {
-            self.open.pop_front();
-        }
-        self.open.push_back(cookie);
+        let silent = self.open.settle(answer) >= MISSES;
+        self.open.add(cookie, MISSES);
         silent
     }
 }
