@@ -2,8 +2,8 @@
 //! force.
 
 use std::fmt::Display;
-use std::time::SystemTime;
 
+use gdp::file_stamp::FileStamp;
 use gdp::{Name, NameCard};
 
 use crate::config::TopicConfig;
@@ -14,17 +14,9 @@ pub struct CertFile {
     card: NameCard,
     entity: Name,
     /// Of the file whose content is in force, of the one that was offered last, and of the one that the log has told of.
-    taken: Option<Stamp>,
-    offered: Option<Stamp>,
-    told: Option<Stamp>,
-}
-
-/// Another file, or another content, has another.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Stamp {
-    modified: SystemTime,
-    inode: u64,
-    length: u64,
+    taken: Option<FileStamp>,
+    offered: Option<FileStamp>,
+    told: Option<FileStamp>,
 }
 
 impl CertFile {
@@ -68,16 +60,14 @@ impl CertFile {
         load_permission(&self.topic, &self.card, self.entity)
     }
 
-    fn stamp(&self) -> Option<Stamp> {
-        use std::os::unix::fs::MetadataExt;
-        let metadata = std::fs::metadata(&self.topic.cert).ok()?;
-        Some(Stamp { modified: metadata.modified().ok()?, inode: metadata.ino(), length: metadata.len() })
+    fn stamp(&self) -> Option<FileStamp> {
+        FileStamp::of(&self.topic.cert)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::time::{Duration, Instant, UNIX_EPOCH};
+    use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
     use gdp::cert::{AdCert, issue};
 

@@ -9,6 +9,7 @@ pub mod control;
 pub mod crypto;
 pub mod domain;
 pub mod feedback_wire;
+pub mod file_stamp;
 pub mod identity;
 pub mod keys;
 pub mod link;

@@ -1,13 +1,13 @@
 //! The files that an entity's [`Papers`] are in, and whether they have changed since they were read.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
 use super::Papers;
 use crate::card::{CardError, NameCard};
 use crate::cert::{CertError, MAX_CERT_FILE, Membership, Signed};
+use crate::file_stamp::FileStamp;
 
 #[derive(Debug, thiserror::Error)]
 pub enum PaperFileError {
@@ -29,17 +29,9 @@ pub struct PaperFiles {
     pub peers: Vec<PathBuf>,
 }
 
-/// Another file, or another content, has another.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Stamp {
-    modified: SystemTime,
-    inode: u64,
-    length: u64,
-}
-
 /// What the files were like when they were last read.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Stamps(Vec<Option<Stamp>>);
+pub struct Stamps(Vec<Option<FileStamp>>);
 
 impl PaperFiles {
     /// Reads them; whether they are of each other is checked, not whether they hold.
@@ -60,7 +52,7 @@ impl PaperFiles {
 
     pub fn stamps(&self) -> Stamps {
         let files = [&self.card, &self.membership].into_iter().chain(&self.peers);
-        Stamps(files.map(|path| stamp(path)).collect())
+        Stamps(files.map(|path| FileStamp::of(path)).collect())
     }
 
     /// Whether the files are others than at `seen`, all of them there: one that is gone may be about to be replaced.
@@ -79,10 +71,4 @@ fn read<T>(path: &Path, parse: impl Fn(&str) -> Result<T, CertError>) -> Result<
     let mut text = String::new();
     File::open(path).map_err(io)?.take(MAX_CERT_FILE as u64 + 1).read_to_string(&mut text).map_err(io)?;
     parse(&text).map_err(|source| PaperFileError::Cert { path: path.into(), source })
-}
-
-fn stamp(path: &Path) -> Option<Stamp> {
-    use std::os::unix::fs::MetadataExt;
-    let metadata = fs::metadata(path).ok()?;
-    Some(Stamp { modified: metadata.modified().ok()?, inode: metadata.ino(), length: metadata.len() })
 }
