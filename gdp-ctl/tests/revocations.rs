@@ -1,5 +1,6 @@
 //! What an owner has taken back stays so when the daemon with the RIB starts anew, though nobody tells it again.
 
+mod owner;
 mod switch;
 
 use std::net::UdpSocket;
@@ -10,10 +11,11 @@ use std::time::SystemTime;
 use gdp::cert::{AdCert, CertError, Issued, Mode, Revocation, issue};
 use gdp::control::{EntityRequest, RefusalCode, Response};
 use gdp::node::{Ended, NodeError, PublishOptions};
-use gdp::{Identity, NameCard, NamePrefix, Node, NodeConfig, SigningKey};
+use gdp::{Identity, NamePrefix, Node, NodeConfig};
 use gdp_ctl::admin::{Client, Request};
 use gdp_ctl::config::Config;
 use gdp_ctl::serve::{Running, start};
+use owner::Owner;
 use switch::{PATIENCE, config, wait};
 
 #[tokio::test(flavor = "multi_thread")]
@@ -23,7 +25,7 @@ async fn a_rib_that_starts_anew_refuses_what_was_revoked() {
     let switch = start(config.clone()).await.unwrap();
     let at = switch.udp_addr().unwrap();
     config.udp = Some(at);
-    let (owner, robot) = (Owner::new(), Identity::generate("proxy").unwrap());
+    let (owner, robot) = (Owner::new("topic", "/chatter"), Identity::generate("proxy").unwrap());
     {
         let node = node(&switch, &robot).await;
         let publisher =
@@ -78,7 +80,7 @@ async fn what_cannot_be_kept_is_not_said_to_be_done() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path(), "s1");
     let switch = start(config.clone()).await.unwrap();
-    let (owner, file) = (Owner::new(), folder.path().join("s1.revocations"));
+    let (owner, file) = (Owner::new("topic", "/chatter"), folder.path().join("s1.revocations"));
     let revoke = async || {
         let (socket, request) = (config.socket.clone(), owner.revocation(1, 1));
         tokio::task::spawn_blocking(move || try_ask(&socket, request)).await.unwrap()
@@ -95,18 +97,7 @@ async fn what_cannot_be_kept_is_not_said_to_be_done() {
     switch.stop().await;
 }
 
-struct Owner {
-    key: SigningKey,
-    card: NameCard,
-}
-
 impl Owner {
-    fn new() -> Self {
-        let key = SigningKey::generate().unwrap();
-        let card = NameCard::create(key.verify_key(), "topic", "/chatter", "T", None).unwrap();
-        Self { key, card }
-    }
-
     fn ad_cert(&self, entity: &Identity, serial: u64) -> Issued<AdCert> {
         self.ad_cert_of(entity.name(), serial)
     }

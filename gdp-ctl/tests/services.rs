@@ -1,5 +1,6 @@
 //! Nodes of the SDK at a whole daemon: what two callers of one service get, and what is left when the server goes.
 
+mod owner;
 mod switch;
 
 use std::time::SystemTime;
@@ -7,15 +8,16 @@ use std::time::SystemTime;
 use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp::node::{Client, NodeError, Server};
 use gdp::seal::Encoding;
-use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
+use gdp::{Identity, Node, NodeConfig};
 use gdp_ctl::serve::{Running, start};
+use owner::Owner;
 use switch::{PATIENCE, config, wait};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn callers_get_their_own_replies_and_are_told_when_nobody_serves() {
     let folder = tempfile::tempdir().unwrap();
     let switch = start(config(folder.path(), "s1")).await.unwrap();
-    let owner = Owner::new();
+    let owner = Owner::new("service", "/echo");
     let server = owner.serve(&node(&switch).await).await;
     let (one, two) = (owner.client(&node(&switch).await).await, owner.client(&node(&switch).await).await);
     let serving = tokio::spawn(answer(server, 21));
@@ -44,18 +46,7 @@ async fn answer(mut server: Server, count: usize) -> Server {
     server
 }
 
-struct Owner {
-    key: SigningKey,
-    card: NameCard,
-}
-
 impl Owner {
-    fn new() -> Self {
-        let key = SigningKey::generate().unwrap();
-        let card = NameCard::create(key.verify_key(), "service", "/echo", "T", None).unwrap();
-        Self { key, card }
-    }
-
     async fn serve(&self, node: &Node) -> Server {
         let (name, entity, mode, scope) = (self.card.name(), node.name(), Mode::Unicast, Vec::new());
         let claims = AdCert { name, entity, mode, scope, serial: 1, not_before: 0, not_after: tomorrow() };

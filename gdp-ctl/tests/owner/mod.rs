@@ -1,0 +1,17 @@
+//! The owner of a name, for tests that issue its certificates themselves.
+
+use gdp::{NameCard, SigningKey};
+
+pub struct Owner {
+    pub key: SigningKey,
+    pub card: NameCard,
+}
+
+impl Owner {
+    /// Of a topic or service.
+    pub fn new(kind: &str, of: &str) -> Self {
+        let key = SigningKey::generate().unwrap();
+        let card = NameCard::create(key.verify_key(), kind, of, "T", None).unwrap();
+        Self { key, card }
+    }
+}
