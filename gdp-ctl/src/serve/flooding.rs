@@ -5,13 +5,13 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use gdp::control::{Flooded, Refusal, RefusalCode, Request, Response};
-use gdp::link::{Link, Role};
+use gdp::link::Link;
 use gdp::port::LinkAddr;
 use gdp_wire::{LinkRole, Name};
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until};
 
-use super::core::Core;
+use super::core::{Core, LinkState};
 use super::{Daemon, interfaces, ports};
 use crate::topology::cost::Meter;
 use crate::topology::{Batch, Verified};
@@ -68,7 +68,7 @@ pub fn take(daemon: &Daemon, from: &Link, states: Vec<Flooded>) -> Response {
     let link = from.local_id();
     let news = {
         let mut core = daemon.core();
-        if core.is_border(from) {
+        if core.role_on(from) == Some(LinkRole::Border as u32) {
             let reason = "the topology of a domain is no business of its neighbours";
             return Refusal::new(RefusalCode::NotEntitled, reason).into();
         }
@@ -111,33 +111,27 @@ pub async fn watch_carrier(daemon: Arc<Daemon>, mut changes: watch::Receiver<()>
 impl Core {
     /// This switch's adjacencies with other switches of its domain and their costs: those that frames may go by.
     pub fn adjacencies(&self) -> Vec<(Name, u32)> {
-        let live = self.links.values().map(|state| state.link.peer()).filter(|peer| peer.role == Role::Switch);
-        let held = self.held.iter().filter(|held| held.role == Role::Switch).map(|held| held.peer);
-        let near: BTreeSet<Name> = live.map(|peer| peer.name).chain(held).collect();
+        const SWITCH: u32 = LinkRole::Switch as u32;
+        let live = self.links.values().filter(|state| state.role() == SWITCH);
+        let held = self.held.iter().filter(|held| held.entry.role == SWITCH);
+        let links = live.map(|state| (state.link.peer().name, state.to)).chain(held.map(|held| (held.peer, held.to)));
+        let is_dark = |to| matches!(to, LinkAddr::Ethernet { ifindex, .. } if self.dark.contains(&ifindex));
+        let near: BTreeSet<Name> = links.filter(|(_, to)| !is_dark(*to)).map(|(peer, _)| peer).collect();
         let cost = |switch: &Name| {
             let configured = self.neighbours.iter().find(|n| n.place.switch == *switch).and_then(|n| n.cost);
             configured.unwrap_or_else(|| self.meters.get(switch).map_or(1, Meter::cost))
         };
-        near.into_iter().filter(|switch| self.is_adjacent(switch)).map(|switch| (switch, cost(&switch))).collect()
+        near.into_iter().map(|switch| (switch, cost(&switch))).collect()
     }
 
-    /// Whether the link leads into another domain.
-    fn is_border(&self, link: &Link) -> bool {
-        self.links.get(&link.local_id()).is_some_and(|state| state.admission.standing.is_border())
-    }
-
-    fn is_adjacent(&self, switch: &Name) -> bool {
-        let live = self.links_of(switch).filter_map(|id| self.links.get(&id));
-        let live = live.filter(|state| !state.admission.standing.is_border()).map(|state| state.to);
-        let border = LinkRole::Border as u32;
-        let held = self.held.iter().filter(|held| held.peer == *switch && held.entry.role != border);
-        let held = held.map(|held| held.to);
-        live.chain(held).any(|to| !matches!(to, LinkAddr::Ethernet { ifindex, .. } if self.dark.contains(&ifindex)))
+    /// What the data planes hold a link's peer for.
+    fn role_on(&self, link: &Link) -> Option<u32> {
+        self.links.get(&link.local_id()).map(LinkState::role)
     }
 
     /// A link is up: if it is to a switch of the domain, the topology goes by it.
     pub(super) fn meet(&mut self, link: &Link) {
-        if link.peer().role == Role::Switch && !self.is_border(link) {
+        if self.role_on(link) == Some(LinkRole::Switch as u32) {
             self.topology.link_up(link.local_id());
             let now = self.now().clock;
             self.meters.entry(link.peer().name).or_insert_with(|| Meter::new(now, Some(link.rtt())));
