@@ -91,6 +91,11 @@ impl Invitations {
         Ok(true)
     }
 
+    /// What was decided could not be kept: it is not so.
+    pub fn forget(&mut self, serial: u64) {
+        self.0.remove(&serial);
+    }
+
     /// What the RIB has decided.
     pub fn remember(&mut self, invite: &Invite, entity: Name) {
         if self.0.len() < MAX_USED || self.0.contains_key(&invite.serial) {

@@ -11,3 +11,4 @@ pub mod plane;
 pub mod rib;
 pub mod serve;
 pub mod topology;
+mod unix_time;

@@ -189,6 +189,37 @@ async fn what_a_domain_takes_back_reaches_all_its_switches_and_stays_so() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_kept_of_a_domain_is_not_said_to_be_done() {
+    let home = Domain::new(6);
+    let hub = Place::new("hub");
+    let _hub = hub.member(&home, "rib", LONG).rib().start().await;
+    // No file takes the place of a folder that has something in it.
+    let [revocations, invitations] =
+        ["domain-revocations", "invitations"].map(|kind| hub.file("switch").with_extension(kind));
+    std::fs::create_dir_all(revocations.join("in the way")).unwrap();
+    for _ in 0..2 {
+        let error = home.try_revoke(&hub, 1, &[7]).unwrap_err();
+        assert!(error.contains("taken in, but not kept") && error.contains("domain-revocations"), "{error}");
+    }
+    std::fs::remove_dir_all(&revocations).unwrap();
+    home.revoke(&hub, 1, &[7]).await;
+    assert!(revocations.is_file() && invitations.is_file());
+
+    // An invitation that a RIB may forget would admit another after its next start.
+    std::fs::remove_file(&invitations).unwrap();
+    std::fs::create_dir_all(invitations.join("in the way")).unwrap();
+    let token = home.invite("arm", &hub);
+    let robot = Identity::generate("proxy").unwrap();
+    let membership = token.admit(robot.name(), 0, now() as u64 * 1_000_000_000).unwrap();
+    let papers = || Some(Papers { membership: membership.clone(), peers: vec![] });
+    let error = attach(&robot, papers(), hub.addr).await.err().unwrap().to_string();
+    assert!(error.contains("taken in, but not kept") && error.contains("invitations"), "{error}");
+    std::fs::remove_dir_all(&invitations).unwrap();
+    attach(&robot, papers(), hub.addr).await.unwrap().close().await;
+    assert!(invitations.is_file());
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_invitation_admits_the_first_that_the_rib_sees() {
     let (home, log) = (Domain::new(5), log());
     let (hub, mid, first, second) = (Place::new("hub"), Place::new("mid"), Place::new("first"), Place::new("second"));

@@ -29,7 +29,8 @@ impl SecretFileError {
         matches!(self, Self::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
     }
 
-    pub(crate) fn malformed(path: &Path, reason: impl ToString) -> Self {
+    /// What is in the file is not what belongs there, for this reason.
+    pub fn malformed(path: &Path, reason: impl ToString) -> Self {
         Self::Malformed { path: path.into(), reason: reason.to_string() }
     }
 }

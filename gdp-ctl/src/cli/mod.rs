@@ -27,6 +27,7 @@ use clap::{Parser, Subcommand};
 
 use crate::admin::{Client, ClientError};
 use crate::folders;
+use crate::unix_time::{unix_nanos, unix_now};
 use output::Output;
 
 /// Names, certificates and the daemon of the Global Data Plane.
@@ -152,15 +153,9 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     }
 }
 
-/// Seconds since 1970.
-fn unix_now() -> u64 {
-    std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default().as_secs()
-}
-
-/// Nanoseconds since 1970: the serial of what is issued now.
+/// The serial of what is issued now.
 fn serial_now() -> u64 {
-    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
+    unix_nanos()
 }
 
 /// Beginning and end of what is issued now for so many seconds. A clock that is a little behind must not refuse it.

@@ -7,7 +7,6 @@ use std::net::{SocketAddr, UdpSocket};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::facts::{Bpffs, Clock, Facts, Interface, LeftOver, Loaded, Owner, PortState, Udp, Wanted};
 use crate::config::{Config, DataPlane};
@@ -19,6 +18,7 @@ use crate::plane::kernel_version::KernelVersion;
 use crate::plane::pins::{self, Pins, PinsError};
 use crate::plane::xdp_features::XdpFeatures;
 use crate::plane::{losses, object};
+use crate::unix_time::unix_now;
 
 /// What a daemon with this configuration would find, in this network namespace.
 pub fn facts(config: &Config) -> Facts {
@@ -55,8 +55,7 @@ fn clock() -> Clock {
     let mut state: libc::timex = unsafe { std::mem::zeroed() };
     // SAFETY: a structure that outlives the call.
     let result = unsafe { libc::adjtimex(&raw mut state) };
-    let unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
-    Clock { unix, synchronised: result >= 0 && result != libc::TIME_ERROR }
+    Clock { unix: unix_now(), synchronised: result >= 0 && result != libc::TIME_ERROR }
 }
 
 const CAP_SYS_ADMIN: u32 = 21;

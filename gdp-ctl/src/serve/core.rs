@@ -3,7 +3,7 @@
 //! [`super::admin`]) do the waiting.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::Instant;
 
 use gdp::cert::Advert;
 use gdp::control::{EntityRequest, FibPush, NameRole, Refusal, RefusalCode, Request, Response};
@@ -15,7 +15,7 @@ use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
 use gdp_wire::{LinkRole, Name};
 
-use super::domain::{self, unix_now};
+use super::domain;
 use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::routes::{Change, Routes};
 use crate::config::{Neighbour, Via};
@@ -25,6 +25,7 @@ use crate::rib::fib::Pushed;
 use crate::rib::{Effect, Limits, Now, Rib, Run, Told};
 use crate::topology::Topology;
 use crate::topology::cost::Meter;
+use crate::unix_time::{unix_nanos, unix_now};
 
 /// Switches that reach the RIB through this one; a RIB takes fewer.
 const MAX_DOWNSTREAM: usize = 256;
@@ -133,6 +134,10 @@ pub enum Next {
     Settle(Response, Statement),
     /// The RIB here has taken a revocation in; it is to be kept before that is said.
     Keep,
+    /// The RIB here admits somebody by an invitation; likewise. `new`: its serial, if it had admitted nobody before.
+    KeepInvitation {
+        new: Option<u64>,
+    },
     /// Ask over this link, and pass the response on.
     Forward(Link, Request),
     /// Have the endpoint at the other end of these attach again by each, or close it.
@@ -584,15 +589,7 @@ impl Core {
             }
             Request::Report { switch, attached, own_bit } => rib.report(now, &switch, &attached, own_bit),
             Request::Detach { switch, entity } => rib.detach(now, &switch, &entity),
-            Request::Entity(_)
-            | Request::Fib(_)
-            | Request::Peers(_)
-            | Request::Ready
-            | Request::Flood { .. }
-            | Request::Ratcheted { .. }
-            | Request::Papers(_)
-            | Request::DomainRevoked { .. }
-            | Request::Admitted { .. } => Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into(),
+            _ => Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into(),
         })
     }
 
@@ -792,11 +789,6 @@ impl Core {
         let live = self.links.iter().map(|(id, state)| (*id, state.link.peer().name));
         live.chain(self.held.iter().map(|held| (held.entry.id, held.peer))).collect()
     }
-}
-
-fn unix_nanos() -> u64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// Puts an entity's request to the RIB.

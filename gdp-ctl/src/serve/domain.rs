@@ -15,13 +15,14 @@ use gdp::name::NameProof;
 use gdp::revocations::{Kept, RevocationFile};
 use gdp::secret_file::{self, SecretFileError};
 use gdp::{Identity, Name};
-use tokio::sync::Mutex;
 use tokio::time::sleep;
 
 use super::core::Next;
+use super::kept::Keeper;
 use super::{Daemon, links};
 use crate::config::DomainConfig;
 use crate::domain::{Domain, DomainError, Invitations, MAX_USED, Papers, Trust, Used};
+use crate::unix_time::unix_now;
 
 /// How often the files are looked at, and whether something has ended.
 const LOOK: Duration = Duration::from_millis(250);
@@ -47,8 +48,8 @@ pub enum MembershipError {
 pub struct KeptDomain {
     revocations: RevocationFile,
     invitations: PathBuf,
-    /// What the files hold, as [`Domain::changes`] counts.
-    saved: Mutex<u64>,
+    /// Of what [`Domain::changes`] counts.
+    keeper: Keeper,
 }
 
 impl KeptDomain {
@@ -71,7 +72,7 @@ impl KeptDomain {
             Ok(own) => tracing::info!("{} of domain {:#} until Unix time {}", own.role, own.domain, own.not_after),
             Err(error) => tracing::error!("no link to anybody of a domain: {error}"),
         }
-        Ok((Self { revocations, invitations, saved: Mutex::new(0) }, Domain::new(trust, Invitations::recall(used))))
+        Ok((Self { revocations, invitations, keeper: Keeper::new(0) }, Domain::new(trust, Invitations::recall(used))))
     }
 }
 
@@ -80,11 +81,9 @@ fn load_used(path: &Path) -> Result<Vec<Used>, SecretFileError> {
         Err(error) if error.is_not_found() => return Ok(Vec::new()),
         bytes => bytes?,
     };
-    cbor::decode(&bytes, MAX_INVITATIONS).map_err(|error| SecretFileError::Malformed {
-        path: path.into(),
-        reason: format!(
-            "not a list of invitations ({error}); without it, each of them may admit another: remove it to begin anew"
-        ),
+    cbor::decode(&bytes, MAX_INVITATIONS).map_err(|error| {
+        let reason = "without it, each of them may admit another: remove it to begin anew";
+        SecretFileError::malformed(path, format!("not a list of invitations ({error}); {reason}"))
     })
 }
 
@@ -165,12 +164,12 @@ impl Daemon {
                 let code = if older { RefusalCode::ReplayedSerial } else { RefusalCode::Malformed };
                 return Refusal::new(code, error.to_string()).into();
             }
-            Ok(false) => return Response::Done,
+            // The last attempt to keep it may have failed.
+            Ok(false) => return self.kept_domain().await,
             Ok(true) => {}
         }
         tracing::info!("a domain has revoked some of what it issued");
         self.recheck_links(false);
-        self.keep_domain().await;
         let others: Vec<Link> = {
             let core = self.core();
             core.links.values().map(|state| &state.link).filter(|l| Some(l.local_id()) != from).cloned().collect()
@@ -179,7 +178,7 @@ impl Daemon {
             let request = Request::DomainRevoked { proof, revocation: revocation.clone() };
             self.spawn(tell(link, request));
         }
-        Response::Done
+        self.kept_domain().await
     }
 
     /// What a domain that is known here has revoked does not go to the RIB like the revocation of a name, but to all switches.
@@ -233,37 +232,45 @@ impl Daemon {
                     domain.invitations.remember(&invite, entity);
                     domain.changes += 1;
                 }
-                self.keep_domain().await;
+                // The RIB has kept it; what is not kept here is asked for again.
+                let _ = self.keep_domain().await;
                 Ok(())
             }
         }
     }
 
-    /// Returns once what is known of the domain by now is in its files.
-    pub(super) async fn keep_domain(self: &Arc<Self>) {
-        let Some(kept) = &self.domain else { return };
-        let mut saved = kept.saved.lock().await;
-        let (changes, revocations, used) = match &self.core().domain {
-            Some(domain) if domain.changes > *saved => {
-                let revocations: Vec<Kept> = domain.trust.revocations().cloned().collect();
-                (domain.changes, revocations, domain.invitations.all().copied().collect::<Vec<Used>>())
-            }
-            _ => return,
+    /// Says that somebody is admitted once that is kept; if it cannot be, nobody was.
+    pub(super) async fn keep_invitation(self: &Arc<Self>, new: Option<u64>) -> Response {
+        let response = self.kept_domain().await;
+        if let (Response::Refused(_), Some(serial), Some(domain)) = (&response, new, &mut self.core().domain) {
+            domain.invitations.forget(serial);
+        }
+        response
+    }
+
+    /// Says that it is done once it is kept.
+    async fn kept_domain(self: &Arc<Self>) -> Response {
+        self.keep_domain().await.map_or_else(Response::from, |()| Response::Done)
+    }
+
+    /// Returns once what is known of the domain by now is in its files; to be called before it is said to be done.
+    async fn keep_domain(self: &Arc<Self>) -> Result<(), Refusal> {
+        let Some(KeptDomain { revocations, invitations, keeper }) = &self.domain else { return Ok(()) };
+        let changes = self.core().domain.as_ref().map_or(0, |domain| domain.changes);
+        let collect = || {
+            let core = self.core();
+            let domain = core.domain.as_ref()?;
+            let revocations: Vec<Kept> = domain.trust.revocations().cloned().collect();
+            let used: Vec<Used> = domain.invitations.all().copied().collect();
+            Some((domain.changes, (revocations, used)))
         };
-        let (file, path) = (kept.revocations.clone(), kept.invitations.clone());
-        let write = move || -> Result<(), SecretFileError> {
+        let (file, path) = (revocations.clone(), invitations.clone());
+        let write = move |(revocations, used): (Vec<Kept>, Vec<Used>)| {
             file.save(&revocations)?;
-            let malformed =
-                |error: cbor::CborError| SecretFileError::Malformed { path: path.clone(), reason: error.to_string() };
+            let malformed = |error| SecretFileError::malformed(&path, error);
             secret_file::replace(&path, &cbor::encode(&used).map_err(malformed)?)
         };
-        match tokio::task::spawn_blocking(write).await {
-            Ok(Ok(())) => {}
-            Ok(Err(error)) => tracing::error!(%error, "what is known of the domain is forgotten when this daemon ends"),
-            Err(error) => tracing::error!(%error, "what is known of the domain could not be kept"),
-        }
-        // What failed is tried again with the next change.
-        *saved = changes;
+        keeper.keep(changes, collect, write).await
     }
 }
 
@@ -308,12 +315,8 @@ pub fn admitted(domain: Option<&mut Domain>, entity: Name, membership: &gdp::cer
     match domain.invitations.admit(&invite, entity, now) {
         Ok(new) => {
             domain.changes += u64::from(new);
-            Next::Answer(Response::Done)
+            Next::KeepInvitation { new: new.then_some(invite.serial) }
         }
         Err(reason) => refuse(RefusalCode::NotEntitled, reason.to_string()),
     }
-}
-
-pub fn unix_now() -> u64 {
-    std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default().as_secs()
 }

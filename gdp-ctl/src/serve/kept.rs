@@ -1,5 +1,7 @@
-//! The revocations of the RIB here, in a file beside the switch's key: so a daemon that starts anew refuses at once what an owner has
-//! taken back. Nothing else of the RIB is kept; entities state it again.
+//! What outlives a daemon though the RIB and the links do not: a file is written before it is said that something is done, and not for
+//! each of many changes by itself. The revocations of the RIB here are kept so, in a file beside the switch's key: a daemon that starts
+//! anew refuses at once what an owner has taken back. Nothing else of the RIB is kept; entities state it again. What is kept of the
+//! domain is in [`super::domain`].
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,15 +20,63 @@ use super::core::Core;
 /// Bytes of the file.
 const MAX: usize = 16 << 20;
 
-/// The file is written once in so long at most, however many revocations come.
+/// Files are written once in so long at most, however many changes come.
 const BETWEEN: Duration = Duration::from_millis(250);
 
-pub struct KeptRevocations {
-    file: RevocationFile,
-    /// What the file holds, as [`crate::rib::Rib::revocations_taken`] counts.
+/// How far something that counts its changes is written.
+pub struct Keeper {
     saved: AtomicU64,
     /// Held by who writes: when that is allowed again.
     next: Mutex<Instant>,
+}
+
+impl Keeper {
+    /// So many changes are in the file.
+    pub fn new(saved: u64) -> Self {
+        Self { saved: saved.into(), next: Mutex::new(Instant::now()) }
+    }
+
+    /// Returns once so many changes are in the file. `collect`: all there is to write, and how many changes that is; `write` blocks.
+    /// What could not be written is tried again by the next call.
+    pub async fn keep<T: Send + 'static>(
+        &self,
+        changes: u64,
+        collect: impl FnOnce() -> Option<(u64, T)>,
+        write: impl FnOnce(T) -> Result<(), SecretFileError> + Send + 'static,
+    ) -> Result<(), Refusal> {
+        let is_saved = || self.saved.load(Ordering::Acquire) >= changes;
+        if is_saved() {
+            return Ok(());
+        }
+        let mut next = self.next.lock().await;
+        // Who wrote meanwhile may have written this as well.
+        if is_saved() {
+            return Ok(());
+        }
+        sleep_until(*next).await;
+        let Some((collected, all)) = collect() else { return Ok(()) };
+        let written = tokio::task::spawn_blocking(move || write(all)).await;
+        *next = Instant::now() + BETWEEN;
+        let failed = match written {
+            Ok(Ok(())) => {
+                self.saved.store(collected, Ordering::Release);
+                return Ok(());
+            }
+            Ok(Err(error)) => error.to_string(),
+            Err(error) => error.to_string(),
+        };
+        tracing::error!("what was taken in is forgotten when this daemon ends: {failed}");
+        let reason = format!(
+            "taken in, but not kept: {failed}; until that is mended and it is asked for again, it ends with the daemon that was to keep it"
+        );
+        Err(Refusal::new(RefusalCode::Unreachable, reason))
+    }
+}
+
+pub struct KeptRevocations {
+    file: RevocationFile,
+    /// Of what [`crate::rib::Rib::revocations_taken`] counts.
+    keeper: Keeper,
 }
 
 impl KeptRevocations {
@@ -38,48 +88,24 @@ impl KeptRevocations {
             rib.recall(file.load()?);
             saved = rib.revocations_taken();
         }
-        Ok(Self { file, saved: saved.into(), next: Mutex::new(Instant::now()) })
+        Ok(Self { file, keeper: Keeper::new(saved) })
     }
 }
 
 impl Daemon {
-    /// Returns once what has been revoked by now is in the file; to be called before it is said to be done. What could not be
-    /// written is tried again by the next call.
+    /// Returns once what has been revoked by now is in the file; to be called before it is said to be done.
     pub(super) async fn keep_revocations(self: &Arc<Self>) -> Result<(), Refusal> {
-        let kept = &self.revocations;
-        let wanted = self.core().rib.as_ref().map_or(0, |rib| rib.revocations_taken());
-        let is_saved = || kept.saved.load(Ordering::Acquire) >= wanted;
-        if is_saved() {
-            return Ok(());
-        }
-        let mut next = kept.next.lock().await;
-        // Who wrote meanwhile may have written this as well.
-        if is_saved() {
-            return Ok(());
-        }
-        sleep_until(*next).await;
-        let (taken, all) = match &self.core().rib {
-            Some(rib) => (rib.revocations_taken(), rib.kept_revocations()),
-            None => return Ok(()),
-        };
-        let file = kept.file.clone();
-        let saved = tokio::task::spawn_blocking(move || file.save(&all)).await;
-        *next = Instant::now() + BETWEEN;
-        let failed = match saved {
-            Ok(Ok(omitted)) => {
-                if omitted > 0 {
-                    tracing::warn!(omitted, "more revocations than {} holds", kept.file.path().display());
-                }
-                kept.saved.store(taken, Ordering::Release);
-                return Ok(());
+        let KeptRevocations { file, keeper } = &self.revocations;
+        let taken = self.core().rib.as_ref().map_or(0, |rib| rib.revocations_taken());
+        let collect = || self.core().rib.as_ref().map(|rib| (rib.revocations_taken(), rib.kept_revocations()));
+        let file = file.clone();
+        let write = move |all| {
+            let omitted = file.save(&all)?;
+            if omitted > 0 {
+                tracing::warn!(omitted, "more revocations than {} holds", file.path().display());
             }
-            Ok(Err(error)) => error.to_string(),
-            Err(error) => error.to_string(),
+            Ok(())
         };
-        tracing::error!("revocations are forgotten when this daemon ends: {failed}");
-        let reason = format!(
-            "taken in, but not kept: {failed}; until that is mended and it is revoked again, it ends with the daemon of the RIB"
-        );
-        Err(Refusal::new(RefusalCode::Unreachable, reason))
+        keeper.keep(taken, collect, write).await
     }
 }

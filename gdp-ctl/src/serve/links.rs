@@ -277,10 +277,10 @@ impl Daemon {
     /// Does what a request needs before it can be answered, and what follows from it.
     pub(super) async fn complete(self: &Arc<Self>, next: Next) -> Response {
         self.send_effects();
-        self.keep_domain().await;
         match next {
             Next::Answer(response) => response,
             Next::Keep => self.keep_revocations().await.map_or_else(Response::from, |()| Response::Done),
+            Next::KeepInvitation { new } => self.keep_invitation(new).await,
             Next::Settle(response, statement) => match self.settled(&statement).await {
                 Ok(()) => response,
                 Err(refusal) => refusal.into(),

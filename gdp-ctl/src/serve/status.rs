@@ -12,6 +12,7 @@ use super::core::Core;
 use super::{Daemon, interfaces};
 use crate::domain::{Domain, Standing};
 use crate::plane::host_pair;
+use crate::unix_time::unix_now;
 
 /// Names that the status shows as the busiest.
 const BUSIEST: usize = 10;
@@ -173,7 +174,7 @@ fn neighbours(state: &LinkState) -> Vec<Value> {
 }
 
 fn domain(domain: &Domain) -> Value {
-    let own = domain.trust.own(super::domain::unix_now());
+    let own = domain.trust.own(unix_now());
     let revocations: Vec<_> = domain.trust.revocations().filter_map(|kept| kept.verify().ok()).collect();
     json!({
         "name": domain.trust.home(),
