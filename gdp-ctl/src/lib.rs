@@ -6,6 +6,7 @@ pub mod cli;
 pub mod config;
 pub mod doctor;
 pub mod domain;
+mod feed;
 pub mod folders;
 pub mod plane;
 pub mod rib;

@@ -1,35 +1,26 @@
-//! What one switch's FIB should hold, and the pushes that bring it there: deltas while it follows, the whole in parts
-//! after every (re)connect. Pure state; the RIB fills it and sends what [`Fib::next`] returns.
+//! What one switch's FIB should hold, as a [`Feed`] of routes, and what the switch last said of it. Pure state; the RIB fills it
+//! and sends what [`Fib::next`] returns.
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use gdp::control::{Extent, FibPush, Route};
+use gdp::control::{FibPush, Route};
 use gdp_wire::Name;
 
-/// Names in one push.
-const NAMES_PER_PUSH: usize = 400;
+use crate::feed::{Feed, Room};
 
-/// Bytes of the routes in one push; a message has at most 64 KiB, and the rest is for what encloses them.
-const ROUTES_SIZE: usize = 56 * 1024;
+/// What one push takes: a message has at most 64 KiB, and the rest is for what encloses the routes. A single route always fits: a
+/// name has at most as many readers at a switch as that has links, and 256 writers.
+const ROOM: Room = Room { entries: NAMES_PER_PUSH, bytes: 56 * 1024 };
+const NAMES_PER_PUSH: usize = 400;
 
 /// What an encoded route has without endpoints, and for each of them: names, field names.
 const ROUTE_SIZE: usize = 128;
 const ENDPOINT_SIZE: usize = 34;
 
-/// How long after a push that failed the switch is sent its whole FIB.
-const RETRY: Duration = Duration::from_millis(500);
-
 /// The desired FIB of one switch, and how far the switch is known to hold it.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Fib {
-    routes: BTreeMap<[u8; 32], Route>,
-    /// Names whose desired route is not what was last sent.
-    dirty: BTreeSet<[u8; 32]>,
-    generation: u64,
-    phase: Phase,
-    /// The push that has not been answered.
-    in_flight: Option<InFlight>,
+    routes: Feed<[u8; 32], Route>,
     /// Why the data plane of the switch holds only part of what was pushed.
     lacking: Option<String>,
 }
@@ -43,12 +34,6 @@ pub struct About {
     pub own_bit: u8,
 }
 
-#[derive(Debug)]
-struct InFlight {
-    generation: u64,
-    names: BTreeSet<[u8; 32]>,
-}
-
 /// What became of a push.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Pushed {
@@ -59,115 +44,41 @@ pub enum Pushed {
     Failed,
 }
 
-#[derive(Debug, PartialEq, Eq)]
-enum Phase {
-    /// The switch gets its whole FIB: next is this part, of the names above this one.
-    Full { part: u32, after: Option<[u8; 32]> },
-    /// The switch holds everything but what is dirty.
-    Following,
-    /// A push failed; try again from this time on.
-    Failed { retry: Duration },
-}
-
-impl Default for Fib {
-    fn default() -> Self {
-        Self {
-            routes: BTreeMap::new(),
-            dirty: BTreeSet::new(),
-            generation: 0,
-            phase: Phase::Full { part: 0, after: None },
-            in_flight: None,
-            lacking: None,
-        }
-    }
-}
-
 impl Fib {
     /// Makes `route` the desired one of its name, or none.
     pub fn set(&mut self, name: &Name, route: Option<Route>) {
-        let key = name.to_bytes();
-        if self.routes.get(&key) != route.as_ref() {
-            self.dirty.insert(key);
-        }
-        match route {
-            Some(route) => self.routes.insert(key, route),
-            None => self.routes.remove(&key),
-        };
+        self.routes.set(name.to_bytes(), route);
     }
 
     /// Sends the whole again: the switch is new or was away, or gets another bit. An answer that is still out no longer counts.
     pub fn restart(&mut self) {
-        self.phase = Phase::Full { part: 0, after: None };
-        self.in_flight = None;
+        self.routes.restart();
     }
 
     /// The next push, unless one is out or there is nothing to say.
     pub fn next(&mut self, now: Duration, about: About) -> Option<FibPush> {
-        if self.in_flight.is_some() {
-            return None;
-        }
-        if matches!(self.phase, Phase::Failed { retry } if now >= retry) {
-            self.restart();
-        }
-        let (extent, set, remove) = match &mut self.phase {
-            Phase::Failed { .. } => return None,
-            Phase::Full { part, after } => {
-                let (set, last) = page(&self.routes, *after);
-                // This page settles what is dirty on it; changes before it stay for a delta.
-                let end = if last { None } else { set.last().map(|r| r.name.to_bytes()) };
-                let start = *after;
-                self.dirty.retain(|name| start.is_some_and(|s| *name <= s) || end.is_some_and(|e| *name > e));
-                let extent = Extent::Full { part: *part, last };
-                self.phase = if last { Phase::Following } else { Phase::Full { part: *part + 1, after: end } };
-                (extent, set, Vec::new())
-            }
-            Phase::Following => {
-                if self.dirty.is_empty() {
-                    return None;
-                }
-                let (mut set, mut remove, mut room) = (Vec::new(), Vec::new(), Room::new());
-                while let Some(name) = self.dirty.first() {
-                    let route = self.routes.get(name);
-                    if !room.takes(route) {
-                        break;
-                    }
-                    match route {
-                        Some(route) => set.push(route.clone()),
-                        None => remove.push(Name::from_bytes(*name)),
-                    }
-                    self.dirty.pop_first();
-                }
-                (Extent::Delta, set, remove)
-            }
-        };
-        self.generation += 1;
-        let names = set.iter().map(|route| &route.name).chain(&remove).map(|name| name.to_bytes()).collect();
-        self.in_flight = Some(InFlight { generation: self.generation, names });
+        let parcel = self.routes.next(now, ROOM, size)?;
         let About { switch, run, settling, own_bit } = about;
-        Some(FibPush { switch, run, settling, generation: self.generation, extent, own_bit, set, remove })
+        let remove = parcel.remove.into_iter().map(Name::from_bytes).collect();
+        let (generation, extent, set) = (parcel.generation, parcel.extent, parcel.set);
+        Some(FibPush { switch, run, settling, generation, extent, own_bit, set, remove })
     }
 
     /// What became of the push of this generation. If it failed, the whole is sent, a little later.
     pub fn answered(&mut self, now: Duration, generation: u64, outcome: Pushed) {
-        if self.in_flight.as_ref().is_none_or(|push| push.generation != generation) {
+        if !self.routes.answered(now, generation, outcome != Pushed::Failed) {
             return;
         }
-        self.in_flight = None;
         match outcome {
             Pushed::Done => self.lacking = None,
             Pushed::Partly(reason) => self.lacking = Some(reason),
-            Pushed::Failed => self.phase = Phase::Failed { retry: now + RETRY },
+            Pushed::Failed => {}
         }
     }
 
     /// Whether the switch has answered what there is to say of this name; or has failed to, so that waiting is of no use.
     pub fn is_settled(&self, name: &[u8; 32]) -> bool {
-        let sent = match &self.phase {
-            Phase::Failed { .. } => return true,
-            Phase::Following => true,
-            Phase::Full { after, .. } => after.is_some_and(|after| *name <= after),
-        };
-        sent && !self.dirty.contains(name) && self.in_flight.as_ref().is_none_or(|push| !push.names.contains(name))
+        self.routes.is_settled(name)
     }
 
     /// Why the data plane of the switch has no room for more, as it last said.
@@ -177,56 +88,26 @@ impl Fib {
 
     /// When to ask for the next push again, if nothing else happens.
     pub fn retry_at(&self) -> Option<Duration> {
-        match self.phase {
-            Phase::Failed { retry } => Some(retry),
-            _ => None,
-        }
+        self.routes.retry_at()
     }
 
     /// All that the switch should hold.
     pub fn routes(&self) -> impl Iterator<Item = &Route> {
-        self.routes.values()
+        self.routes.entries().values()
     }
 }
 
-/// What is left of a push.
-struct Room {
-    names: usize,
-    bytes: usize,
-}
-
-impl Room {
-    fn new() -> Self {
-        Self { names: NAMES_PER_PUSH, bytes: ROUTES_SIZE }
-    }
-
-    /// Makes room for a route, or for the name of one that is removed. An empty push takes any: a name has at most as many
-    /// readers at a switch as that has links, and 256 writers.
-    fn takes(&mut self, route: Option<&Route>) -> bool {
-        let size = ROUTE_SIZE + route.map_or(0, |route| (route.locals.len() + route.writers.len()) * ENDPOINT_SIZE);
-        if self.names == 0 || (self.bytes < size && self.names < NAMES_PER_PUSH) {
-            return false;
-        }
-        self.names -= 1;
-        self.bytes = self.bytes.saturating_sub(size);
-        true
-    }
-}
-
-/// The routes above `after` that one push takes, and whether they are the last.
-fn page(routes: &BTreeMap<[u8; 32], Route>, after: Option<[u8; 32]>) -> (Vec<Route>, bool) {
-    use std::ops::Bound::{Excluded, Unbounded};
-    let mut rest = routes.range((after.map_or(Unbounded, Excluded), Unbounded)).map(|(_, route)| route).peekable();
-    let mut room = Room::new();
-    let mut set = Vec::new();
-    while let Some(route) = rest.next_if(|route| room.takes(Some(route))) {
-        set.push(route.clone());
-    }
-    (set, rest.peek().is_none())
+/// Bytes of a route in a push, or of the name of one that is removed.
+fn size(route: Option<&Route>) -> usize {
+    ROUTE_SIZE + route.map_or(0, |route| (route.locals.len() + route.writers.len()) * ENDPOINT_SIZE)
 }
 
 #[cfg(test)]
 mod tests {
+    use std::collections::{BTreeMap, BTreeSet};
+
+    use gdp::control::Extent;
+
     use super::*;
 
     const NOW: Duration = Duration::from_secs(5);
