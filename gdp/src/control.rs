@@ -8,8 +8,10 @@
 //! them and again, with [`Record::verify`], by whoever receives an answer.
 
 mod peers;
+mod tiers;
 
 pub use peers::{NameRole, Peers, PeersExtent, PeersPush};
+pub use tiers::{Abroad, MAX_ANCESTORS, MAX_PATH, TierEntry, TierHolds, TierKey, TierPush, TierRequest, TierResponse};
 
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};

@@ -1,5 +1,5 @@
 //! Certificates and statements: COSE_Sign1 / ES256 over deterministic CBOR (RFC 9052, RFC 8949 §4.2.1). [`owner`], [`domain`],
-//! [`statements`] and [`link_state`] say what they state, [`Signed`] keeps and checks the exact bytes, [`issued`] the chain from a certificate
+//! [`border`], [`statements`] and [`link_state`] say what they state, [`Signed`] keeps and checks the exact bytes, [`issued`] the chain from a certificate
 //! to the owner of its name. Who must have signed what for a request to be granted is checked in [`request`]. The RIB, and
 //! whoever receives its answers, call this.
 //!
@@ -7,6 +7,7 @@
 //! verifies as another; a COSE `Sig_structure` begins with a CBOR array head and "Signature1", which no other input that
 //! this project signs begins with (`gdp::seal` signs "gdp/batch/1…", TLS signs 64 spaces and a context).
 
+mod border;
 mod claims;
 pub mod domain;
 mod issued;
@@ -17,6 +18,7 @@ mod request;
 mod signed;
 mod statements;
 
+pub use border::{Border, BorderStatement, Locator, MAX_ADDRESSES, MAX_LOCATED, MAX_LOCATOR};
 pub use claims::{Claims, Validity};
 pub use domain::{Invite, MemberCert, Membership, PeerCert, PeerRights};
 pub use issued::{Issued, MAX_CERT_FILE, Reading};
