@@ -11,5 +11,6 @@ pub mod folders;
 pub mod plane;
 pub mod rib;
 pub mod serve;
+pub mod tiers;
 pub mod topology;
 mod unix_time;

@@ -1,0 +1,212 @@
+//! Nothing that a neighbour says is taken in before it is verified here: paths, signatures, memberships, scopes, bounds. Each refusal
+//! has a reason that is counted.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp::cert::{CertError, Revocation};
+use gdp::control::{Abroad, Credential, MAX_PATH, TierEntry, TierKey};
+use gdp_wire::Name;
+
+use super::table::{Held, Item, Table};
+use crate::rib::Now;
+
+/// What owners of names, and domains, are known to have taken back.
+pub trait Revoked {
+    /// The newest revocation of a name, which may be a domain's.
+    fn newest(&self, name: &Name) -> Option<&Revocation>;
+}
+
+/// Why something that a neighbouring domain says is not taken in.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TierRefusal {
+    #[error("a path of {0} domains, where 1 to {MAX_PATH} are allowed")]
+    PathLength(usize),
+    #[error("a path that ends in domain {got:#}, from domain {from:#}: a domain speaks for itself only")]
+    NotItsOwn { from: Name, got: Name },
+    #[error("a cycle: it came through domain {0:#} before")]
+    Cycle(Name),
+    #[error("the record of {name:#}: {source}")]
+    Record { name: Name, source: CertError },
+    #[error("the membership of switch {switch:#} in domain {domain:#}: {source}")]
+    Host { switch: Name, domain: Name, source: CertError },
+    #[error(
+        "the writer of {name:#} may be known in its own domain {origin:#} only: have its AdCert issued with the other domains in its scope"
+    )]
+    OutOfScope { name: Name, origin: Name },
+    #[error("the record of {0:#} has ended")]
+    Ended(Name),
+    #[error("a key box of {0:#}, of which no part in a name is known")]
+    NoWriter(Name),
+    #[error("a key box of {writer:#}: {source}")]
+    Box { writer: Name, source: CertError },
+    #[error("the locator of domain {domain:#}: {source}")]
+    Locator { domain: Name, source: CertError },
+    #[error("{limit} {what} of one domain are kept: that is the limit of this RIB")]
+    Full { what: &'static str, limit: usize },
+}
+
+impl TierRefusal {
+    /// By which it is counted.
+    pub fn as_str(&self) -> &'static str {
+        match self {
+            Self::PathLength(_) => "path_length",
+            Self::NotItsOwn { .. } => "not_its_own",
+            Self::Cycle(_) => "cycle",
+            Self::OutOfScope { .. } => "scope",
+            Self::Ended(_) => "ended",
+            Self::NoWriter(_) => "no_writer",
+            Self::Full { .. } => "limit",
+            Self::Record { source, .. }
+            | Self::Host { source, .. }
+            | Self::Box { source, .. }
+            | Self::Locator { source, .. } => match source {
+                CertError::BadSignature { .. } | CertError::WrongKey { .. } => "signature",
+                CertError::NotYetValid { .. } => "not_yet_valid",
+                CertError::Expired { .. } => "expired",
+                CertError::Revoked { .. } => "revoked",
+                CertError::WrongDomain { .. } => "wrong_domain",
+                CertError::ReplayedSerial { .. } => "replayed",
+                _ => "certificate",
+            },
+        }
+    }
+}
+
+/// Who judges, and when.
+pub struct Judge<'a, R> {
+    pub home: Name,
+    pub now: Now,
+    pub revoked: &'a R,
+}
+
+/// What is taken in, and when it ends.
+pub type Judged = (TierKey, Item, Duration);
+
+impl<R: Revoked> Judge<'_, R> {
+    /// Judges what `from` says, of which `table` is held already.
+    pub fn entry(&self, from: Name, table: &Table, entry: TierEntry) -> Result<Judged, TierRefusal> {
+        match entry {
+            TierEntry::Part(abroad) => {
+                let held = self.part(from, table, *abroad)?;
+                Ok((TierKey::Part(held.place), Item::part(Arc::new(held.clone())), held.ends))
+            }
+            TierEntry::Box(signed) => {
+                let unreadable = |source| TierRefusal::Box { writer: from, source };
+                let claims = signed.claims_unverified().map_err(unreadable)?;
+                let writer = claims.writer;
+                let key = TierKey::Box { writer, reader: claims.reader, name: claims.name, epoch: claims.epoch };
+                let item = Item::Box(Arc::new(signed.clone()));
+                let part = table.part_by(&writer).ok_or(TierRefusal::NoWriter(writer))?;
+                if table.get(&key) != Some(&item) {
+                    let wrong = |source| TierRefusal::Box { writer, source };
+                    let signer = part.record.entity.verify_key().map_err(|error| wrong(error.into()))?;
+                    signed.verify_signature(&signer).map_err(wrong)?;
+                }
+                Ok((key, item, Duration::MAX))
+            }
+            TierEntry::Locator { domain, locator } => {
+                let wrong = |source| TierRefusal::Locator { domain, source };
+                if domain == self.home {
+                    return Err(TierRefusal::Cycle(domain));
+                }
+                let key = TierKey::Locator(domain);
+                let statements = locator.verify(domain, self.revoked.newest(&domain), self.now.unix).map_err(wrong)?;
+                if let Some(Item::Locator { locator: held, .. }) = table.get(&key) {
+                    for held in &held.borders {
+                        let held = held.statement.claims_unverified().map_err(wrong)?;
+                        let older =
+                            |new: &&gdp::cert::BorderStatement| new.switch == held.switch && new.serial < held.serial;
+                        if let Some(new) = statements.iter().find(older) {
+                            return Err(wrong(CertError::ReplayedSerial { got: new.serial, floor: held.serial }));
+                        }
+                    }
+                }
+                let until = statements.iter().map(|statement| statement.not_after).min();
+                let ends = until.map_or(Duration::MAX, |until| self.clock_at(until));
+                Ok((key, Item::Locator { domain, locator: Arc::new(locator) }, ends))
+            }
+        }
+    }
+
+    /// Whether something that is held would still be taken in.
+    pub fn still_holds(&self, held: &Held) -> Result<(), TierRefusal> {
+        self.verify(&held.record, &held.host, held.origin(self.home)).map(drop)
+    }
+
+    fn part(&self, from: Name, table: &Table, abroad: Abroad) -> Result<Held, TierRefusal> {
+        let name = abroad.record.name;
+        check_path(self.home, from, &abroad.path)?;
+        let origin = abroad.path[0];
+        let place = abroad.record.place().map_err(|source| TierRefusal::Record { name, source })?;
+        let said = self.now.clock + Duration::from_secs(abroad.record.expires_in.min(u32::MAX.into()));
+        if let Some(Item::Part { held, .. }) = table.get(&TierKey::Part(place))
+            && held.origin(self.home) == origin
+            && held.states_the_same(&abroad)
+            && held.ends > self.now.clock
+        {
+            return Ok(Held { path: abroad.path, ends: held.ends.min(said), ..(**held).clone() });
+        }
+        let (lifetime, until) = self.verify(&abroad.record, &abroad.host, origin)?;
+        let scope = match &abroad.record.credential {
+            Credential::Writer(cert) => {
+                let claims = cert.cert.claims_unverified();
+                claims.map_err(|source| TierRefusal::Record { name, source })?.scope
+            }
+            Credential::Reader(_) => Vec::new(),
+        };
+        let stated = self.now.clock + Duration::from_secs(lifetime.into());
+        let ends = said.min(stated).min(self.clock_at(until));
+        if ends <= self.now.clock {
+            return Err(TierRefusal::Ended(name));
+        }
+        let held = Held { place, record: abroad.record, host: abroad.host, path: abroad.path, scope, ends };
+        if !held.may_leave(self.home) {
+            return Err(TierRefusal::OutOfScope { name, origin });
+        }
+        Ok(held)
+    }
+
+    /// The lifetime of the statement in seconds, and the last Unix second at which all certificates hold.
+    fn verify(
+        &self,
+        record: &gdp::control::Record,
+        host: &gdp::cert::Membership,
+        origin: Name,
+    ) -> Result<(u32, u64), TierRefusal> {
+        let Now { unix, .. } = self.now;
+        let wrong_host = |source| TierRefusal::Host { switch: record.switch, domain: origin, source };
+        let member = host.verify(origin, self.revoked.newest(&origin), unix).map_err(wrong_host)?;
+        if member.entity != record.switch {
+            let (expected, got) = (record.switch, member.entity);
+            return Err(wrong_host(CertError::WrongEntity { expected, got }));
+        }
+        if !gdp::cert::domain::roles::is_switch(&member.role) {
+            let expected = gdp::cert::domain::roles::SWITCH.into();
+            return Err(wrong_host(CertError::WrongRole { expected, got: member.role }));
+        }
+        let verified = record
+            .verify(self.revoked.newest(&record.name), unix)
+            .map_err(|source| TierRefusal::Record { name: record.name, source })?;
+        Ok((verified.advert.lifetime, verified.not_after.min(member.not_after)))
+    }
+
+    fn clock_at(&self, unix: u64) -> Duration {
+        self.now.clock + Duration::from_secs(unix.saturating_sub(self.now.unix).saturating_add(1).min(u32::MAX.into()))
+    }
+}
+
+/// Of domains that something came through to `home`, the last of them `from`.
+pub fn check_path(home: Name, from: Name, path: &[Name]) -> Result<(), TierRefusal> {
+    let (1..=MAX_PATH, Some(last)) = (path.len(), path.last()) else {
+        return Err(TierRefusal::PathLength(path.len()));
+    };
+    if *last != from {
+        return Err(TierRefusal::NotItsOwn { from, got: *last });
+    }
+    let again = |(index, domain): &(usize, &Name)| **domain == home || path[..*index].contains(domain);
+    match path.iter().enumerate().find(again) {
+        Some((_, domain)) => Err(TierRefusal::Cycle(*domain)),
+        None => Ok(()),
+    }
+}

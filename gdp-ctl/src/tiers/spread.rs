@@ -1,0 +1,155 @@
+//! Who is told of what. Upward goes what may leave its domain; downward, and to this domain's own entities, what somebody there
+//! exchanges messages with. Of several ways to a part the shortest counts, of equal ones that through the first parent; nothing is told
+//! to a domain that it came through, and nothing that came from above is told above: so nothing circles.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use gdp::control::{MAX_PATH, NameRole, RecordPlace, TierKey};
+use gdp_wire::Name;
+
+use super::side::Kind;
+use super::table::{Held, Item};
+use super::{Tiers, side::Side};
+
+/// Those on one side who have a part in a name.
+struct Interest(BTreeSet<(NameRole, Name, Vec<Name>)>);
+
+impl Interest {
+    fn of<'a>(home: Name, parts: impl Iterator<Item = &'a Arc<Held>>) -> Self {
+        Self(parts.map(|held| (held.place.role, held.origin(home), held.scope.clone())).collect())
+    }
+
+    /// Whether one of them exchanges messages with `other`: in another domain, and in the scope of whichever of the two writes.
+    fn wants(&self, other: &Held, home: Name) -> bool {
+        let (origin, role) = (other.origin(home), other.place.role);
+        self.0.iter().any(|(own_role, own_origin, own_scope)| {
+            let allows = if role.is_writer() { other.scope.contains(own_origin) } else { own_scope.contains(&origin) };
+            *own_role == role.counterpart() && *own_origin != origin && allows
+        })
+    }
+}
+
+impl Tiers {
+    /// Finds anew what each side is to be told, where something has changed.
+    pub(super) fn spread(&mut self) {
+        let mut writers = std::mem::take(&mut self.changed_writers);
+        let mut origins = std::mem::take(&mut self.changed_locators);
+        for name in std::mem::take(&mut self.changed_names) {
+            self.spread_name(name, &mut writers, &mut origins);
+        }
+        writers.into_iter().for_each(|writer| self.spread_boxes(writer));
+        origins.into_iter().for_each(|origin| self.spread_locator(origin));
+    }
+
+    fn spread_name(&mut self, name: Name, writers: &mut BTreeSet<Name>, origins: &mut BTreeSet<Name>) {
+        let home = self.home;
+        let mut ways: BTreeMap<RecordPlace, Vec<Arc<Held>>> = BTreeMap::new();
+        let mut interests = BTreeMap::from([(home, Interest::of(home, self.own.parts_of(name)))]);
+        for held in self.own.parts_of(name) {
+            ways.entry(held.place).or_default().push(held.clone());
+        }
+        for (domain, side) in self.sides.iter().filter(|(_, side)| !side.is_refused()) {
+            interests.insert(*domain, Interest::of(home, side.table.parts_of(name)));
+            for held in side.table.parts_of(name) {
+                ways.entry(held.place).or_default().push(held.clone());
+            }
+        }
+        for ways in ways.values_mut() {
+            ways.sort_by_key(|held| (held.path.len(), self.rank(held.via(home))));
+        }
+        writers.extend(ways.keys().map(|place| place.entity));
+
+        for (domain, side) in &mut self.sides {
+            let is_from_above = |held: &Held| self.parents.contains(&held.via(home));
+            let is_fit = |held: &&Arc<Held>| {
+                held.path.len() < MAX_PATH
+                    && !held.path.contains(domain)
+                    && match side.kind {
+                        Kind::Parent(_) => held.may_leave(home) && !is_from_above(held),
+                        Kind::Child => interests.get(domain).is_some_and(|interest| interest.wants(held, home)),
+                    }
+            };
+            let fit: Vec<Item> = match side.is_refused() {
+                true => Vec::new(),
+                false => ways.values().filter_map(|ways| ways.iter().find(is_fit).cloned()).map(Item::part).collect(),
+            };
+            let (entities, changed) = side.told.replace_parts(home, name, fit);
+            writers.extend(entities);
+            origins.extend(changed);
+        }
+
+        let best = ways.values().filter_map(|ways| ways.first()).filter(|held| !held.path.is_empty());
+        let known = best.filter_map(|held| {
+            let via = held.via(home);
+            let passes = |(domain, interest): (&Name, &Interest)| {
+                *domain != home && *domain != via && !held.path.contains(domain) && interest.wants(held, home)
+            };
+            let only_passes = !interests[&home].wants(held, home);
+            let is_known = !only_passes || interests.iter().any(passes);
+            is_known.then(|| Item::Part { held: held.clone(), only_passes })
+        });
+        let (entities, changed) = self.known.replace_parts(home, name, known.collect());
+        writers.extend(entities);
+        origins.extend(changed);
+    }
+
+    /// The boxes of a writer go where its parts go and their readers are.
+    fn spread_boxes(&mut self, writer: Name) {
+        let mut desired: BTreeMap<Name, BTreeMap<TierKey, Item>> = BTreeMap::new();
+        for domain in self.sides.keys().chain([&self.home]) {
+            let (told, table) = match self.sides.get(domain) {
+                Some(side) => (&side.told, &side.table),
+                None => (&self.known, &self.own),
+            };
+            let boxes = desired.entry(*domain).or_default();
+            let mut said_by: Vec<Name> = told.said_of(&writer).into_iter().collect();
+            said_by.sort_by_key(|via| self.rank(*via));
+            for via in said_by {
+                let own = (via == self.home).then_some(&self.own);
+                let Some(source) = own.or_else(|| self.sides.get(&via).map(|side| &side.table)) else { continue };
+                for (key, item) in source.boxes_of(writer) {
+                    let TierKey::Box { reader, .. } = key else { continue };
+                    if table.has_entity(reader) {
+                        boxes.entry(*key).or_insert_with(|| item.clone());
+                    }
+                }
+            }
+        }
+        for (domain, boxes) in desired {
+            let told = self.sides.get_mut(&domain).map_or(&mut self.known, |side| &mut side.told);
+            told.replace_boxes(writer, boxes);
+        }
+    }
+
+    /// Where a domain can be reached goes where its parts go.
+    fn spread_locator(&mut self, origin: Name) {
+        let key = TierKey::Locator(origin);
+        let find = |side: Option<&Side>| {
+            let told = side.map_or(&self.known, |side| &side.told);
+            let mut said_by: Vec<Name> = told.said_from(&origin).collect();
+            said_by.sort_by_key(|via| self.rank(*via));
+            said_by.into_iter().find_map(|via| match self.sides.get(&via) {
+                Some(side) => side.table.get(&key).cloned(),
+                None => self.own.get(&key).cloned(),
+            })
+        };
+        let known = find(None);
+        let found: Vec<_> = self.sides.iter().map(|(domain, side)| (*domain, find(Some(side)))).collect();
+        self.known.feed.set(key, known);
+        for (domain, item) in found {
+            if let Some(side) = self.sides.get_mut(&domain) {
+                side.told.feed.set(key, item);
+            }
+        }
+    }
+
+    /// Whose word counts first: this domain's, parents' in their order, children's.
+    fn rank(&self, via: Name) -> (usize, Name) {
+        match self.parents.iter().position(|parent| *parent == via) {
+            _ if via == self.home => (0, via),
+            Some(index) => (1 + index, via),
+            None => (usize::MAX, via),
+        }
+    }
+}

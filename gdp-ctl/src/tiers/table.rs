@@ -1,0 +1,262 @@
+//! What one side says: parts in names, key boxes, locators, all verified before they come here. Of a neighbouring domain it is kept by
+//! mark and sweep, as a switch keeps its FIB.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp::cert::{Locator, Membership, Signed};
+use gdp::control::{Abroad, Extent, NameRole, Record, RecordPlace, TierEntry, TierHolds, TierKey};
+use gdp::keys::KeyBox;
+use gdp_wire::Name;
+
+/// A verified part in a name.
+#[derive(Clone, Debug)]
+pub struct Held {
+    pub place: RecordPlace,
+    pub record: Record,
+    pub host: Membership,
+    /// The domains it came through, the one that said it last; none for what was stated in this domain.
+    pub path: Vec<Name>,
+    /// Of a writer: the domains its certificate names.
+    pub scope: Vec<Name>,
+    /// On the clock of this RIB.
+    pub ends: Duration,
+}
+
+impl Held {
+    /// The domain it was stated in.
+    pub fn origin(&self, home: Name) -> Name {
+        self.path.first().copied().unwrap_or(home)
+    }
+
+    /// The domain that said it.
+    pub fn via(&self, home: Name) -> Name {
+        self.path.last().copied().unwrap_or(home)
+    }
+
+    /// Whether this is what `abroad` says, path and remaining time aside: then it need not be verified again.
+    pub fn states_the_same(&self, abroad: &Abroad) -> bool {
+        let (own, other) = (&self.record, &abroad.record);
+        (own.proof, own.entity, own.switch) == (other.proof, other.entity, other.switch)
+            && (&own.credential, &own.advert) == (&other.credential, &other.advert)
+            && self.host == abroad.host
+    }
+
+    /// Whether any domain but its own may know it.
+    pub fn may_leave(&self, home: Name) -> bool {
+        let origin = self.origin(home);
+        !self.place.role.is_writer() || self.scope.iter().any(|domain| *domain != origin)
+    }
+
+    /// As it is told to a neighbour.
+    pub fn told(&self, now: Duration, home: Name) -> Abroad {
+        let record = Record { expires_in: self.ends.saturating_sub(now).as_secs(), ..self.record.clone() };
+        let path = self.path.iter().copied().chain([home]).collect();
+        Abroad { record, host: self.host.clone(), path }
+    }
+}
+
+/// How long it lasts is no part of it: a renewal comes as another statement.
+impl PartialEq for Held {
+    fn eq(&self, other: &Self) -> bool {
+        let Record { name: _, proof, entity, switch: _, credential, advert, expires_in: _ } = &self.record;
+        let that = &other.record;
+        self.place == other.place
+            && (proof, entity, credential, advert) == (&that.proof, &that.entity, &that.credential, &that.advert)
+            && (&self.host, &self.path) == (&other.host, &other.path)
+    }
+}
+
+/// Something a side says; shared by all that hold it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Item {
+    /// `only_passes`: nobody of this domain may know it, but it takes part in routes through this domain.
+    Part {
+        held: Arc<Held>,
+        only_passes: bool,
+    },
+    Box(Arc<Signed<KeyBox>>),
+    Locator {
+        domain: Name,
+        locator: Arc<Locator>,
+    },
+}
+
+impl Item {
+    pub fn part(held: Arc<Held>) -> Self {
+        Self::Part { held, only_passes: false }
+    }
+
+    pub fn told(&self, now: Duration, home: Name) -> TierEntry {
+        match self {
+            Self::Part { held, .. } => TierEntry::Part(Box::new(held.told(now, home))),
+            Self::Box(signed) => TierEntry::Box((**signed).clone()),
+            Self::Locator { domain, locator } => TierEntry::Locator { domain: *domain, locator: (**locator).clone() },
+        }
+    }
+
+    /// Bytes, about: in a message and in memory.
+    pub fn size(&self) -> usize {
+        match self {
+            Self::Part { held, .. } => {
+                let Held { record, host, path, .. } = &**held;
+                PART_OVERHEAD
+                    + record.credential.size()
+                    + record.advert.as_bytes().len()
+                    + host.size()
+                    + (path.len() + 1) * NAME_SIZE
+            }
+            Self::Box(signed) => BOX_OVERHEAD + signed.as_bytes().len(),
+            Self::Locator { locator, .. } => PART_OVERHEAD * locator.borders.len().max(1) + locator.size(),
+        }
+    }
+}
+
+/// What an encoded record has besides what is signed: proofs, names, field names.
+const PART_OVERHEAD: usize = 640;
+const NAME_SIZE: usize = 34;
+const BOX_OVERHEAD: usize = 32;
+
+#[derive(Debug, Default)]
+pub struct Table {
+    items: BTreeMap<TierKey, Item>,
+    entities: BTreeMap<Name, BTreeSet<RecordPlace>>,
+    bytes: usize,
+    /// The last push that was taken in.
+    holds: Option<TierHolds>,
+    /// While the whole comes in: the part that is next, and what no part has named yet.
+    whole: Option<(u32, BTreeSet<TierKey>)>,
+}
+
+impl Table {
+    pub fn len(&self) -> usize {
+        self.items.len()
+    }
+
+    pub fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    pub fn holds(&self) -> Option<TierHolds> {
+        self.holds
+    }
+
+    /// Whether a push is the one to take in now; if so, it is under way from here on.
+    pub fn begin(&mut self, push: TierHolds, extent: Extent) -> bool {
+        let follows = self.holds.is_some_and(|held| held.run == push.run && held.generation + 1 == push.generation);
+        let is_replayed = self.holds.is_some_and(|held| held.run == push.run && held.generation >= push.generation);
+        match (extent, &self.whole) {
+            (Extent::Full { part: 0, .. }, _) if !is_replayed => {
+                self.whole = Some((1, self.items.keys().copied().collect()));
+            }
+            (Extent::Full { part, .. }, Some((next, _))) if follows && part == *next => {
+                self.whole.as_mut().expect("it was looked at above").0 += 1;
+            }
+            (Extent::Delta, None) if follows => {}
+            _ => return false,
+        }
+        self.holds = Some(push);
+        true
+    }
+
+    /// The push that was begun is taken in. Returns what no part of the whole named, if that was its last.
+    pub fn end(&mut self, extent: Extent) -> BTreeSet<TierKey> {
+        match extent {
+            Extent::Full { last: true, .. } => self.whole.take().map_or_else(BTreeSet::new, |(_, unnamed)| unnamed),
+            _ => BTreeSet::new(),
+        }
+    }
+
+    pub fn get(&self, key: &TierKey) -> Option<&Item> {
+        self.items.get(key)
+    }
+
+    /// Whether it is another than before.
+    pub fn insert(&mut self, key: TierKey, item: Item) -> bool {
+        if let Some((_, unnamed)) = &mut self.whole {
+            unnamed.remove(&key);
+        }
+        if let TierKey::Part(place) = key {
+            self.entities.entry(place.entity).or_default().insert(place);
+        }
+        self.bytes += item.size();
+        match self.items.get_mut(&key) {
+            Some(old) => {
+                self.bytes -= old.size();
+                let changed = *old != item;
+                *old = item;
+                changed
+            }
+            None => {
+                self.items.insert(key, item);
+                true
+            }
+        }
+    }
+
+    pub fn remove(&mut self, key: &TierKey) -> Option<Item> {
+        let old = self.items.remove(key)?;
+        self.bytes -= old.size();
+        if let TierKey::Part(place) = key
+            && let Some(places) = self.entities.get_mut(&place.entity)
+        {
+            places.remove(place);
+            if places.is_empty() {
+                self.entities.remove(&place.entity);
+            }
+        }
+        Some(old)
+    }
+
+    pub fn keys(&self) -> impl Iterator<Item = &TierKey> {
+        self.items.keys()
+    }
+
+    /// All parts, in the order of their places.
+    pub fn parts(&self) -> impl Iterator<Item = &Arc<Held>> {
+        self.items.values().map_while(|item| if let Item::Part { held, .. } = item { Some(held) } else { None })
+    }
+
+    /// The parts in one name.
+    pub fn parts_of(&self, name: Name) -> impl Iterator<Item = &Arc<Held>> {
+        let items = self.items.range(first_place(name)..).map_while(move |(key, item)| match (key, item) {
+            (TierKey::Part(place), Item::Part { held, .. }) if place.name == name => Some(held),
+            _ => None,
+        });
+        items
+    }
+
+    /// The key boxes of one writer.
+    pub fn boxes_of(&self, writer: Name) -> impl Iterator<Item = (&TierKey, &Item)> {
+        self.items.range(first_box(writer)..).take_while(move |(key, _)| is_box_of(key, writer))
+    }
+
+    /// Some part that an entity has.
+    pub fn part_by(&self, entity: &Name) -> Option<&Arc<Held>> {
+        let place = self.entities.get(entity)?.first()?;
+        match self.items.get(&TierKey::Part(*place)) {
+            Some(Item::Part { held, .. }) => Some(held),
+            _ => None,
+        }
+    }
+
+    pub fn has_entity(&self, entity: &Name) -> bool {
+        self.entities.contains_key(entity)
+    }
+}
+
+/// Where the parts in a name begin.
+pub fn first_place(name: Name) -> TierKey {
+    let nobody = Name::default();
+    TierKey::Part(RecordPlace { name, role: NameRole::Publisher, entity: nobody, switch: nobody })
+}
+
+/// Where the boxes of a writer begin.
+pub fn first_box(writer: Name) -> TierKey {
+    TierKey::Box { writer, reader: Name::default(), name: Name::default(), epoch: 0 }
+}
+
+pub fn is_box_of(key: &TierKey, of: Name) -> bool {
+    matches!(key, TierKey::Box { writer, .. } if *writer == of)
+}

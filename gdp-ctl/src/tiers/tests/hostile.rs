@@ -1,0 +1,289 @@
+//! What a neighbour may try: each attempt is refused, with a reason that is counted, and leaves nothing behind.
+
+use std::time::Duration;
+
+use gdp::cert::{BorderStatement, Locator, Signed, issue};
+use gdp::control::{Abroad, Extent, MAX_PATH, NameRole, RefusalCode, TierEntry, TierPush, TierRequest, TierResponse};
+use gdp::keys::KeyBox;
+use gdp::name::Name;
+
+use super::world::{UNIX, World, identity, owner};
+use crate::rib::Now;
+use crate::tiers::{Limits, Reply, Tiers};
+
+use NameRole::{Publisher, Subscriber};
+
+/// A domain with a parent, 1, and a child, 2, which is hostile; 3 is another domain.
+struct Victim {
+    w: World,
+    generation: u64,
+}
+
+#[test]
+fn a_part_is_refused_unless_all_of_it_fits() {
+    let mut v = Victim::new();
+    let stranger = Name::from_bytes([9; 32]);
+    let [home, child, third] = [0, 2, 3].map(|index| v.w.domains[index].identity.name());
+    let right = v.part(2, &[0, 3]);
+    let with = |change: &dyn Fn(&mut Abroad)| {
+        let mut abroad = right.clone();
+        change(&mut abroad);
+        abroad
+    };
+    let of_third = v.part(3, &[0]);
+    let unscoped = v.part(2, &[]);
+    let own_scope = v.part(2, &[2]);
+    for (what, abroad, counted) in [
+        ("no path", with(&|a| a.path.clear()), "path_length"),
+        ("a long path", with(&|a| a.path = vec![stranger; MAX_PATH + 1]), "path_length"),
+        ("another's word", Abroad { path: vec![third], ..of_third.clone() }, "not_its_own"),
+        ("through us", with(&|a| a.path = vec![child, home, child]), "cycle"),
+        ("through one twice", with(&|a| a.path = vec![child, third, child]), "cycle"),
+        ("of another domain", with(&|a| a.path = vec![third, child]), "wrong_domain"),
+        ("a switch of another domain", Abroad { path: vec![child], ..of_third.clone() }, "wrong_domain"),
+        ("another's switch", with(&|a| a.host = of_third.host.clone()), "wrong_domain"),
+        ("another switch", with(&|a| a.record.switch = stranger), "certificate"),
+        ("another name", with(&|a| a.record.name = stranger), "certificate"),
+        ("a spoilt statement", with(&|a| a.record.advert = flipped(&a.record.advert)), "signature"),
+        ("a spoilt membership", with(&|a| a.host.cert = flipped(&a.host.cert)), "signature"),
+        ("no scope", unscoped, "scope"),
+        ("its own scope", own_scope, "scope"),
+        ("over", with(&|a| a.record.expires_in = 0), "ended"),
+    ] {
+        let response = v.push(vec![TierEntry::Part(Box::new(abroad))]);
+        assert!(matches!(response, TierResponse::Partly { refused: 1, .. }), "{what}: {response:?}");
+        assert_eq!(v.counted(counted), 1, "{what}: {response:?}");
+        assert_eq!(v.entries(), 0, "{what}");
+        v.forget_counts();
+    }
+    let response = v.push(vec![TierEntry::Part(Box::new(right.clone()))]);
+    assert!(matches!(response, TierResponse::Done), "{response:?}");
+    let spoilt = with(&|a| a.record.advert = flipped(&a.record.advert));
+    v.push(vec![TierEntry::Part(Box::new(spoilt))]);
+    assert_eq!(v.entries(), 0, "what it said before it says no more");
+}
+
+#[test]
+fn clocks_that_differ_are_told_apart_from_forgery() {
+    let mut v = Victim::new();
+    let right = v.part(2, &[0]);
+    let day = 86_400;
+    for (unix, counted) in [(UNIX - 2 * day, "not_yet_valid"), (UNIX + 2 * day, "expired")] {
+        v.w.now = Now { unix, ..v.w.now };
+        v.push(vec![TierEntry::Part(Box::new(right.clone()))]);
+        assert_eq!((v.counted(counted), v.entries()), (1, 0));
+    }
+    v.w.now = Now { unix: UNIX + day - 10, ..v.w.now };
+    v.push(vec![TierEntry::Part(Box::new(right))]);
+    assert_eq!(v.entries(), 1);
+    let ends = v.w.now.clock + Duration::from_secs(11);
+    let now = Now { unix: UNIX + day + 1, clock: ends };
+    v.w.domains[0].tiers.tick(now);
+    assert_eq!(v.entries(), 0, "it ends with its certificates, whatever it says itself");
+}
+
+#[test]
+fn boxes_and_locators_are_verified_and_go_forward_only() {
+    let mut v = Victim::new();
+    let right = v.part(2, &[0]);
+    let (writer, reader) = (identity("proxy", 100), identity("proxy", 1).name());
+    let name = owner(0).1.name().unwrap();
+    let claims = KeyBox { name, writer: writer.name(), reader, epoch: 1, sealed: vec![0; 113] };
+    let signed = issue(writer.key(), &claims).unwrap();
+    v.push(vec![TierEntry::Box(signed.clone())]);
+    assert_eq!(v.counted("no_writer"), 1);
+    v.push(vec![TierEntry::Part(Box::new(right))]);
+    v.push(vec![TierEntry::Box(issue(identity("proxy", 1).key(), &claims).unwrap())]);
+    assert_eq!((v.counted("signature"), v.entries()), (1, 1));
+    v.push(vec![TierEntry::Box(signed)]);
+    assert_eq!(v.entries(), 2);
+
+    let [home, child, third] = [0, 2, 3].map(|index| v.w.domains[index].identity.name());
+    let right = v.w.domains[2].locator.clone();
+    let locator = |domain, locator: &Locator| TierEntry::Locator { domain, locator: locator.clone() };
+    v.push(vec![locator(home, &right)]);
+    assert_eq!(v.counted("cycle"), 1, "a domain says itself where it is");
+    v.push(vec![locator(third, &right)]);
+    assert_eq!(v.counted("wrong_domain"), 1);
+    let states = |serial| {
+        let (border, mut locator) = (identity("border", 2), right.clone());
+        let (switch, domain, addresses, not_after) = (border.name(), child, vec![], UNIX + 100);
+        let claims = BorderStatement { switch, domain, addresses, serial, not_after };
+        locator.borders[0].statement = issue(border.key(), &claims).unwrap();
+        locator
+    };
+    v.push(vec![locator(child, &states(5))]);
+    assert_eq!(v.entries(), 3);
+    v.push(vec![locator(child, &states(4))]);
+    assert_eq!(v.counted("replayed"), 1);
+}
+
+#[test]
+fn pushes_are_taken_in_their_order_only() {
+    let mut v = Victim::new();
+    let part = v.part(2, &[0]);
+    let entry = || vec![TierEntry::Part(Box::new(part.clone()))];
+    assert!(matches!(v.push(entry()), TierResponse::Done));
+    let replayed = |v: &Victim| (v.generation, Extent::Full { part: 0, last: true });
+    let skipped = |v: &Victim| (v.generation + 2, Extent::Delta);
+    let no_first = |v: &Victim| (v.generation + 1, Extent::Full { part: 1, last: true });
+    for of in [replayed, skipped, no_first] {
+        let (generation, extent) = of(&v);
+        let push = TierPush { run: 77, generation, extent, set: vec![], remove: vec![] };
+        let response = v.ask(2, TierRequest::Push(Box::new(push)));
+        let TierResponse::Refused(refusal) = response else { panic!("{response:?}") };
+        assert_eq!(refusal.code, RefusalCode::ReplayedSerial);
+        assert_eq!(v.entries(), 1, "nothing is swept by it");
+    }
+    assert_eq!(v.counted("generation"), 3);
+    let push =
+        TierPush { run: 78, generation: 1, extent: Extent::Full { part: 0, last: true }, set: vec![], remove: vec![] };
+    v.ask(2, TierRequest::Push(Box::new(push)));
+    assert_eq!(v.entries(), 0, "it has begun anew, and says nothing");
+}
+
+#[test]
+fn who_is_no_neighbour_is_told_so_and_limits_hold() {
+    let mut v = Victim::new();
+    let part = v.part(3, &[0]);
+    let push = |set| {
+        TierRequest::Push(Box::new(TierPush {
+            run: 1,
+            generation: 1,
+            extent: Extent::Full { part: 0, last: true },
+            set,
+            remove: vec![],
+        }))
+    };
+    let name = owner(0).1.name().unwrap();
+    let third = v.w.domains[3].identity.name();
+    for request in [push(vec![TierEntry::Part(Box::new(part))]), TierRequest::Query { name, path: vec![third] }] {
+        let response = v.ask(3, request);
+        assert!(matches!(&response, TierResponse::Refused(refusal) if refusal.code == RefusalCode::NotAttached));
+    }
+    assert_eq!(v.w.domains[0].tiers.strangers(), 2);
+    let parent = v.w.domains[1].identity.name();
+    let response = v.ask(1, TierRequest::Query { name, path: vec![parent] });
+    assert!(matches!(response, TierResponse::Refused(_)), "a parent does not ask its child");
+    let response = v.ask(1, TierRequest::Hello { run: 1, holds: None });
+    let TierResponse::Refused(refusal) = response else { panic!("{response:?}") };
+    assert!(refusal.reason.contains("each have the other"), "{refusal}");
+
+    let home = v.w.domains[0].identity.name();
+    let limits = Limits { children: 1, entries: 1, bytes: 1 << 20 };
+    let tiers = &mut v.w.domains[0].tiers;
+    *tiers = Tiers::new(home, 9, limits);
+    v.generation = 0;
+    v.ask(2, TierRequest::Hello { run: 77, holds: None });
+    let response = v.ask(3, TierRequest::Hello { run: 1, holds: None });
+    assert!(matches!(&response, TierResponse::Refused(refusal) if refusal.code == RefusalCode::Limit));
+    let (one, other) = (v.part(2, &[0]), v.part_in(2, 1, 101, &[0]));
+    v.push([one, other].map(|part| TierEntry::Part(Box::new(part))).to_vec());
+    assert_eq!((v.entries(), v.counted("limit")), (1, 1));
+}
+
+#[test]
+fn queries_cannot_circle_and_what_is_remembered_of_them_is_bounded() {
+    let mut v = Victim::new();
+    let [home, child, third] = [0, 2, 3].map(|index| v.w.domains[index].identity.name());
+    let name = owner(0).1.name().unwrap();
+    for (path, counted) in [
+        (vec![], "path_length"),
+        (vec![third; MAX_PATH + 1], "path_length"),
+        (vec![third], "not_its_own"),
+        (vec![third, home, child], "cycle"),
+    ] {
+        let before = v.counted(counted);
+        let response = v.ask(2, TierRequest::Query { name, path });
+        assert!(matches!(response, TierResponse::Refused(_)));
+        assert_eq!(v.counted(counted), before + 1);
+    }
+    let number = |i: u64| {
+        let mut bytes = [0; 32];
+        bytes[..8].copy_from_slice(&i.to_be_bytes());
+        Name::from_bytes(bytes)
+    };
+    let mut refused = 0;
+    for i in 0..6000 {
+        let (now, tiers) = (v.w.now, &mut v.w.domains[0].tiers);
+        match tiers.request(now, child, TierRequest::Query { name: number(i), path: vec![child] }, &v.w.revocations) {
+            Reply::Now(TierResponse::Refused(refusal)) if refusal.code == RefusalCode::Limit => refused += 1,
+            Reply::Now(other) => panic!("{other:?}"),
+            Reply::Later(_) => {}
+        }
+        if i % 100 == 99 {
+            // Nobody above answers: all of them miss.
+            v.w.now.clock += Duration::from_secs(2);
+            drop(v.w.domains[0].tiers.effects(v.w.now));
+            v.w.now.clock += Duration::from_millis(2);
+            drop(v.w.domains[0].tiers.effects(v.w.now));
+            v.ask(2, TierRequest::Hello { run: 77, holds: None });
+        }
+    }
+    assert!(refused > 0, "of one neighbour only so many climb at a time");
+    assert!(v.w.domains[0].tiers.queries.missed() <= 4096);
+}
+
+impl Victim {
+    fn new() -> Self {
+        let mut w = World::new(1, &[&[1], &[], &[0], &[]]);
+        w.state(0, 0, 1, Subscriber, &[]);
+        w.run(Duration::from_secs(1));
+        let mut victim = Self { w, generation: 0 };
+        victim.ask(2, TierRequest::Hello { run: 77, holds: None });
+        victim
+    }
+
+    /// A right part of entity 100 in topic 0, stated in domain `at`, as that says it itself.
+    fn part(&mut self, at: usize, scope: &[usize]) -> Abroad {
+        self.part_in(at, 0, 100, scope)
+    }
+
+    fn part_in(&mut self, at: usize, topic: usize, entity: usize, scope: &[usize]) -> Abroad {
+        let scope: Vec<Name> = scope.iter().map(|index| self.w.domains[*index].identity.name()).collect();
+        let record = self.w.record(at, topic, entity, Publisher, &scope);
+        let domain = &self.w.domains[at];
+        Abroad { record, host: domain.host.clone(), path: vec![domain.identity.name()] }
+    }
+
+    /// Of the child: the first is the whole, the following change it.
+    fn push(&mut self, set: Vec<TierEntry>) -> TierResponse {
+        self.generation += 1;
+        let extent = if self.generation == 1 { Extent::Full { part: 0, last: true } } else { Extent::Delta };
+        let push = TierPush { run: 77, generation: self.generation, extent, set, remove: vec![] };
+        self.ask(2, TierRequest::Push(Box::new(push)))
+    }
+
+    fn ask(&mut self, from: usize, request: TierRequest) -> TierResponse {
+        let from = self.w.domains[from].identity.name();
+        let (now, tiers) = (self.w.now, &mut self.w.domains[0].tiers);
+        match tiers.request(now, from, request, &self.w.revocations) {
+            Reply::Now(response) => response,
+            Reply::Later(ticket) => panic!("{ticket:?}"),
+        }
+    }
+
+    fn entries(&self) -> usize {
+        self.child().entries_in
+    }
+
+    fn counted(&self, what: &str) -> u64 {
+        self.child().refused.get(what).copied().unwrap_or_default()
+    }
+
+    fn child(&self) -> crate::tiers::Neighbour {
+        let child = self.w.domains[2].identity.name();
+        self.w.domains[0].tiers.neighbours().find(|neighbour| neighbour.domain == child).unwrap()
+    }
+
+    fn forget_counts(&mut self) {
+        self.w.domains[0].tiers.sides.values_mut().for_each(|side| side.refused.clear());
+    }
+}
+
+/// The last byte belongs to the signature.
+fn flipped<T>(signed: &Signed<T>) -> Signed<T> {
+    let mut bytes = signed.as_bytes().to_vec();
+    *bytes.last_mut().unwrap() ^= 1;
+    Signed::from_bytes(bytes).unwrap()
+}
