@@ -227,7 +227,7 @@ impl Daemon {
     pub(super) async fn ask_admitted(self: &Arc<Self>, request: Request) -> Result<(), Refusal> {
         let Request::Admitted { entity, membership, .. } = &request else { return Ok(()) };
         let (entity, membership) = (*entity, membership.clone());
-        let next = self.core().admitted(request);
+        let next = self.core().for_rib(request);
         match self.complete(next).await {
             Response::Refused(refusal) => Err(refusal),
             _ => {
