@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use std::time::Duration;
 
 use gdp::cert::Adjoining;
 use gdp::control::{Flooded, Refusal, RefusalCode, Request, Response};
@@ -174,6 +175,12 @@ impl Core {
             let now = self.now().clock;
             self.meters.entry(link.peer().name).or_insert_with(|| Meter::new(now, Some(link.rtt())));
         }
+    }
+
+    /// The first request over a link was answered within this time; whether the neighbour costs something else from now on.
+    pub(super) fn neighbour_answered(&mut self, link: &Link, rtt: Duration) -> bool {
+        let now = self.now().clock;
+        self.meters.get_mut(&link.peer().name).is_some_and(|meter| meter.answered(now, rtt))
     }
 
     /// Takes a sample of the round-trip time to each neighbour; whether one of them costs something else from now on.

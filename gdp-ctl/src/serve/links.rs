@@ -1,7 +1,7 @@
 //! One task to a link: takes the peer's requests in, and tells the RIB when an endpoint's link is gone.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use futures::future::join_all;
 use gdp::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
@@ -64,7 +64,7 @@ pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), Stri
     if switch {
         daemon.topology_changed();
         daemon.report.notify_one();
-        daemon.spawn(say_ready(link.clone()));
+        daemon.spawn(say_ready(daemon.clone(), link.clone()));
         daemon.spawn(serve_switch(daemon.clone(), link));
     } else {
         daemon.spawn(serve_endpoint(daemon.clone(), link));
@@ -89,10 +89,19 @@ async fn keep_keys(daemon: Arc<Daemon>, link: Link) {
     link.keep_keys(|| daemon.core().planes.frames_sent(id), put).await;
 }
 
-/// The neighbour goes on sending on an earlier link until it hears this.
-async fn say_ready(link: Link) {
-    if let Err(error) = link.request(&Request::Ready).await {
-        tracing::debug!(peer = %format_args!("{:#}", link.peer().name), %error, "the neighbour did not hear that this switch is ready");
+/// The neighbour goes on sending on an earlier link until it hears this. How soon it answers is the first that is known of the link.
+async fn say_ready(daemon: Arc<Daemon>, link: Link) {
+    let asked = Instant::now();
+    match link.request(&Request::Ready).await {
+        Ok(_) => {
+            let changed = daemon.core().neighbour_answered(&link, asked.elapsed());
+            if changed {
+                daemon.topology_changed();
+            }
+        }
+        Err(error) => {
+            tracing::debug!(peer = %format_args!("{:#}", link.peer().name), %error, "the neighbour did not hear that this switch is ready");
+        }
     }
 }
 
