@@ -31,8 +31,14 @@ async fn two_applications_meet_at_one_switch() {
 
     let reader = papers.reader(at).await;
     let mut subscription = papers.subscribe(&reader).await;
+    let warnings = switch.status().await["warnings"].clone();
+    assert_eq!(
+        (&warnings[0]["kind"], &warnings[0]["names"][0]),
+        (&"unserved".into(), &papers.card.name().to_string().into())
+    );
     let writer = papers.writer(at).await;
     let mut publisher = papers.publish(&writer).await;
+    assert_eq!(switch.status().await["warnings"], Value::Array(vec![]));
     // Of the name, and of both their inboxes.
     wait("the routes", async || fib_names(&switch).await == 3).await;
     for i in 0..20u32 {

@@ -69,8 +69,30 @@ fn describe(status: &Value) -> String {
             "{lost} frames lost that {name} did not take; `gdp-ctl doctor --interface {name}` looks for the cause\n"
         );
     }
+    for warning in items(&status["warnings"]) {
+        out += &describe_warning(&warning);
+    }
     for error in items(&status["errors"]) {
         out += &format!("error: {}\n", text(&error));
     }
     out
+}
+
+fn describe_warning(warning: &Value) -> String {
+    let names = warning["names"].as_array().map_or(&[][..], Vec::as_slice);
+    match warning["kind"].as_str() {
+        Some("silent") => format!(
+            "warning: {} may send to {} names that somebody takes, and no frame of it has come for {} s\n",
+            short(&warning["entity"]),
+            warning["names"],
+            warning["for_s"]
+        ),
+        Some("unserved") => format!(
+            "warning: {} names are read or called, and nobody publishes or serves them: {}{}\n",
+            warning["count"],
+            names.iter().map(short).collect::<Vec<_>>().join(" "),
+            if warning["count"].as_u64() > Some(names.len() as u64) { " …" } else { "" }
+        ),
+        _ => format!("warning: {warning}\n"),
+    }
 }

@@ -16,6 +16,7 @@ mod ports;
 mod report;
 pub mod routes;
 mod status;
+mod warnings;
 
 use std::collections::HashMap;
 use std::net::SocketAddr;

@@ -10,7 +10,7 @@ use serde_json::{Map, Value, json};
 
 use super::core::Core;
 use super::flooding::Adjacencies;
-use super::{Daemon, interfaces};
+use super::{Daemon, interfaces, warnings};
 use crate::domain::{Domain, Standing};
 use crate::plane::host_pair;
 use crate::unix_time::unix_now;
@@ -74,6 +74,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
         "domain": core.domain.as_ref().map(domain),
         "control": control(&core),
+        "warnings": warnings::warnings(&core),
         "errors": errors,
     })
 }
