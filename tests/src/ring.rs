@@ -9,7 +9,8 @@
 //!                     RIB
 //! ```
 //!
-//! The way from robot to cloud is by s2; if that is cut, by s5 and s4. Every switch's way to the RIB is the other one.
+//! The way from robot to cloud is by s2; if that is cut, by s5 and s4. s3 asks the RIB by s4; if that is cut, or s4's daemon dead, by s2
+//! and s1. No switch is told where the RIB is.
 
 use std::path::PathBuf;
 
@@ -25,7 +26,7 @@ const SWITCHES: usize = 5;
 
 /// Where the robot, the cloud and the RIB are; counted from 0.
 const ROBOT_AT: usize = 0;
-const CLOUD_AT: usize = 2;
+pub const CLOUD_AT: usize = 2;
 pub const RIB_AT: usize = 4;
 
 /// A running ring. Dropping it ends the daemons, then removes the namespaces and files.
@@ -36,7 +37,7 @@ pub struct Ring {
     pub robot: Namespace,
     pub cloud: Namespace,
     tools: Tools,
-    _bpffs: Mounted,
+    bpffs: Mounted,
     files: tempfile::TempDir,
 }
 
@@ -64,7 +65,7 @@ impl Ring {
             Switch::start(&tools, &nodes[i], files.path(), (&label, &names[i]), config(i, &names, &bpffs))
         };
         let switches = (0..SWITCHES).map(start).collect::<Result<Vec<_>>>()?;
-        let mut ring = Self { switches, nodes, robot, cloud, tools, _bpffs: bpffs, files };
+        let mut ring = Self { switches, nodes, robot, cloud, tools, bpffs, files };
         for i in 0..SWITCHES {
             ring.wait(&format!("s{} to know all paths", i + 1), |ring| {
                 let topology = ring.ctl(i, &["topology"])?;
@@ -79,6 +80,23 @@ impl Ring {
     /// A `gdp-ctl` command against the daemon of switch `i`, as JSON.
     pub fn ctl(&self, i: usize, arguments: &[&str]) -> Result<Value> {
         self.switches[i].ctl(&self.tools, arguments)
+    }
+
+    /// Another daemon for switch `i`, which has none any more.
+    pub fn start_again(&mut self, i: usize) -> Result<()> {
+        let names: Vec<String> = self.switches.iter().map(|switch| switch.name.clone()).collect();
+        let (label, config) = (format!("s{}", i + 1), config(i, &names, &self.bpffs));
+        let who = (label.as_str(), names[i].as_str());
+        self.switches[i] = Switch::start(&self.tools, &self.nodes[i], self.files.path(), who, config)?;
+        Ok(())
+    }
+
+    /// Waits until switch `i` asks the RIB, by way of switch `next`.
+    pub fn wait_for_way(&mut self, i: usize, next: usize) -> Result<()> {
+        self.wait(&format!("s{} to ask the RIB by s{}", i + 1, next + 1), |ring| {
+            let control = ring.ctl(i, &["status"])?["control"].clone();
+            Ok(control["ready"] == true && control["next"] == *ring.switches[next].name)
+        })
     }
 
     /// Data frames that switch `i` has sent on without its daemon.
@@ -120,18 +138,12 @@ fn config(i: usize, names: &[String], bpffs: &Mounted) -> Value {
     let right = json!({"interface": "r0", "switch": names[after], "cost": 1});
     let has_endpoint = i == ROBOT_AT || i == CLOUD_AT;
     let interfaces = if has_endpoint { vec!["l0", "r0", "e0"] } else { vec!["l0", "r0"] };
-    let mut config = json!({
+    json!({
         "interfaces": interfaces,
         "udp": null,
         "data_plane": "xdp",
         "bpffs": bpffs.0,
         "rib": i == RIB_AT,
         "neighbours": [left, right],
-    });
-    match i {
-        RIB_AT => {}
-        i if i <= 1 => config["uplink"] = left,
-        _ => config["uplink"] = right,
-    }
-    config
+    })
 }

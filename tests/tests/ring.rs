@@ -1,11 +1,12 @@
-//! The link that traffic goes by is cut: the switches of a ring find another way among themselves, and no name is touched.
+//! The link that traffic goes by is cut: the switches of a ring find another way among themselves, and no name is touched. What is
+//! asked of the RIB, and what it says, finds another way as well.
 
 mod traffic;
 
 use anyhow::{Context, Result, ensure};
 use gdp_tests::Tools;
 use gdp_tests::fabric::PATIENCE;
-use gdp_tests::ring::{RIB_AT, Ring};
+use gdp_tests::ring::{CLOUD_AT, RIB_AT, Ring};
 
 use traffic::Traffic;
 
@@ -70,6 +71,49 @@ fn paths_heal_without_the_rib() -> Result<()> {
     ensure!(ring.forwarded(3)? > 0, "it goes by s5 and s4 now");
     ensure!(generations(&ring, 0..RIB_AT)? == told);
     traffic.nothing_came_twice()?;
+    Ok(())
+}
+
+#[test]
+fn the_rib_is_reached_round_what_is_cut_or_dead() -> Result<()> {
+    let mut ring = Ring::start(Tools::beside_this_test()?)?;
+    ring.wait_for_way(CLOUD_AT, 3)?;
+    ring.set_cable(2, false)?;
+    ring.wait_for_way(CLOUD_AT, 1)?;
+    // The cloud subscribes at s3, which the RIB then gives its routes.
+    let before = ring.generation(CLOUD_AT)?;
+    let traffic = start(&ring)?;
+    traffic.wait_for_more(500, PATIENCE).with_context(|| ring.report())?;
+    ensure!(ring.generation(CLOUD_AT)? > before);
+    ring.set_cable(2, true)?;
+    ring.wait_for_way(CLOUD_AT, 3)?;
+
+    // The daemon on the way dies; what it left forwards frames, but nothing else.
+    ring.switches[3].process.kill()?;
+    ring.wait_for_way(CLOUD_AT, 1)?;
+    let before = ring.generation(CLOUD_AT)?;
+    drop(traffic);
+    ring.wait("the RIB to take back the cloud's routes", |ring| Ok(ring.generation(CLOUD_AT)? > before))?;
+    ring.start_again(3)?;
+    ring.wait_for_way(CLOUD_AT, 3)?;
+
+    // That of the RIB itself, so late that it is missed; and at once, when only its run tells.
+    for missed in [true, false] {
+        ring.switches[RIB_AT].process.kill()?;
+        if missed {
+            ring.wait("the RIB to be missed", |ring| {
+                let control = ring.ctl(CLOUD_AT, &["status"])?["control"].clone();
+                Ok(control["reason"].as_str().is_some_and(|reason| reason.contains("no path")))
+            })?;
+        }
+        ring.start_again(RIB_AT)?;
+        ring.wait("the RIB to know all switches again", |ring| {
+            Ok(ring.ctl(RIB_AT, &["status"])?["rib"]["switches"] == 5)
+        })?;
+        ring.wait_for_way(CLOUD_AT, 3)?;
+        let traffic = start(&ring)?;
+        traffic.wait_for_more(500, PATIENCE).with_context(|| ring.report())?;
+    }
     Ok(())
 }
 

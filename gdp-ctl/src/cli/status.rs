@@ -20,17 +20,11 @@ fn describe(status: &Value) -> String {
         text(&status["data_plane"]),
         text(&status["data_plane_reason"])
     );
-    out += &match (&status["rib"], &status["uplink"]) {
+    let control = &status["control"];
+    out += &match (&status["rib"], control["reason"].as_str()) {
         (Value::Object(rib), _) => format!("RIB         here: {} names, {} switches\n", rib["names"], rib["switches"]),
-        (_, uplink) => format!(
-            "RIB         through {} ({})\n",
-            short(&uplink["switch"]),
-            match (uplink["connected"].as_bool(), uplink["ready"].as_bool()) {
-                (Some(true), Some(true)) => "connected",
-                (Some(true), _) => "connecting",
-                _ => "no link",
-            }
-        ),
+        (_, None) => format!("RIB         at {}, through {}\n", short(&control["rib"]), short(&control["next"])),
+        (_, Some(reason)) => format!("RIB         not reached: {reason}\n"),
     };
     out += &format!("FIB         {} names, generation {}\n", status["fib"]["names"], status["fib"]["generation"]);
     let links: Vec<_> = items(&status["links"])
@@ -75,8 +69,30 @@ fn describe(status: &Value) -> String {
             "{lost} frames lost that {name} did not take; `gdp-ctl doctor --interface {name}` looks for the cause\n"
         );
     }
+    for warning in items(&status["warnings"]) {
+        out += &describe_warning(&warning);
+    }
     for error in items(&status["errors"]) {
         out += &format!("error: {}\n", text(&error));
     }
     out
+}
+
+fn describe_warning(warning: &Value) -> String {
+    let names = warning["names"].as_array().map_or(&[][..], Vec::as_slice);
+    match warning["kind"].as_str() {
+        Some("silent") => format!(
+            "warning: {} may send to {} names that somebody takes, and no frame of it has come for {} s\n",
+            short(&warning["entity"]),
+            warning["names"],
+            warning["for_s"]
+        ),
+        Some("unserved") => format!(
+            "warning: {} names are read or called, and nobody publishes or serves them: {}{}\n",
+            warning["count"],
+            names.iter().map(short).collect::<Vec<_>>().join(" "),
+            if warning["count"].as_u64() > Some(names.len() as u64) { " …" } else { "" }
+        ),
+        _ => format!("warning: {warning}\n"),
+    }
 }

@@ -400,6 +400,11 @@ impl Rib {
         self.names.len()
     }
 
+    /// Names that somebody reads or calls, and nobody publishes or serves. Looks at all names.
+    pub fn unserved(&self) -> impl Iterator<Item = Name> {
+        self.names.unserved()
+    }
+
     /// What a switch's FIB should hold.
     pub fn desired(&self, switch: &Name) -> Vec<Route> {
         self.switches.get(switch).map_or_else(Vec::new, |s| s.fib.routes().cloned().collect())

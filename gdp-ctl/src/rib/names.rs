@@ -91,6 +91,15 @@ impl Names {
         self.0.len()
     }
 
+    /// Those that somebody takes and nobody sends to. Looks at all.
+    pub fn unserved(&self) -> impl Iterator<Item = Name> {
+        let has = |topic: &Topic, roles: [NameRole; 2]| roles.iter().any(|role| !topic.part(*role).is_empty());
+        let unserved = move |topic: &Topic| {
+            has(topic, [NameRole::Subscriber, NameRole::Caller]) && !has(topic, [NameRole::Publisher, NameRole::Server])
+        };
+        self.0.iter().filter(move |(_, topic)| unserved(topic)).map(|(name, _)| Name::from_bytes(*name))
+    }
+
     /// Whether one more registration is allowed.
     ///
     /// A name is published or served, not both: so those that may call it, and have no more than the right to read it, never

@@ -1,7 +1,7 @@
 //! One task to a link: takes the peer's requests in, and tells the RIB when an endpoint's link is gone.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use futures::future::join_all;
 use gdp::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
@@ -10,7 +10,7 @@ use gdp_wire::Name;
 use tokio::time::timeout;
 
 use super::core::{Expects, Next, Statement};
-use super::{Daemon, Place, domain, flooding, liveness};
+use super::{Daemon, Place, control, domain, flooding, liveness};
 use crate::config::Via;
 
 /// How long an accepted statement waits for switches to take their routes.
@@ -64,7 +64,7 @@ pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), Stri
     if switch {
         daemon.topology_changed();
         daemon.report.notify_one();
-        daemon.spawn(say_ready(link.clone()));
+        daemon.spawn(say_ready(daemon.clone(), link.clone()));
         daemon.spawn(serve_switch(daemon.clone(), link));
     } else {
         daemon.spawn(serve_endpoint(daemon.clone(), link));
@@ -89,10 +89,19 @@ async fn keep_keys(daemon: Arc<Daemon>, link: Link) {
     link.keep_keys(|| daemon.core().planes.frames_sent(id), put).await;
 }
 
-/// The neighbour goes on sending on an earlier link until it hears this.
-async fn say_ready(link: Link) {
-    if let Err(error) = link.request(&Request::Ready).await {
-        tracing::debug!(peer = %format_args!("{:#}", link.peer().name), %error, "the neighbour did not hear that this switch is ready");
+/// The neighbour goes on sending on an earlier link until it hears this. How soon it answers is the first that is known of the link.
+async fn say_ready(daemon: Arc<Daemon>, link: Link) {
+    let asked = Instant::now();
+    match link.request(&Request::Ready).await {
+        Ok(_) => {
+            let changed = daemon.core().neighbour_answered(&link, asked.elapsed());
+            if changed {
+                daemon.topology_changed();
+            }
+        }
+        Err(error) => {
+            tracing::debug!(peer = %format_args!("{:#}", link.peer().name), %error, "the neighbour did not hear that this switch is ready");
+        }
     }
 }
 
@@ -212,20 +221,11 @@ async fn switch_request(daemon: &Arc<Daemon>, link: &Link, request: Request) -> 
     if let Request::Flood { states } = request {
         return flooding::take(daemon, link, states);
     }
-    if let Request::Relay { request, .. } = &request
-        && let Some((proof, revocation)) = daemon.is_of_domain(request)
-    {
+    if let Some((proof, revocation)) = control::relayed(&request).and_then(|request| daemon.is_of_domain(request)) {
         return daemon.take_revocation(proof, revocation, Some(link.local_id())).await;
     }
-    let told_to_report = matches!(&request, Request::Detach { switch, entity } if switch == entity);
-    let (next, own) = {
-        let mut core = daemon.core();
-        (core.switch_request(link, request), core.uplink == Some(link.peer().name) && !core.uplink_ready)
-    };
+    let next = daemon.core().switch_request(link, request);
     daemon.notice_bit();
-    if told_to_report && own {
-        daemon.report_in_full();
-    }
     daemon.complete(next).await
 }
 
@@ -288,6 +288,10 @@ impl Daemon {
             Next::Reattach(links, request) => {
                 let asked = links.iter().map(async |link| reattached(self, link, link.request(&request).await.ok()));
                 join_all(asked).await;
+                Response::Done
+            }
+            Next::Report => {
+                self.report.notify_one();
                 Response::Done
             }
             Next::Forward(link, request) => match link.request(&request).await {

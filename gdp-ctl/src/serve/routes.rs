@@ -234,6 +234,13 @@ impl Routes {
         self.len() == 0
     }
 
+    /// How many names that somebody takes an endpoint here may send to.
+    pub fn leading_from(&self, endpoint: &Name) -> usize {
+        let ways = self.concerned.get(endpoint).into_iter().flatten().filter_map(|name| self.way(name));
+        let leads = |route: &Route| route.egress_bits != 0 || !route.locals.is_empty();
+        ways.filter(|way| way.route.writers.contains(endpoint) && leads(&way.route)).count()
+    }
+
     /// The neighbours that lead to these egress switches.
     pub fn neighbours_toward(&self, bits: u64) -> Vec<Name> {
         self.reach().into_iter().filter(|(_, reach)| *reach & bits != 0).map(|(name, _)| name).collect()

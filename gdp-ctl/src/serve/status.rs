@@ -3,13 +3,14 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use gdp::cert::LinkState;
+use gdp::cert::{Adjoining, LinkState};
 use gdp::control::RecordPlace;
 use gdp_wire::{Counter, ErrorCode, FibEntry, LinkRole, Name};
 use serde_json::{Map, Value, json};
 
 use super::core::Core;
-use super::{Daemon, interfaces};
+use super::flooding::Adjacencies;
+use super::{Daemon, interfaces, warnings};
 use crate::domain::{Domain, Standing};
 use crate::plane::host_pair;
 use crate::unix_time::unix_now;
@@ -72,10 +73,21 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "topology": {"switches": core.topology.states().count(), "reached": core.topology.paths().costs.len()},
         "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
         "domain": core.domain.as_ref().map(domain),
-        "uplink": core.uplink.map(|switch| json!({
-            "switch": switch, "connected": core.link_to(&switch).is_some(), "ready": core.uplink_ready,
-        })),
+        "control": control(&core),
+        "warnings": warnings::warnings(&core),
         "errors": errors,
+    })
+}
+
+/// Where the RIB is, which neighbour leads there, and whether it is to be asked; if not, why.
+fn control(core: &Core) -> Value {
+    let rib = core.topology.rib().map(|(rib, _)| rib);
+    let problem = core.rib_at().err().filter(|_| core.rib.is_none());
+    json!({
+        "rib": rib,
+        "next": rib.and_then(|rib| core.topology.paths().next.get(&rib)),
+        "ready": problem.is_none(),
+        "reason": problem.map(|refusal| refusal.reason),
     })
 }
 
@@ -83,7 +95,8 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
 pub fn links(core: &Core) -> Vec<Value> {
     let mut links: Vec<_> = core.links.values().collect();
     links.sort_by_key(|state| state.link.local_id());
-    let costs: BTreeMap<Name, u32> = core.adjacencies().into_iter().collect();
+    let Adjacencies { neighbours: mut costs, borders, .. } = core.adjacencies();
+    costs.extend(borders.into_values().map(|border| (border.switch, border.cost)));
     links
         .into_iter()
         .map(|state| {
@@ -152,16 +165,16 @@ pub fn topology(daemon: &Daemon) -> Value {
         .states()
         .map(|state| {
             let switch = &state.switch;
-            let bit = paths.bit(switch);
-            let next = bit.map(|bit| core.routes.neighbours_toward(1 << bit)).and_then(|next| next.first().copied());
             json!({
                 "switch": switch,
-                "bit": bit,
+                "bit": paths.bit(switch),
                 "cost": paths.costs.get(switch),
-                "next": next,
+                "next": paths.next.get(switch),
                 "run": state.run,
                 "number": state.number,
                 "neighbours": neighbours(state),
+                "rib": state.rib,
+                "borders": state.borders.iter().map(border).collect::<Vec<_>>(),
             })
         })
         .collect();
@@ -170,7 +183,13 @@ pub fn topology(daemon: &Daemon) -> Value {
 
 /// What a switch states of its neighbours.
 fn neighbours(state: &LinkState) -> Vec<Value> {
-    state.neighbours.iter().map(|(switch, cost)| json!({"switch": switch, "cost": cost})).collect()
+    let is_silent = |index: usize| state.silent & 1 << index != 0;
+    let near = state.neighbours.iter().enumerate();
+    near.map(|(i, (switch, cost))| json!({"switch": switch, "cost": cost, "silent": is_silent(i)})).collect()
+}
+
+fn border(Adjoining { domain, switch, cost, transit, ours_transit }: &Adjoining) -> Value {
+    json!({"domain": domain, "switch": switch, "cost": cost, "transit": transit, "ours_transit": ours_transit})
 }
 
 fn domain(domain: &Domain) -> Value {
@@ -258,10 +277,11 @@ fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry
 pub fn rib(daemon: &Daemon, after: Option<RecordPlace>, limit: usize) -> Result<Value, String> {
     let core = daemon.core();
     let Some(rib) = &core.rib else {
-        let uplink = core.uplink.unwrap_or_default();
-        return Err(format!(
-            "this daemon is not the RIB; it is behind {uplink}: run `gdp-ctl rib dump` on the RIB's host"
-        ));
+        let at = match core.topology.rib() {
+            Some((rib, _)) => format!("it is at switch {rib}"),
+            None => "and there is no way to it".into(),
+        };
+        return Err(format!("this daemon is not the RIB, {at}: run `gdp-ctl rib dump` on the RIB's host"));
     };
     let (records, more) = rib.records(core.now(), after, limit);
     let switches: Vec<Value> = rib

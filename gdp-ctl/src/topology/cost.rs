@@ -26,6 +26,8 @@ pub struct Meter {
     /// When, and what it would have cost then; in both rising from the first to the last.
     recent: VecDeque<(Duration, u32)>,
     differs_since: Option<Duration>,
+    /// Nothing but the link's handshake has been measured.
+    is_first: bool,
 }
 
 impl Meter {
@@ -33,7 +35,18 @@ impl Meter {
     /// which nothing is known: it costs what a hop does, and what its other end has measured counts.
     pub fn new(now: Duration, rtt: Option<Duration>) -> Self {
         let recent = rtt.map(|rtt| (now, cost_of(rtt))).into_iter().collect();
-        Self { cost: rtt.map_or(HOP, cost_of), recent, differs_since: None }
+        Self { cost: rtt.map_or(HOP, cost_of), recent, differs_since: None, is_first: rtt.is_some() }
+    }
+
+    /// The first request over a new link was answered within this time. The handshake took longer than what follows it, because both
+    /// sides computed; so this counts at once. Whether the link costs something else from now on.
+    pub fn answered(&mut self, now: Duration, rtt: Duration) -> bool {
+        let cost = cost_of(rtt);
+        if !std::mem::take(&mut self.is_first) || cost >= self.cost {
+            return false;
+        }
+        (self.cost, self.recent) = (cost, VecDeque::from([(now, cost)]));
+        true
     }
 
     /// What crossing the link costs.
@@ -89,6 +102,18 @@ mod tests {
         assert_eq!(link.meter.cost(), 5200);
         assert_eq!(link.run(40, |_| 3600 * 1000 * MS), 1);
         assert_eq!(link.meter.cost(), MOST);
+    }
+
+    #[test]
+    fn the_first_answer_counts_instead_of_the_handshake() {
+        let mut meter = Meter::new(Duration::ZERO, Some(Duration::from_millis(20)));
+        assert!(meter.answered(Duration::ZERO, Duration::from_millis(1)));
+        assert_eq!(meter.cost(), 300);
+        assert!(!meter.answered(Duration::ZERO, Duration::ZERO), "only the first");
+        let mut slow = Meter::new(Duration::ZERO, Some(Duration::from_millis(20)));
+        assert!(!slow.answered(Duration::ZERO, Duration::from_millis(30)) && slow.cost() == 2200);
+        let mut adopted = Meter::new(Duration::ZERO, None);
+        assert!(!adopted.answered(Duration::ZERO, Duration::ZERO), "it has a cost that others know");
     }
 
     #[test]

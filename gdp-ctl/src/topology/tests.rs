@@ -35,6 +35,54 @@ fn a_ring_of_five_heals_when_its_active_link_is_cut() {
 }
 
 #[test]
+fn control_goes_round_a_switch_whose_daemon_is_dead_and_frames_do_not() {
+    let mut w = World::ring(5);
+    w.switches[3].topology.set_rib(true);
+    w.act(3);
+    w.run_for(Duration::from_secs(1));
+    let run = |w: &World, at: usize| w.switches[at].topology.rib();
+    assert_eq!((w.control_route(0, 3), run(&w, 0)), (vec![0, 4, 3], Some((w.name(3), 1003))));
+    for near in [0, 3] {
+        let dead = w.name(4);
+        w.switches[near].topology.set_silent([dead]);
+        w.act(near);
+    }
+    w.run_for(Duration::from_secs(1));
+    assert_eq!((w.control_route(0, 3), w.route(0, 3)), (vec![0, 1, 2, 3], vec![0, 4, 3]));
+    // The daemon of the RIB's switch, as well.
+    let dead = w.name(3);
+    w.switches[2].topology.set_silent([dead]);
+    w.act(2);
+    w.run_for(Duration::from_secs(1));
+    assert_eq!((run(&w, 0), w.control_route(0, 3)), (None, vec![0]));
+    assert_eq!(w.route(0, 3), [0, 4, 3]);
+}
+
+#[test]
+fn links_into_other_domains_are_known_to_all_who_reach_them() {
+    let mut w = World::ring(5);
+    let [domain, switch] = [8, 9].map(|i| Name::from_bytes([i; 32]));
+    let border = Adjoining { domain, switch, cost: 0, transit: true, ours_transit: false };
+    let known = |w: &World| {
+        let borders = w.switches[0].topology.borders();
+        borders.map(|(at, border)| (w.index(&at), border.cost, border.switch)).collect::<Vec<_>>()
+    };
+    let to_itself = Adjoining { switch: w.name(2), ..border.clone() };
+    w.switches[2].topology.set_borders([border.clone(), to_itself]);
+    w.act(2);
+    w.run_for(Duration::from_secs(1));
+    assert_eq!(known(&w), [(2, 1, switch)], "it costs something, and none leads to the switch itself");
+    w.switches[2].topology.set_borders([Adjoining { cost: 7, ..border }]);
+    w.act(2);
+    w.run_for(Duration::from_secs(1));
+    assert_eq!(known(&w), [(2, 7, switch)]);
+    w.cut(1, 2);
+    w.cut(2, 3);
+    w.run_for(Duration::from_secs(1));
+    assert_eq!(known(&w), []);
+}
+
+#[test]
 fn two_islands_that_meet_learn_all_of_each_other() {
     let mut w = World::new(6);
     for (a, b) in [(0, 1), (1, 2), (3, 4), (4, 5)] {
@@ -319,7 +367,7 @@ impl World {
         let links: Vec<_> = self.cables.iter().filter(|((a, b), _)| *a == i || *b == i).collect();
         let links: Vec<_> = links.into_iter().map(|(ends, (_, cost))| (*ends, *cost)).collect();
         links.iter().for_each(|((a, b), _)| self.cut(*a, *b));
-        let bit = self.switches[i].topology.own.bit;
+        let bit = self.switches[i].topology.bit();
         self.switches[i].topology = Topology::new(self.switches[i].identity.clone(), run);
         self.switches[i].topology.set_bit(bit);
         links.into_iter().for_each(|((a, b), cost)| self.join(a, b, cost));
@@ -468,12 +516,27 @@ impl World {
         route
     }
 
+    /// The switches that control passes.
+    fn control_route(&self, from: usize, to: usize) -> Vec<usize> {
+        let mut route = vec![from];
+        while let Some(at) = route.last().copied().filter(|at| *at != to && route.len() <= self.switches.len()) {
+            let Some(next) = self.switches[at].topology.paths().next.get(&self.name(to)) else { break };
+            route.push(self.index(next));
+        }
+        route
+    }
+
     /// Every switch reaches exactly those that cables lead to, at the same cost from both ends, and nothing is left to say.
     fn check_converged(&self) {
         for a in 0..self.switches.len() {
             let connected = self.connected(a);
             for b in 0..self.switches.len() {
                 assert_eq!(self.route(a, b).last() == Some(&b), connected.contains(&b), "from {a} to {b}");
+                assert_eq!(
+                    self.control_route(a, b),
+                    self.route(a, b),
+                    "control goes as frames do where all daemons live"
+                );
                 let cost = |a: usize, b: usize| self.switches[a].topology.paths().costs.get(&self.name(b)).copied();
                 assert_eq!(cost(a, b), cost(b, a));
                 if let Some(cost) = cost(a, b) {

@@ -68,7 +68,6 @@ impl Site {
             udp: Some((Ipv4Addr::UNSPECIFIED, PORT).into()),
             data_plane: DataPlane::Xdp,
             rib: true,
-            uplink: None,
             neighbours: Vec::new(),
             ebpf_object: Some(bench.ebpf_object.clone()),
             fib_capacity: 1024,

@@ -38,6 +38,7 @@ fn writers_become_links_and_lose_their_permission_with_them() {
     assert!(first.contains(&by(&[])), "none of them has a link");
     assert_eq!(r.link_up(Role::Endpoint, name(8), 0, 80), [by(&[80])]);
     assert_eq!(r.link_up(Role::Endpoint, name(7), 0, 70), [by(&[70, 80])]);
+    assert_eq!([7, 6].map(|entity| r.leading_from(&name(entity))), [1, 0]);
     assert_eq!(r.link_up(Role::Endpoint, name(9), 0, 90), [by(&[70, 80, 90])]);
     assert_eq!(r.link_up(Role::Endpoint, name(6), 0, 60), [], "this one does not publish it");
     assert_eq!(r.push(&push(2, Extent::Delta, vec![written(&[8, 9])])).unwrap(), [by(&[80, 90])]);
