@@ -10,6 +10,7 @@
 //! Nobody has to believe this: who is told of others verifies their records again, who is given a key verifies who wrapped it,
 //! and who holds a newer revocation than the RIB gives keeps to that. What a RIB that lies can do is to withhold.
 
+mod abroad;
 mod bits;
 mod boxes;
 mod entities;
@@ -37,6 +38,7 @@ use gdp::revocations::Origin;
 use gdp_wire::Name;
 
 use crate::topology::Paths;
+pub use abroad::{Export, Foreign, Way};
 use bits::Bits;
 use boxes::Boxes;
 use entities::Entities;
