@@ -14,7 +14,7 @@ const NAMES_PER_PUSH: usize = 400;
 const ROUTES_SIZE: usize = 56 * 1024;
 
 /// What an encoded route has without endpoints, and for each of them: names, field names.
-const ROUTE_SIZE: usize = 128;
+const ROUTE_SIZE: usize = 144;
 const ENDPOINT_SIZE: usize = 34;
 
 /// How long after a push that failed the switch is sent its whole FIB.
@@ -203,7 +203,8 @@ impl Room {
     /// Makes room for a route, or for the name of one that is removed. An empty push takes any: a name has at most as many
     /// readers at a switch as that has links, and 256 writers.
     fn takes(&mut self, route: Option<&Route>) -> bool {
-        let size = ROUTE_SIZE + route.map_or(0, |route| (route.locals.len() + route.writers.len()) * ENDPOINT_SIZE);
+        let ends = |route: &Route| route.locals.len() + route.writers.len() + route.arrives_by.len();
+        let size = ROUTE_SIZE + route.map_or(0, ends) * ENDPOINT_SIZE;
         if self.names == 0 || (self.bytes < size && self.names < NAMES_PER_PUSH) {
             return false;
         }
