@@ -8,7 +8,7 @@ use crate::{Name, replay};
 
 /// The version of everything a data plane keeps in memory that outlives a daemon: the maps, and what their entries mean. To
 /// be raised with every change of meaning; of sizes as well, though a daemon compares those itself.
-pub const ABI: u32 = 5;
+pub const ABI: u32 = 6;
 
 /// Links a switch can have at once; the low bits of a link id are the index of its entry.
 pub const MAX_LINKS: u32 = 1024;
@@ -44,7 +44,7 @@ pub const MAX_COPIES: u32 = 128;
 /// those that do not vanish without a trace.
 pub const MAX_COPIED_FRAME: usize = 3400;
 
-/// `FibEntry::writer_link` where any endpoint may send to the name, as its own source: while what a daemon left that is no more
+/// `FibEntry::writer_link` where any endpoint may send to the name, as its own source, and other domains as those they may: while what a daemon left that is no more
 /// is held, which knew its writers by links that are being made anew.
 pub const ANY_WRITER: u32 = u32::MAX;
 
@@ -56,7 +56,8 @@ pub enum LinkRole {
     Endpoint = 1,
     /// A switch of the same domain: it stamped the egress bits.
     Switch = 2,
-    /// A switch of another domain: names are looked up on what it sends, and none of that goes on to a third domain.
+    /// A switch of another domain: names are looked up on what it sends, and none of that goes on to a third domain, unless the
+    /// link's entry says [`LinkEntry::TRANSIT`].
     Border = 3,
 }
 
@@ -89,16 +90,29 @@ pub struct LinkEntry {
     /// What carries frames to the neighbour.
     pub carrier: Carrier,
     /// Which of the links of an endpoint it is. For the daemon after the present one; data planes do not look at it.
-    pub lane: u32,
+    pub lane: u16,
+    /// [`LinkEntry::TRANSIT`].
+    pub flags: u16,
+}
+
+impl LinkEntry {
+    /// Flag of a border link: what comes by it may go on to a third domain.
+    pub const TRANSIT: u16 = 1;
+
+    /// Who is at the other end; none: the entry is free.
+    pub fn role(&self) -> Option<LinkRole> {
+        [LinkRole::Endpoint, LinkRole::Switch, LinkRole::Border].into_iter().find(|role| *role as u32 == self.role)
+    }
 }
 
 impl fmt::Debug for LinkEntry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { id, peer_id, role, port, rx_keys: _, tx_keys: _, reach, peer, mtu, tx_phase, carrier, lane } = self;
+        let Self { id, peer_id, role, port, rx_keys: _, tx_keys: _, reach, peer, mtu, tx_phase, carrier, lane, flags } =
+            self;
         write!(
             f,
             "LinkEntry({id:#x} to {peer_id:#x} of {peer:#}, role {role}, port {port}, reach {reach:#x}, mtu {mtu}, key phase \
-             {tx_phase}, {carrier:?}, lane {lane})"
+             {tx_phase}, {carrier:?}, lane {lane}, flags {flags:#x})"
         )
     }
 }

@@ -112,6 +112,7 @@ const NAT: u32 = 0xa1b2_0410;
 const UNRESOLVED: u32 = 0xa1b2_0411;
 const UNROUTED: u32 = 0xa1b2_0412;
 const CHECKSUM: u32 = 0xa1b2_0413;
+const CHILD: u32 = 0xa1b2_0414;
 
 /// The switch's own.
 const V4: &str = "10.0.0.1:31415";
@@ -133,7 +134,8 @@ const OWN: u64 = 1 << OWN_BIT;
 /// ```
 ///
 /// `old` is a switch whose link has seen more than 2³² frames; `rekeyed` one to which frames leave under the second key.
-/// `blank` is one that is being written or removed, and has no keys. `abroad` and `overseas` are switches of other domains. `tagged` is on VLAN 5; `inet` and `inet6` are over UDP, each behind a
+/// `blank` is one that is being written or removed, and has no keys. `abroad`, `overseas` and `child` are switches of other domains,
+/// and what comes from the last may cross this one. `tagged` is on VLAN 5; `inet` and `inet6` are over UDP, each behind a
 /// gateway; so is `behind nat`, an endpoint. Of `unresolved` the kernel does not know the MAC address, to `unrouted` it has no route,
 /// and `with checksum` wants one.
 fn switch() -> Switch {
@@ -161,6 +163,7 @@ fn switch() -> Switch {
             Link { port: None, ..remote("unresolved", UNRESOLVED, V4, "10.0.0.77:31415", &[16]) },
             Link { port: None, ..remote("unrouted", UNROUTED, V4, "203.0.113.1:31415", &[17]) },
             with_checksum(remote("with checksum", CHECKSUM, V6, "[2001:db8:9::8]:31415", &[18])),
+            Link { role: Role::Border, transit: true, ..neighbour("child", CHILD, 4, &[], 1500) },
         ],
         routes: vec![
             Route { writers: vec![ROBOT, UDP, CLOUD ^ 0x8000_0000], ..route("far", &[3], &[]) },
@@ -187,9 +190,10 @@ fn switch() -> Switch {
             route("under the second key", &[12], &[]),
             Route { writers: vec![NAT], ..route("from behind nat", &[3], &[]) },
             route("to behind nat", &[OWN_BIT], &[NAT]),
-            Route { writers: vec![ROBOT, ABROAD], ..route("abroad", &[OWN_BIT], &[OVERSEAS]) },
-            Route { writers: vec![ROBOT, ABROAD], ..route("home and abroad", &[OWN_BIT, 3], &[CLOUD, OVERSEAS]) },
-            Route { sources: vec![ABROAD], ..route("writer", &[], &[]) },
+            Route { writers: vec![ROBOT, ABROAD, CHILD], ..route("abroad", &[OWN_BIT], &[OVERSEAS]) },
+            Route { writers: vec![ROBOT, ABROAD, CHILD], ..route("home and abroad", &[OWN_BIT, 3], &[CLOUD, OVERSEAS]) },
+            Route { writers: vec![ROBOT, ABROAD, CHILD], ..route("child", &[OWN_BIT], &[CHILD]) },
+            Route { sources: vec![ABROAD, CHILD], ..route("writer", &[], &[]) },
         ],
         next_hops: [
             (0, WEST),
@@ -392,10 +396,16 @@ fn borders() -> Vec<Case> {
     let came = from(WEST).bits(OWN).to("abroad").with(|f| f.flags = 0x40);
     let claimed = from(ROBOT).to("far").with(|f| f.flags = 0x40);
     let carried = from(WEST).bits(1 << 3).with(|f| f.flags = 0x40);
-    let at_home = [(CLOUD, 0, "delivered"), (EAST, 1 << 3, "forwarded")].map(|(by, bits, counter)| CopyOut {
-        frame: Some(Bytes::new(&foreign(&far, by, bits).0.bytes())),
+    let copy = |frame: Forwarded, counter: &str| CopyOut {
+        frame: Some(Bytes::new(&frame.0.bytes())),
         counter: counter.into(),
-    });
+    };
+    let at_home = [(CLOUD, 0, "delivered"), (EAST, 1 << 3, "forwarded")]
+        .map(|(by, bits, counter)| copy(foreign(&far, by, bits), counter));
+    let child = |to| from(CHILD).to(to);
+    let everywhere = [(CLOUD, 0, "delivered"), (OVERSEAS, 0, "delivered"), (EAST, 1 << 3, "forwarded")]
+        .map(|(by, bits, counter)| copy(sends(&child("home and abroad"), by, bits), counter));
+    let marked = child("abroad").with(|f| f.flags = 0x40);
     vec![
         leaves.case("to another domain", delivers(&leaves, OVERSEAS)),
         far.case("what comes from another domain is marked, and goes to no third", copied(at_home.to_vec())),
@@ -403,6 +413,11 @@ fn borders() -> Vec<Case> {
         came.case("nor if it came in at another switch", drop("drop_split_horizon")),
         carried.case("in transit the mark stays", sends(&carried, EAST, 1 << 3)),
         claimed.case("an endpoint cannot set the mark", sends(&claimed, EAST, 1 << 3).with(|f| f.flags = 0)),
+        child("abroad").case("what may cross this domain goes on to a third", delivers(&child("abroad"), OVERSEAS)),
+        marked.case("whatever its own domain marked", delivers(&child("abroad"), OVERSEAS)),
+        child("home and abroad").case("and everywhere else, without a mark", copied(everywhere.to_vec())),
+        child("child").case("but not back", drop("drop_hairpin")),
+        abroad("child").case("the other way only what may cross, too", drop("drop_split_horizon")),
         to_here.refused("a source that the domain may not send as", "drop_source"),
         abroad("far").refused("a name that the domain may not send to", "drop_not_permitted"),
     ]
@@ -949,6 +964,7 @@ fn neighbour(label: &str, id: u32, port: u32, reach: &[u32], mtu: u32) -> Link {
         id,
         peer_id: 0xbeef_0000 | u32::from(index),
         role: Role::Switch,
+        transit: false,
         port: Some(port),
         rx_keys: [key(0), key(0x40)],
         tx_keys: [key(0x80), key(0xc0)],

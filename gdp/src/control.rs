@@ -328,6 +328,9 @@ pub struct Route {
     /// The local endpoints that may send to the name: those that publish or call it through this switch; to the name of an
     /// entity, its counterparts.
     pub writers: Vec<Name>,
+    /// The switches of other domains that frames from this name may come from, at a border: if it is that of an entity abroad. They stand
+    /// among [`Self::locals`] and [`Self::writers`], too, for the entities behind them.
+    pub arrives_by: Vec<Name>,
 }
 
 /// What a switch states of its links, as it is passed on.

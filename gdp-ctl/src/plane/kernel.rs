@@ -151,6 +151,8 @@ pub struct Adopted {
     pub ports: Vec<(u32, u32)>,
     /// The links of each group that the kernel holds.
     pub groups: Vec<(u32, Vec<u32>)>,
+    /// On which links frames may have a name as their source, besides what those are.
+    pub sources: Vec<Permit>,
 }
 
 /// The action an XDP program returned in [`KernelPlane::test_run`].
@@ -325,6 +327,7 @@ impl KernelPlane {
             next_hops,
             ports: self.ports_there().map_err(update("PORTS"))?,
             groups: self.groups.found(),
+            sources: self.permits_there()?.into_iter().filter(|permit| permit.part == Permit::SOURCE).collect(),
         }))
     }
 
@@ -569,10 +572,14 @@ impl KernelPlane {
         removed(self.permits.remove(permit)).map_err(update("PERMITS"))
     }
 
-    /// Takes back every permission.
-    pub fn forbid_all(&mut self) -> Result<(), UpdateError> {
-        let permits: Vec<Permit> = self.permits.keys().collect::<Result<_, _>>().map_err(update("PERMITS"))?;
-        permits.iter().try_for_each(|permit| self.forbid(permit))
+    /// Takes back every permission but these.
+    pub fn forbid_all_but(&mut self, stay: &HashSet<Permit>) -> Result<(), UpdateError> {
+        let permits = self.permits_there()?;
+        permits.iter().filter(|permit| !stay.contains(permit)).try_for_each(|permit| self.forbid(permit))
+    }
+
+    fn permits_there(&self) -> Result<Vec<Permit>, UpdateError> {
+        self.permits.keys().collect::<Result<_, _>>().map_err(update("PERMITS"))
     }
 
     pub fn set_next_hops(&mut self, next_hops: &[u32; EGRESS_SET_SIZE as usize]) -> Result<(), UpdateError> {

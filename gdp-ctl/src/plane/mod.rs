@@ -149,8 +149,18 @@ pub struct PlaneRoute {
     pub egress_bits: u64,
     /// Links of the local readers, sorted, without duplicates.
     pub readers: Vec<u32>,
-    /// Links of the local endpoints that may send to the name, sorted, without duplicates; or [`ANY_WRITER`] alone.
+    /// Links of the local endpoints, and into other domains, on which frames to the name may come, sorted, without duplicates; or
+    /// [`ANY_WRITER`] alone.
     pub writers: Vec<u32>,
+    /// Links into other domains on which frames from the name may come, sorted, without duplicates.
+    pub sources: Vec<u32>,
+}
+
+impl PlaneRoute {
+    /// Whether frames to the name go nowhere, and none from it come from abroad: then the data plane need not hold it.
+    pub fn is_idle(&self) -> bool {
+        self.egress_bits == 0 && self.readers.is_empty() && self.sources.is_empty()
+    }
 }
 
 /// All planes of a daemon. Dropping it detaches the XDP programs and ends the threads; but what was taken over from an earlier
@@ -516,7 +526,8 @@ impl Planes {
     pub fn writers(&self, name: &Name) -> Vec<u32> {
         let tables = self.read_tables();
         let first = tables.route(name).map(|entry| entry.writer_link).filter(|link| ![0, ANY_WRITER].contains(link));
-        first.into_iter().chain(tables.permits(name).iter().map(|permit| permit.link)).collect()
+        let others = tables.permits(name).iter().filter(|permit| permit.part == Permit::DESTINATION);
+        first.into_iter().chain(others.map(|permit| permit.link)).collect()
     }
 
     /// The links of the local readers of a name.
@@ -950,7 +961,7 @@ impl Planes {
     }
 
     fn adopt(&mut self, adopted: Adopted) -> Result<(), PlaneError> {
-        let Adopted { config, links, routes, next_hops, ports, groups } = adopted;
+        let Adopted { config, links, routes, next_hops, ports, groups, sources } = adopted;
         (self.own_bit, self.host_pair) = (config.own_bit, config.host_pair);
         let ports = ports.into_iter().map(|(port, _)| port).collect();
         let mut left = Left { own_bit: config.own_bit, links: Vec::new(), routes: Vec::new(), next_hops, ports };
@@ -973,12 +984,14 @@ impl Planes {
         self.tables().set_next_hops(&next_hops);
         let readers = self.adopted_readers(&groups);
         self.left = Some(left);
-        let mut adopted = Vec::with_capacity(routes.len());
+        let sources = self.adopted_sources(sources);
+        let mut adopted: Vec<(Name, PlaneRoute)> = Vec::with_capacity(routes.len());
         // Those with a number of their own come first, so that no other takes it.
         let (numbered, others): (Vec<_>, Vec<_>) =
             routes.into_iter().partition(|(_, entry)| readers.contains_key(&entry.group));
         for (name, entry) in numbered.into_iter().chain(others) {
-            let route = adopted_route(&entry, readers.get(&entry.group).map(Vec::as_slice));
+            let sources = sources.get(&name).cloned().unwrap_or_default();
+            let route = adopted_route(&entry, readers.get(&entry.group).map(Vec::as_slice), sources);
             // By the same number, so that nothing changes for frames under way.
             let number = readers.contains_key(&entry.group).then_some(entry.group);
             self.set_route_by_group(name, &route, number)?;
@@ -986,7 +999,8 @@ impl Planes {
         }
         // Not before the entries that say to look for permits are gone: frames go on meanwhile.
         if let Ok(kernel) = &mut self.kernel {
-            kernel.forbid_all()?;
+            let stay = adopted.iter().flat_map(|(name, route)| source_permits(name, route)).collect();
+            kernel.forbid_all_but(&stay)?;
         }
         if let (Ok(kernel), used) = (&mut self.kernel, &self.groups) {
             let unused = readers.into_keys().filter(|group| used.readers(*group).is_empty());
@@ -996,6 +1010,17 @@ impl Planes {
             left.routes = adopted;
         }
         Ok(())
+    }
+
+    /// The links by which frames may come from each name, sorted, of those that are there.
+    fn adopted_sources(&self, permits: Vec<Permit>) -> HashMap<Name, Vec<u32>> {
+        let tables = self.read_tables();
+        let mut sources: HashMap<Name, Vec<u32>> = HashMap::new();
+        for permit in permits.into_iter().filter(|permit| tables.link(permit.link).is_some()) {
+            sources.entry(permit.name).or_default().push(permit.link);
+        }
+        sources.values_mut().for_each(|links| links.sort_unstable());
+        sources
     }
 
     /// The local readers of each group that has any, sorted.
@@ -1041,7 +1066,14 @@ fn entry_of(name: &Name, route: &PlaneRoute, group: u32) -> (FibEntry, Vec<Permi
         more_writers: u8::from(!others.is_empty()),
         reserved: 0,
     };
-    (entry, others.iter().map(|link| Permit { name: *name, link: *link, part: Permit::DESTINATION }).collect())
+    let writers = others.iter().map(|link| Permit { name: *name, link: *link, part: Permit::DESTINATION });
+    (entry, writers.chain(source_permits(name, route)).collect())
+}
+
+/// What lets frames from a name come by its links into other domains.
+fn source_permits(name: &Name, route: &PlaneRoute) -> impl Iterator<Item = Permit> {
+    let name = *name;
+    route.sources.iter().map(move |link| Permit { name, link: *link, part: Permit::SOURCE })
 }
 
 /// Where a link leads that an earlier daemon left, if its entry tells.
@@ -1062,9 +1094,9 @@ fn adopted_address(entry: &LinkEntry) -> Option<LinkAddr> {
 }
 
 /// A route that an earlier daemon left. If there are several writers here, their permits cannot be read back: until the RIB has
-/// said them again, every endpoint may send to the name, as itself; readers know who may write. `readers`: of its group, as far
+/// said them again, every endpoint may send to the name, as itself, and other domains as those they may; readers know who may write. `readers`: of its group, as far
 /// as that was in the kernel.
-fn adopted_route(entry: &FibEntry, readers: Option<&[u32]>) -> PlaneRoute {
+fn adopted_route(entry: &FibEntry, readers: Option<&[u32]>, sources: Vec<u32>) -> PlaneRoute {
     let only = Some(entry.local_link).filter(|link| *link != 0);
     PlaneRoute {
         egress_bits: entry.egress_bits,
@@ -1074,6 +1106,7 @@ fn adopted_route(entry: &FibEntry, readers: Option<&[u32]>) -> PlaneRoute {
             (writer, 0) => vec![writer],
             _ => vec![ANY_WRITER],
         },
+        sources,
     }
 }
 

@@ -150,7 +150,8 @@ impl UserTables {
         self.routes.len() < capacity || self.routes.contains_key(name)
     }
 
-    /// Returns the route the name had. `permits`: those of links that may send to it, besides `entry.writer_link`.
+    /// Returns the route the name had. `permits`: those of links that may send to it, besides `entry.writer_link`,
+    /// and of links by which frames from it may come.
     pub fn set_route(&mut self, name: Name, entry: FibEntry, permits: &[Permit]) -> Option<(FibEntry, Box<[Permit]>)> {
         self.routes.insert(name, (entry, permits.into()))
     }

@@ -12,6 +12,7 @@ use gdp_wire::Name;
 use super::inboxes::Place;
 use super::names::Key;
 use super::telling::Stake;
+use super::ways::At;
 use super::{Limits, count_out, limit_reached};
 
 /// Epochs of one writer and name that are kept: the present one and the one before.
@@ -22,7 +23,8 @@ const BOX_OVERHEAD: usize = 4;
 
 #[derive(Debug)]
 struct Kept {
-    switch: Name,
+    /// Where the writer was when it first gave some.
+    at: At,
     /// By epoch, at most [`EPOCHS`], and reader.
     epochs: BTreeMap<u32, BTreeMap<Name, Signed<KeyBox>>>,
 }
@@ -32,7 +34,7 @@ pub(super) struct Boxes {
     /// By name and writer.
     kept: BTreeMap<(Key, Name), Kept>,
     by_writer: HashMap<Name, usize>,
-    by_switch: HashMap<Name, usize>,
+    by_switch: HashMap<At, usize>,
 }
 
 impl Boxes {
@@ -64,28 +66,27 @@ impl Boxes {
         let readers = epochs.and_then(|epochs| epochs.get(epoch));
         if !readers.is_some_and(|readers| readers.contains_key(reader)) {
             let going = oldest.and_then(|oldest| epochs?.get(&oldest)).map_or(0, BTreeMap::len);
-            let held =
-                |counts: &HashMap<Name, usize>, name| counts.get(name).map_or(0, |count| count.saturating_sub(going));
+            let beside = |count: Option<&usize>| count.map_or(0, |count| count.saturating_sub(going));
             for (what, held, limit) in [
                 ("readers of an epoch", readers.map_or(0, BTreeMap::len), limits.box_readers),
-                ("key boxes", held(&self.by_writer, writer), limits.boxes_per_entity),
-                ("key boxes of all at its switch", held(&self.by_switch, &place.switch), limits.boxes_per_switch),
+                ("key boxes", beside(self.by_writer.get(writer)), limits.boxes_per_entity),
+                ("key boxes of all at its switch, or of its domain,", beside(self.by_switch.get(&place.at)), limits.boxes_per_switch),
             ] {
                 if held >= limit {
                     return Err(limit_reached(format!("{limit} {what} are kept for {writer}")));
                 }
             }
         }
-        let new = || Kept { switch: place.switch, epochs: BTreeMap::new() };
+        let new = || Kept { at: place.at, epochs: BTreeMap::new() };
         let kept = self.kept.entry(key).or_insert_with(new);
-        let switch = kept.switch;
+        let at = kept.at;
         let gone = oldest.and_then(|oldest| kept.epochs.remove(&oldest)).map_or(0, |readers| readers.len());
         let is_new = kept.epochs.entry(*epoch).or_default().insert(*reader, signed).is_none();
         if is_new {
             *self.by_writer.entry(*writer).or_default() += 1;
-            *self.by_switch.entry(switch).or_default() += 1;
+            *self.by_switch.entry(at).or_default() += 1;
         }
-        self.count_out(writer, &switch, gone);
+        self.count_out(writer, &at, gone);
         Ok(())
     }
 
@@ -93,7 +94,7 @@ impl Boxes {
     pub fn forget(&mut self, name: &Key, writer: &Name) {
         if let Some(kept) = self.kept.remove(&(*name, *writer)) {
             let count = kept.epochs.values().map(BTreeMap::len).sum();
-            self.count_out(writer, &kept.switch, count);
+            self.count_out(writer, &kept.at, count);
         }
     }
 
@@ -102,6 +103,11 @@ impl Boxes {
         let kept = self.kept.get(&(stake.name, *counterpart)).filter(|_| !stake.role.sends());
         let reader = stake.entity;
         kept.into_iter().flat_map(|kept| kept.epochs.values()).filter_map(move |readers| readers.get(&reader))
+    }
+
+    /// All that a writer has for those that take what it sends to the name.
+    pub fn of(&self, name: &Key, writer: &Name) -> impl Iterator<Item = (&Name, &Signed<KeyBox>)> {
+        self.kept.get(&(*name, *writer)).into_iter().flat_map(|kept| kept.epochs.values()).flatten()
     }
 
     /// Those behind `after` that have boxes for what they send to a name.
@@ -118,8 +124,8 @@ impl Boxes {
         self.between(stake, counterpart).map(|signed| signed.as_bytes().len() + BOX_OVERHEAD).sum()
     }
 
-    fn count_out(&mut self, writer: &Name, switch: &Name, count: usize) {
+    fn count_out(&mut self, writer: &Name, at: &At, count: usize) {
         count_out(&mut self.by_writer, writer, count);
-        count_out(&mut self.by_switch, switch, count);
+        count_out(&mut self.by_switch, at, count);
     }
 }

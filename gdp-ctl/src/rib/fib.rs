@@ -14,7 +14,7 @@ const ROOM: Room = Room { entries: NAMES_PER_PUSH, bytes: 56 * 1024 };
 const NAMES_PER_PUSH: usize = 400;
 
 /// What an encoded route has without endpoints, and for each of them: names, field names.
-const ROUTE_SIZE: usize = 128;
+const ROUTE_SIZE: usize = 144;
 const ENDPOINT_SIZE: usize = 34;
 
 /// The desired FIB of one switch, and how far the switch is known to hold it.
@@ -99,7 +99,8 @@ impl Fib {
 
 /// Bytes of a route in a push, or of the name of one that is removed.
 fn size(route: Option<&Route>) -> usize {
-    ROUTE_SIZE + route.map_or(0, |route| (route.locals.len() + route.writers.len()) * ENDPOINT_SIZE)
+    let ends = |route: &Route| route.locals.len() + route.writers.len() + route.arrives_by.len();
+    ROUTE_SIZE + route.map_or(0, ends) * ENDPOINT_SIZE
 }
 
 #[cfg(test)]

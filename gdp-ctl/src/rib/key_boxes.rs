@@ -7,6 +7,7 @@ use gdp_wire::Name;
 
 use super::inboxes::Place;
 use super::telling::Stake;
+use super::ways::At;
 use super::{Now, Rib, refusal};
 
 impl Rib {
@@ -31,6 +32,7 @@ impl Rib {
             signed.verify(&speaker.entity_key, now.unix).map_err(refusal)?;
             self.boxes.put(place, &claims, signed.clone(), &self.limits)?;
             self.tell_reader(&claims);
+            self.tell_abroad(&claims);
         }
         Ok(Response::Done)
     }
@@ -41,9 +43,9 @@ impl Rib {
         let sending = NameRole::ALL.iter().filter(|role| role.sends());
         let registered = sending.filter_map(|role| self.names.get(name.as_bytes(), &entity, *role)).next();
         if let Some(registration) = registered {
-            return Ok(Place { entity, switch: registration.switch });
+            return Ok(Place { entity, at: registration.at() });
         }
-        let here = Place { entity, switch: speaker.switch };
+        let here = Place { entity, at: At::Here(speaker.switch) };
         if name == claims.reader && self.inboxes.allows(name, here) {
             return Ok(here);
         }
@@ -52,7 +54,7 @@ impl Rib {
         Err(Refusal::new(RefusalCode::NotEntitled, reason))
     }
 
-    fn tell_reader(&mut self, claims: &KeyBox) {
+    pub(super) fn tell_reader(&mut self, claims: &KeyBox) {
         let (name, entity) = (claims.name.to_bytes(), claims.reader);
         for role in [NameRole::Subscriber, NameRole::Server] {
             if self.names.get(&name, &claims.writer, role.counterpart()).is_some() {

@@ -10,9 +10,11 @@
 //! Nobody has to believe this: who is told of others verifies their records again, who is given a key verifies who wrapped it,
 //! and who holds a newer revocation than the RIB gives keeps to that. What a RIB that lies can do is to withhold.
 
+mod abroad;
 mod bits;
 mod boxes;
 mod entities;
+mod exports;
 pub mod fib;
 mod inboxes;
 mod key_boxes;
@@ -22,10 +24,13 @@ mod revocations;
 mod revoke;
 mod statements;
 mod telling;
+mod topic;
+mod ways;
 #[cfg(test)]
 mod tests;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::hash::Hash;
 use std::time::Duration;
 
 use gdp::cert::CertError;
@@ -37,6 +42,7 @@ use gdp::revocations::Origin;
 use gdp_wire::Name;
 
 use crate::topology::Paths;
+use abroad::Abroad;
 use bits::Bits;
 use boxes::Boxes;
 use entities::Entities;
@@ -45,6 +51,10 @@ use inboxes::Inboxes;
 use names::Names;
 use revocations::Revocations;
 use telling::{Source, Stake, Telling};
+use ways::Ways;
+
+pub use abroad::{Foreign, Way};
+pub use exports::Export;
 
 /// How long the names of a switch that nobody reaches stay: a restart or a short partition must not cost the FIBs.
 pub const HOLD: Duration = Duration::from_secs(10);
@@ -86,6 +96,10 @@ pub struct Limits {
     pub used_revocations: usize,
     /// Revocations of names that nobody has a part in.
     pub idle_revocations: usize,
+    /// Records that one neighbouring domain tells of.
+    pub records_per_neighbour: usize,
+    /// Links into one domain.
+    pub ways_per_domain: usize,
 }
 
 impl Default for Limits {
@@ -105,6 +119,8 @@ impl Default for Limits {
             boxes_per_switch: 65_536,
             used_revocations: 4096,
             idle_revocations: 16_384,
+            records_per_neighbour: 65_536,
+            ways_per_domain: 16,
         }
     }
 }
@@ -152,6 +168,8 @@ pub struct Rib {
     boxes: Boxes,
     revocations: Revocations,
     telling: Telling,
+    ways: Ways,
+    abroad: Abroad,
     timers: Timers,
     detached: BTreeSet<(Name, Name)>,
     /// Switches that are reached and have not reported, and when they are asked to.
@@ -182,6 +200,8 @@ enum Timer {
     Attachment { entity: Name, lane: u8 },
     Switch { switch: Name },
     Unreported { switch: Name },
+    /// Frames come no more by ways that are gone.
+    Ways,
     Settled,
 }
 
@@ -203,6 +223,8 @@ impl Rib {
             boxes: Boxes::default(),
             revocations: Revocations::default(),
             telling: Telling::default(),
+            ways: Ways::default(),
+            abroad: Abroad::default(),
             timers: Timers::from([(run.settling, Timer::Settled)]),
             detached: BTreeSet::new(),
             unreported: BTreeMap::new(),
@@ -291,7 +313,7 @@ impl Rib {
             }
             self.timers.pop_first();
             match timer {
-                Timer::Registration(stake, switch) => self.unregister(stake, switch),
+                Timer::Registration(stake, switch) => self.end(now, stake, switch),
                 Timer::Attachment { entity, lane } => {
                     if let Some(attachment) = self.entities.attachment(&entity, lane) {
                         self.detached.insert((attachment.switch, entity));
@@ -300,6 +322,7 @@ impl Rib {
                 }
                 Timer::Switch { switch } => self.forget_switch(&switch),
                 Timer::Unreported { switch } => self.ask_to_report(now, switch),
+                Timer::Ways => self.end_earlier_ways(now),
                 // So that they let go of what nobody has stated again.
                 Timer::Settled => self.switches.values_mut().for_each(|switch| switch.fib.restart()),
             }
@@ -360,16 +383,17 @@ impl Rib {
         };
         let key = name.to_bytes();
         let switches = self.names.bound_at(&key, entity, role);
-        let counterparts = || switches.flat_map(|at| self.counterparts(&key, role).map(move |c| (at, c)));
-        self.names.routed(&key).all(|switch| settled(switch, name))
-            && self.inboxes.routed(entity).all(|switch| settled(switch, entity))
-            && counterparts().all(|(at, other)| settled(&at, &other.entity))
+        let others = |at| self.names.bound(&key, role.counterpart()).map(move |(other, _)| (at, other));
+        self.names.routed(&key, self.map()).iter().all(|switch| settled(switch, name))
+            && self.inboxes.routed(entity, self.map()).iter().all(|switch| settled(switch, entity))
+            && switches.flat_map(others).all(|(at, other)| settled(&at, &other))
     }
 
     /// To be asked once a statement at `at` is settled: takes it back there if a switch has no room for the route it needs.
     pub fn check_room(&mut self, name: &Name, entity: &Name, role: NameRole, at: &Name) -> Result<(), Refusal> {
         let lacking = |switch| self.switches.get(switch)?.fib.lacking();
-        let Some(reason) = self.names.routed(name.as_bytes()).find_map(lacking) else { return Ok(()) };
+        let routed = self.names.routed(name.as_bytes(), self.map());
+        let Some(reason) = routed.iter().find_map(lacking) else { return Ok(()) };
         let refusal = Refusal::new(RefusalCode::Limit, reason);
         self.unregister(Stake { name: name.to_bytes(), entity: *entity, role }, *at);
         Err(refusal)
@@ -411,11 +435,11 @@ impl Rib {
     }
 }
 
-fn count_out(counts: &mut HashMap<Name, usize>, name: &Name, count: usize) {
-    if let Some(held) = counts.get_mut(name) {
+fn count_out<K: Eq + Hash>(counts: &mut HashMap<K, usize>, key: &K, count: usize) {
+    if let Some(held) = counts.get_mut(key) {
         *held -= count;
         if *held == 0 {
-            counts.remove(name);
+            counts.remove(key);
         }
     }
 }

@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound;
+use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::cert::{Advert, Revocation, Signed};
@@ -10,6 +11,9 @@ use gdp::control::{Credential, NameRole, Record, RecordPlace, Refusal, RefusalCo
 use gdp::name::{NamePrefix, NameProof};
 use gdp_wire::Name;
 
+use super::telling::Stake;
+use super::topic::{Registrations, Topic, distinct};
+use super::ways::{At, Map, Realm};
 use super::{Limits, limit_reached};
 
 /// A name by which maps are ordered as its hex digits are.
@@ -22,27 +26,81 @@ pub(super) const RECORDS_SIZE: usize = 56 * 1024;
 const RECORD_OVERHEAD: usize = 512;
 
 /// Behind all switches of an entity.
-const LAST: Name = Name::from_bytes([0xff; 32]);
+pub(super) const LAST: Name = Name::from_bytes([0xff; 32]);
 
 /// One entity's part in a name, at one switch.
 #[derive(Debug)]
 pub(super) struct Registration {
     pub entity: NameProof,
+    /// Of another domain, if the entity is abroad.
     pub switch: Name,
+    pub abroad: Option<Remote>,
     pub role: NameRole,
     pub credential: Credential,
     pub advert: Signed<Advert>,
     pub box_key: [u8; 33],
+    /// Of the statement.
+    pub serial: u64,
+    /// Domains besides the one that it is stated in, that may know it; of those that read or call always empty.
+    pub scope: Arc<[Name]>,
     /// Of the certificates in the credential that a revocation can take back: what they are, and their serials.
     pub serials: Vec<(&'static str, u64)>,
     /// What is stated at other switches stands besides; and this one sends it on each link of the entity.
     pub everywhere: bool,
     pub ends: Duration,
-    /// Ends with the attachment of its entity; the entity is told of its counterparts, and can be reached by them.
+    /// Ends with the attachment of its entity; the entity is told of its counterparts, and can be reached by them. One from abroad can
+    /// be reached; what it is told is for the RIB there.
     pub bound: bool,
 }
 
+/// What is known of a registration besides, if another RIB told of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Remote {
+    pub realm: Realm,
+    /// As in [`super::Foreign`].
+    pub hops: u32,
+    pub local: bool,
+}
+
+/// All about a registration that says with whom it may exchange messages.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Kind {
+    realm: Option<Realm>,
+    /// Entities of this domain may know it.
+    local: bool,
+    scope: Arc<[Name]>,
+}
+
+impl Kind {
+    /// Whether a writer of this kind and a reader of `other` kind are counterparts here: as far as the writer's scope goes, and not if
+    /// their messages reach each other without passing here.
+    fn meets(&self, other: &Self) -> bool {
+        match (self.realm, other.realm) {
+            (None, None) => true,
+            (Some(_), None) => self.local,
+            (None, Some(realm)) => other.local && self.scope.contains(&realm.domain),
+            (Some(from), Some(to)) => {
+                from.domain != to.domain && from.next != to.next && self.scope.contains(&to.domain)
+            }
+        }
+    }
+}
+
 impl Registration {
+    pub fn at(&self) -> At {
+        self.abroad.map_or(At::Here(self.switch), |abroad| At::Abroad(abroad.realm))
+    }
+
+    pub fn kind(&self) -> Kind {
+        let (realm, local) = self.abroad.map_or((None, true), |abroad| (Some(abroad.realm), abroad.local));
+        Kind { realm, local, scope: self.scope.clone() }
+    }
+
+    /// Whether two with opposite roles exchange messages.
+    pub fn meets(&self, other: &Self) -> bool {
+        meets(self.role, &self.kind(), &other.kind())
+    }
+
     pub fn size(&self) -> usize {
         RECORD_OVERHEAD + self.credential.size() + self.advert.as_bytes().len()
     }
@@ -61,26 +119,13 @@ impl Registration {
 
     /// Whether a counterpart that knows `other` need not be told of this one.
     pub fn tells_the_same(&self, other: &Self) -> bool {
-        self.credential == other.credential && self.box_key == other.box_key
+        self.credential == other.credential && self.box_key == other.box_key && self.kind() == other.kind()
     }
 }
 
-#[derive(Debug)]
-struct Topic {
-    proof: NameProof,
-    /// By role.
-    parts: [Registrations; NameRole::ALL.len()],
-    /// The egress bits of the switches of those that take what is sent, as of the last [`Names::reroute`]; 0 while there are
-    /// no routes.
-    egress_bits: u64,
-}
-
-/// Those who have one role in a name; an entity as often as it has stated it at different switches.
-#[derive(Debug, Default)]
-struct Registrations {
-    /// And by switch.
-    by_entity: BTreeMap<(Name, Name), Registration>,
-    by_switch: BTreeMap<Name, BTreeSet<Name>>,
+/// Whether one of this role and kind exchanges messages with one of the opposite role and kind `other`.
+pub(super) fn meets(role: NameRole, kind: &Kind, other: &Kind) -> bool {
+    if role.is_writer() { kind.meets(other) } else { other.meets(kind) }
 }
 
 #[derive(Debug, Default)]
@@ -112,12 +157,14 @@ impl Names {
         let part = topic.part(new.role);
         if !new.role.is_writer() {
             let limit = limits.readers_per_switch;
-            return match part.by_switch.get(&new.switch) {
-                Some(here) if here.len() >= limit && !here.contains(entity) => {
-                    Err(limit_reached(format!("{name} has {limit} {}s at switch {}", new.role, new.switch)))
-                }
-                _ => Ok(()),
-            };
+            if part.count_at(&new.at()) >= limit && part.get(entity, &new.switch).is_none() {
+                let place = match new.at() {
+                    At::Here(switch) => format!("at switch {switch}"),
+                    At::Abroad(realm) => format!("in domain {}", realm.domain),
+                };
+                return Err(limit_reached(format!("{name} has {limit} {}s {place}", new.role)));
+            }
+            return Ok(());
         }
         let (limit, other) =
             (limits.writers_per_name, if new.role.sends() { NameRole::Server } else { NameRole::Publisher });
@@ -133,8 +180,7 @@ impl Names {
 
     /// Stores what [`Self::check_room`] allowed. Returns what it replaces.
     pub fn insert(&mut self, name: Name, proof: NameProof, entity: Name, new: Registration) -> Option<Registration> {
-        let topic =
-            self.0.entry(name.to_bytes()).or_insert_with(|| Topic { proof, parts: Default::default(), egress_bits: 0 });
+        let topic = self.0.entry(name.to_bytes()).or_insert_with(|| Topic::new(proof));
         topic.part_mut(new.role).insert(entity, new)
     }
 
@@ -144,7 +190,7 @@ impl Names {
 
     /// Drops a name that nobody has any part in; whether it did.
     pub fn sweep(&mut self, name: &Key) -> bool {
-        let unused = self.0.get(name).is_some_and(|topic| topic.parts.iter().all(Registrations::is_empty));
+        let unused = self.0.get(name).is_some_and(|topic| topic.parts().all(Registrations::is_empty));
         if unused {
             self.0.remove(name);
         }
@@ -161,49 +207,76 @@ impl Names {
     }
 
     pub fn get_at(&self, name: &Key, entity: &Name, role: NameRole, switch: &Name) -> Option<&Registration> {
-        self.0.get(name)?.part(role).by_entity.get(&(*entity, *switch))
+        self.0.get(name)?.part(role).get(entity, switch)
     }
 
-    /// The switches at which an entity has stated this.
+    /// All that an entity has stated of this, here and abroad.
+    pub fn all_of(&self, name: &Key, entity: &Name, role: NameRole) -> impl Iterator<Item = &Registration> {
+        self.0.get(name).into_iter().flat_map(move |topic| topic.part(role).of(entity))
+    }
+
+    /// The switches of this domain at which an entity has stated this.
     pub fn switches_of(&self, name: &Key, entity: &Name, role: NameRole) -> Vec<Name> {
-        let part = self.0.get(name).map(|topic| topic.part(role));
-        part.into_iter().flat_map(|part| part.of(entity)).map(|registration| registration.switch).collect()
+        let here = self.all_of(name, entity, role).filter(|registration| registration.abroad.is_none());
+        here.map(|registration| registration.switch).collect()
     }
 
-    pub fn record(&self, now: Duration, name: &Key, entity: &Name, role: NameRole) -> Option<Record> {
-        let proof = self.0.get(name)?.proof;
-        Some(self.get(name, entity, role)?.record(now, Name::from_bytes(*name), proof))
+    /// What there is to tell one who has this part in a name of a counterpart there, if it is any.
+    pub fn record_for(&self, now: Duration, stake: &Stake, counterpart: &Name) -> Option<Record> {
+        let Stake { name, entity, role } = stake;
+        let topic = self.0.get(name)?;
+        let own = topic.part(*role).of(entity).filter(|own| own.abroad.is_none()).max_by_key(|own| own.ends)?;
+        let of = self.all_of(name, counterpart, role.counterpart()).filter(|other| own.meets(other));
+        Some(of.max_by_key(|other| other.ends)?.record(now, Name::from_bytes(*name), topic.proof))
+    }
+
+    pub fn record_at(&self, now: Duration, place: &RecordPlace) -> Option<(Record, &Registration)> {
+        let topic = self.0.get(place.name.as_bytes())?;
+        let registration = topic.part(place.role).get(&place.entity, &place.switch)?;
+        Some((registration.record(now, place.name, topic.proof), registration))
     }
 
     pub fn has(&self, name: &Key, entity: &Name) -> bool {
-        self.0.get(name).is_some_and(|topic| topic.parts.iter().any(|part| part.of(entity).next().is_some()))
+        self.0.get(name).is_some_and(|topic| topic.parts().any(|part| part.of(entity).next().is_some()))
     }
 
     /// Switches that a route for the name is for.
-    pub fn routed(&self, name: &Key) -> impl Iterator<Item = &Name> {
-        let topic = self.0.get(name).filter(|topic| topic.egress_bits != 0);
-        topic.into_iter().flat_map(Topic::switches)
+    pub fn routed(&self, name: &Key, map: Map) -> BTreeSet<Name> {
+        let topic = self.0.get(name).filter(|topic| topic.is_routed());
+        topic.map_or_else(BTreeSet::new, |topic| topic.switches(map))
     }
 
-    /// The attached entities with this role in a name, and their switches; one at each of its switches.
-    pub fn bound(&self, name: &Key, role: NameRole) -> impl Iterator<Item = (Name, Name)> {
-        let part = self.0.get(name).map(|topic| topic.part(role));
-        let all = part.into_iter().flat_map(|part| &part.by_entity);
-        all.filter(|(_, registration)| registration.bound).map(|(place, _)| *place)
+    /// Those with this role in a name that can be reached, with what they stated; an entity as often as it has stated it.
+    pub fn bound(&self, name: &Key, role: NameRole) -> impl Iterator<Item = (Name, &Registration)> {
+        let all = self.0.get(name).into_iter().flat_map(move |topic| topic.part(role).iter());
+        all.filter(|(_, registration)| registration.bound).map(|((entity, _), registration)| (*entity, registration))
     }
 
-    /// The switches at which one entity is so.
+    /// The switches of this domain at which one entity is so.
     pub fn bound_at(&self, name: &Key, entity: &Name, role: NameRole) -> impl Iterator<Item = Name> {
-        let part = self.0.get(name).map(|topic| topic.part(role));
-        let of = part.into_iter().flat_map(|part| part.of(entity));
-        of.filter(|registration| registration.bound).map(|registration| registration.switch)
+        let here = self.all_of(name, entity, role).filter(|r| r.bound && r.abroad.is_none());
+        here.map(|registration| registration.switch)
+    }
+
+    /// All that have a part in the name, each once for each of its roles.
+    pub fn entities(&self, name: &Key) -> impl Iterator<Item = Name> {
+        self.0.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::entities))
+    }
+
+    /// The places of all parts in a name.
+    pub fn places(&self, name: Name) -> impl Iterator<Item = RecordPlace> {
+        self.0.get(name.as_bytes()).into_iter().flat_map(move |topic| topic.places(name))
+    }
+
+    /// The places of all parts in all names.
+    pub fn all_places(&self) -> impl Iterator<Item = RecordPlace> {
+        self.0.iter().flat_map(|(key, topic)| topic.places(Name::from_bytes(*key)))
     }
 
     /// Those with this role behind `after`.
     pub fn behind_entity(&self, name: &Key, role: NameRole, after: Option<Name>) -> impl Iterator<Item = Name> {
         let first = after.map_or(Bound::Unbounded, |after| Bound::Excluded((after, LAST)));
-        let part = self.0.get(name).map(|topic| topic.part(role));
-        let all = part.into_iter().flat_map(move |part| part.by_entity.range((first, Bound::Unbounded)));
+        let all = self.0.get(name).into_iter().flat_map(move |topic| topic.part(role).behind(first));
         distinct(all.map(|(place, _)| place))
     }
 
@@ -213,12 +286,12 @@ impl Names {
         each.filter(|(name, role)| self.get_at(name, entity, *role, switch).is_some_and(|r| r.bound)).collect()
     }
 
-    /// All registrations through one switch.
+    /// All registrations through one switch of this domain.
     pub fn registered_at(&self, switch: &Name) -> Vec<(Key, Name, NameRole)> {
         let mut found = Vec::new();
         for (name, topic) in &self.0 {
             for role in NameRole::ALL {
-                found.extend(topic.part(role).at(switch).map(|entity| (*name, *entity, role)));
+                found.extend(topic.part(role).at(switch).map(|(entity, _)| (*name, entity, role)));
             }
         }
         found
@@ -226,40 +299,31 @@ impl Names {
 
     /// The registrations of a name that do not hold any more: of whom, as what, at which switch.
     pub fn revoked(&self, name: &Key, revocation: &Revocation) -> Vec<(Name, NameRole, Name)> {
-        let all = self.0.get(name).into_iter().flat_map(|topic| topic.parts.iter().flat_map(|part| &part.by_entity));
+        let all = self.0.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::iter));
         let holds = |r: &Registration| r.serials.iter().all(|(what, serial)| revocation.check(what, *serial).is_ok());
         all.filter(|(_, r)| !holds(r)).map(|((entity, switch), r)| (*entity, r.role, *switch)).collect()
     }
 
-    /// The switches whose route changes because registrations of the name `at` this switch did.
-    ///
-    /// There are no routes unless somebody sends to the name and somebody takes it. One more taker at a switch concerns that
-    /// switch alone; the first or the last one there also those of the senders.
-    pub fn reroute(&mut self, name: &Key, at: &Name, bit: impl Fn(&Name) -> Option<u8>) -> BTreeSet<Name> {
-        let mut affected = BTreeSet::from([*at]);
-        let Some(topic) = self.0.get_mut(name) else { return affected };
-        let (senders, takers) = topic.ways();
-        let takers_at = takers.by_switch.keys().filter_map(bit);
-        let now = if senders.is_empty() { 0 } else { takers_at.fold(0, |bits, bit| bits | 1 << bit) };
-        match (topic.egress_bits, now) {
-            (before, now) if before == now => {}
-            (0, _) | (_, 0) => affected.extend(topic.switches()),
-            _ => affected.extend(senders.by_switch.keys()),
+    /// The switches whose route changes because registrations of the name `at` these switches did, or ways over them.
+    pub fn reroute(&mut self, name: &Key, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
+        match self.0.get_mut(name) {
+            Some(topic) => topic.reroute(name, at, map),
+            None => at,
         }
-        topic.egress_bits = now;
-        affected
     }
 
     /// The route of a name at one switch, if it needs any.
-    pub fn route(&self, name: &Key, switch: &Name) -> Option<Route> {
-        self.0.get(name)?.route(name, switch)
+    pub fn route(&self, name: &Key, switch: &Name, map: Map) -> Option<Route> {
+        self.0.get(name)?.route(name, switch, map)
     }
 
-    /// The records of the names that begin so and lie behind `after`, as far as one message holds them.
+    /// The records of the names that begin so and lie behind `after`, as far as one message holds them, and entities of this domain may
+    /// know them.
     pub fn query(&self, now: Duration, prefix: &NamePrefix, after: Option<&RecordPlace>) -> Response {
         let padded: Option<Name> = format!("{:0<64}", prefix.as_str()).parse().ok();
         let begin = padded.unwrap_or_default();
         let matching = self.behind(after, begin).take_while(|(name, ..)| prefix.matches(name));
+        let matching = matching.filter(|(.., registration)| registration.abroad.is_none_or(|abroad| abroad.local));
         let mut room = RECORDS_SIZE;
         let mut records = Vec::new();
         for (name, topic, registration) in matching {
@@ -297,87 +361,9 @@ impl Names {
                     Some(after) if role == after.role => Some(Bound::Excluded((after.entity, after.switch))),
                     _ => Some(Bound::Unbounded),
                 };
-                let listed = first.map(|first| topic.part(role).by_entity.range((first, Bound::Unbounded)));
+                let listed = first.map(|first| topic.part(role).behind(first));
                 listed.into_iter().flatten().map(move |(_, registration)| (name, topic, registration))
             })
         })
     }
-}
-
-impl Topic {
-    fn part(&self, role: NameRole) -> &Registrations {
-        &self.parts[role as usize]
-    }
-
-    fn part_mut(&mut self, role: NameRole) -> &mut Registrations {
-        &mut self.parts[role as usize]
-    }
-
-    /// Those who send to the name, and those who take what is sent.
-    fn ways(&self) -> (&Registrations, &Registrations) {
-        let takers = if self.part(NameRole::Server).is_empty() { NameRole::Subscriber } else { NameRole::Server };
-        (self.part(takers.counterpart()), self.part(takers))
-    }
-
-    /// Where anybody has a part in the name; some several times.
-    fn switches(&self) -> impl Iterator<Item = &Name> {
-        self.parts.iter().flat_map(|part| part.by_switch.keys())
-    }
-
-    fn route(&self, name: &Key, switch: &Name) -> Option<Route> {
-        let (senders, takers) = self.ways();
-        let writers: Vec<Name> = senders.at(switch).copied().collect();
-        let locals: Vec<Name> = takers.at(switch).copied().collect();
-        let is_everywhere = |entity: &&Name| takers.by_entity.get(&(**entity, *switch)).is_some_and(|r| r.everywhere);
-        let everywhere: Vec<Name> = locals.iter().filter(is_everywhere).copied().collect();
-        if self.egress_bits == 0 || writers.is_empty() && locals.is_empty() {
-            return None;
-        }
-        let egress_bits = if writers.is_empty() { 0 } else { self.egress_bits };
-        Some(Route { name: Name::from_bytes(*name), egress_bits, locals, everywhere, writers })
-    }
-}
-
-impl Registrations {
-    fn is_empty(&self) -> bool {
-        self.by_entity.is_empty()
-    }
-
-    fn insert(&mut self, entity: Name, new: Registration) -> Option<Registration> {
-        let old = self.remove(&entity, &new.switch);
-        self.by_switch.entry(new.switch).or_default().insert(entity);
-        self.by_entity.insert((entity, new.switch), new);
-        old
-    }
-
-    fn entities(&self) -> impl Iterator<Item = Name> {
-        distinct(self.by_entity.keys())
-    }
-
-    /// What an entity has stated, at each of its switches.
-    fn of(&self, entity: &Name) -> impl Iterator<Item = &Registration> {
-        let places = (*entity, Name::default())..=(*entity, LAST);
-        self.by_entity.range(places).map(|(_, registration)| registration)
-    }
-
-    fn remove(&mut self, entity: &Name, switch: &Name) -> Option<Registration> {
-        let old = self.by_entity.remove(&(*entity, *switch))?;
-        if let Some(here) = self.by_switch.get_mut(&old.switch) {
-            here.remove(entity);
-            if here.is_empty() {
-                self.by_switch.remove(&old.switch);
-            }
-        }
-        Some(old)
-    }
-
-    fn at(&self, switch: &Name) -> impl Iterator<Item = &Name> {
-        self.by_switch.get(switch).into_iter().flatten()
-    }
-}
-
-/// Each entity once, of places in order.
-fn distinct<'a>(places: impl Iterator<Item = &'a (Name, Name)>) -> impl Iterator<Item = Name> {
-    let mut before = None;
-    places.filter_map(move |(entity, _)| (before.replace(*entity) != Some(*entity)).then_some(*entity))
 }

@@ -10,6 +10,7 @@ use gdp_wire::Name;
 use gdp_wire::table::MAX_LINKS;
 
 use super::telling::Stake;
+use super::ways::At;
 use super::{HOLD, Now, Rib, Timer, UNREPORTED, limit_reached, refusal};
 
 impl Rib {
@@ -27,7 +28,11 @@ impl Rib {
         }
         let taken = |bit| self.paths.bits.get(&bit).is_some_and(|of| *of != switch);
         self.bits.give(switch, own_bit, taken).map_err(|full| Refusal::new(RefusalCode::Limit, full.to_string()))?;
+        let is_new = !self.switches.contains_key(&switch);
         self.switches.entry(switch).or_default();
+        if is_new {
+            self.follow_border(switch);
+        }
         if let Some(at) = self.unreported.remove(&switch) {
             self.timers.remove(&(at, Timer::Unreported { switch }));
         }
@@ -90,9 +95,10 @@ impl Rib {
             }
             tracing::warn!(switch = %format_args!("{switch:#}"), "its egress bit is in use elsewhere: it gets another");
             let registered = self.names.registered_at(&switch);
-            registered.iter().for_each(|(name, ..)| self.follow_up(*name, switch));
+            registered.iter().for_each(|(name, ..)| self.follow_up(*name, &[At::Here(switch)]));
             let entities: BTreeSet<Name> = registered.iter().map(|(_, entity, _)| *entity).collect();
             entities.iter().for_each(|entity| self.reroute_inbox(entity));
+            self.follow_border(switch);
             if let Some(state) = self.switches.get_mut(&switch) {
                 state.fib.restart();
             }
@@ -118,5 +124,6 @@ impl Rib {
         }
         self.switches.remove(switch);
         self.bits.forget(switch);
+        self.follow_border(*switch);
     }
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use gdp::cert::{Advert, CertError, Signed, Speaker, authorise_advertise, authorise_subscribe, authorise_withdraw};
-use gdp::control::{Credential, EntityRequest, NameRole, Refusal, RefusalCode, Response};
+use gdp::control::{Credential, EntityRequest, NameRole, RecordPlace, Refusal, RefusalCode, Response, Route};
 use gdp::link::MAX_LANES;
 use gdp::name::NameProof;
 use gdp_wire::Name;
@@ -14,6 +14,7 @@ use super::entities::Attachment;
 use super::inboxes::Place;
 use super::names::{Key, Registration};
 use super::telling::{Source, Stake};
+use super::ways::{At, Map};
 use super::{Now, Rib, Timer, limit_reached, refusal};
 
 /// A statement that is verified, with what it rests on.
@@ -23,6 +24,7 @@ struct Verified {
     signed: Signed<Advert>,
     advert: Advert,
     everywhere: bool,
+    scope: Vec<Name>,
     not_after: u64,
 }
 
@@ -73,6 +75,7 @@ impl Rib {
                     signed: advert.clone(),
                     advert: statement,
                     everywhere: *everywhere,
+                    scope: cert.scope,
                     not_after: cert.not_after,
                 };
                 self.state(now, &speaker, *proof, by_tool, verified)
@@ -87,6 +90,7 @@ impl Rib {
                     signed: advert.clone(),
                     advert: statement,
                     everywhere: *everywhere,
+                    scope: Vec::new(),
                     not_after: cert.not_after,
                 };
                 self.state(now, &speaker, *proof, by_tool, verified)
@@ -122,7 +126,7 @@ impl Rib {
         by_tool: bool,
         verified: Verified,
     ) -> Result<Response, Refusal> {
-        let Verified { name: name_proof, credential, signed, advert, everywhere, not_after } = verified;
+        let Verified { name: name_proof, credential, signed, advert, everywhere, scope, not_after } = verified;
         self.spend(now, speaker, advert.serial)?;
         let ends = lifetime(now, advert.lifetime, not_after);
         let role = NameRole::of(advert.op)
@@ -133,10 +137,13 @@ impl Rib {
             let registration = Registration {
                 entity: proof,
                 switch,
+                abroad: None,
                 role,
                 credential,
                 advert: signed,
                 box_key,
+                serial: advert.serial,
+                scope: scope.into(),
                 serials,
                 everywhere,
                 ends,
@@ -240,46 +247,72 @@ impl Rib {
                 format!("{entity} is reached under its own name as it is, by its counterparts; use another name");
             return Err(Refusal::new(RefusalCode::Unsupported, reason));
         }
-        self.names.check_room(&name, &entity, &new, &self.limits)?;
         let names = self.entities.names(&entity);
         if names.len() >= self.limits.names_per_entity && !names.contains(&key) {
             return Err(limit_reached(format!("{entity} already has {} names", names.len())));
         }
-        let place = Place { entity, switch: new.switch };
-        if new.bound {
-            let counterparts: Vec<Place> = self.counterparts(&key, role).collect();
-            self.inboxes.check_room(place, &counterparts, &self.limits)?;
+        let (switch, everywhere, serial) = (new.switch, new.everywhere, new.serial);
+        self.store(stake, proof, new)?;
+        self.entities.add_name(&entity, key);
+        if !everywhere {
+            let mut others = self.names.switches_of(&key, &entity, role);
+            others.retain(|other| *other != switch);
+            others.into_iter().for_each(|switch| self.unregister(stake, switch));
+            self.forget_abroad(stake, serial);
         }
-        let (ends, bound, everywhere) = (new.ends, new.bound, new.everywhere);
+        Ok(())
+    }
+
+    /// Takes in a part in a name that is verified. Returns what its entity had stated there before.
+    pub(super) fn store(
+        &mut self,
+        stake: Stake,
+        proof: NameProof,
+        new: Registration,
+    ) -> Result<Option<Registration>, Refusal> {
+        let Stake { name: key, entity, role } = stake;
+        let (name, switch, at) = (Name::from_bytes(key), new.switch, new.at());
+        self.names.check_room(&name, &entity, &new, &self.limits)?;
+        if new.bound {
+            let counterparts: Vec<Place> = self.counterparts(&key, &new).collect();
+            self.inboxes.check_room(Place { entity, at }, &counterparts, &self.limits)?;
+        }
+        let (ends, bound, kind) = (new.ends, new.bound, new.kind());
         let says_the_same = self.names.get(&key, &entity, role).is_some_and(|old| old.tells_the_same(&new));
         self.revocations.enter(&key, &self.limits);
         let is_new_name = !self.names.contains(&key);
+        self.abroad.enter(&new, key);
         let old = self.names.insert(name, proof, entity, new);
-        self.timers.insert((ends, Timer::Registration(stake, place.switch)));
-        self.entities.add_name(&entity, key);
-        if let Some(old) = &old
-            && old.ends != ends
-        {
-            self.timers.remove(&(old.ends, Timer::Registration(stake, place.switch)));
+        self.timers.insert((ends, Timer::Registration(stake, switch)));
+        let (mut places, mut told) = (vec![at], self.to_tell_of(stake, &switch));
+        if let Some(old) = &old {
+            self.abroad.leave(old, &key);
+            if old.ends != ends {
+                self.timers.remove(&(old.ends, Timer::Registration(stake, switch)));
+            }
+            places.push(old.at());
+            told.extend(self.who_knew(stake, old));
         }
-        match (old.is_some_and(|old| old.bound), bound) {
-            (true, false) => self.part(stake, place.switch),
-            (false, true) => self.join(stake, place.switch),
-            _ => {}
+        // First those that are its counterparts now: those that stay so lose nothing.
+        let was = old.as_ref().filter(|old| old.bound);
+        if bound && was.is_none_or(|old| old.kind() != kind) {
+            self.join(stake, &switch);
         }
-        self.follow_up(key, place.switch);
+        if let Some(was) = was.filter(|was| !bound || was.kind() != kind) {
+            self.part(stake, was);
+        }
+        if was.is_some() && !bound {
+            self.tell_elsewhere(stake, &switch);
+        }
+        self.follow_up(key, &places);
         if is_new_name {
             self.reroute_inbox(&name);
         }
         if !says_the_same {
-            self.tell_counterparts(stake);
+            told.into_iter().for_each(|other| self.telling.record_changed(other, entity));
         }
-        if !everywhere {
-            let mut others = self.names.switches_of(&key, &entity, role);
-            others.retain(|switch| *switch != place.switch);
-            others.into_iter().for_each(|switch| self.unregister(stake, switch));
-        }
-        Ok(())
+        self.abroad.changed(RecordPlace { name, role, entity, switch });
+        Ok(old)
     }
 
     pub(super) fn unregister(&mut self, stake: Stake, switch: Name) {
@@ -287,8 +320,10 @@ impl Rib {
         let Some(old) = self.names.remove(&name, &entity, role, &switch) else { return };
         self.timers.remove(&(old.ends, Timer::Registration(stake, switch)));
         let says_the_same = self.names.get(&name, &entity, role).is_some_and(|other| other.tells_the_same(&old));
+        self.abroad.leave(&old, &name);
         if old.bound {
-            self.part(stake, switch);
+            self.tell_elsewhere(stake, &switch);
+            self.part(stake, &old);
         }
         let sends = |role: &NameRole| role.sends() && self.names.get(&name, &entity, *role).is_some();
         if !NameRole::ALL.iter().any(sends) {
@@ -298,87 +333,125 @@ impl Rib {
             self.entities.remove_name(&entity, &name);
             self.entities.retire(&entity);
         }
-        self.follow_up(name, switch);
+        self.follow_up(name, &[old.at()]);
         if !says_the_same {
-            self.tell_counterparts(stake);
+            self.who_knew(stake, &old).into_iter().for_each(|other| self.telling.record_changed(other, entity));
         }
+        self.abroad.changed(RecordPlace { name: Name::from_bytes(name), role, entity, switch });
         if self.names.sweep(&name) {
             self.reroute_inbox(&Name::from_bytes(name));
             self.revocations.leave(&name, &self.limits);
         }
     }
 
-    /// The attached entities that one with this role exchanges messages with.
-    pub(super) fn counterparts(&self, name: &Key, role: NameRole) -> impl Iterator<Item = Place> {
-        self.names.bound(name, role.counterpart()).map(|(entity, switch)| Place { entity, switch })
+    /// Those that one with this part in a name exchanges messages with.
+    fn counterparts(&self, name: &Key, registration: &Registration) -> impl Iterator<Item = Place> {
+        let others = self.names.bound(name, registration.role.counterpart());
+        let others = others.filter(|(_, other)| registration.meets(other));
+        others.map(|(entity, other)| Place { entity, at: other.at() })
     }
 
-    /// Lets an entity at `switch` and its counterparts send to each other's inbox.
-    fn join(&mut self, stake: Stake, switch: Name) {
+    /// Lets an entity and its counterparts send to each other's inbox, because of what it stated at `switch`.
+    fn join(&mut self, stake: Stake, switch: &Name) {
         let mut affected = BTreeSet::new();
-        for (inbox, sender) in self.pairs(stake, switch) {
-            let switches = self.inboxes.allow(inbox, sender);
-            affected.extend(switches.into_iter().map(|switch| (inbox.entity, switch)));
+        let new = self.names.get_at(&stake.name, &stake.entity, stake.role, switch);
+        for (inbox, sender) in new.map_or_else(Vec::new, |new| self.pairs(stake, new)) {
+            let places = self.inboxes.allow(inbox, sender);
+            affected.extend(places.into_iter().map(|at| (inbox.entity, at)));
         }
-        affected.into_iter().for_each(|(inbox, switch)| self.reroute(inbox.to_bytes(), [switch]));
+        self.reroute_inboxes(affected);
     }
 
-    /// The entity is no counterpart of these any more, as far as this name goes.
-    fn part(&mut self, stake: Stake, switch: Name) {
-        self.tell_elsewhere(stake, &switch);
+    /// The entity is no counterpart of these any more, as far as this statement goes.
+    fn part(&mut self, stake: Stake, old: &Registration) {
         let mut affected = BTreeSet::new();
-        for (inbox, sender) in self.pairs(stake, switch) {
-            let (switches, ended) = self.inboxes.deny(inbox, sender);
+        for (inbox, sender) in self.pairs(stake, old) {
+            let (places, ended) = self.inboxes.deny(inbox, sender);
             if ended {
                 self.boxes.forget(inbox.entity.as_bytes(), &sender.entity);
             }
-            affected.extend(switches.into_iter().map(|switch| (inbox.entity, switch)));
+            affected.extend(places.into_iter().map(|at| (inbox.entity, at)));
         }
-        affected.into_iter().for_each(|(inbox, switch)| self.reroute(inbox.to_bytes(), [switch]));
+        self.reroute_inboxes(affected);
     }
 
-    /// The inboxes that concern an entity at `switch` with this stake, each with who sends there for it.
-    fn pairs(&self, stake: Stake, switch: Name) -> Vec<(Place, Place)> {
-        let place = Place { entity: stake.entity, switch };
-        let others = self.counterparts(&stake.name, stake.role).filter(|other| other.entity != place.entity);
+    /// The inboxes that concern an entity with this part in a name, each with who sends there for it.
+    fn pairs(&self, stake: Stake, registration: &Registration) -> Vec<(Place, Place)> {
+        let place = Place { entity: stake.entity, at: registration.at() };
+        let others = self.counterparts(&stake.name, registration).filter(|other| other.entity != place.entity);
         others.flat_map(|other| [(place, other), (other, place)]).collect()
     }
 
-    fn tell_counterparts(&mut self, stake: Stake) {
-        let role = stake.role.counterpart();
-        for (entity, _) in self.names.bound(&stake.name, role) {
-            self.telling.record_changed(Stake { name: stake.name, entity, role }, stake.entity);
-        }
+    /// Those to be told of what an entity has stated at `switch`.
+    fn to_tell_of(&self, stake: Stake, switch: &Name) -> Vec<Stake> {
+        let stated = self.names.get_at(&stake.name, &stake.entity, stake.role, switch);
+        stated.map_or_else(Vec::new, |stated| self.who_knew(stake, stated))
     }
 
-    /// Brings the desired FIBs in line with what is registered for one name, after a change `at` a switch.
-    pub(super) fn follow_up(&mut self, name: Key, at: Name) {
-        let bits = &self.bits;
-        let switches = self.names.reroute(&name, &at, |switch| bits.of(switch));
+    /// Those that were told of it. Those of other domains are for their own RIB to tell.
+    fn who_knew(&self, stake: Stake, stated: &Registration) -> Vec<Stake> {
+        let (name, role) = (stake.name, stake.role.counterpart());
+        let others = self.names.bound(&name, role).filter(|(_, other)| other.abroad.is_none());
+        let others = others.filter(|(_, other)| stated.meets(other));
+        others.map(|(entity, _)| Stake { name, entity, role }).collect()
+    }
+
+    /// Brings the desired FIBs in line with what is registered for one name, after a change at these places.
+    pub(super) fn follow_up(&mut self, name: Key, at: &[At]) {
+        let map = self.map();
+        let switches = at.iter().flat_map(|at| map.switches(at)).collect();
+        self.follow_up_at(name, switches);
+    }
+
+    /// The same for these switches.
+    pub(super) fn follow_up_at(&mut self, name: Key, at: BTreeSet<Name>) {
+        let map = Map { bits: &self.bits, ways: &self.ways };
+        let switches = self.names.reroute(&name, at, map);
         self.reroute(name, switches);
     }
 
     pub(super) fn reroute_inbox(&mut self, entity: &Name) {
-        let switches: Vec<Name> = self.inboxes.routed(entity).copied().collect();
+        let switches = self.inboxes.routed(entity, self.map());
         self.reroute(entity.to_bytes(), switches);
     }
 
+    fn reroute_inboxes(&mut self, affected: BTreeSet<(Name, At)>) {
+        for (inbox, at) in affected {
+            let switches = self.map().switches(&at);
+            self.reroute(inbox.to_bytes(), switches);
+        }
+    }
+
     /// A name that an entity advertises for another, as only its key can allow, is not an inbox for as long.
-    fn reroute(&mut self, name: Key, switches: impl IntoIterator<Item = Name>) {
+    pub(super) fn reroute(&mut self, name: Key, switches: impl IntoIterator<Item = Name>) {
         let is_stated = self.names.contains(&name);
         for switch in switches {
+            let map = self.map();
             let route = match is_stated {
-                true => self.names.route(&name, &switch),
-                false => self.inboxes.route(&name, &switch, |switch| self.bits.of(switch)),
+                true => self.stated_route(&name, &switch),
+                false => self.inboxes.route(&name, &switch, map),
             };
             if let Some(state) = self.switches.get_mut(&switch) {
                 state.fib.set(&Name::from_bytes(name), route);
             }
         }
     }
+
+    /// Whoever has such a name may be abroad all the same, and send from there.
+    fn stated_route(&self, name: &Key, switch: &Name) -> Option<Route> {
+        let arrives_by = self.inboxes.arrives_by(name, switch, self.map());
+        let route = self.names.route(name, switch, self.map());
+        let none = || Route { name: Name::from_bytes(*name), ..Route::default() };
+        let route = route.or_else(|| (!arrives_by.is_empty()).then(none))?;
+        Some(Route { arrives_by, ..route })
+    }
+
+    pub(super) fn map(&self) -> Map<'_> {
+        Map { bits: &self.bits, ways: &self.ways }
+    }
 }
 
-fn lifetime(now: Now, stated: u32, not_after: u64) -> Result<Duration, Refusal> {
+pub(super) fn lifetime(now: Now, stated: u32, not_after: u64) -> Result<Duration, Refusal> {
     if stated == 0 {
         return Err(Refusal::new(RefusalCode::Malformed, "a statement with a lifetime of 0 s states nothing"));
     }

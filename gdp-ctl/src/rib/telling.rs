@@ -413,7 +413,8 @@ impl Source<'_> {
         registration.map_or(GONE_SIZE, Registration::size) + self.boxes.size(stake, counterpart)
     }
 
+    /// What there is to tell of a counterpart, if the entity may know it.
     fn record(self, stake: &Stake, counterpart: &Name) -> Option<Record> {
-        self.names.record(self.now, &stake.name, counterpart, stake.role.counterpart())
+        self.names.record_for(self.now, stake, counterpart)
     }
 }

@@ -13,13 +13,13 @@ use gdp::link::{HOLD, KeyedEntry, Link, LinkIds, LinkKeys, Peer, Role};
 use gdp::name::NameProof;
 use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
-use gdp_wire::{LinkRole, Name};
+use gdp_wire::{LinkEntry, LinkRole, Name};
 
 use super::control::{self, Report};
 use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::routes::{Change, Routes};
 use crate::config::{Neighbour, Via};
-use crate::domain::{Admission, Domain, Papers};
+use crate::domain::{Admission, Domain, Papers, Standing};
 use crate::plane::{PlaneError, PlaneRoute, Planes};
 use crate::rib::fib::Pushed;
 use crate::rib::{Effect, Limits, Now, Rib, Run, Told};
@@ -178,16 +178,15 @@ impl Core {
         let until = Instant::now() + HOLD;
         let mut links = Vec::new();
         for (entry, to) in &left.links {
-            let role = if entry.role == LinkRole::Endpoint as u32 { Role::Endpoint } else { Role::Switch };
-            let Some(id) = ids.reserve(entry.id) else { continue };
+            let (Some(role), Some(id)) = (entry.role(), ids.reserve(entry.id)) else { continue };
             let id = Kept::Adopted { _id: id };
             links.push((entry.clone(), role));
             let (peer, lane) = (entry.peer, entry.lane as u8);
             let (entry, standing) = (entry.clone(), None);
             self.held.keep(HeldLink { peer, lane, role, entry, to: *to, until, standing, id });
             match role {
-                Role::Endpoint => drop(self.attached.insert(peer)),
-                Role::Switch => drop(self.meters.insert(peer, Meter::new(self.now().clock, None))),
+                LinkRole::Endpoint => drop(self.attached.insert(peer)),
+                LinkRole::Switch | LinkRole::Border => drop(self.meters.insert(peer, Meter::new(self.now().clock, None))),
             }
         }
         let changes = self.routes.adopt(&left, &links);
@@ -223,7 +222,7 @@ impl Core {
     pub fn release(&mut self, id: u32) -> Option<Name> {
         let HeldLink { peer, role, .. } = self.held.take(id)?;
         self.remove_link(role, peer, id);
-        let gone = role == Role::Endpoint && !self.has_link(&peer) && !self.held.keeps(&peer);
+        let gone = role == LinkRole::Endpoint && !self.has_link(&peer) && !self.held.keeps(&peer);
         (gone && self.attached.contains(&peer)).then_some(peer)
     }
 
@@ -258,7 +257,7 @@ impl Core {
 
     fn check_room(&self) -> Result<(), String> {
         let live = self.links.values().filter(|state| state.link.peer().role == Role::Endpoint).count();
-        let held = self.held.iter().filter(|held| held.role == Role::Endpoint).count();
+        let held = self.held.iter().filter(|held| held.role == LinkRole::Endpoint).count();
         if live + held < MAX_ENDPOINTS {
             return Ok(());
         }
@@ -321,8 +320,21 @@ impl Core {
             let (was, is) = (state.admission.standing.as_str(), admission.standing.as_str());
             return Err(format!("the peer was taken as {was} and is {is} now: make the link anew"));
         }
+        let is_other = flags_of(&admission) != state.entry.flags;
         state.admission = admission;
+        if is_other {
+            self.put_flags(link.local_id());
+        }
         Ok(())
+    }
+
+    /// Writes what the peer's domain may do to the data planes.
+    fn put_flags(&mut self, id: u32) {
+        let Some(state) = self.links.get_mut(&id) else { return };
+        state.entry.flags = flags_of(&state.admission);
+        if let Err(error) = self.planes.set_link(*state.entry, state.to) {
+            tracing::error!(link = id, %error, "the data plane did not take what the domain of a peer may do now");
+        }
     }
 
     /// Judges links anew, all or only those whose time has come. Returns those to be closed, with the reason, and endpoints whose last
@@ -330,11 +342,12 @@ impl Core {
     pub fn recheck(&mut self, now: u64, only_ended: bool) -> (Vec<(Link, String)>, Vec<Name>) {
         let Some(domain) = &self.domain else { return Default::default() };
         let judge = |link: &Link| domain.trust.admit(Role::Switch, link.peer(), link.papers().as_deref(), now);
-        let mut refused = Vec::new();
+        let (mut refused, mut changed) = (Vec::new(), Vec::new());
         let is_due = |state: &&mut LinkState| !only_ended || state.admission.until < now;
         for state in self.links.values_mut().filter(is_due).filter(|state| state.link.close_reason().is_none()) {
             match judge(&state.link) {
                 Ok(admission) if admission.standing.as_str() == state.admission.standing.as_str() => {
+                    changed.extend((flags_of(&admission) != state.entry.flags).then_some(state.entry.id));
                     state.admission = admission;
                 }
                 Ok(admission) => {
@@ -347,6 +360,7 @@ impl Core {
         // What is held ends soon by itself.
         let may_stay = |held: &HeldLink| only_ended || held.link().is_none_or(|link| judge(link).is_ok());
         let over: Vec<u32> = self.held.iter().filter(|held| !may_stay(held)).map(|held| held.entry.id).collect();
+        changed.into_iter().for_each(|id| self.put_flags(id));
         let lost = over.into_iter().filter_map(|id| self.release(id)).collect();
         (refused, lost)
     }
@@ -355,9 +369,8 @@ impl Core {
     pub fn link_up(&mut self, link: &Link, via: Via, admission: Admission) -> Result<Option<Link>, PlaneError> {
         let (id, peer, lane) = (link.local_id(), link.peer().name, link.peer().lane);
         let (mut entry, to) = (KeyedEntry::from(link.entry(PORT_USERSPACE)), link.addr());
-        if admission.standing.is_border() {
-            entry.role = LinkRole::Border as u32;
-        }
+        let role = role_on(link, &admission);
+        (entry.role, entry.flags) = (role as u32, flags_of(&admission));
         if let Err(error) = self.planes.set_link(*entry, to) {
             // A part of the planes may have taken it.
             let _ = self.planes.remove_link(id);
@@ -366,7 +379,7 @@ impl Core {
         let replaced = self.peers.insert((peer, lane), id);
         let replaced = replaced.and_then(|old| self.links.get(&old)).map(|old| old.link.clone());
         self.links.insert(id, LinkState { link: link.clone(), via, since: Instant::now(), admission, entry, to });
-        let changes = self.routes.link_up(link.peer().role, peer, lane, id);
+        let changes = self.routes.link_up(role, peer, lane, id);
         self.carry_out(changes);
         self.meet(link);
         Ok(replaced)
@@ -375,8 +388,8 @@ impl Core {
     /// The peer takes data frames on this link.
     pub fn link_ready(&mut self, link: &Link) {
         let (peer, id) = (link.peer().name, link.local_id());
-        if self.links.contains_key(&id) {
-            let changes = self.routes.link_ready(link.peer().role, peer, id);
+        if let Some(role) = self.links.get(&id).and_then(|state| state.entry.role()) {
+            let changes = self.routes.link_ready(role, peer, id);
             self.carry_out(changes);
             self.held.replaced(&peer, link.peer().lane, Instant::now());
         }
@@ -386,12 +399,13 @@ impl Core {
     /// that another has replaced it, or because the peer said nothing, and may forward on without its daemon: then it is held,
     /// and to be [watched](super::liveness). Returns whether it is.
     pub fn link_down(&mut self, link: &Link) -> bool {
-        let (id, peer, role, lane) = (link.local_id(), link.peer().name, link.peer().role, link.peer().lane);
+        let (id, peer, lane) = (link.local_id(), link.peer().name, link.peer().lane);
         self.topology.link_down(id);
         if self.peers.get(&(peer, lane)) == Some(&id) {
             self.peers.remove(&(peer, lane));
         }
-        let Some(LinkState { link, entry, to, admission, .. }) = self.links.remove(&id) else { return false };
+        let Some(LinkState { link, admission, entry, to, .. }) = self.links.remove(&id) else { return false };
+        let role = role_on(&link, &admission);
         let is_replaced = self.routes.is_replaced(role, &peer, id);
         let is_silent = !is_replaced && link.fell_silent() && self.routes.link_silent(role, &peer, id);
         if !is_replaced && !is_silent {
@@ -421,7 +435,7 @@ impl Core {
         self.peers.range((*peer, 0)..=(*peer, u8::MAX)).map(|(_, id)| *id)
     }
 
-    fn remove_link(&mut self, role: Role, peer: Name, id: u32) {
+    fn remove_link(&mut self, role: LinkRole, peer: Name, id: u32) {
         let (changes, with_it) = self.routes.link_gone(role, peer, id);
         self.carry_out(changes);
         for id in [id].into_iter().chain(with_it) {
@@ -669,6 +683,23 @@ impl Core {
     pub fn peers_by_link(&self) -> BTreeMap<u32, Name> {
         let live = self.links.iter().map(|(id, state)| (*id, state.link.peer().name));
         live.chain(self.held.iter().map(|held| (held.entry.id, held.peer))).collect()
+    }
+}
+
+/// What the data planes take the peer of a link for.
+fn role_on(link: &Link, admission: &Admission) -> LinkRole {
+    match link.peer().role {
+        _ if admission.standing.is_border() => LinkRole::Border,
+        Role::Endpoint => LinkRole::Endpoint,
+        Role::Switch => LinkRole::Switch,
+    }
+}
+
+/// What the entry of a link says of the peer's domain.
+fn flags_of(admission: &Admission) -> u16 {
+    match &admission.standing {
+        Standing::Border { ours, .. } if ours.transit => LinkEntry::TRANSIT,
+        _ => 0,
     }
 }
 

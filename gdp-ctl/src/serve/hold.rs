@@ -5,9 +5,9 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use gdp::domain::Standing;
-use gdp::link::{KeyedEntry, Link, LinkId, Role};
+use gdp::link::{KeyedEntry, Link, LinkId};
 use gdp::port::LinkAddr;
-use gdp_wire::Name;
+use gdp_wire::{LinkRole, Name};
 
 /// How long a link is kept that another has replaced: until frames that were sent on it have arrived.
 pub const GRACE: Duration = Duration::from_secs(5);
@@ -19,7 +19,7 @@ const MOST: usize = 8;
 pub struct HeldLink {
     pub peer: Name,
     pub lane: u8,
-    pub role: Role,
+    pub role: LinkRole,
     pub entry: KeyedEntry,
     pub to: LinkAddr,
     pub until: Instant,
@@ -133,7 +133,8 @@ mod tests {
         let entry = LinkEntry { id, ..LinkEntry::default() }.into();
         let to = LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] };
         let kept = Kept::Adopted { _id: ids.reserve(id).unwrap() };
-        HeldLink { peer: name(peer), lane: 0, role: Role::Switch, entry, to, until, standing: None, id: kept }
+        let role = LinkRole::Switch;
+        HeldLink { peer: name(peer), lane: 0, role, entry, to, until, standing: None, id: kept }
     }
 
     fn name(i: u8) -> Name {

@@ -8,9 +8,9 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use gdp::control::{Extent, FibPush, Route};
-use gdp::link::{KeyedEntry, Role};
-use gdp_wire::Name;
+use gdp::link::KeyedEntry;
 use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE};
+use gdp_wire::{LinkRole, Name};
 
 use super::ends::Ends;
 use crate::plane::{Left, PlaneRoute};
@@ -54,7 +54,9 @@ pub struct Routes {
     sweep: Option<(HashSet<Name>, u32)>,
     switches: HashMap<Name, Ends>,
     endpoints: HashMap<Name, Ends>,
-    /// Names that each local endpoint reads or writes.
+    /// Switches of other domains.
+    borders: HashMap<Name, Ends>,
+    /// Names that each local endpoint reads or writes; and that what is behind a border reads, writes, or is called by.
     concerned: HashMap<Name, BTreeSet<Name>>,
 }
 
@@ -74,9 +76,9 @@ struct Way {
 
 impl Routes {
     /// Holds what an earlier daemon left, of which `links` are still there.
-    pub fn adopt(&mut self, left: &Left, links: &[(KeyedEntry, Role)]) -> Vec<Change> {
+    pub fn adopt(&mut self, left: &Left, links: &[(KeyedEntry, LinkRole)]) -> Vec<Change> {
         self.own_bit = (left.own_bit != 0).then(|| left.own_bit.trailing_zeros() as u8);
-        let peers: HashMap<u32, (Name, Role)> =
+        let peers: HashMap<u32, (Name, LinkRole)> =
             links.iter().map(|(link, role)| (link.id, (link.peer, *role))).collect();
         let sent_on: HashSet<u32> =
             left.routes.iter().flat_map(|(_, route)| &route.readers).chain(&left.next_hops).copied().collect();
@@ -96,6 +98,7 @@ impl Routes {
         let mut changes = Vec::new();
         for (name, plane) in &left.routes {
             let (locals, writers) = (names(&plane.readers), names(&plane.writers));
+            let arrives_by = names(&plane.sources);
             let is_of = |link: &u32, local: &Name| peers.get(link).is_some_and(|(peer, _)| peer == local);
             let mut everywhere = Vec::new();
             for local in &locals {
@@ -106,7 +109,7 @@ impl Routes {
                     _ => {}
                 }
             }
-            let route = Route { name: *name, egress_bits: plane.egress_bits, locals, everywhere, writers };
+            let route = Route { name: *name, egress_bits: plane.egress_bits, locals, everywhere, writers, arrives_by };
             let way = Way { route, anyone: plane.writers.contains(&ANY_WRITER) };
             let change = self.update(name, |routes| drop(routes.held.routes.insert(*name, way)));
             changes.extend(change.filter(|change| *change != Change::Set(*name, plane.clone())));
@@ -162,13 +165,13 @@ impl Routes {
     }
 
     /// A link is up; it replaces one to the same peer once it [is ready](Self::link_ready).
-    pub fn link_up(&mut self, role: Role, peer: Name, lane: u8, link: u32) -> Vec<Change> {
+    pub fn link_up(&mut self, role: LinkRole, peer: Name, lane: u8, link: u32) -> Vec<Change> {
         self.ends(role).entry(peer).or_default().up(lane, link);
         self.changes_of(role, &peer)
     }
 
     /// The peer takes frames on the link.
-    pub fn link_ready(&mut self, role: Role, peer: Name, link: u32) -> Vec<Change> {
+    pub fn link_ready(&mut self, role: LinkRole, peer: Name, link: u32) -> Vec<Change> {
         let Some(ends) = self.ends(role).get_mut(&peer) else { return Vec::new() };
         let sent_on = |ends: &Ends| (ends.out(), ends.each().collect::<Vec<_>>());
         let before = sent_on(ends);
@@ -195,17 +198,17 @@ impl Routes {
     }
 
     /// The link fell silent: whether frames may still come and go on it, so that it is to be kept.
-    pub fn link_silent(&mut self, role: Role, peer: &Name, link: u32) -> bool {
+    pub fn link_silent(&mut self, role: LinkRole, peer: &Name, link: u32) -> bool {
         self.ends(role).get_mut(peer).is_some_and(|ends| ends.silent(link))
     }
 
     /// Whether another link has replaced this one, so that frames may still come on it.
-    pub fn is_replaced(&mut self, role: Role, peer: &Name, link: u32) -> bool {
+    pub fn is_replaced(&mut self, role: LinkRole, peer: &Name, link: u32) -> bool {
         self.ends(role).get(peer).is_some_and(|ends| ends.is_earlier(link))
     }
 
     /// A link is gone. Returns earlier ones to the same peer that have to go with it.
-    pub fn link_gone(&mut self, role: Role, peer: Name, link: u32) -> (Vec<Change>, Vec<u32>) {
+    pub fn link_gone(&mut self, role: LinkRole, peer: Name, link: u32) -> (Vec<Change>, Vec<u32>) {
         let all = self.ends(role);
         let Some(ends) = all.get_mut(&peer) else { return Default::default() };
         let with_it = ends.gone(link);
@@ -246,10 +249,11 @@ impl Routes {
         self.reach().into_iter().filter(|(_, reach)| *reach & bits != 0).map(|(name, _)| name).collect()
     }
 
-    fn ends(&mut self, role: Role) -> &mut HashMap<Name, Ends> {
+    fn ends(&mut self, role: LinkRole) -> &mut HashMap<Name, Ends> {
         match role {
-            Role::Switch => &mut self.switches,
-            Role::Endpoint => &mut self.endpoints,
+            LinkRole::Switch => &mut self.switches,
+            LinkRole::Endpoint => &mut self.endpoints,
+            LinkRole::Border => &mut self.borders,
         }
     }
 
@@ -325,14 +329,14 @@ impl Routes {
     }
 
     /// What follows from other links to a peer.
-    fn changes_of(&self, role: Role, peer: &Name) -> Vec<Change> {
+    fn changes_of(&self, role: LinkRole, peer: &Name) -> Vec<Change> {
         match role {
-            Role::Switch => {
+            LinkRole::Switch => {
                 let reach = self.reach();
                 let (used, unused) = self.reach_of(&reach, self.switches.get_key_value(peer).into_iter());
                 used.into_iter().chain([self.next_hops(&reach)]).chain(unused).collect()
             }
-            Role::Endpoint => {
+            LinkRole::Endpoint | LinkRole::Border => {
                 let names = self.concerned.get(peer).into_iter().flatten();
                 names.filter_map(|name| self.way(name)).map(|way| self.resolve(&way)).collect()
             }
@@ -397,19 +401,21 @@ impl Routes {
         Some(after.map_or(Change::Remove(*name), |way| self.resolve(&way)))
     }
 
-    /// A name without bits and without a reader's link here leads nowhere: then the data plane need not hold it.
+    /// A name that leads nowhere from here, and that nobody behind a border is called by, the data plane need not hold.
     fn resolve(&self, Way { route, anyone }: &Way) -> Change {
-        let ends = |names: &[Name]| names.iter().filter_map(|name| self.endpoints.get(name)).collect::<Vec<_>>();
+        let borders = |names: &[Name]| names.iter().filter_map(|name| self.borders.get(name)).collect::<Vec<_>>();
+        let ends = |names: &[Name]| -> Vec<&Ends> {
+            names.iter().filter_map(|name| self.endpoints.get(name)).chain(borders(names)).collect()
+        };
         let once = ends(&route.locals).into_iter().filter_map(Ends::out);
         let readers = sorted(once.chain(ends(&route.everywhere).into_iter().flat_map(Ends::each)));
-        if route.egress_bits == 0 && readers.is_empty() {
-            return Change::Remove(route.name);
-        }
         let writers = match anyone {
             true => vec![ANY_WRITER],
             false => sorted(ends(&route.writers).into_iter().flat_map(Ends::all)),
         };
-        Change::Set(route.name, PlaneRoute { egress_bits: route.egress_bits, readers, writers })
+        let sources = sorted(borders(&route.arrives_by).into_iter().flat_map(Ends::all));
+        let plane = PlaneRoute { egress_bits: route.egress_bits, readers, writers, sources };
+        if plane.is_idle() { Change::Remove(route.name) } else { Change::Set(route.name, plane) }
     }
 }
 
@@ -436,6 +442,7 @@ fn join(known: Option<&Way>, held: Option<&Way>) -> Option<Way> {
         locals: both(&known.route.locals, &held.route.locals),
         everywhere: both(&known.route.everywhere, &held.route.everywhere),
         writers: both(&known.route.writers, &held.route.writers),
+        arrives_by: both(&known.route.arrives_by, &held.route.arrives_by),
     };
     Some(Way { route, anyone: known.anyone || held.anyone })
 }
@@ -444,9 +451,9 @@ fn sorted<T: Ord>(items: impl Iterator<Item = T>) -> Vec<T> {
     BTreeSet::from_iter(items).into_iter().collect()
 }
 
-/// The local endpoints that read or write a name.
+/// The local endpoints that read or write a name, and the switches of other domains that it concerns.
 fn concerned(way: &Way) -> impl Iterator<Item = &Name> {
-    way.route.locals.iter().chain(&way.route.writers)
+    way.route.locals.iter().chain(&way.route.writers).chain(&way.route.arrives_by)
 }
 
 #[cfg(test)]

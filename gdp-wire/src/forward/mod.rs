@@ -199,10 +199,8 @@ fn travel(header: &mut Header, ingress: &LinkEntry, bits: u64, set: u8) {
     header.hop_limit -= 1;
     header.egress_set = set;
     header.set_egress_bits(bits);
-    if ingress.role == crate::LinkRole::Border as u32 {
-        header.flags |= Header::FOREIGN;
-    } else if ingress.role == crate::LinkRole::Endpoint as u32 {
-        header.flags &= !Header::FOREIGN;
+    if ingress.role != LinkRole::Switch as u32 {
+        header.flags = header.flags & !Header::FOREIGN | if is_foreign(header, ingress) { Header::FOREIGN } else { 0 };
     }
 }
 

@@ -114,10 +114,10 @@ fn checked<'t>(egress: Egress<'t>, header: &Header, length: usize, ingress: &Lin
     Ok(egress)
 }
 
-/// Whether a frame came from another domain, here or at another switch of this one.
+/// Whether a frame came from another domain, here or at another switch of this one, and may not go on to a third.
 #[inline(always)]
 pub fn is_foreign(header: &Header, ingress: &LinkEntry) -> bool {
-    ingress.role == LinkRole::Border as u32
+    ingress.role == LinkRole::Border as u32 && ingress.flags & LinkEntry::TRANSIT == 0
         || ingress.role == LinkRole::Switch as u32 && header.flags & Header::FOREIGN != 0
 }
 

@@ -32,6 +32,9 @@ pub struct Link {
     pub id: u32,
     pub peer_id: u32,
     pub role: Role,
+    /// Into another domain, and what comes by it may go on to a third.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub transit: bool,
     /// `null`: the kernel cannot send on the link.
     pub port: Option<u32>,
     /// SipHash keys, 16 bytes, by key phase.
@@ -320,6 +323,7 @@ impl Link {
             peer: gdp_wire::Name::from_bytes(array(&self.peer)),
             mtu: self.mtu,
             lane: 0,
+            flags: if self.transit { gdp_wire::LinkEntry::TRANSIT } else { 0 },
             tx_phase: self.tx_phase,
             carrier: match &self.udp {
                 None => gdp_wire::Carrier {

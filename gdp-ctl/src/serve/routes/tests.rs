@@ -13,19 +13,19 @@ fn names_become_links_and_follow_them() {
     assert!(changes.contains(&Change::Remove(name(1))), "its endpoint has no link yet");
     assert!(changes.contains(&set(2, 4, &[], &[])));
 
-    assert_eq!(r.link_up(Role::Endpoint, name(7), 0, 70), [set(1, 0, &[70], &[])]);
-    assert_eq!(r.link_ready(Role::Endpoint, name(7), 70), [], "it is the one in use already");
-    assert_eq!(r.link_up(Role::Endpoint, name(7), 0, 71), [set(1, 0, &[70], &[])], "not before it takes frames there");
-    assert_eq!(r.link_ready(Role::Endpoint, name(7), 71), [set(1, 0, &[71], &[])], "it moved");
-    assert!(r.is_replaced(Role::Endpoint, &name(7), 70));
-    assert_eq!(gone(&mut r, Role::Endpoint, name(7), 70), [set(1, 0, &[71], &[])], "the old link no longer matters");
-    assert_eq!(gone(&mut r, Role::Endpoint, name(7), 71), [Change::Remove(name(1))]);
+    assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 0, 70), [set(1, 0, &[70], &[])]);
+    assert_eq!(r.link_ready(LinkRole::Endpoint, name(7), 70), [], "it is the one in use already");
+    assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 0, 71), [set(1, 0, &[70], &[])], "not before it takes frames there");
+    assert_eq!(r.link_ready(LinkRole::Endpoint, name(7), 71), [set(1, 0, &[71], &[])], "it moved");
+    assert!(r.is_replaced(LinkRole::Endpoint, &name(7), 70));
+    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(7), 70), [set(1, 0, &[71], &[])], "the old link no longer matters");
+    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(7), 71), [Change::Remove(name(1))]);
 
     assert_eq!(hops(&r.set_paths(&paths(), &name(0))[0])[..4], [0; 4], "there is no link");
-    let changes = r.link_up(Role::Switch, name(9), 0, 90);
+    let changes = r.link_up(LinkRole::Switch, name(9), 0, 90);
     assert_eq!(changes[0], Change::Reach { link: 90, bits: 0b101 });
     assert_eq!(hops(&changes[1])[..4], [90, 0, 90, 0]);
-    let changes = gone(&mut r, Role::Switch, name(9), 90);
+    let changes = gone(&mut r, LinkRole::Switch, name(9), 90);
     assert_eq!(hops(&changes[0])[..4], [0; 4]);
 }
 
@@ -36,15 +36,15 @@ fn writers_become_links_and_lose_their_permission_with_them() {
     let by = |writers: &[u32]| set(1, 4, &[], writers);
     let first = r.push(&push(1, Extent::Full { part: 0, last: true }, vec![written(&[7, 8, 9])])).unwrap();
     assert!(first.contains(&by(&[])), "none of them has a link");
-    assert_eq!(r.link_up(Role::Endpoint, name(8), 0, 80), [by(&[80])]);
-    assert_eq!(r.link_up(Role::Endpoint, name(7), 0, 70), [by(&[70, 80])]);
+    assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 0, 80), [by(&[80])]);
+    assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 0, 70), [by(&[70, 80])]);
     assert_eq!([7, 6].map(|entity| r.leading_from(&name(entity))), [1, 0]);
-    assert_eq!(r.link_up(Role::Endpoint, name(9), 0, 90), [by(&[70, 80, 90])]);
-    assert_eq!(r.link_up(Role::Endpoint, name(6), 0, 60), [], "this one does not publish it");
+    assert_eq!(r.link_up(LinkRole::Endpoint, name(9), 0, 90), [by(&[70, 80, 90])]);
+    assert_eq!(r.link_up(LinkRole::Endpoint, name(6), 0, 60), [], "this one does not publish it");
     assert_eq!(r.push(&push(2, Extent::Delta, vec![written(&[8, 9])])).unwrap(), [by(&[80, 90])]);
-    assert_eq!(gone(&mut r, Role::Endpoint, name(7), 70), [], "nor does this one any more");
-    assert_eq!(gone(&mut r, Role::Endpoint, name(8), 80), [by(&[90])]);
-    assert_eq!(gone(&mut r, Role::Endpoint, name(9), 90), [by(&[])]);
+    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(7), 70), [], "nor does this one any more");
+    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(8), 80), [by(&[90])]);
+    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(9), 90), [by(&[])]);
 }
 
 #[test]
@@ -52,9 +52,9 @@ fn each_local_reader_has_its_link_and_a_reader_may_write() {
     let mut r = Routes::default();
     let both = Route { writers: vec![name(8)], ..route(1, 3, &[7, 8, 9]) };
     r.push(&push(1, Extent::Full { part: 0, last: true }, vec![both])).unwrap();
-    assert_eq!(r.link_up(Role::Endpoint, name(8), 0, 80), [set(1, 3, &[80], &[80])]);
-    assert_eq!(r.link_up(Role::Endpoint, name(9), 0, 60), [set(1, 3, &[60, 80], &[80])]);
-    assert_eq!(gone(&mut r, Role::Endpoint, name(8), 80), [set(1, 3, &[60], &[])]);
+    assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 0, 80), [set(1, 3, &[80], &[80])]);
+    assert_eq!(r.link_up(LinkRole::Endpoint, name(9), 0, 60), [set(1, 3, &[60, 80], &[80])]);
+    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(8), 80), [set(1, 3, &[60], &[])]);
     assert_eq!(r.push(&push(2, Extent::Delta, vec![route(1, 0, &[7, 8])])).unwrap(), [Change::Remove(name(1))]);
 }
 
@@ -65,15 +65,15 @@ fn an_endpoint_with_two_links_takes_a_name_on_one_or_on_each() {
     let written = Route { writers: vec![name(7)], ..route(3, 4, &[]) };
     r.push(&push(1, Extent::Full { part: 0, last: true }, vec![route(1, 1, &[7]), each, written])).unwrap();
     for (lane, link) in [(0, 70), (1, 71)] {
-        r.link_up(Role::Endpoint, name(7), lane, link);
-        r.link_ready(Role::Endpoint, name(7), link);
+        r.link_up(LinkRole::Endpoint, name(7), lane, link);
+        r.link_ready(LinkRole::Endpoint, name(7), link);
     }
-    let changes = r.link_up(Role::Endpoint, name(8), 0, 80);
+    let changes = r.link_up(LinkRole::Endpoint, name(8), 0, 80);
     assert_eq!(changes, [set(2, 1, &[70, 71, 80], &[])]);
     assert_eq!(r.link_preferred(name(7), 70), [], "it is the first");
     assert_eq!(r.link_preferred(name(7), 71), [set(1, 1, &[71], &[])]);
     assert_eq!(r.link_to(&name(7)), Some(71));
-    let changes = gone(&mut r, Role::Endpoint, name(7), 71);
+    let changes = gone(&mut r, LinkRole::Endpoint, name(7), 71);
     assert_eq!(changes, [set(1, 1, &[70], &[]), set(2, 1, &[70, 80], &[]), set(3, 4, &[], &[70])]);
 }
 
@@ -96,30 +96,31 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
         egress_bits: 6,
         readers: readers.to_vec(),
         writers: writers.to_vec(),
+        sources: vec![],
     };
     let mut next_hops = [0; 64];
     (next_hops[0], next_hops[2]) = (90, 90);
     let routes =
         vec![(name(1), plane(&[70], &[80])), (name(2), plane(&[], &[ANY_WRITER])), (name(3), plane(&[60], &[]))];
-    let link = |id, role: Role, peer| (LinkEntry { id, peer: name(peer), ..LinkEntry::default() }.into(), role);
+    let link = |id, role: LinkRole, peer| (LinkEntry { id, peer: name(peer), ..LinkEntry::default() }.into(), role);
     let links = [
-        link(70, Role::Endpoint, 7),
-        link(69, Role::Endpoint, 7),
-        link(80, Role::Endpoint, 8),
-        link(90, Role::Switch, 9),
+        link(70, LinkRole::Endpoint, 7),
+        link(69, LinkRole::Endpoint, 7),
+        link(80, LinkRole::Endpoint, 8),
+        link(90, LinkRole::Switch, 9),
     ];
     let left = Left { own_bit: 2, links: vec![], routes, next_hops, ports: HashSet::new() };
     assert_eq!(r.adopt(&left, &links), [set(3, 6, &[], &[])], "one link was not found again");
     assert_eq!((r.own_bit(), r.len()), (Some(1), 3));
 
     // The writer is back before the RIB has said a word, and may send on both links.
-    assert_eq!(r.link_up(Role::Endpoint, name(8), 0, 81), [set(1, 6, &[70], &[80, 81])]);
+    assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 0, 81), [set(1, 6, &[70], &[80, 81])]);
     // The neighbour is back, but takes frames on the new link a little later.
-    let changes = r.link_up(Role::Switch, name(9), 0, 91);
+    let changes = r.link_up(LinkRole::Switch, name(9), 0, 91);
     assert_eq!(changes[0], Change::Reach { link: 90, bits: 0b101 });
     assert_eq!(hops(&changes[1])[..3], [90, 0, 90]);
     assert_eq!(changes[2], Change::Reach { link: 91, bits: 0 }, "no frame goes twice");
-    let changes = r.link_ready(Role::Switch, name(9), 91);
+    let changes = r.link_ready(LinkRole::Switch, name(9), 91);
     assert_eq!(changes[0], Change::Reach { link: 91, bits: 0b101 });
     assert_eq!(hops(&changes[1])[..3], [91, 0, 91]);
     assert_eq!(changes[2], Change::Reach { link: 90, bits: 0 });
@@ -129,7 +130,7 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
     first.settling = true;
     let same = set(1, 6, &[70], &[80, 81]);
     assert_eq!(r.push(&first).unwrap(), [same], "it adds an endpoint that has no link yet");
-    assert_eq!(r.link_up(Role::Endpoint, name(6), 0, 65), [set(1, 6, &[65, 70], &[80, 81])]);
+    assert_eq!(r.link_up(LinkRole::Endpoint, name(6), 0, 65), [set(1, 6, &[65, 70], &[80, 81])]);
     let mut taken_back = push(2, Extent::Delta, vec![]);
     (taken_back.settling, taken_back.remove) = (true, vec![name(2)]);
     assert_eq!(r.push(&taken_back).unwrap(), [Change::Remove(name(2))]);
@@ -144,28 +145,28 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
 #[test]
 fn what_a_daemon_left_of_an_endpoint_with_two_links_stays_on_them() {
     let mut r = Routes::default();
-    let plane = |readers: &[u32]| PlaneRoute { egress_bits: 6, readers: readers.to_vec(), writers: vec![] };
+    let plane = |readers: &[u32]| PlaneRoute { egress_bits: 6, readers: readers.to_vec(), ..PlaneRoute::default() };
     let routes = vec![(name(1), plane(&[71])), (name(2), plane(&[70, 71]))];
-    let link = |id, lane| (LinkEntry { id, lane, peer: name(7), ..LinkEntry::default() }.into(), Role::Endpoint);
+    let link = |id, lane| (LinkEntry { id, lane, peer: name(7), ..LinkEntry::default() }.into(), LinkRole::Endpoint);
     let links = [link(70, 0), link(71, 1), link(69, 1)];
     let left = Left { own_bit: 2, links: vec![], routes, next_hops: [0; 64], ports: HashSet::new() };
     assert_eq!(r.adopt(&left, &links), [], "nothing moves");
     assert_eq!(r.link_to(&name(7)), Some(71));
 
     // One of them is back before the other.
-    r.link_up(Role::Endpoint, name(7), 1, 81);
-    let changes = r.link_ready(Role::Endpoint, name(7), 81);
+    r.link_up(LinkRole::Endpoint, name(7), 1, 81);
+    let changes = r.link_ready(LinkRole::Endpoint, name(7), 81);
     assert_eq!(changes, [set(1, 6, &[81], &[]), set(2, 6, &[70, 81], &[])]);
 }
 
 #[test]
 fn in_the_end_nobody_writes_who_is_not_known_to() {
     let mut r = Routes::default();
-    let open = PlaneRoute { egress_bits: 6, readers: vec![], writers: vec![ANY_WRITER] };
+    let open = PlaneRoute { egress_bits: 6, writers: vec![ANY_WRITER], ..PlaneRoute::default() };
     let routes = vec![(name(1), open.clone()), (name(2), open)];
     let left = Left { own_bit: 2, links: vec![], routes, next_hops: [0; 64], ports: HashSet::new() };
     r.adopt(&left, &[]);
-    r.link_up(Role::Endpoint, name(8), 0, 80);
+    r.link_up(LinkRole::Endpoint, name(8), 0, 80);
     let known = Route { writers: vec![name(8)], ..route(1, 6, &[]) };
     let mut first = push(1, Extent::Full { part: 0, last: true }, vec![known]);
     first.settling = true;
@@ -204,8 +205,8 @@ fn held_paths_count_where_the_topology_knows_none() {
     (next_hops[0], next_hops[2]) = (90, 90);
     let link = LinkEntry { id: 90, peer: name(9), ..LinkEntry::default() };
     let left = Left { own_bit: 2, links: vec![], routes: vec![], next_hops, ports: HashSet::new() };
-    r.adopt(&left, &[(link.into(), Role::Switch)]);
-    r.link_up(Role::Switch, name(8), 0, 80);
+    r.adopt(&left, &[(link.into(), LinkRole::Switch)]);
+    r.link_up(LinkRole::Switch, name(8), 0, 80);
     let way = |neighbour, bits| Paths { reach: [(name(neighbour), bits)].into(), ..Paths::default() };
     let changes = r.set_paths(&way(8, 0b1100), &name(0));
     let next = changes.iter().find(|change| matches!(change, Change::NextHops(_))).unwrap();
@@ -262,10 +263,10 @@ fn the_data_plane_follows_any_sequence() {
                 2..=4 => {
                     let (peer, link) = (name(10 + below(4) as u8), 1000 + step);
                     if let Some(old) = links.remove(&peer) {
-                        changes.extend(gone(&mut r, Role::Endpoint, peer, old));
+                        changes.extend(gone(&mut r, LinkRole::Endpoint, peer, old));
                     } else {
-                        changes.extend(r.link_up(Role::Endpoint, peer, 0, link));
-                        changes.extend(r.link_ready(Role::Endpoint, peer, link));
+                        changes.extend(r.link_up(LinkRole::Endpoint, peer, 0, link));
+                        changes.extend(r.link_ready(LinkRole::Endpoint, peer, link));
                         links.insert(peer, link);
                     }
                 }
@@ -278,7 +279,7 @@ fn the_data_plane_follows_any_sequence() {
                     } else {
                         let some = |bits: u64| (0..4).filter(|i| bits & 1 << i != 0).map(|i| name(10 + i)).collect();
                         let (egress_bits, locals, writers) = (below(4), some(below(16)), some(below(16)));
-                        let route = Route { name: it, egress_bits, locals, everywhere: vec![], writers };
+                        let route = Route { name: it, egress_bits, locals, everywhere: vec![], writers, arrives_by: vec![] };
                         wanted.insert(it, route.clone());
                         said = Some((Extent::Delta, vec![route], vec![]));
                     }
@@ -300,7 +301,7 @@ fn the_data_plane_follows_any_sequence() {
             let at = |names: &[Name]| sorted(names.iter().filter_map(|name| links.get(name).copied()));
             let model = joined(&wanted, &held).into_iter().map(|(name, route)| {
                 let (readers, writers) = (at(&route.locals), at(&route.writers));
-                (name, PlaneRoute { egress_bits: route.egress_bits, readers, writers })
+                (name, PlaneRoute { egress_bits: route.egress_bits, readers, writers, sources: vec![] })
             });
             let leads = |route: &PlaneRoute| route.egress_bits != 0 || !route.readers.is_empty();
             assert_eq!(plane, model.filter(|(_, route)| leads(route)).collect());
@@ -338,7 +339,7 @@ fn a_push_out_of_step_changes_nothing() {
 }
 
 /// The link is gone.
-fn gone(r: &mut Routes, role: Role, peer: Name, link: u32) -> Vec<Change> {
+fn gone(r: &mut Routes, role: LinkRole, peer: Name, link: u32) -> Vec<Change> {
     r.link_gone(role, peer, link).0
 }
 
@@ -356,7 +357,7 @@ fn route(i: u8, egress_bits: u64, locals: &[u8]) -> Route {
 }
 
 fn set(i: u8, egress_bits: u64, readers: &[u32], writers: &[u32]) -> Change {
-    Change::Set(name(i), PlaneRoute { egress_bits, readers: readers.to_vec(), writers: writers.to_vec() })
+    Change::Set(name(i), PlaneRoute { egress_bits, readers: readers.to_vec(), writers: writers.to_vec(), sources: vec![] })
 }
 
 fn hops(change: &Change) -> &[u32; 64] {
