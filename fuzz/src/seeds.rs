@@ -156,7 +156,7 @@ impl Papers {
         let grant = issue(robot.key(), &grant).expect("a grant");
         let advert = Advert { op: AdvertOp::Publish, name, entity, switch, serial, lifetime: 60, box_key };
         let neighbours = vec![(Name::default(), 200), (Name::from_bytes([0xff; 32]), u32::MAX)];
-        let border = Adjoining { domain, switch, cost: 500, transit: true, ours_transit: false };
+        let border = Adjoining { domain, switch, cost: 500, transit: true, ours_transit: false, parent: Some(1) };
         let state = LinkState {
             switch: entity,
             run: 1 << 60,
@@ -270,7 +270,15 @@ impl Papers {
                 ),
                 seed("withdraw", &from_entity(EntityRequest::Withdraw { advert: advert.clone() })),
                 seed("query", &from_entity(EntityRequest::Query { prefix: name.into(), after: place })),
-                seed("report", &onward(Request::Report { switch: robot, attached: vec![entity], own_bit: Some(63) })),
+                seed(
+                    "report",
+                    &onward(Request::Report {
+                        switch: robot,
+                        attached: vec![entity],
+                        own_bit: Some(63),
+                        membership: None,
+                    }),
+                ),
                 seed(
                     "flood",
                     &Request::Flood {

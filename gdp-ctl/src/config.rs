@@ -73,6 +73,8 @@ pub struct Neighbour {
     pub cost: Option<u32>,
     /// This side makes the link. Otherwise the one with the smaller name does.
     pub dial: bool,
+    /// It is a border of another domain, whose RIB is above this one's. Parents are asked in the order of the list.
+    pub parent: bool,
 }
 
 /// A neighbouring switch and where it is.
@@ -239,6 +241,8 @@ struct PlaceEntry {
     cost: Option<u32>,
     #[serde(default)]
     dial: bool,
+    #[serde(default)]
+    parent: bool,
 }
 
 impl File {
@@ -347,8 +351,8 @@ impl PlaceEntry {
         if cost == Some(0) {
             return Err(ParseError::Invalid(format!("{key}: cost of {} is 0; the least is 1", self.switch)));
         }
-        let dial = self.dial;
-        Ok(Neighbour { place: self.place(key)?, cost, dial })
+        let (dial, parent) = (self.dial, self.parent);
+        Ok(Neighbour { place: self.place(key)?, cost, dial, parent })
     }
 
     fn place(self, key: &str) -> Result<Place, ParseError> {

@@ -282,7 +282,7 @@ async fn only_what_a_switch_states_itself_becomes_topology() {
     let (near, far) = (Identity::generate("switch").unwrap(), Identity::generate("switch").unwrap());
     let mut config = config(folder.path(), "s1");
     let place = Place { switch: near.name(), via: Via::Udp("127.0.0.1:9".parse().unwrap()) };
-    config.neighbours = vec![Neighbour { place, cost: None, dial: false }];
+    config.neighbours = vec![Neighbour { place, cost: None, dial: false, parent: false }];
     let switch = start(config).await.unwrap();
     let to = LinkAddr::udp(switch.udp_addr().unwrap());
     let port = |config| Port::udp("127.0.0.1:0".parse().unwrap(), &config).unwrap();
@@ -426,7 +426,7 @@ impl<'a> Chain<'a> {
             neighbours: near
                 .into_iter()
                 .flatten()
-                .map(|j| Neighbour { place: place(j), cost: Some(1), dial: false })
+                .map(|j| Neighbour { place: place(j), cost: Some(1), dial: false, parent: false })
                 .collect(),
             ..config(self.folder, &format!("s{}", i + 1))
         }

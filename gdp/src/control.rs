@@ -11,7 +11,10 @@ mod peers;
 mod tiers;
 
 pub use peers::{NameRole, Peers, PeersExtent, PeersPush};
-pub use tiers::{Abroad, MAX_ANCESTORS, MAX_PATH, TierEntry, TierHolds, TierKey, TierPush, TierRequest, TierResponse};
+pub use tiers::{
+    Abroad, MAX_ANCESTORS, MAX_PATH, TierEntry, TierHolds, TierKey, TierLeg, TierMessage, TierPush, TierRequest,
+    TierResponse,
+};
 
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
@@ -30,8 +33,8 @@ pub const MAX_MESSAGE: usize = 64 * 1024;
 /// Hops that control goes between switches, at most: more than any path has on which it arrives in time.
 pub const MAX_HOPS: u8 = 64;
 
-/// Deepest nesting of a message; the deepest real one has nine levels.
-const MAX_DEPTH: usize = 16;
+/// Deepest nesting of a message; the deepest real one has fifteen levels.
+const MAX_DEPTH: usize = 24;
 
 /// Whatever one side of a link asks of the other.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -49,7 +52,10 @@ pub enum Request {
     /// beyond these, and answers those it does not hold with [`Request::Detach`], so that they attach again. A switch whose
     /// daemon has just started names those whose links it took over. `own_bit`: the egress bit it had, if it had one; frames
     /// on their way carry it, so a RIB that does not know the switch gives it the same one if nobody else has it.
-    Report { switch: NameProof, attached: Vec<Name>, own_bit: Option<u8> },
+    /// `membership`: its own, for the RIBs of other domains.
+    Report { switch: NameProof, attached: Vec<Name>, own_bit: Option<u8>, membership: Option<Box<Membership>> },
+    /// RIB → its border switch → the border switch of a neighbouring domain → that domain's RIB.
+    Tier(Box<TierMessage>),
     /// Switch → neighbouring switch: what switches of the domain state of their links, as far as the neighbour is not known to
     /// hold it. Answered once it does; until then it is sent again.
     Flood { states: Vec<Flooded> },
@@ -120,6 +126,8 @@ pub enum Response {
     },
     /// Accepted; these are the counterparts, or the first of them: then pushes bring the others.
     Peers(Peers),
+    /// Of another domain's RIB.
+    Tier(Box<TierResponse>),
     Refused(Refusal),
 }
 

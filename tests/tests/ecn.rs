@@ -199,7 +199,7 @@ impl Site {
             udp: ends.iter().any(|(cable, _)| *cable != ETHERNET).then_some("[::]:31415".parse()?),
             data_plane: self.data_plane,
             rib: i == 1,
-            neighbours: vec![Neighbour { place: near, cost: None, dial: false }],
+            neighbours: vec![Neighbour { place: near, cost: None, dial: false, parent: false }],
             ebpf_object: Some(Tools::beside_this_test()?.ebpf_object()?),
             fib_capacity: 1024,
             bpffs: None,

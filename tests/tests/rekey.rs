@@ -84,7 +84,7 @@ impl Scene {
                 udp: None,
                 data_plane,
                 rib: i == 1,
-                neighbours: vec![Neighbour { place, cost: None, dial: false }],
+                neighbours: vec![Neighbour { place, cost: None, dial: false, parent: false }],
                 ebpf_object: Some(tools.ebpf_object()?),
                 fib_capacity: 1024,
                 bpffs: None,

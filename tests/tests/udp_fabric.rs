@@ -148,7 +148,7 @@ impl Site {
                 udp: Some(bind.parse()?),
                 data_plane: DataPlane::Xdp,
                 rib: label == "cloud",
-                neighbours: vec![Neighbour { place: near.clone(), cost: None, dial: false }],
+                neighbours: vec![Neighbour { place: near.clone(), cost: None, dial: false, parent: false }],
                 ebpf_object: ebpf_object.clone(),
                 fib_capacity: 1024,
                 bpffs: None,

@@ -24,16 +24,16 @@ mod revocations;
 mod revoke;
 mod statements;
 mod telling;
-mod topic;
-mod ways;
 #[cfg(test)]
 mod tests;
+mod topic;
+mod ways;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::hash::Hash;
 use std::time::Duration;
 
-use gdp::cert::CertError;
+use gdp::cert::{CertError, Revocation};
 use gdp::control::{
     EntityRequest, FibPush, NameRole, PeersPush, Record, RecordPlace, Refusal, RefusalCode, Response, Route,
 };
@@ -197,9 +197,16 @@ struct Switch {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Timer {
     Registration(Stake, Name),
-    Attachment { entity: Name, lane: u8 },
-    Switch { switch: Name },
-    Unreported { switch: Name },
+    Attachment {
+        entity: Name,
+        lane: u8,
+    },
+    Switch {
+        switch: Name,
+    },
+    Unreported {
+        switch: Name,
+    },
     /// Frames come no more by ways that are gone.
     Ways,
     Settled,
@@ -402,6 +409,11 @@ impl Rib {
 
 /// What `gdp-ctl status` and `rib dump` show.
 impl Rib {
+    /// The newest that is known of what the owner of a name has taken back.
+    pub fn revocation(&self, name: &Name) -> Option<&Revocation> {
+        self.revocations.claims(name.as_bytes())
+    }
+
     /// Egress bit of a switch.
     pub fn bit(&self, switch: &Name) -> Option<u8> {
         self.bits.of(switch)

@@ -6,7 +6,7 @@ use gdp::control::{EntityRequest, MAX_HOPS, Refusal, RefusalCode, Request};
 use gdp::link::Link;
 use gdp_wire::{LinkRole, Name};
 
-use super::core::{Core, Next, ask, refuse};
+use super::core::{Core, Next, refuse};
 use super::domain;
 
 /// How far the RIB holds what this switch is to report: that it is there, and who is attached to it.
@@ -91,6 +91,10 @@ impl Core {
     /// Something that has come to where it was to go: from the RIB, or for the one here.
     fn arrived(&mut self, request: Request) -> Next {
         let own = self.name();
+        let request = match request {
+            Request::Tier(message) => return self.tier_arrived(*message),
+            request => request,
+        };
         let origin = match &request {
             Request::Fib(push) if push.switch == own => return Next::Answer(self.push(push)),
             Request::Peers(push) if push.switch == own => {
@@ -134,10 +138,17 @@ impl Core {
             Request::Admitted { entity, membership, .. } => {
                 return domain::admitted(self.domain.as_mut(), entity, &membership, now.unix);
             }
+            Request::Tier(message) => return self.tier_arrived(*message),
             Request::Relay { switch, entity, by_tool, request } => {
-                return ask(rib, now, switch, entity.as_ref(), by_tool, &request);
+                return self.ask_rib(switch, entity.as_ref(), by_tool, &request);
             }
-            Request::Report { switch, attached, own_bit } => rib.report(now, &switch, &attached, own_bit),
+            Request::Report { switch, attached, own_bit, membership } => {
+                let response = rib.report(now, &switch, &attached, own_bit);
+                if let (Ok(switch), Some(membership)) = (switch.name(), membership) {
+                    self.host_shown(switch, *membership);
+                }
+                response
+            }
             Request::Detach { switch, entity } => rib.detach(now, &switch, &entity),
             _ => Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into(),
         })
@@ -161,7 +172,9 @@ impl Core {
         let link = self.link_toward(&by).ok()?;
         self.report = Report::Sent;
         let attached = self.attached.iter().copied().collect();
-        let report = Request::Report { switch: self.identity.proof(), attached, own_bit: self.routes.own_bit() };
+        let membership = self.domain.as_ref().map(|domain| Box::new(domain.trust.papers().membership.clone()));
+        let (switch, own_bit) = (self.identity.proof(), self.routes.own_bit());
+        let report = Request::Report { switch, attached, own_bit, membership };
         Some((by, run, link, onward(by, report)))
     }
 

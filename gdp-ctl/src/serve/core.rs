@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::time::Instant;
 
 use gdp::cert::Advert;
-use gdp::control::{EntityRequest, FibPush, NameRole, Refusal, RefusalCode, Request, Response};
+use gdp::control::{EntityRequest, FibPush, NameRole, Refusal, RefusalCode, Request, Response, TierResponse};
 use gdp::crypto;
 use gdp::identity::Identity;
 use gdp::link::{HOLD, KeyedEntry, Link, LinkIds, LinkKeys, Peer, Role};
@@ -18,11 +18,15 @@ use gdp_wire::{LinkEntry, LinkRole, Name};
 use super::control::{self, Report};
 use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::routes::{Change, Routes};
+use super::tiers::Federation;
+use tokio::sync::oneshot;
+
 use crate::config::{Neighbour, Via};
 use crate::domain::{Admission, Domain, Papers, Standing};
 use crate::plane::{PlaneError, PlaneRoute, Planes};
 use crate::rib::fib::Pushed;
 use crate::rib::{Effect, Limits, Now, Rib, Run, Told};
+use crate::tiers::Sent;
 use crate::topology::Topology;
 use crate::topology::cost::Meter;
 use crate::unix_time::{unix_nanos, unix_now};
@@ -55,6 +59,8 @@ pub struct Core {
     /// Whether the RIB knows.
     pub report: Report,
     pub topology: Topology,
+    /// If the RIB is here, and this is a member of a domain.
+    pub federation: Option<Federation>,
     /// What the links to neighbours cost, of which the configuration does not say it.
     pub(super) meters: BTreeMap<Name, Meter>,
     /// Interfaces without a carrier, by index.
@@ -98,6 +104,8 @@ pub enum Expects {
     Push(Name, u64),
     /// Whether an entity has been told of its counterparts.
     Told(Told),
+    /// What another domain's RIB answers.
+    Tier(Name, Sent),
     /// That the endpoint has attached again; if not, its link is closed.
     Reattach,
 }
@@ -131,6 +139,11 @@ pub enum Next {
     KeepInvitation {
         new: Option<u64>,
     },
+    /// Another domain's RIB is asked; what it answers is for a RIB, or for whoever made the query.
+    Await {
+        waiting: oneshot::Receiver<TierResponse>,
+        is_query: bool,
+    },
     /// The RIB has asked this switch to report again.
     Report,
     /// Ask over this link, and pass the response on.
@@ -159,6 +172,7 @@ impl Core {
             attached: HashSet::new(),
             report: Report::default(),
             topology,
+            federation: None,
             meters: BTreeMap::new(),
             dark: BTreeSet::new(),
             unplaced: Default::default(),
@@ -186,7 +200,9 @@ impl Core {
             self.held.keep(HeldLink { peer, lane, role, entry, to: *to, until, standing, id });
             match role {
                 LinkRole::Endpoint => drop(self.attached.insert(peer)),
-                LinkRole::Switch | LinkRole::Border => drop(self.meters.insert(peer, Meter::new(self.now().clock, None))),
+                LinkRole::Switch | LinkRole::Border => {
+                    drop(self.meters.insert(peer, Meter::new(self.now().clock, None)))
+                }
             }
         }
         let changes = self.routes.adopt(&left, &links);
@@ -500,12 +516,12 @@ impl Core {
 
     /// What an entity asks, over its link or (`by_tool`) through the admin socket.
     pub fn entity_request(&mut self, entity: Option<&NameProof>, by_tool: bool, request: EntityRequest) -> Next {
-        let (now, switch, own) = (self.now(), self.name(), self.identity.proof());
+        let (switch, own) = (self.name(), self.identity.proof());
         // Who may use the admin socket runs this switch, and may have names listed.
         let lists = by_tool && entity.is_none() && matches!(request, EntityRequest::Query { .. });
         let entity = if lists { Some(&own) } else { entity };
-        if let Some(rib) = &mut self.rib {
-            return ask(rib, now, switch, entity, by_tool, &request);
+        if self.rib.is_some() {
+            return self.ask_rib(switch, entity, by_tool, &request);
         }
         self.to_rib(Request::Relay { switch, entity: entity.copied(), by_tool, request })
     }
@@ -528,6 +544,7 @@ impl Core {
                 Next::Answer(Response::Done)
             }
             Request::Onward { to, hops, request } => self.passed_on(from, to, hops, *request),
+            Request::Tier(message) => self.tier_across(from, *message),
             _ => refuse(RefusalCode::Malformed, "what is for the RIB or from it is passed on with whom it is for"),
         }
     }
@@ -564,6 +581,7 @@ impl Core {
         let mut outgoing = Vec::new();
         loop {
             let now = self.now();
+            outgoing.extend(self.federation_effects());
             let Some(rib) = &mut self.rib else { return outgoing };
             let effects = rib.effects(now);
             if effects.is_empty() {
@@ -608,10 +626,13 @@ impl Core {
 
     /// Tells the RIB here what came of something it sent.
     pub fn answered(&mut self, expects: Expects, response: Option<Response>) {
+        if let Expects::Tier(to, sent) = expects {
+            return self.tier_answered(to, sent, response);
+        }
         let now = self.now();
         let Some(rib) = &mut self.rib else { return };
         match expects {
-            Expects::Nothing | Expects::Reattach => {}
+            Expects::Nothing | Expects::Reattach | Expects::Tier(..) => {}
             Expects::Push(switch, generation) => {
                 rib.pushed(now, &switch, generation, response.map_or(Pushed::Failed, outcome));
             }

@@ -115,6 +115,8 @@ impl Daemon {
         }
         tracing::info!("took renewed papers of the domain");
         self.recheck_links(false);
+        // The RIB shows the membership to other domains.
+        self.report_in_full();
         Ok(papers)
     }
 
@@ -173,6 +175,10 @@ impl Daemon {
         }
         tracing::info!("a domain has revoked some of what it issued");
         self.recheck_links(false);
+        if let Ok(domain) = proof.name() {
+            self.core().reconsider(domain);
+            self.send_effects();
+        }
         let others: Vec<Link> = {
             let core = self.core();
             core.links.values().map(|state| &state.link).filter(|l| Some(l.local_id()) != from).cloned().collect()

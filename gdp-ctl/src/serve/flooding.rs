@@ -36,6 +36,7 @@ pub async fn run(daemon: Arc<Daemon>) {
         let (batches, next) = {
             let mut core = daemon.core();
             let (batches, other_paths) = core.follow_topology();
+            core.follow_borders();
             if core.follow_rib() && other_paths {
                 daemon.report.notify_one();
             }
@@ -140,7 +141,8 @@ impl Core {
                 Some(Standing::Border { domain, ours, theirs }) => {
                     let (domain, cost) = (*domain, self.cost(&switch));
                     let (transit, ours_transit) = (theirs.transit, ours.transit);
-                    let border = Adjoining { domain, switch, cost, transit, ours_transit };
+                    let parent = self.parent_rank(&switch);
+                    let border = Adjoining { domain, switch, cost, transit, ours_transit, parent };
                     all.borders.insert((domain, switch), border);
                 }
                 _ if role == SWITCH => {
@@ -159,6 +161,12 @@ impl Core {
     fn cost(&self, switch: &Name) -> u32 {
         let configured = self.neighbours.iter().find(|n| n.place.switch == *switch).and_then(|n| n.cost);
         configured.unwrap_or_else(|| self.meters.get(switch).map_or(1, Meter::cost))
+    }
+
+    /// Whether the RIB of a neighbour's domain is a parent of this one's, and before which others.
+    fn parent_rank(&self, switch: &Name) -> Option<u8> {
+        let index = self.neighbours.iter().position(|n| n.place.switch == *switch && n.parent)?;
+        Some(u8::try_from(index).unwrap_or(u8::MAX))
     }
 
     /// What the data planes hold a link's peer for.

@@ -10,7 +10,7 @@ use gdp_wire::Name;
 use tokio::time::timeout;
 
 use super::core::{Expects, Next, Statement};
-use super::{Daemon, Place, control, domain, flooding, liveness};
+use super::{Daemon, Place, control, domain, flooding, liveness, tiers};
 use crate::config::Via;
 
 /// How long an accepted statement waits for switches to take their routes.
@@ -280,6 +280,11 @@ impl Daemon {
         match next {
             Next::Answer(response) => response,
             Next::Keep => self.keep_revocations().await.map_or_else(Response::from, |()| Response::Done),
+            Next::Await { waiting, is_query } => match timeout(tiers::PATIENCE, waiting).await {
+                Ok(Ok(response)) if is_query => tiers::records(response),
+                Ok(Ok(response)) => Response::Tier(Box::new(response)),
+                _ => Refusal::new(RefusalCode::Unreachable, "no RIB of another domain has answered").into(),
+            },
             Next::KeepInvitation { new } => self.keep_invitation(new).await,
             Next::Settle(response, statement) => match self.settled(&statement).await {
                 Ok(()) => response,
@@ -345,13 +350,14 @@ impl Daemon {
         for message in outgoing {
             let daemon = self.clone();
             self.spawn(async move {
-                let response = match &message.link {
-                    Some(link) => link
-                        .request(&message.request)
-                        .await
-                        .inspect_err(|error| tracing::debug!(%error, "what the RIB sent was not answered"))
-                        .ok(),
-                    None => None,
+                let asked = async {
+                    let answer = message.link.as_ref()?.request(&message.request).await;
+                    answer.inspect_err(|error| tracing::debug!(%error, "what the RIB sent was not answered")).ok()
+                };
+                let response = match &message.expects {
+                    // Nobody of this domain answers for another.
+                    Expects::Tier(..) => timeout(tiers::PATIENCE, asked).await.ok().flatten(),
+                    _ => asked.await,
                 };
                 if let (Expects::Reattach, Some(link)) = (&message.expects, &message.link) {
                     reattached(&daemon, link, response);

@@ -16,6 +16,7 @@ mod ports;
 mod report;
 pub mod routes;
 mod status;
+mod tiers;
 mod warnings;
 
 use std::collections::HashMap;
@@ -41,6 +42,7 @@ use crate::config::{Config, DataPlane};
 use crate::folders;
 use crate::plane::host_pair;
 use crate::plane::{PinPlace, PlaneConfig, PlaneError, Planes, Wanted};
+use crate::unix_time::unix_nanos;
 
 /// How often the addresses of peers are looked at, because QUIC moves without saying so; how far they are; and links that are held.
 const FOLLOW: Duration = Duration::from_millis(500);
@@ -132,6 +134,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         let (kept, member) = KeptDomain::recall(domain_config, &identity, &config.identity)?;
         port_config.papers.set(member.trust.papers().clone());
         (domain, core.domain) = (Some(kept), Some(member));
+        core.federate(unix_nanos());
     }
     let shown = port_config.papers.clone();
     let daemon = Arc::new(Daemon {

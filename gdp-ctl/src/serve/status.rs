@@ -188,8 +188,8 @@ fn neighbours(state: &LinkState) -> Vec<Value> {
     near.map(|(i, (switch, cost))| json!({"switch": switch, "cost": cost, "silent": is_silent(i)})).collect()
 }
 
-fn border(Adjoining { domain, switch, cost, transit, ours_transit }: &Adjoining) -> Value {
-    json!({"domain": domain, "switch": switch, "cost": cost, "transit": transit, "ours_transit": ours_transit})
+fn border(Adjoining { domain, switch, cost, transit, ours_transit, parent }: &Adjoining) -> Value {
+    json!({"domain": domain, "switch": switch, "cost": cost, "transit": transit, "ours_transit": ours_transit, "parent": parent})
 }
 
 fn domain(domain: &Domain) -> Value {

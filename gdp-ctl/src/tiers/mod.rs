@@ -276,6 +276,16 @@ impl Tiers {
         removed.chain(parcel.set.into_iter().map(Change::Set)).collect()
     }
 
+    /// The parts of an entity of another domain that the own RIB may know, each with whether it only passes through this domain, and
+    /// the keys it has for readers here.
+    pub fn known_of(&self, entity: Name) -> (Vec<(Arc<Held>, bool)>, Vec<Signed<KeyBox>>) {
+        self.known.of(entity)
+    }
+
+    pub fn parents(&self) -> &[Name] {
+        &self.parents
+    }
+
     /// The domains in which somebody exchanges messages with somebody in this one.
     pub fn concerned(&self) -> impl Iterator<Item = &Name> {
         self.known.origins()

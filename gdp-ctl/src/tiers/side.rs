@@ -2,12 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound::{Included, Unbounded};
+use std::sync::Arc;
 use std::time::Duration;
 
+use gdp::cert::Signed;
 use gdp::control::{RecordPlace, TierHolds, TierKey};
+use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
-use super::table::{Item, Table, first_box, first_place, is_box_of};
+use super::table::{Held, Item, Table, first_box, first_place, is_box_of};
 use crate::feed::Feed;
 
 /// How long what a neighbour said stays after it was heard last: a restart or a short partition must not cost the names.
@@ -210,6 +213,21 @@ impl Told {
         let gone: Vec<TierKey> = held.map(|(key, _)| *key).filter(|key| !boxes.contains_key(key)).collect();
         gone.into_iter().for_each(|key| self.feed.set(key, None));
         boxes.into_iter().for_each(|(key, item)| self.feed.set(key, Some(item)));
+    }
+
+    /// The parts of an entity that are told, and its boxes.
+    pub fn of(&self, entity: Name) -> (Vec<(Arc<Held>, bool)>, Vec<Signed<KeyBox>>) {
+        let places = self.entities.get(&entity).into_iter().flat_map(BTreeMap::keys);
+        let parts = places.filter_map(|place| match self.feed.entries().get(&TierKey::Part(*place)) {
+            Some(Item::Part { held, only_passes }) => Some((held.clone(), *only_passes)),
+            _ => None,
+        });
+        let boxes = self.feed.entries().range(first_box(entity)..).take_while(|(key, _)| is_box_of(key, entity));
+        let boxes = boxes.filter_map(|(_, item)| match item {
+            Item::Box(signed) => Some((**signed).clone()),
+            _ => None,
+        });
+        (parts.collect(), boxes.collect())
     }
 
     /// Who said the parts of an entity that are told.

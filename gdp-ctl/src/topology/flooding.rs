@@ -190,7 +190,7 @@ mod tests {
             let neighbours = (1000..).take(MAX_NEIGHBOURS).map(|i| (name(i), u32::MAX)).collect();
             let border = |i| {
                 let (domain, switch, cost) = (name(i), name(1000), u32::MAX);
-                Adjoining { domain, switch, cost, transit: true, ours_transit: true }
+                Adjoining { domain, switch, cost, transit: true, ours_transit: true, parent: Some(u8::MAX) }
             };
             let claims = LinkState {
                 switch: name(i),

@@ -62,7 +62,7 @@ fn control_goes_round_a_switch_whose_daemon_is_dead_and_frames_do_not() {
 fn links_into_other_domains_are_known_to_all_who_reach_them() {
     let mut w = World::ring(5);
     let [domain, switch] = [8, 9].map(|i| Name::from_bytes([i; 32]));
-    let border = Adjoining { domain, switch, cost: 0, transit: true, ours_transit: false };
+    let border = Adjoining { domain, switch, cost: 0, transit: true, ours_transit: false, parent: None };
     let known = |w: &World| {
         let borders = w.switches[0].topology.borders();
         borders.map(|(at, border)| (w.index(&at), border.cost, border.switch)).collect::<Vec<_>>()

@@ -51,6 +51,8 @@ pub struct Adjoining {
     pub transit: bool,
     /// This domain lets that one do so.
     pub ours_transit: bool,
+    /// The RIB of that domain is a parent of this one's; those with a lower number are asked before.
+    pub parent: Option<u8>,
 }
 
 impl LinkState {

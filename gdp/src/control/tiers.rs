@@ -16,6 +16,24 @@ pub const MAX_PATH: usize = 16;
 /// Domains above one, at most.
 pub const MAX_ANCESTORS: usize = 64;
 
+/// A message between RIBs, on its way.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct TierMessage {
+    pub leg: TierLeg,
+    pub request: TierRequest,
+}
+
+/// How far a message between RIBs has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum TierLeg {
+    /// Within its own domain: for the border switch that has a link to this one of this domain.
+    Out { domain: Name, peer: Name },
+    /// On that link.
+    Across,
+    /// Within the other domain: for its RIB. The border says whose link it came by.
+    In { from: Name },
+}
+
 /// RIB → the RIB of a neighbouring domain.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum TierRequest {

@@ -15,10 +15,18 @@ fn names_become_links_and_follow_them() {
 
     assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 0, 70), [set(1, 0, &[70], &[])]);
     assert_eq!(r.link_ready(LinkRole::Endpoint, name(7), 70), [], "it is the one in use already");
-    assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 0, 71), [set(1, 0, &[70], &[])], "not before it takes frames there");
+    assert_eq!(
+        r.link_up(LinkRole::Endpoint, name(7), 0, 71),
+        [set(1, 0, &[70], &[])],
+        "not before it takes frames there"
+    );
     assert_eq!(r.link_ready(LinkRole::Endpoint, name(7), 71), [set(1, 0, &[71], &[])], "it moved");
     assert!(r.is_replaced(LinkRole::Endpoint, &name(7), 70));
-    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(7), 70), [set(1, 0, &[71], &[])], "the old link no longer matters");
+    assert_eq!(
+        gone(&mut r, LinkRole::Endpoint, name(7), 70),
+        [set(1, 0, &[71], &[])],
+        "the old link no longer matters"
+    );
     assert_eq!(gone(&mut r, LinkRole::Endpoint, name(7), 71), [Change::Remove(name(1))]);
 
     assert_eq!(hops(&r.set_paths(&paths(), &name(0))[0])[..4], [0; 4], "there is no link");
@@ -279,7 +287,8 @@ fn the_data_plane_follows_any_sequence() {
                     } else {
                         let some = |bits: u64| (0..4).filter(|i| bits & 1 << i != 0).map(|i| name(10 + i)).collect();
                         let (egress_bits, locals, writers) = (below(4), some(below(16)), some(below(16)));
-                        let route = Route { name: it, egress_bits, locals, everywhere: vec![], writers, arrives_by: vec![] };
+                        let route =
+                            Route { name: it, egress_bits, locals, everywhere: vec![], writers, arrives_by: vec![] };
                         wanted.insert(it, route.clone());
                         said = Some((Extent::Delta, vec![route], vec![]));
                     }
@@ -357,7 +366,10 @@ fn route(i: u8, egress_bits: u64, locals: &[u8]) -> Route {
 }
 
 fn set(i: u8, egress_bits: u64, readers: &[u32], writers: &[u32]) -> Change {
-    Change::Set(name(i), PlaneRoute { egress_bits, readers: readers.to_vec(), writers: writers.to_vec(), sources: vec![] })
+    Change::Set(
+        name(i),
+        PlaneRoute { egress_bits, readers: readers.to_vec(), writers: writers.to_vec(), sources: vec![] },
+    )
 }
 
 fn hops(change: &Change) -> &[u32; 64] {

@@ -1,0 +1,407 @@
+//! This daemon's part in the tiers: beside the RIB, it keeps the RIB and [`crate::tiers`] informed of each other; on a border switch, it
+//! passes messages between RIBs on, and attests whose they are. The rules are in [`crate::tiers`].
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::time::Duration;
+
+use gdp::cert::{Membership, Revocation, Signed};
+use gdp::control::{
+    EntityRequest, RecordPlace, RefusalCode, Request, Response, TierEntry, TierKey, TierLeg, TierMessage, TierRequest,
+    TierResponse,
+};
+use gdp::domain::{Standing, Trust};
+use gdp::keys::KeyBox;
+use gdp::link::Link;
+use gdp::name::NameProof;
+use gdp_wire::Name;
+use serde_json::{Value, json};
+use tokio::sync::oneshot;
+
+use super::control::onward;
+use super::core::{Core, Expects, Next, Outgoing, ask, refuse};
+use crate::rib::{Foreign, Now, Rib, Way};
+use crate::tiers::{self, Change, Effect, Item, Limits, Reply, Revoked, Sent, Ticket, Tiers};
+
+/// How long another domain's RIB is waited for.
+pub const PATIENCE: Duration = Duration::from_secs(10);
+
+/// What the RIB here has to do with other domains.
+pub struct Federation {
+    tiers: Tiers,
+    /// The memberships that switches of the domain have shown the RIB.
+    hosts: BTreeMap<Name, Membership>,
+    /// What entities have stated in this domain, by switch.
+    stated: BTreeMap<Name, BTreeSet<RecordPlace>>,
+    /// What is to be told anew, besides what the RIB says has changed.
+    due: BTreeSet<RecordPlace>,
+    /// By entity and the places it was told with.
+    boxes: BTreeMap<Name, BTreeMap<RecordPlace, Vec<Signed<KeyBox>>>>,
+    /// The places abroad that the RIB was told of, and the neighbour that told.
+    given: BTreeMap<RecordPlace, Name>,
+    waiting: HashMap<Ticket, oneshot::Sender<TierResponse>>,
+}
+
+/// What is known here of what was taken back.
+struct Known<'a> {
+    rib: &'a Rib,
+    trust: &'a Trust,
+}
+
+impl Revoked for Known<'_> {
+    fn newest(&self, name: &Name) -> Option<&Revocation> {
+        self.trust.revocation(name).or_else(|| self.rib.revocation(name))
+    }
+}
+
+impl Federation {
+    /// Of a RIB in the domain `home`, in this run.
+    pub fn new(home: Name, run: u64) -> Self {
+        Self {
+            tiers: Tiers::new(home, run, Limits::default()),
+            hosts: BTreeMap::new(),
+            stated: BTreeMap::new(),
+            due: BTreeSet::new(),
+            boxes: BTreeMap::new(),
+            given: BTreeMap::new(),
+            waiting: HashMap::new(),
+        }
+    }
+
+    /// When it has something to do by itself.
+    pub fn next_tick(&self) -> Option<Duration> {
+        self.tiers.next_tick()
+    }
+
+    /// A switch of the domain shows its membership: what was stated there may be told with it.
+    fn show(&mut self, switch: Name, membership: Membership) {
+        if self.hosts.get(&switch) != Some(&membership) {
+            self.due.extend(self.stated.get(&switch).into_iter().flatten());
+            self.hosts.insert(switch, membership);
+        }
+    }
+
+    /// Tells the tiers what has changed in the RIB.
+    fn follow(&mut self, now: Now, rib: &mut Rib) {
+        let mut writers = BTreeSet::new();
+        let changed = rib.take_changed_places().into_iter().chain(std::mem::take(&mut self.due));
+        for place in changed.collect::<BTreeSet<_>>() {
+            let boxes = self.boxes.entry(place.entity).or_default();
+            let export = rib.export(now, &place).filter(|export| export.origin.is_none());
+            let told_before = boxes.remove(&place).is_some();
+            let Some(export) = export else {
+                self.tiers.remove_own(place);
+                if let Some(stated) = self.stated.get_mut(&place.switch) {
+                    stated.remove(&place);
+                }
+                if told_before {
+                    writers.insert(place.entity);
+                }
+                continue;
+            };
+            self.stated.entry(place.switch).or_default().insert(place);
+            if told_before || !export.boxes.is_empty() {
+                writers.insert(place.entity);
+                boxes.insert(place, export.boxes);
+            }
+            // Otherwise once the switch has reported.
+            if let Some(host) = self.hosts.get(&place.switch)
+                && let Err(error) = self.tiers.set_own(now, export.record, host.clone())
+            {
+                tracing::error!(%error, "the RIB holds a record that cannot be told to other domains");
+            }
+        }
+        for writer in writers {
+            let boxes = self.boxes.get(&writer).into_iter().flat_map(BTreeMap::values).flatten().cloned().collect();
+            if let Err(error) = self.tiers.set_own_boxes(writer, boxes) {
+                tracing::error!(%error, "the RIB holds a key box that cannot be told to other domains");
+            }
+        }
+        self.boxes.retain(|_, boxes| !boxes.is_empty());
+        self.stated.retain(|_, places| !places.is_empty());
+    }
+
+    /// Tells the RIB what it may know of other domains.
+    fn inform(&mut self, now: Now, rib: &mut Rib) {
+        let mut entities = BTreeSet::new();
+        for change in self.tiers.take_changes(now) {
+            match change {
+                Change::Remove(TierKey::Part(place)) => {
+                    if let Some(next) = self.given.remove(&place) {
+                        rib.remove_foreign(now, &place, &next);
+                    }
+                }
+                Change::Set(Item::Part { held, .. }) => drop(entities.insert(held.place.entity)),
+                Change::Set(Item::Box(signed)) => {
+                    entities.extend(signed.claims_unverified().map(|claims| claims.writer));
+                }
+                // The RIB lets go of boxes by itself, and of places it is told with which they go.
+                Change::Set(Item::Locator { .. }) | Change::Remove(_) => {}
+            }
+        }
+        for entity in entities {
+            let (parts, boxes) = self.tiers.known_of(entity);
+            for (held, only_passes) in parts {
+                let (Some(domain), Some(next)) = (held.path.first().copied(), held.path.last().copied()) else {
+                    continue;
+                };
+                let mut record = held.record.clone();
+                record.expires_in = held.ends.saturating_sub(now.clock).as_secs();
+                let (hops, boxes) = (held.path.len() as u32, boxes.clone());
+                let foreign = Foreign { record, domain, next, hops, boxes, local: !only_passes };
+                if let Err(refusal) = rib.set_foreign(now, foreign) {
+                    tracing::warn!(%refusal, domain = %format_args!("{domain:#}"), "the RIB does not take what another domain told");
+                }
+                if let Some(before) = self.given.insert(held.place, next).filter(|before| *before != next) {
+                    rib.remove_foreign(now, &held.place, &before);
+                }
+            }
+        }
+    }
+
+    fn wait(&mut self, reply: Reply, is_query: bool) -> Next {
+        match reply {
+            Reply::Now(response) if is_query => Next::Answer(records(response)),
+            Reply::Now(response) => Next::Answer(Response::Tier(Box::new(response))),
+            Reply::Later(ticket) => {
+                let (answer, waiting) = oneshot::channel();
+                self.waiting.insert(ticket, answer);
+                Next::Await { waiting, is_query }
+            }
+        }
+    }
+
+    /// What `gdp-ctl status` shows of the neighbouring domains.
+    pub fn status(&self) -> Vec<Value> {
+        let neighbours = self.tiers.neighbours();
+        let shown = neighbours.map(|neighbour| {
+            let (state, reason) = match neighbour.standing {
+                tiers::Standing::Waiting => ("waiting", neighbour.lacking),
+                tiers::Standing::Up => ("up", neighbour.lacking),
+                tiers::Standing::Lost(_) => ("lost", None),
+                tiers::Standing::Refused { reason, .. } => ("refused", Some(reason)),
+            };
+            json!({
+                "domain": neighbour.domain, "kind": if neighbour.kind.is_parent() { "parent" } else { "child" },
+                "state": state, "reason": reason, "entries_in": neighbour.entries_in,
+                "entries_out": neighbour.entries_out, "refused": neighbour.refused,
+            })
+        });
+        shown.collect()
+    }
+}
+
+impl Core {
+    /// The RIB here tells other domains, and hears of them, as a member of its own.
+    pub fn federate(&mut self, run: u64) {
+        if let (Some(_), Some(domain)) = (&self.rib, &self.domain) {
+            self.federation = Some(Federation::new(domain.trust.home(), run));
+        }
+    }
+
+    /// Which domains are parents and which have a link with this one, and by which borders they are reached.
+    pub(super) fn follow_borders(&mut self) {
+        let now = self.now();
+        let (Some(rib), Some(federation)) = (&mut self.rib, &mut self.federation) else { return };
+        let (mut ways, mut parents) = (BTreeMap::<Name, Vec<Way>>::new(), BTreeSet::new());
+        for (border, adjoining) in self.topology.borders() {
+            let to_border = self.topology.paths().costs.get(&border).copied().unwrap_or(0);
+            let cost = u32::try_from(to_border).unwrap_or(u32::MAX).saturating_add(adjoining.cost);
+            ways.entry(adjoining.domain).or_default().push(Way { border, peer: adjoining.switch, cost });
+            parents.extend(adjoining.parent.map(|rank| (rank, border, adjoining.domain)));
+        }
+        federation.tiers.set_adjacent(now, ways.keys().copied().collect());
+        let mut listed: Vec<Name> = Vec::new();
+        for (_, _, domain) in parents {
+            if !listed.contains(&domain) {
+                listed.push(domain);
+            }
+        }
+        // A parent whose links are gone stays one until it is forgotten: the links may come back.
+        let before = federation.tiers.parents().iter().filter(|parent| !ways.contains_key(parent));
+        let gone: Vec<Name> = before.filter(|parent| !listed.contains(parent)).copied().collect();
+        listed.extend(gone);
+        federation.tiers.set_parents(now, listed);
+        rib.set_ways(now, ways);
+    }
+
+    /// Brings RIB and tiers in line with each other. Returns what is to be sent to other domains.
+    pub(super) fn federation_effects(&mut self) -> Vec<Outgoing> {
+        let (now, own) = (self.now(), self.name());
+        let (Some(rib), Some(federation), Some(domain)) = (&mut self.rib, &mut self.federation, &self.domain) else {
+            return Vec::new();
+        };
+        federation.show(own, domain.trust.papers().membership.clone());
+        federation.follow(now, rib);
+        federation.inform(now, rib);
+        let mut outgoing = Vec::new();
+        for effect in federation.tiers.effects(now) {
+            match effect {
+                Effect::Answer { ticket, response } => {
+                    if let Some(answer) = federation.waiting.remove(&ticket) {
+                        // Whoever asked may be gone.
+                        let _ = answer.send(response);
+                    }
+                }
+                Effect::Ask { to, sent, request } => outgoing.push((to, sent, request)),
+            }
+        }
+        outgoing.into_iter().map(|(to, sent, request)| self.to_domain(to, sent, request)).collect()
+    }
+
+    fn to_domain(&self, to: Name, sent: Sent, request: TierRequest) -> Outgoing {
+        let costs = &self.topology.paths().costs;
+        let ways = self.topology.borders().filter(|(_, adjoining)| adjoining.domain == to);
+        let cheapest = ways.min_by_key(|(border, adjoining)| {
+            (costs.get(border).copied().unwrap_or(0) + u64::from(adjoining.cost), *border, adjoining.switch)
+        });
+        let message = |leg| Request::Tier(Box::new(TierMessage { leg, request }));
+        let (link, request) = match cheapest {
+            Some((border, adjoining)) if border == self.name() => {
+                (self.border_link(&adjoining.switch, to), message(TierLeg::Across))
+            }
+            Some((border, adjoining)) => {
+                let leg = TierLeg::Out { domain: to, peer: adjoining.switch };
+                (self.link_toward(&border).ok(), onward(border, message(leg)))
+            }
+            None => (None, message(TierLeg::Across)),
+        };
+        Outgoing { link, request, expects: Expects::Tier(to, sent) }
+    }
+
+    /// The link to a border switch of another domain, while it is one.
+    fn border_link(&self, peer: &Name, domain: Name) -> Option<Link> {
+        let link = self.link_to(peer)?;
+        (self.domain_of(&link) == Some(domain)).then_some(link)
+    }
+
+    /// The domain whose border is at the other end of a link.
+    fn domain_of(&self, link: &Link) -> Option<Name> {
+        match self.links.get(&link.local_id())?.admission.standing {
+            Standing::Border { domain, .. } => Some(domain),
+            _ => None,
+        }
+    }
+
+    /// A message between RIBs came over a link into another domain.
+    pub(super) fn tier_across(&mut self, from: &Link, message: TierMessage) -> Next {
+        let (TierLeg::Across, Some(domain)) = (message.leg, self.domain_of(from)) else {
+            return refuse(RefusalCode::Malformed, "messages between RIBs come over a border, or are passed on");
+        };
+        let message = TierMessage { leg: TierLeg::In { from: domain }, ..message };
+        self.for_rib(Request::Tier(Box::new(message)))
+    }
+
+    /// A message between RIBs that has come to the switch it was for: a border that is to send it across, or the RIB's.
+    pub(super) fn tier_arrived(&mut self, message: TierMessage) -> Next {
+        match message.leg {
+            TierLeg::Out { domain, peer } => match self.border_link(&peer, domain) {
+                Some(link) => {
+                    let message = TierMessage { leg: TierLeg::Across, ..message };
+                    Next::Forward(link, Request::Tier(Box::new(message)))
+                }
+                None => {
+                    let own = self.name();
+                    let reason = format!("switch {own} has no link to switch {peer} of domain {domain} any more");
+                    refuse(RefusalCode::Unreachable, reason)
+                }
+            },
+            TierLeg::In { from } => self.tier_request(from, message.request),
+            TierLeg::Across => refuse(RefusalCode::Malformed, "a message that crosses a border is not passed on"),
+        }
+    }
+
+    fn tier_request(&mut self, from: Name, request: TierRequest) -> Next {
+        let now = self.now();
+        let (Some(rib), Some(federation), Some(domain)) = (&self.rib, &mut self.federation, &self.domain) else {
+            return refuse(RefusalCode::Unreachable, format!("switch {} has no RIB of a domain", self.name()));
+        };
+        let known = Known { rib, trust: &domain.trust };
+        let reply = federation.tiers.request(now, from, request, &known);
+        federation.wait(reply, false)
+    }
+
+    /// What became of a message to another domain's RIB.
+    pub(super) fn tier_answered(&mut self, to: Name, sent: Sent, response: Option<Response>) {
+        let now = self.now();
+        let (Some(rib), Some(federation), Some(domain)) = (&self.rib, &mut self.federation, &self.domain) else {
+            return;
+        };
+        let response = match response {
+            Some(Response::Tier(response)) => Some(*response),
+            Some(Response::Refused(refusal)) => {
+                tracing::debug!(%refusal, domain = %format_args!("{to:#}"), "a message to another domain did not arrive");
+                None
+            }
+            _ => None,
+        };
+        federation.tiers.answered(now, to, sent, response, &Known { rib, trust: &domain.trust });
+    }
+
+    /// A switch has reported, with this membership: if it is one, other domains may see it.
+    pub(super) fn host_shown(&mut self, switch: Name, membership: Membership) {
+        let now = self.now().unix;
+        let (Some(federation), Some(domain)) = (&mut self.federation, &self.domain) else { return };
+        let home = domain.trust.home();
+        match membership.verify(home, domain.trust.revocation(&home), now) {
+            Ok(claims) if claims.entity == switch => federation.show(switch, membership),
+            Ok(claims) => {
+                tracing::warn!(%switch, of = %claims.entity, "a switch shows another's membership to the RIB")
+            }
+            Err(error) => tracing::warn!(%switch, %error, "a switch shows the RIB a membership that does not hold"),
+        }
+    }
+
+    /// An owner of a name, or a domain, has taken something back.
+    pub(super) fn reconsider(&mut self, about: Name) {
+        let now = self.now();
+        if let (Some(rib), Some(federation), Some(domain)) = (&self.rib, &mut self.federation, &self.domain) {
+            federation.tiers.reconsider(now, about, &Known { rib, trust: &domain.trust });
+        }
+    }
+
+    /// Puts to the RIB here what an entity asks. A query that misses climbs.
+    pub(super) fn ask_rib(
+        &mut self,
+        switch: Name,
+        entity: Option<&NameProof>,
+        by_tool: bool,
+        request: &EntityRequest,
+    ) -> Next {
+        let now = self.now();
+        let Some(rib) = &mut self.rib else {
+            return refuse(RefusalCode::Unreachable, format!("the RIB is not at switch {}", self.name()));
+        };
+        let next = ask(rib, now, switch, entity, by_tool, request);
+        match (request, &next) {
+            (EntityRequest::Query { prefix, after: None }, Next::Answer(Response::Records { records, .. }))
+                if records.is_empty() =>
+            {
+                let (Some(name), Some(federation)) = (prefix.full(), &mut self.federation) else { return next };
+                let reply = federation.tiers.query(now, name);
+                federation.wait(reply, true)
+            }
+            (EntityRequest::Revoke { proof, .. }, Next::Keep) => {
+                if let Ok(name) = proof.name() {
+                    self.reconsider(name);
+                }
+                next
+            }
+            _ => next,
+        }
+    }
+}
+
+/// What other domains answered to a query, as an entity is told it.
+pub(super) fn records(response: TierResponse) -> Response {
+    match response {
+        TierResponse::Answer { entries, truncated } => {
+            let records = entries.into_iter().filter_map(|entry| match entry {
+                TierEntry::Part(abroad) => Some(abroad.record),
+                _ => None,
+            });
+            Response::Records { records: records.collect(), truncated }
+        }
+        TierResponse::Refused(refusal) => refusal.into(),
+        _ => Response::Records { records: Vec::new(), truncated: false },
+    }
+}
