@@ -1,28 +1,25 @@
 //! Daemons and nodes as members of domains, on loopback UDP, without root: who gets a link with whom, what both sides say when
 //! not, and what ends a link or renews it.
 
+mod member;
 mod switch;
 
 use std::io;
 use std::net::SocketAddr;
 use std::net::UdpSocket;
-use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
-use gdp::cert::{Invite, MemberCert, Membership, PeerCert, Revocation, Signed, issue};
+use gdp::cert::{Invite, Membership, PeerCert, Revocation, Signed, issue};
 use gdp::control::{EntityRequest, Response};
-use gdp::domain::{PaperFiles, Papers, Token};
+use gdp::domain::{Papers, Token};
 use gdp::node::LinkTarget;
 use gdp::{Identity, Name, NameCard, Node, NodeConfig, NodeError, SigningKey};
 use gdp_ctl::admin::{Client, Request};
-use gdp_ctl::config::{Config, DomainConfig, Neighbour, Place as At, Via};
-use gdp_ctl::serve::{Running, start};
+use gdp_ctl::serve::Running;
+use member::{Domain, LONG, Place, Settings, now};
 use serde_json::Value;
-use switch::{config, wait};
-
-/// Of what lasts for the whole of a test.
-const LONG: i64 = 3600;
+use switch::wait;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_switch_gets_links_with_members_and_everybody_else_a_reason() {
@@ -326,37 +323,7 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
     assert!(link_of(&open_running, robot.name()).await.is_none());
 }
 
-/// A domain's key.
-struct Domain {
-    identity: Identity,
-    serials: Mutex<u64>,
-}
-
 impl Domain {
-    /// Serials of domains with different numbers differ, so that logs show which is meant.
-    fn new(number: u64) -> Self {
-        let serial = now() as u64 * 1_000_000_000 - number * 1_000_000;
-        Self { identity: Identity::generate("domain").unwrap(), serials: serial.into() }
-    }
-
-    fn serial(&self) -> u64 {
-        let mut serials = self.serials.lock().unwrap();
-        *serials += 1;
-        *serials
-    }
-
-    fn admit(&self, entity: Name, role: &str, seconds: i64) -> Membership {
-        let (domain, serial, role) = (self.identity.name(), self.serial(), role.to_owned());
-        let (not_before, not_after) = (0, (now() + seconds) as u64);
-        Membership::issue(&self.identity, &MemberCert { domain, entity, role, serial, not_before, not_after }).unwrap()
-    }
-
-    fn peer(&self, peer: &Domain, rights: &str, seconds: i64) -> Signed<PeerCert> {
-        let (domain, peer, rights) = (self.identity.name(), peer.identity.name(), rights.parse().unwrap());
-        let (serial, not_before, not_after) = (self.serial(), 0, (now() + seconds) as u64);
-        issue(self.identity.key(), &PeerCert { domain, peer, rights, serial, not_before, not_after }).unwrap()
-    }
-
     fn invite(&self, role: &str, at: &Place) -> Token {
         let (key, domain, role, serial) =
             (SigningKey::generate().unwrap(), self.identity.name(), role.to_owned(), self.serial());
@@ -388,36 +355,9 @@ impl Domain {
     }
 }
 
-/// Where a daemon is, and its files.
-struct Place {
-    folder: tempfile::TempDir,
-    name: Name,
-    addr: SocketAddr,
-}
-
-/// What a daemon is to run with.
-struct Settings(Config);
-
 impl Place {
-    fn new(label: &str) -> Self {
-        let folder = tempfile::Builder::new().prefix(label).tempdir().unwrap();
-        let name = Identity::load_or_generate(&folder.path().join("switch.pem"), "switch").unwrap().name();
-        // Free when asked for; taken by the daemon a moment later.
-        let addr = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-        Self { folder, name, addr }
-    }
-
-    fn file(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
-    }
-
     fn alone(&self) -> Settings {
         self.settings(None)
-    }
-
-    fn member(&self, domain: &Domain, role: &str, seconds: i64) -> Settings {
-        self.renew(domain, role, seconds);
-        self.settings(Some(domain))
     }
 
     fn joined(&self, token: &Token) -> Settings {
@@ -429,66 +369,10 @@ impl Place {
         self.settings_in_domain()
     }
 
-    /// Replaces the membership file.
-    fn renew(&self, domain: &Domain, role: &str, seconds: i64) {
-        self.put("membership", &domain.admit(self.name, role, seconds).to_pem());
-    }
-
-    fn put(&self, file: &str, text: &str) {
-        let fresh = self.file("fresh");
-        std::fs::write(&fresh, text).unwrap();
-        std::fs::rename(fresh, self.file(file)).unwrap();
-    }
-
-    /// As the files are.
-    fn settings(&self, domain: Option<&Domain>) -> Settings {
-        let Some(domain) = domain else {
-            return Settings(Config { udp: Some(self.addr), rib: false, ..config(self.folder.path(), "switch") });
-        };
-        let identity = &domain.identity;
-        let card = NameCard::new(identity.key().verify_key(), identity.metadata().clone()).unwrap();
-        self.put("domain.card", &card.to_json());
-        self.settings_in_domain()
-    }
-
-    fn settings_in_domain(&self) -> Settings {
-        let files = PaperFiles { card: self.file("domain.card"), membership: self.file("membership"), peers: vec![] };
-        let domain = Some(DomainConfig { files, members_only: false });
-        Settings(Config { udp: Some(self.addr), rib: false, domain, ..config(self.folder.path(), "switch") })
-    }
-
     /// Of the membership in its file, or the invitation that rests on.
     fn serial(&self) -> u64 {
         let text = std::fs::read_to_string(self.file("membership")).unwrap();
         Membership::from_pem(&text).unwrap().serial_unverified().unwrap()
-    }
-}
-
-impl Settings {
-    fn rib(mut self) -> Self {
-        self.0.rib = true;
-        self
-    }
-
-    fn peers(mut self, certs: &[&Signed<PeerCert>]) -> Self {
-        let files = &mut self.0.domain.as_mut().unwrap().files;
-        for (i, cert) in certs.iter().enumerate() {
-            let file = files.card.with_file_name(format!("{i}.peer"));
-            std::fs::write(&file, cert.to_pem()).unwrap();
-            files.peers.push(file);
-        }
-        self
-    }
-
-    fn dials(mut self, hub: &Place) -> Self {
-        let place = At { switch: hub.name, via: Via::Udp(hub.addr) };
-        self.0.neighbours.push(Neighbour { place, cost: Some(1), dial: true, parent: false });
-        self
-    }
-
-    async fn start(self) -> Running {
-        log();
-        start(self.0).await.unwrap()
     }
 }
 
@@ -515,10 +399,6 @@ async fn attach(identity: &Identity, papers: Option<Papers>, to: SocketAddr) -> 
     let target: LinkTarget = format!("udp://{to}").parse().unwrap();
     let connect_timeout = Duration::from_secs(2);
     Node::connect(NodeConfig { papers, connect_timeout, ..NodeConfig::new(identity.clone(), target) }).await
-}
-
-fn now() -> i64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs() as i64
 }
 
 /// What all daemons of this process have logged.

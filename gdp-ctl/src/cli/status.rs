@@ -26,6 +26,19 @@ fn describe(status: &Value) -> String {
         (_, None) => format!("RIB         at {}, through {}\n", short(&control["rib"]), short(&control["next"])),
         (_, Some(reason)) => format!("RIB         not reached: {reason}\n"),
     };
+    for tier in items(&status["tiers"]) {
+        let refused: u64 =
+            tier["refused"].as_object().into_iter().flatten().filter_map(|(_, count)| count.as_u64()).sum();
+        out += &format!(
+            "domain      {} {}: {}, {} entries in, {} out, {refused} refused{}\n",
+            text(&tier["kind"]),
+            short(&tier["domain"]),
+            text(&tier["state"]),
+            tier["entries_in"],
+            tier["entries_out"],
+            tier["reason"].as_str().map(|reason| format!(": {reason}")).unwrap_or_default()
+        );
+    }
     out += &format!("FIB         {} names, generation {}\n", status["fib"]["names"], status["fib"]["generation"]);
     let links: Vec<_> = items(&status["links"])
         .iter()

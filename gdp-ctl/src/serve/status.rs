@@ -10,6 +10,7 @@ use serde_json::{Map, Value, json};
 
 use super::core::Core;
 use super::flooding::Adjacencies;
+use super::tiers::Federation;
 use super::{Daemon, interfaces, warnings};
 use crate::domain::{Domain, Standing};
 use crate::plane::host_pair;
@@ -74,6 +75,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
         "domain": core.domain.as_ref().map(domain),
         "control": control(&core),
+        "tiers": core.federation.as_ref().map(Federation::status),
         "warnings": warnings::warnings(&core),
         "errors": errors,
     })
