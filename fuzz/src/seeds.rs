@@ -272,12 +272,7 @@ impl Papers {
                 seed("query", &from_entity(EntityRequest::Query { prefix: name.into(), after: place })),
                 seed(
                     "report",
-                    &onward(Request::Report {
-                        switch: robot,
-                        attached: vec![entity],
-                        own_bit: Some(63),
-                        membership: None,
-                    }),
+                    &onward(Request::Report { switch: robot, attached: vec![entity], own_bit: Some(63), shown: None }),
                 ),
                 seed(
                     "flood",

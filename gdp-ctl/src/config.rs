@@ -7,6 +7,7 @@ use std::io::Read;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
+use gdp::cert::MAX_ADDRESSES;
 use gdp::domain::{MAX_PEERS, PaperFiles};
 use gdp::link::RekeySchedule;
 use gdp_wire::Name;
@@ -40,6 +41,8 @@ pub struct Config {
     pub bpffs: Option<PathBuf>,
     /// The trust domain it is a member of; without, it takes any neighbour that is listed and any endpoint.
     pub domain: Option<DomainConfig>,
+    /// Of a border: the addresses at which those of other domains reach it, best first.
+    pub public: Vec<SocketAddr>,
     /// When the keys of links are replaced. No option of the file.
     pub rekey: RekeySchedule,
 }
@@ -138,6 +141,7 @@ impl Config {
             fib_capacity: FIB_CAPACITY,
             bpffs: default_bpffs(),
             domain: None,
+            public: Vec::new(),
             rekey: RekeySchedule::default(),
         })
     }
@@ -201,6 +205,7 @@ struct File {
     #[serde(default = "default_bpffs")]
     bpffs: Option<PathBuf>,
     domain: Option<DomainEntry>,
+    public: Vec<SocketAddr>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -310,6 +315,9 @@ impl File {
         {
             return invalid(format!("domain: {} peers, where at most {MAX_PEERS} are shown", domain.peers.len()));
         }
+        if self.public.len() > MAX_ADDRESSES {
+            return invalid(format!("public: {} addresses, where at most {MAX_ADDRESSES} are told", self.public.len()));
+        }
         let here = |path: PathBuf| folder.join(path);
         Ok(Config {
             identity: match self.identity {
@@ -332,6 +340,7 @@ impl File {
             ebpf_object: self.ebpf_object.map(here),
             fib_capacity,
             bpffs: self.bpffs.map(here),
+            public: self.public,
             domain: self.domain.map(|entry| DomainConfig {
                 files: PaperFiles {
                     card: here(entry.card),
@@ -423,7 +432,7 @@ mod tests {
     }
 
     #[test]
-    fn a_domain_and_who_dials() {
+    fn a_domain_its_parents_and_who_dials() {
         let config = parse("").unwrap();
         assert_eq!(config.domain, None);
         let text = "domain: {card: domain.card, membership: /m, peers: [away.peer], members_only: true}\n";
@@ -437,6 +446,11 @@ mod tests {
             config.neighbours[0].dial
                 && !parse(&format!("uplink: {{interface: a, switch: {S}}}")).unwrap().neighbours[0].dial
         );
+        let config =
+            parse(&format!("public: ['192.0.2.1:9']\nneighbours: [{{interface: a, switch: {S}, parent: true}}]"))
+                .unwrap();
+        assert!(config.neighbours[0].parent && !config.neighbours[0].dial);
+        assert_eq!(config.public, ["192.0.2.1:9".parse().unwrap()]);
     }
 
     #[test]
@@ -452,6 +466,8 @@ mod tests {
         for (text, needle) in [
             ("identiti: x", "identiti"),
             ("udp: nowhere", "is not an address and port"),
+            ("public: [a, b]", "invalid socket address"),
+            (&format!("public: [{}]", ["'192.0.2.1:9'"; 9].join(", ")), "at most 8"),
             ("data_plane: fast", "fast"),
             ("rib: false", "needs a neighbour"),
             (&format!("rib: true\nuplink: {{interface: a, switch: {S}}}"), "remove one"),

@@ -11,11 +11,11 @@
 mod member;
 mod switch;
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, Revocation, Signed, issue};
+use gdp::cert::{AdCert, Grantee, Mode, PeerCert, ReadGrant, Revocation, Signed, issue};
 use gdp::control::{EntityRequest, Record, Response};
-use gdp::node::{LinkTarget, PublishOptions, SubscribeOptions};
+use gdp::node::{LinkTarget, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp::seal::Encoding;
 use gdp::{Identity, Name, NameCard, Node, NodeConfig, SigningKey};
 use gdp_ctl::admin::{Client, Request};
@@ -26,67 +26,148 @@ use tokio::time::timeout;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_reader_in_another_domain_hears_a_writer_through_a_third_that_may_not_know_of_it() {
-    let (top_domain, home, away) = (Domain::new(1), Domain::new(2), Domain::new(3));
-    let (top, edge, hub, far) = (Place::new("top"), Place::new("edge"), Place::new("hub"), Place::new("far"));
-    let crossing = top_domain.peer(&home, "peering,transit", LONG);
-    let others = top_domain.peer(&away, "peering,transit", LONG);
-    let settings = top.member(&top_domain, "border", LONG).peers(&[&crossing, &others]).rib();
-    let top_running = settings.start().await;
-    let settings = edge.member(&home, "border", LONG).peers(&[&home.peer(&top_domain, "peering", LONG)]);
-    let _edge_running = settings.dials(&top).below(&top).start().await;
-    let hub_running = hub.member(&home, "rib", LONG).dials(&edge).rib().start().await;
-    let settings = far.member(&away, "border", LONG).peers(&[&away.peer(&top_domain, "peering", LONG)]);
-    let far_running = settings.dials(&top).below(&top).rib().start().await;
-    for (what, running) in [("hub", &hub_running), ("far", &far_running)] {
-        wait(what, async || tier(running, &top_domain).await.is_some_and(|state| state == "up")).await;
-    }
-    wait("the third to know both", async || {
-        tier(&top_running, &home).await.is_some() && tier(&top_running, &away).await.is_some()
-    })
-    .await;
-
+    let f = Federation::start(false).await;
     let topic = Topic::new("/chatter");
     let (robot, cloud, nosy) = (entity(), entity(), entity());
-    let [robot_node, cloud_node, nosy_node] =
-        [attach(&robot, &hub).await, attach(&cloud, &far).await, attach(&nosy, &top).await];
+    let robot_node = attach(&robot, &f.hub).await;
+    let (cloud_node, nosy_node) = (attach(&cloud, &f.far).await, attach(&nosy, &f.top).await);
     // In the third domain, out of scope.
-    let grant = topic.grant(&nosy);
-    let mut nosy_subscription =
-        nosy_node.subscribe(topic.card.proof(), grant.into(), SubscribeOptions::reliable()).await.unwrap();
-    let grant = topic.grant(&cloud);
-    let mut subscription =
-        cloud_node.subscribe(topic.card.proof(), grant.into(), SubscribeOptions::reliable()).await.unwrap();
-    let ad_cert = topic.ad_cert(&robot, &[&away]);
-    let mut publisher =
-        robot_node.publish(topic.card.proof(), ad_cert.into(), PublishOptions::reliable()).await.unwrap();
+    let mut nosy_subscription = topic.subscribe(&nosy, &nosy_node).await;
+    let mut subscription = topic.subscribe(&cloud, &cloud_node).await;
+    let mut publisher = topic.publish(&robot, &robot_node, &f.away).await;
 
     let writers = |place: &Place, name| query(place, name).into_iter().filter(Record::is_writer).count();
-    wait("the cloud's RIB to know the robot", async || writers(&far, topic.name()) == 1).await;
-    wait("the robot's RIB to know the cloud", async || query(&hub, topic.name()).len() == 2).await;
-    assert_eq!(writers(&top, topic.name()), 0, "the third domain only passes it on");
-    for i in 0..20u8 {
-        publisher.send(Encoding::Bytes, &[i]).await.unwrap();
-        let message = timeout(switch::PATIENCE, subscription.recv()).await.expect("in time").expect("a message");
-        assert_eq!(message.body.to_vec(), [i], "in order, and once");
-        assert_eq!(message.writer, robot.name());
-    }
+    wait("the cloud's RIB to know the robot", async || writers(&f.far, topic.name()) == 1).await;
+    wait("the robot's RIB to know the cloud", async || query(&f.hub, topic.name()).len() == 2).await;
+    assert_eq!(writers(&f.top, topic.name()), 0, "the third domain only passes it on");
+    exchange(&robot, &mut publisher, &mut subscription).await;
+    assert!(f.carried().await >= 20);
     assert!(timeout(Duration::from_millis(300), nosy_subscription.recv()).await.is_err(), "it is out of scope");
 
     // Nobody in the other domain takes this one: a query climbs.
     let other = Topic::new("/other");
-    let ad_cert = other.ad_cert(&robot, &[&away]);
-    let _other = robot_node.publish(other.card.proof(), ad_cert.into(), PublishOptions::reliable()).await.unwrap();
-    wait("a query to climb", async || writers(&far, other.name()) == 1).await;
-    assert_eq!(writers(&top, other.name()), 0, "and only for whom it is in scope");
-    assert_eq!(query(&far, Name::from_bytes([7; 32])).len(), 0);
+    let _other = other.publish(&robot, &robot_node, &f.away).await;
+    wait("a query to climb", async || writers(&f.far, other.name()) == 1).await;
+    assert_eq!(writers(&f.top, other.name()), 0, "and only for whom it is in scope");
+    assert_eq!(query(&f.far, Name::from_bytes([7; 32])).len(), 0);
 
-    // The third domain takes back what it lets the first do: that one is told why, and the other hears nothing any more.
-    let serial = crossing.claims_unverified().unwrap().serial;
-    revoke(&top_domain, &top, serial);
-    wait("the parent to be lost", async || tier(&hub_running, &top_domain).await.is_some_and(|state| state == "lost"))
-        .await;
+    // The third domain takes back what it lets the first do: that one is cut off.
+    revoke(&f.top_domain, &f.top, &f.crossing);
+    let is_lost = async || tier(&f.hub_running, &f.top_domain).await.is_some_and(|state| state == "lost");
+    wait("the parent to be lost", is_lost).await;
     publisher.send(Encoding::Bytes, &[99]).await.unwrap();
     assert!(timeout(Duration::from_millis(300), subscription.recv()).await.is_err(), "nothing crosses any more");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn borders_peer_on_demand_and_the_third_domain_carries_nothing_until_they_may_not_any_more() {
+    let f = Federation::start(true).await;
+    let is_direct = async || {
+        let (status, far) = (f.edge_running.status().await, f.far.name.to_string());
+        let links = status["links"].as_array().unwrap().clone();
+        links.iter().any(|link| link["peer"] == far.as_str() && link["standing"] == "border")
+    };
+    assert!(!is_direct().await, "nobody needs it");
+    let topic = Topic::new("/chatter");
+    let (robot, cloud) = (entity(), entity());
+    let (robot_node, cloud_node) = (attach(&robot, &f.hub).await, attach(&cloud, &f.far).await);
+    let mut subscription = topic.subscribe(&cloud, &cloud_node).await;
+    let mut publisher = topic.publish(&robot, &robot_node, &f.away).await;
+    wait("the borders to peer", is_direct).await;
+    let mut before = f.carried().await;
+    let deadline = Instant::now() + switch::PATIENCE;
+    loop {
+        exchange(&robot, &mut publisher, &mut subscription).await;
+        let after = f.carried().await;
+        if after == before {
+            break;
+        }
+        assert!(Instant::now() < deadline, "the third domain goes on carrying it");
+        before = after;
+    }
+
+    // They may not any more: back to the third one.
+    revoke(&f.home, &f.edge, f.peering.as_ref().unwrap());
+    wait("the peering to end", async || !is_direct().await).await;
+    exchange(&robot, &mut publisher, &mut subscription).await;
+    assert!(f.carried().await >= before + 20);
+}
+
+/// Twenty messages, in order, and each once.
+async fn exchange(robot: &Identity, publisher: &mut Publisher, subscription: &mut Subscription) {
+    for i in 0..20u8 {
+        publisher.send(Encoding::Bytes, &[i]).await.unwrap();
+        let message = timeout(switch::PATIENCE, subscription.recv()).await.expect("in time").expect("a message");
+        assert_eq!((message.body.to_vec(), message.writer), (vec![i], robot.name()));
+    }
+}
+
+/// The three domains.
+struct Federation {
+    top_domain: Domain,
+    home: Domain,
+    away: Domain,
+    top: Place,
+    edge: Place,
+    hub: Place,
+    far: Place,
+    /// What the third domain lets the robot's do.
+    crossing: Signed<PeerCert>,
+    /// What the robot's domain lets the cloud's do.
+    peering: Option<Signed<PeerCert>>,
+    top_running: Running,
+    edge_running: Running,
+    hub_running: Running,
+    _far_running: Running,
+}
+
+impl Federation {
+    /// `may_peer`: the robot's domain and the cloud's know each other, and the cloud's can be reached.
+    async fn start(may_peer: bool) -> Self {
+        let (top_domain, home, away) = (Domain::new(1), Domain::new(2), Domain::new(3));
+        let [top, edge, hub, far] = ["top", "edge", "hub", "far"].map(Place::new);
+        let crossing = top_domain.peer(&home, "peering,transit", LONG);
+        let others = top_domain.peer(&away, "peering,transit", LONG);
+        let peering = may_peer.then(|| home.peer(&away, "peering", LONG));
+        let home_peers = [Some(home.peer(&top_domain, "peering", LONG)), peering.clone()];
+        let home_peers: Vec<&Signed<PeerCert>> = home_peers.iter().flatten().collect();
+        let away_peers = [away.peer(&top_domain, "peering", LONG), away.peer(&home, "peering", LONG)];
+        let away_peers: Vec<&Signed<PeerCert>> = away_peers.iter().take(1 + usize::from(may_peer)).collect();
+
+        let settings = top.member(&top_domain, "border", LONG).peers(&[&crossing, &others]);
+        let top_running = settings.rib().start().await;
+        let settings = edge.member(&home, "border", LONG).peers(&home_peers);
+        let edge_running = settings.dials(&top).below(&top).start().await;
+        let settings = hub.member(&home, "rib", LONG).peers(&home_peers);
+        let hub_running = settings.dials(&edge).rib().start().await;
+        let mut settings = far.member(&away, "border", LONG).peers(&away_peers).dials(&top).below(&top).rib();
+        settings.0.public = vec![far.addr];
+        let far_running = settings.start().await;
+        for (what, running) in [("hub", &hub_running), ("far", &far_running)] {
+            wait(what, async || tier(running, &top_domain).await.is_some_and(|state| state == "up")).await;
+        }
+        Self {
+            top_domain,
+            home,
+            away,
+            top,
+            edge,
+            hub,
+            far,
+            crossing,
+            peering,
+            top_running,
+            edge_running,
+            hub_running,
+            _far_running: far_running,
+        }
+    }
+
+    /// Frames that the third domain has sent on.
+    async fn carried(&self) -> u64 {
+        let counters = &self.top_running.status().await["counters"];
+        ["forwarded", "delivered"].iter().filter_map(|counter| counters[counter].as_u64()).sum()
+    }
 }
 
 /// A topic and its owner.
@@ -104,6 +185,16 @@ impl Topic {
 
     fn name(&self) -> Name {
         self.card.name()
+    }
+
+    async fn publish(&self, robot: &Identity, node: &Node, scope: &Domain) -> Publisher {
+        let ad_cert = self.ad_cert(robot, &[scope]).into();
+        node.publish(self.card.proof(), ad_cert, PublishOptions::reliable()).await.unwrap()
+    }
+
+    async fn subscribe(&self, cloud: &Identity, node: &Node) -> Subscription {
+        let grant = self.grant(cloud).into();
+        node.subscribe(self.card.proof(), grant, SubscribeOptions::reliable()).await.unwrap()
     }
 
     fn ad_cert(&self, to: &Identity, scope: &[&Domain]) -> Signed<AdCert> {
@@ -161,7 +252,8 @@ fn query(place: &Place, name: Name) -> Vec<Record> {
     }
 }
 
-fn revoke(domain: &Domain, at: &Place, serial: u64) {
+fn revoke(domain: &Domain, at: &Place, cert: &Signed<PeerCert>) {
+    let serial = cert.claims_unverified().unwrap().serial;
     let claims = Revocation { name: domain.identity.name(), number: 1, floor: 0, revoked: vec![serial] };
     let revocation = issue(domain.identity.key(), &claims).unwrap();
     assert!(matches!(ask(at, EntityRequest::Revoke { proof: domain.identity.proof(), revocation }), Response::Done));

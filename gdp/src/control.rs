@@ -12,9 +12,11 @@ mod tiers;
 
 pub use peers::{NameRole, Peers, PeersExtent, PeersPush};
 pub use tiers::{
-    Abroad, MAX_ANCESTORS, MAX_PATH, TierEntry, TierHolds, TierKey, TierLeg, TierMessage, TierPush, TierRequest,
+    Abroad, MAX_ANCESTORS, MAX_PATH, Shown, TierEntry, TierHolds, TierKey, TierLeg, TierMessage, TierPush, TierRequest,
     TierResponse,
 };
+
+use std::net::SocketAddr;
 
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
@@ -52,8 +54,11 @@ pub enum Request {
     /// beyond these, and answers those it does not hold with [`Request::Detach`], so that they attach again. A switch whose
     /// daemon has just started names those whose links it took over. `own_bit`: the egress bit it had, if it had one; frames
     /// on their way carry it, so a RIB that does not know the switch gives it the same one if nobody else has it.
-    /// `membership`: its own, for the RIBs of other domains.
-    Report { switch: NameProof, attached: Vec<Name>, own_bit: Option<u8>, membership: Option<Box<Membership>> },
+    /// `shown`: what other domains may see of it, if it is a member of one.
+    Report { switch: NameProof, attached: Vec<Name>, own_bit: Option<u8>, shown: Option<Box<Shown>> },
+    /// RIB → its border switch: have links with these border switches of other domains, which can be reached there, and with no others that
+    /// I wanted.
+    Peerings { wanted: Vec<(Name, SocketAddr)> },
     /// RIB → its border switch → the border switch of a neighbouring domain → that domain's RIB.
     Tier(Box<TierMessage>),
     /// Switch → neighbouring switch: what switches of the domain state of their links, as far as the neighbour is not known to

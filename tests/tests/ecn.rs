@@ -204,6 +204,7 @@ impl Site {
             fib_capacity: 1024,
             bpffs: None,
             domain: None,
+            public: Vec::new(),
             rekey: Default::default(),
         })
     }

@@ -89,6 +89,7 @@ impl Scene {
                 fib_capacity: 1024,
                 bpffs: None,
                 domain: None,
+                public: Vec::new(),
                 rekey: OFTEN,
             };
             let inside = Inside::new(&chain.switches()[i], ROOT)?;

@@ -2,7 +2,7 @@
 //! for, each hop by hop over the links of the domain's switches as the topology leads. Whoever passes something on need not know
 //! what it is.
 
-use gdp::control::{EntityRequest, MAX_HOPS, Refusal, RefusalCode, Request};
+use gdp::control::{EntityRequest, MAX_HOPS, Refusal, RefusalCode, Request, Response};
 use gdp::link::Link;
 use gdp_wire::{LinkRole, Name};
 
@@ -93,6 +93,10 @@ impl Core {
         let own = self.name();
         let request = match request {
             Request::Tier(message) => return self.tier_arrived(*message),
+            Request::Peerings { wanted } => {
+                self.set_peerings(wanted.into_iter().collect());
+                return Next::Answer(Response::Done);
+            }
             request => request,
         };
         let origin = match &request {
@@ -142,10 +146,10 @@ impl Core {
             Request::Relay { switch, entity, by_tool, request } => {
                 return self.ask_rib(switch, entity.as_ref(), by_tool, &request);
             }
-            Request::Report { switch, attached, own_bit, membership } => {
+            Request::Report { switch, attached, own_bit, shown } => {
                 let response = rib.report(now, &switch, &attached, own_bit);
-                if let (Ok(switch), Some(membership)) = (switch.name(), membership) {
-                    self.host_shown(switch, *membership);
+                if let Some(shown) = shown {
+                    self.host_shown(&switch, *shown);
                 }
                 response
             }
@@ -172,9 +176,9 @@ impl Core {
         let link = self.link_toward(&by).ok()?;
         self.report = Report::Sent;
         let attached = self.attached.iter().copied().collect();
-        let membership = self.domain.as_ref().map(|domain| Box::new(domain.trust.papers().membership.clone()));
+        let shown = self.shown().map(Box::new);
         let (switch, own_bit) = (self.identity.proof(), self.routes.own_bit());
-        let report = Request::Report { switch, attached, own_bit, membership };
+        let report = Request::Report { switch, attached, own_bit, shown };
         Some((by, run, link, onward(by, report)))
     }
 

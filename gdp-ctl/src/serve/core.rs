@@ -3,10 +3,11 @@
 //! [`super::admin`]) do the waiting.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::net::SocketAddr;
 use std::time::Instant;
 
 use gdp::cert::Advert;
-use gdp::control::{EntityRequest, FibPush, NameRole, Refusal, RefusalCode, Request, Response, TierResponse};
+use gdp::control::{EntityRequest, FibPush, NameRole, Refusal, RefusalCode, Request, Response, Shown, TierResponse};
 use gdp::crypto;
 use gdp::identity::Identity;
 use gdp::link::{HOLD, KeyedEntry, Link, LinkIds, LinkKeys, Peer, Role};
@@ -17,9 +18,10 @@ use gdp_wire::{LinkEntry, LinkRole, Name};
 
 use super::control::{self, Report};
 use super::hold::{GRACE, HeldLink, Hold, Kept};
+use super::peering::Wanted;
 use super::routes::{Change, Routes};
 use super::tiers::Federation;
-use tokio::sync::oneshot;
+use tokio::sync::{oneshot, watch};
 
 use crate::config::{Neighbour, Via};
 use crate::domain::{Admission, Domain, Papers, Standing};
@@ -61,6 +63,12 @@ pub struct Core {
     pub topology: Topology,
     /// If the RIB is here, and this is a member of a domain.
     pub federation: Option<Federation>,
+    /// The addresses at which other domains reach this border.
+    pub public: Vec<SocketAddr>,
+    /// What the RIB may show of this switch, as of the membership in it.
+    pub(super) shown: Option<Shown>,
+    /// The links into other domains that the RIB wants this switch to have.
+    pub(super) peerings: watch::Sender<Wanted>,
     /// What the links to neighbours cost, of which the configuration does not say it.
     pub(super) meters: BTreeMap<Name, Meter>,
     /// Interfaces without a carrier, by index.
@@ -106,6 +114,8 @@ pub enum Expects {
     Told(Told),
     /// What another domain's RIB answers.
     Tier(Name, Sent),
+    /// Whether a border has heard which peerings are wanted of it.
+    Peerings(Name),
     /// That the endpoint has attached again; if not, its link is closed.
     Reattach,
 }
@@ -173,6 +183,9 @@ impl Core {
             report: Report::default(),
             topology,
             federation: None,
+            public: Vec::new(),
+            shown: None,
+            peerings: watch::Sender::default(),
             meters: BTreeMap::new(),
             dark: BTreeSet::new(),
             unplaced: Default::default(),
@@ -626,13 +639,15 @@ impl Core {
 
     /// Tells the RIB here what came of something it sent.
     pub fn answered(&mut self, expects: Expects, response: Option<Response>) {
-        if let Expects::Tier(to, sent) = expects {
-            return self.tier_answered(to, sent, response);
+        match expects {
+            Expects::Tier(to, sent) => return self.tier_answered(to, sent, response),
+            Expects::Peerings(border) => return self.peerings_answered(border, response),
+            _ => {}
         }
         let now = self.now();
         let Some(rib) = &mut self.rib else { return };
         match expects {
-            Expects::Nothing | Expects::Reattach | Expects::Tier(..) => {}
+            Expects::Nothing | Expects::Reattach | Expects::Tier(..) | Expects::Peerings(_) => {}
             Expects::Push(switch, generation) => {
                 rib.pushed(now, &switch, generation, response.map_or(Pushed::Failed, outcome));
             }

@@ -12,6 +12,7 @@ pub mod interfaces;
 mod kept;
 mod links;
 mod liveness;
+mod peering;
 mod ports;
 mod report;
 pub mod routes;
@@ -135,6 +136,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         port_config.papers.set(member.trust.papers().clone());
         (domain, core.domain) = (Some(kept), Some(member));
         core.federate(unix_nanos());
+        core.public = config.public.clone();
     }
     let shown = port_config.papers.clone();
     let daemon = Arc::new(Daemon {
@@ -182,6 +184,8 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     }
     if let Some((bind, port)) = &udp {
         daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind, changes.clone()));
+        let wanted = daemon.core().peerings.subscribe();
+        daemon.spawn(peering::run(daemon.clone(), port.clone(), wanted));
     }
     daemon.spawn(report::report(daemon.clone()));
     daemon.spawn(flooding::run(daemon.clone()));

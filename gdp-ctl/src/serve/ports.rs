@@ -200,7 +200,7 @@ async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
 
 /// Makes the link to a neighbour, and again whenever it is lost. One that does not last, as when the neighbour does not want
 /// it, is not made again at once.
-async fn keep_link(daemon: &Arc<Daemon>, port: &Port, place: Place) {
+pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, place: Place) {
     let (mut wait, mut told) = (BACKOFF.0, String::new());
     loop {
         let existing = daemon.core().link_to(&place.switch);

@@ -4,10 +4,11 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::time::Duration;
 
-use gdp::cert::{Membership, Revocation, Signed};
+use gdp::cert::domain::roles;
+use gdp::cert::{Border, BorderStatement, Locator, MAX_LOCATED, Revocation, Signed, issue};
 use gdp::control::{
-    EntityRequest, RecordPlace, RefusalCode, Request, Response, TierEntry, TierKey, TierLeg, TierMessage, TierRequest,
-    TierResponse,
+    EntityRequest, RecordPlace, RefusalCode, Request, Response, Shown, TierEntry, TierKey, TierLeg, TierMessage,
+    TierRequest, TierResponse,
 };
 use gdp::domain::{Standing, Trust};
 use gdp::keys::KeyBox;
@@ -19,8 +20,14 @@ use tokio::sync::oneshot;
 
 use super::control::onward;
 use super::core::{Core, Expects, Next, Outgoing, ask, refuse};
+use super::peering::Wanted;
 use crate::rib::{Foreign, Now, Rib, Way};
+use crate::tiers::peering::{Peering, Peerings, choose};
 use crate::tiers::{self, Change, Effect, Item, Limits, Reply, Revoked, Sent, Ticket, Tiers};
+use crate::unix_time::{unix_nanos, unix_now};
+
+/// After so long a border is told again which peerings are wanted of it.
+const PEERINGS_AGAIN: Duration = Duration::from_secs(2);
 
 /// How long another domain's RIB is waited for.
 pub const PATIENCE: Duration = Duration::from_secs(10);
@@ -28,8 +35,8 @@ pub const PATIENCE: Duration = Duration::from_secs(10);
 /// What the RIB here has to do with other domains.
 pub struct Federation {
     tiers: Tiers,
-    /// The memberships that switches of the domain have shown the RIB.
-    hosts: BTreeMap<Name, Membership>,
+    /// What switches of the domain have shown the RIB.
+    hosts: BTreeMap<Name, (NameProof, Shown)>,
     /// What entities have stated in this domain, by switch.
     stated: BTreeMap<Name, BTreeSet<RecordPlace>>,
     /// What is to be told anew, besides what the RIB says has changed.
@@ -39,6 +46,11 @@ pub struct Federation {
     /// The places abroad that the RIB was told of, and the neighbour that told.
     given: BTreeMap<RecordPlace, Name>,
     waiting: HashMap<Ticket, oneshot::Sender<TierResponse>>,
+    peerings: Peerings,
+    /// By domain.
+    wanted_for: BTreeMap<Name, Peering>,
+    /// What is wanted of each border, and when it is to be told.
+    wanted: BTreeMap<Name, (Wanted, Option<Duration>)>,
 }
 
 /// What is known here of what was taken back.
@@ -64,6 +76,9 @@ impl Federation {
             boxes: BTreeMap::new(),
             given: BTreeMap::new(),
             waiting: HashMap::new(),
+            peerings: Peerings::default(),
+            wanted_for: BTreeMap::new(),
+            wanted: BTreeMap::new(),
         }
     }
 
@@ -73,10 +88,50 @@ impl Federation {
     }
 
     /// A switch of the domain shows its membership: what was stated there may be told with it.
-    fn show(&mut self, switch: Name, membership: Membership) {
-        if self.hosts.get(&switch) != Some(&membership) {
-            self.due.extend(self.stated.get(&switch).into_iter().flatten());
-            self.hosts.insert(switch, membership);
+    fn show(&mut self, switch: Name, proof: NameProof, shown: Shown) {
+        if self.hosts.get(&switch).is_some_and(|(_, held)| *held == shown) {
+            return;
+        }
+        self.due.extend(self.stated.get(&switch).into_iter().flatten());
+        self.hosts.insert(switch, (proof, shown));
+        self.tiers.set_own_locator(self.locator());
+    }
+
+    fn locator(&self) -> Locator {
+        let borders = self.hosts.values().filter_map(|(proof, shown)| {
+            let (statement, membership) = (shown.border.clone()?, shown.membership.clone());
+            Some(Border { proof: *proof, statement, membership })
+        });
+        Locator { borders: borders.take(MAX_LOCATED).collect() }
+    }
+
+    /// Finds out which peerings are to be made. `is_linked`: there is a link to this domain, other than by this peering.
+    fn want_peerings(&mut self, now: Now, trust: &Trust, is_linked: impl Fn(Name, &Peering) -> bool) {
+        let claims = |locator: &Locator| -> Vec<BorderStatement> {
+            locator.borders.iter().filter_map(|border| border.statement.claims_unverified().ok()).collect()
+        };
+        let may_peer = |domain: &Name| {
+            let certs = trust.papers().peers.iter().filter_map(|cert| cert.claims_unverified().ok());
+            certs.into_iter().any(|cert| cert.peer == *domain && cert.rights.peering)
+        };
+        let own = claims(&self.locator());
+        let concerned: Vec<Name> = self.tiers.concerned().copied().collect();
+        let mut wanted: BTreeMap<Name, Wanted> = self.wanted.keys().map(|border| (*border, Wanted::new())).collect();
+        for domain in self.peerings.follow(now.clock, concerned.into_iter()).into_iter().filter(may_peer) {
+            let peering = self.tiers.locator(domain).and_then(|locator| choose(&own, &claims(locator)));
+            // While it is idle, as before: who is there is not told any more.
+            let before = || self.wanted_for.get(&domain).copied();
+            let Some(peering) = peering.or_else(before).filter(|peering| !is_linked(domain, peering)) else { continue };
+            self.wanted_for.insert(domain, peering);
+            wanted.entry(peering.border).or_default().insert(peering.peer, peering.addr);
+        }
+        let all: BTreeSet<Name> = wanted.values().flat_map(BTreeMap::keys).copied().collect();
+        self.wanted_for.retain(|_, peering| all.contains(&peering.peer));
+        for (border, wanted) in wanted {
+            let (held, due) = self.wanted.entry(border).or_default();
+            if *held != wanted {
+                (*held, *due) = (wanted, Some(now.clock));
+            }
         }
     }
 
@@ -104,8 +159,8 @@ impl Federation {
                 boxes.insert(place, export.boxes);
             }
             // Otherwise once the switch has reported.
-            if let Some(host) = self.hosts.get(&place.switch)
-                && let Err(error) = self.tiers.set_own(now, export.record, host.clone())
+            if let Some((_, host)) = self.hosts.get(&place.switch)
+                && let Err(error) = self.tiers.set_own(now, export.record, host.membership.clone())
             {
                 tracing::error!(%error, "the RIB holds a record that cannot be told to other domains");
             }
@@ -226,11 +281,13 @@ impl Core {
 
     /// Brings RIB and tiers in line with each other. Returns what is to be sent to other domains.
     pub(super) fn federation_effects(&mut self) -> Vec<Outgoing> {
-        let (now, own) = (self.now(), self.name());
+        let (now, own, proof, shown) = (self.now(), self.name(), self.identity.proof(), self.shown());
         let (Some(rib), Some(federation), Some(domain)) = (&mut self.rib, &mut self.federation, &self.domain) else {
             return Vec::new();
         };
-        federation.show(own, domain.trust.papers().membership.clone());
+        if let Some(shown) = shown {
+            federation.show(own, proof, shown);
+        }
         federation.follow(now, rib);
         federation.inform(now, rib);
         let mut outgoing = Vec::new();
@@ -245,7 +302,64 @@ impl Core {
                 Effect::Ask { to, sent, request } => outgoing.push((to, sent, request)),
             }
         }
-        outgoing.into_iter().map(|(to, sent, request)| self.to_domain(to, sent, request)).collect()
+        let topology = &self.topology;
+        federation.want_peerings(now, &domain.trust, |domain, peering| {
+            let mut links = topology.borders().filter(|(_, adjoining)| adjoining.domain == domain);
+            links.any(|(border, adjoining)| (border, adjoining.switch) != (peering.border, peering.peer))
+        });
+        let due = federation.wanted.iter_mut().filter_map(|(border, (wanted, due))| {
+            due.take_if(|due| *due <= now.clock).map(|_| (*border, wanted.clone()))
+        });
+        let due: Vec<(Name, Wanted)> = due.collect();
+        let mut outgoing: Vec<Outgoing> =
+            outgoing.into_iter().map(|(to, sent, request)| self.to_domain(to, sent, request)).collect();
+        for (border, wanted) in due {
+            if border == own {
+                self.set_peerings(wanted);
+                continue;
+            }
+            let request = onward(border, Request::Peerings { wanted: wanted.into_iter().collect() });
+            let (link, expects) = (self.link_toward(&border).ok(), Expects::Peerings(border));
+            outgoing.push(Outgoing { link, request, expects });
+        }
+        outgoing
+    }
+
+    /// What the RIB may show other domains of this switch; none: it is a member of no domain.
+    pub(super) fn shown(&mut self) -> Option<Shown> {
+        let domain = self.domain.as_ref()?;
+        let membership = &domain.trust.papers().membership;
+        if self.shown.as_ref().is_none_or(|shown| shown.membership != *membership) {
+            let own = domain.trust.own(unix_now()).ok()?;
+            let states = || BorderStatement {
+                switch: self.identity.name(),
+                domain: own.domain,
+                addresses: self.public.clone(),
+                serial: unix_nanos(),
+                not_after: own.not_after,
+            };
+            let border = (own.role == roles::BORDER).then(|| issue(self.identity.key(), &states()).ok()).flatten();
+            self.shown = Some(Shown { membership: membership.clone(), border });
+        }
+        self.shown.clone()
+    }
+
+    /// The RIB wants this switch to have these links into other domains.
+    pub(super) fn set_peerings(&mut self, wanted: Wanted) {
+        self.peerings.send_if_modified(|held| {
+            let changed = *held != wanted;
+            *held = wanted;
+            changed
+        });
+    }
+
+    /// Whether a border has heard which peerings are wanted of it; if not, it is told again.
+    pub(super) fn peerings_answered(&mut self, border: Name, response: Option<Response>) {
+        let again = self.now().clock + PEERINGS_AGAIN;
+        let wanted = self.federation.as_mut().and_then(|federation| federation.wanted.get_mut(&border));
+        if let (Some((_, due)), None | Some(Response::Refused(_))) = (wanted, response) {
+            due.get_or_insert(again);
+        }
     }
 
     fn to_domain(&self, to: Name, sent: Sent, request: TierRequest) -> Outgoing {
@@ -338,12 +452,18 @@ impl Core {
     }
 
     /// A switch has reported, with this membership: if it is one, other domains may see it.
-    pub(super) fn host_shown(&mut self, switch: Name, membership: Membership) {
-        let now = self.now().unix;
-        let (Some(federation), Some(domain)) = (&mut self.federation, &self.domain) else { return };
+    pub(super) fn host_shown(&mut self, proof: &NameProof, shown: Shown) {
+        let now = self.now();
+        let (Some(federation), Some(domain), Ok(switch)) = (&mut self.federation, &self.domain, proof.name()) else {
+            return;
+        };
+        // A border that has begun anew has forgotten what is wanted of it.
+        if let Some((_, due)) = federation.wanted.get_mut(&switch) {
+            *due = Some(now.clock);
+        }
         let home = domain.trust.home();
-        match membership.verify(home, domain.trust.revocation(&home), now) {
-            Ok(claims) if claims.entity == switch => federation.show(switch, membership),
+        match shown.membership.verify(home, domain.trust.revocation(&home), now.unix) {
+            Ok(claims) if claims.entity == switch => federation.show(switch, *proof, shown),
             Ok(claims) => {
                 tracing::warn!(%switch, of = %claims.entity, "a switch shows another's membership to the RIB")
             }

@@ -9,6 +9,7 @@
 //! What a neighbour that lies can do is to withhold, and to say what its own domain alone may say.
 
 mod judge;
+pub mod peering;
 mod queries;
 mod side;
 mod spread;
@@ -284,6 +285,14 @@ impl Tiers {
 
     pub fn parents(&self) -> &[Name] {
         &self.parents
+    }
+
+    /// Where another domain can be reached, as far as the own RIB is to know.
+    pub fn locator(&self, domain: Name) -> Option<&Locator> {
+        match self.known.feed.entries().get(&TierKey::Locator(domain)) {
+            Some(Item::Locator { locator, .. }) => Some(locator),
+            _ => None,
+        }
     }
 
     /// The domains in which somebody exchanges messages with somebody in this one.

@@ -23,6 +23,7 @@ pub fn config(folder: &Path, label: &str) -> Config {
         ebpf_object: None,
         fib_capacity: 1024,
         domain: None,
+        public: Vec::new(),
         rekey: RekeySchedule::default(),
     }
 }

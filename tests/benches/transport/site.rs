@@ -73,6 +73,7 @@ impl Site {
             fib_capacity: 1024,
             bpffs: None,
             domain: None,
+            public: Vec::new(),
             rekey: RekeySchedule::default(),
         };
         let inside = Inside::new(&chain.switches()[0], ROOT)?;
