@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::control::Response;
+use gdp::control::{RefusalCode, Response};
 use tokio::time::{Instant, sleep_until, timeout};
 
 use super::Daemon;
@@ -41,6 +41,11 @@ async fn report_once(daemon: &Arc<Daemon>) -> bool {
     }
     let Some((by, run, link, request)) = daemon.core().report_to_send() else { return true };
     match link.request(&request).await {
+        // As long as the map is being drawn.
+        Ok(Response::Refused(refusal)) if refusal.code == RefusalCode::Unreachable => {
+            tracing::debug!(%refusal, "the report did not get to the RIB");
+            false
+        }
         Ok(Response::Refused(refusal)) => {
             tracing::warn!(%refusal, "the report to the RIB was refused");
             false
@@ -69,6 +74,7 @@ fn report_here(daemon: &Arc<Daemon>) -> Option<bool> {
         if let Response::Refused(refusal) = rib.report(now, &switch, &attached, own_bit) {
             tracing::error!(%refusal, "the RIB does not take its own switch's report");
         }
+        // The RIB here runs as long as this daemon: whatever its number, there is no other.
         core.report = Report::Taken { by, run: 0 };
     }
     daemon.send_effects();
