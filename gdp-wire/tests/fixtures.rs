@@ -191,7 +191,10 @@ fn switch() -> Switch {
             Route { writers: vec![NAT], ..route("from behind nat", &[3], &[]) },
             route("to behind nat", &[OWN_BIT], &[NAT]),
             Route { writers: vec![ROBOT, ABROAD, CHILD], ..route("abroad", &[OWN_BIT], &[OVERSEAS]) },
-            Route { writers: vec![ROBOT, ABROAD, CHILD], ..route("home and abroad", &[OWN_BIT, 3], &[CLOUD, OVERSEAS]) },
+            Route {
+                writers: vec![ROBOT, ABROAD, CHILD],
+                ..route("home and abroad", &[OWN_BIT, 3], &[CLOUD, OVERSEAS])
+            },
             Route { writers: vec![ROBOT, ABROAD, CHILD], ..route("child", &[OWN_BIT], &[CHILD]) },
             Route { sources: vec![ABROAD, CHILD], ..route("writer", &[], &[]) },
         ],

@@ -287,7 +287,8 @@ impl Rib {
     fn follow_ways(&mut self, changed: &Changed) {
         let mut names: BTreeMap<Key, BTreeSet<Name>> = BTreeMap::new();
         for (realm, parts) in &self.abroad.names {
-            let concerned: Vec<_> = [realm.domain, realm.next].iter().filter_map(|domain| changed.get(domain)).collect();
+            let concerned: Vec<_> =
+                [realm.domain, realm.next].iter().filter_map(|domain| changed.get(domain)).collect();
             if concerned.is_empty() {
                 continue;
             }

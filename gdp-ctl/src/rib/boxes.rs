@@ -70,7 +70,11 @@ impl Boxes {
             for (what, held, limit) in [
                 ("readers of an epoch", readers.map_or(0, BTreeMap::len), limits.box_readers),
                 ("key boxes", beside(self.by_writer.get(writer)), limits.boxes_per_entity),
-                ("key boxes of all at its switch, or of its domain,", beside(self.by_switch.get(&place.at)), limits.boxes_per_switch),
+                (
+                    "key boxes of all at its switch, or of its domain,",
+                    beside(self.by_switch.get(&place.at)),
+                    limits.boxes_per_switch,
+                ),
             ] {
                 if held >= limit {
                     return Err(limit_reached(format!("{limit} {what} are kept for {writer}")));

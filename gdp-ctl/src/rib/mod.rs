@@ -24,10 +24,10 @@ mod revocations;
 mod revoke;
 mod statements;
 mod telling;
-mod topic;
-mod ways;
 #[cfg(test)]
 mod tests;
+mod topic;
+mod ways;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::hash::Hash;
@@ -197,9 +197,16 @@ struct Switch {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Timer {
     Registration(Stake, Name),
-    Attachment { entity: Name, lane: u8 },
-    Switch { switch: Name },
-    Unreported { switch: Name },
+    Attachment {
+        entity: Name,
+        lane: u8,
+    },
+    Switch {
+        switch: Name,
+    },
+    Unreported {
+        switch: Name,
+    },
     /// Frames come no more by ways that are gone.
     Ways,
     Settled,

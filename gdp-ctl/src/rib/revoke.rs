@@ -33,7 +33,8 @@ impl Rib {
         self.revocations.put(key, kept, claims, self.names.contains(&key), &self.limits);
         for (entity, role, switch) in revoked {
             let stake = Stake { name: key, entity, role };
-            let is_told = self.names.get_at(&key, &entity, role, &switch).is_some_and(|r| r.bound && r.abroad.is_none());
+            let is_told =
+                self.names.get_at(&key, &entity, role, &switch).is_some_and(|r| r.bound && r.abroad.is_none());
             self.end(now, stake, switch);
             // Through the last of its switches.
             if is_told && self.names.get(&key, &entity, role).is_none() {

@@ -96,8 +96,7 @@ impl Topic {
 
     /// Those who send to the name, and those who take what is sent.
     fn roles(&self) -> (NameRole, NameRole) {
-        let takers =
-            if self.part(NameRole::Server).is_empty() { NameRole::Subscriber } else { NameRole::Server };
+        let takers = if self.part(NameRole::Server).is_empty() { NameRole::Subscriber } else { NameRole::Server };
         (takers.counterpart(), takers)
     }
 

@@ -196,7 +196,9 @@ impl Core {
             self.held.keep(HeldLink { peer, lane, role, entry: entry.clone(), to: *to, until, id });
             match role {
                 LinkRole::Endpoint => drop(self.attached.insert(entry.peer)),
-                LinkRole::Switch | LinkRole::Border => drop(self.meters.insert(entry.peer, Meter::new(self.now().clock, None))),
+                LinkRole::Switch | LinkRole::Border => {
+                    drop(self.meters.insert(entry.peer, Meter::new(self.now().clock, None)))
+                }
             }
             links.push((entry.clone(), role));
         }
