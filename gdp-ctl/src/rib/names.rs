@@ -29,7 +29,7 @@ const RECORD_OVERHEAD: usize = 512;
 pub(super) const LAST: Name = Name::from_bytes([0xff; 32]);
 
 /// One entity's part in a name, at one switch.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Registration {
     pub entity: NameProof,
     /// Of another domain, if the entity is abroad.
@@ -213,6 +213,12 @@ impl Names {
     /// All that an entity has stated of this, here and abroad.
     pub fn all_of(&self, name: &Key, entity: &Name, role: NameRole) -> impl Iterator<Item = &Registration> {
         self.0.get(name).into_iter().flat_map(move |topic| topic.part(role).of(entity))
+    }
+
+    /// Whether all that an entity has stated of this says the same as `other`, and it has stated any.
+    pub fn tell_the_same(&self, name: &Key, entity: &Name, role: NameRole, other: &Registration) -> bool {
+        let mut all = self.all_of(name, entity, role).peekable();
+        all.peek().is_some() && all.all(|registration| registration.tells_the_same(other))
     }
 
     /// The switches of this domain at which an entity has stated this.

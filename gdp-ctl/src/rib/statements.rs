@@ -278,7 +278,7 @@ impl Rib {
             self.inboxes.check_room(Place { entity, at }, &counterparts, &self.limits)?;
         }
         let (ends, bound, kind) = (new.ends, new.bound, new.kind());
-        let says_the_same = self.names.get(&key, &entity, role).is_some_and(|old| old.tells_the_same(&new));
+        let says_the_same = self.names.tell_the_same(&key, &entity, role, &new);
         self.revocations.enter(&key, &self.limits);
         let is_new_name = !self.names.contains(&key);
         self.abroad.enter(&new, key);
@@ -319,7 +319,7 @@ impl Rib {
         let Stake { name, entity, role } = stake;
         let Some(old) = self.names.remove(&name, &entity, role, &switch) else { return };
         self.timers.remove(&(old.ends, Timer::Registration(stake, switch)));
-        let says_the_same = self.names.get(&name, &entity, role).is_some_and(|other| other.tells_the_same(&old));
+        let says_the_same = self.names.tell_the_same(&name, &entity, role, &old);
         self.abroad.leave(&old, &name);
         if old.bound {
             self.tell_elsewhere(stake, &switch);

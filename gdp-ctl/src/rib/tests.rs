@@ -1,7 +1,9 @@
 //! The RIB as a whole: what it refuses and why, what a lost attachment takes with it, which routes follow.
 
+mod abroad;
 mod boxes;
 mod counterparts;
+mod federation;
 mod random;
 mod revocations;
 mod world;

@@ -16,7 +16,8 @@ use super::Way;
 use super::bits::Bits;
 use super::names::Key;
 
-/// How long frames may come by a way that is no more: until the other side has noticed, too.
+/// How long frames may come by a way that is no more, and before what can leave by another leaves by a new one: until the other side has
+/// noticed, too.
 pub(super) const GRACE: Duration = Duration::from_secs(2);
 
 /// The entities of one domain that one neighbouring domain told of. All are reached by the same ways.
@@ -34,12 +35,14 @@ pub(super) enum At {
     Abroad(Realm),
 }
 
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Ways {
     /// By neighbouring domain.
     present: BTreeMap<Name, Vec<Way>>,
     /// Those that are no more, and until when they count: border and peer.
     earlier: BTreeMap<Name, BTreeMap<(Name, Name), Duration>>,
+    /// Those that are new, and until when.
+    fresh: BTreeMap<Name, BTreeMap<(Name, Name), Duration>>,
 }
 
 /// What has changed: domains, and the borders that have, or had, ways to them.
@@ -63,27 +66,32 @@ impl Ways {
             }
             let both = || old.into_iter().chain(new).flatten();
             changed.insert(domain, both().map(|way| way.border).collect());
+            let links = |ways: Option<&Vec<Way>>| -> BTreeSet<(Name, Name)> {
+                ways.into_iter().flatten().map(|way| (way.border, way.peer)).collect()
+            };
+            let (old, new) = (links(old), links(new));
             let earlier = self.earlier.entry(domain).or_default();
-            earlier.extend(old.into_iter().flatten().map(|way| ((way.border, way.peer), now + GRACE)));
-            new.into_iter().flatten().for_each(|way| _ = earlier.remove(&(way.border, way.peer)));
-            if earlier.is_empty() {
-                self.earlier.remove(&domain);
-            }
+            earlier.extend(old.difference(&new).map(|link| (*link, now + GRACE)));
+            earlier.retain(|link, _| !new.contains(link));
+            let fresh = self.fresh.entry(domain).or_default();
+            fresh.extend(new.difference(&old).map(|link| (*link, now + GRACE)));
+            fresh.retain(|link, _| new.contains(link));
         }
         changed
     }
 
-    /// Forgets what no longer counts.
+    /// Forgets which ways were there earlier, and which were new.
     pub fn end(&mut self, now: Duration) -> Changed {
         let mut changed = Changed::new();
-        for (domain, earlier) in &mut self.earlier {
-            let over = earlier.extract_if(.., |_, until| *until <= now).map(|((border, _), _)| border);
+        for (domain, links) in self.earlier.iter_mut().chain(&mut self.fresh) {
+            let over = links.extract_if(.., |_, until| *until <= now).map(|((border, _), _)| border);
             let over: BTreeSet<Name> = over.collect();
             if !over.is_empty() {
-                changed.insert(*domain, over);
+                changed.entry(*domain).or_default().extend(over);
             }
         }
-        self.earlier.retain(|_, earlier| !earlier.is_empty());
+        self.earlier.retain(|_, links| !links.is_empty());
+        self.fresh.retain(|_, links| !links.is_empty());
         changed
     }
 
@@ -109,10 +117,17 @@ impl Ways {
 
     /// The way by which what is sent to the name leaves for the realm: a direct one, if there is any.
     fn elect(&self, name: &Key, realm: &Realm, bits: &Bits) -> Option<&Way> {
-        [realm.domain, realm.next].iter().find_map(|domain| {
-            let usable = self.present.get(domain)?.iter().filter(|way| bits.of(&way.border).is_some());
-            usable.min_by_key(|way| (way.cost, Reverse(weight(name, way)), way.border, way.peer))
-        })
+        let best = |(is_fresh, domain): (bool, &Name)| {
+            let ways = self.present.get(domain)?.iter().filter(|way| bits.of(&way.border).is_some());
+            let ways = ways.filter(|way| self.is_fresh(domain, way) == is_fresh);
+            ways.min_by_key(|way| (way.cost, Reverse(weight(name, way)), way.border, way.peer))
+        };
+        let known = [(false, &realm.domain), (false, &realm.next)];
+        known.into_iter().chain([(true, &realm.domain), (true, &realm.next)]).find_map(best)
+    }
+
+    fn is_fresh(&self, domain: &Name, way: &Way) -> bool {
+        self.fresh.get(domain).is_some_and(|fresh| fresh.contains_key(&(way.border, way.peer)))
     }
 }
 

@@ -31,6 +31,8 @@ pub struct World {
     pub card: NameCard,
     /// Of the certificates that are issued from now on.
     pub serial: u64,
+    /// Likewise, of those of writers.
+    pub scope: Vec<Name>,
     pub switches: Vec<Identity>,
     pub links: Vec<(usize, usize)>,
     /// What each switch holds after the pushes it got.
@@ -71,6 +73,7 @@ impl World {
             owner,
             card,
             serial: UNIX * 1_000_000_000,
+            scope: vec![],
             switches,
             links: (1..length).map(|i| (i - 1, i)).collect(),
             held: BTreeMap::new(),
@@ -105,7 +108,7 @@ impl World {
     }
 
     /// The paths from a switch, once all know all.
-    fn paths(&self, from: usize) -> Paths {
+    pub fn paths(&self, from: usize) -> Paths {
         let near = |index: usize| {
             let of = self.links.iter().filter_map(move |(a, b)| match index {
                 i if i == *a => Some((self.switch(*b), 1)),
@@ -582,7 +585,7 @@ impl Parts {
                 name,
                 entity: entity.name(),
                 mode: Mode::Unicast,
-                scope: vec![],
+                scope: w.scope.clone(),
                 serial: w.serial,
                 not_before: UNIX - 1,
                 not_after: UNIX + 1_000_000,

@@ -238,6 +238,53 @@ fn a_bit_that_another_switch_had_before_is_not_taken() {
     assert_eq!(r.set_paths(&of(9), &name(0)), [Change::OwnBit(1 << 7)]);
 }
 
+/// At a border to switch 7 of another domain, behind which 5 is.
+#[test]
+fn what_is_behind_a_border_is_reached_by_its_link_and_comes_by_it() {
+    let mut r = Routes::default();
+    let read = Route { writers: vec![name(8)], ..route(1, 2, &[7, 9]) };
+    let written = Route { writers: vec![name(7)], ..route(2, 4, &[]) };
+    let source = Route { arrives_by: vec![name(7)], ..route(5, 0, &[]) };
+    r.push(&push(1, Extent::Full { part: 0, last: true }, vec![read, written, source])).unwrap();
+    r.set_paths(&paths(), &name(0));
+    let mut changes = r.link_up(LinkRole::Border, name(7), 0, 70);
+    changes.sort_by_key(|change| format!("{change:?}"));
+    let mut expected = [set(1, 2, &[70], &[]), set(2, 4, &[], &[70]), from(5, &[70])];
+    expected.sort_by_key(|change| format!("{change:?}"));
+    assert_eq!(changes, expected, "no masks, and no next hops");
+    assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 0, 80), [set(1, 2, &[70], &[80])]);
+
+    // Made anew: frames may come by both.
+    assert!(r.link_up(LinkRole::Border, name(7), 0, 71).contains(&from(5, &[70, 71])));
+    let changes = r.link_ready(LinkRole::Border, name(7), 71);
+    assert!(changes.contains(&set(1, 2, &[71], &[80])) && changes.contains(&set(2, 4, &[], &[70, 71])));
+    assert!(gone(&mut r, LinkRole::Border, name(7), 70).contains(&from(5, &[71])));
+    let changes = gone(&mut r, LinkRole::Border, name(7), 71);
+    assert!(changes.contains(&Change::Remove(name(5))) && changes.contains(&set(2, 4, &[], &[])));
+}
+
+#[test]
+fn only_a_border_is_where_others_come_from() {
+    let mut r = Routes::default();
+    let source = Route { arrives_by: vec![name(7)], ..route(5, 0, &[]) };
+    r.push(&push(1, Extent::Full { part: 0, last: true }, vec![source])).unwrap();
+    assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 0, 70), [Change::Remove(name(5))]);
+}
+
+#[test]
+fn what_a_daemon_left_of_a_border_stays_until_its_link_is_back() {
+    let mut r = Routes::default();
+    let known = PlaneRoute { egress_bits: 6, readers: vec![70], writers: vec![70], sources: vec![] };
+    let source = PlaneRoute { sources: vec![70], ..PlaneRoute::default() };
+    let link = LinkEntry { id: 70, peer: name(7), ..LinkEntry::default() };
+    let routes = vec![(name(1), known), (name(5), source)];
+    let left = Left { own_bit: 2, links: vec![], routes, next_hops: [0; 64], ports: HashSet::new() };
+    assert_eq!(r.adopt(&left, &[(link.into(), LinkRole::Border)]), []);
+    let mut changes = r.link_up(LinkRole::Border, name(7), 0, 71);
+    changes.sort_by_key(|change| format!("{change:?}"));
+    assert_eq!(changes, [set(1, 6, &[70], &[70, 71]), from(5, &[70, 71])]);
+}
+
 /// Random pushes by a RIB that follows the rules, links and restarts of RIBs: what the data plane was told equals a model's.
 #[test]
 fn the_data_plane_follows_any_sequence() {
@@ -370,6 +417,11 @@ fn set(i: u8, egress_bits: u64, readers: &[u32], writers: &[u32]) -> Change {
         name(i),
         PlaneRoute { egress_bits, readers: readers.to_vec(), writers: writers.to_vec(), sources: vec![] },
     )
+}
+
+/// Frames from the name come by these links, and none to it do.
+fn from(i: u8, sources: &[u32]) -> Change {
+    Change::Set(name(i), PlaneRoute { sources: sources.to_vec(), ..PlaneRoute::default() })
 }
 
 fn hops(change: &Change) -> &[u32; 64] {
