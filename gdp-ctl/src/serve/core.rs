@@ -17,10 +17,10 @@ use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
 use gdp_wire::{LinkEntry, LinkRole, Name};
 
 use super::control::{self, Report};
+use super::federation::Federation;
 use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::peering::Wanted;
 use super::routes::{Change, Routes};
-use super::tiers::Federation;
 use tokio::sync::{oneshot, watch};
 
 use crate::config::{Neighbour, Via};

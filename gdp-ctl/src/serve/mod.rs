@@ -6,6 +6,7 @@ mod control;
 pub mod core;
 mod domain;
 mod ends;
+mod federation;
 mod flooding;
 mod hold;
 pub mod interfaces;

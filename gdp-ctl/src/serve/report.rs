@@ -9,7 +9,7 @@ use tokio::time::{Instant, sleep_until, timeout};
 
 use super::Daemon;
 use super::control::Report;
-use super::tiers::Federation;
+use super::federation::Federation;
 use crate::rib::Rib;
 
 /// Between attempts to report: doubled from the first to the second.

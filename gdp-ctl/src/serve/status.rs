@@ -9,8 +9,8 @@ use gdp_wire::{Counter, ErrorCode, FibEntry, LinkRole, Name};
 use serde_json::{Map, Value, json};
 
 use super::core::Core;
+use super::federation::Federation;
 use super::flooding::Adjacencies;
-use super::tiers::Federation;
 use super::{Daemon, interfaces, warnings};
 use crate::domain::{Domain, Standing};
 use crate::plane::host_pair;

@@ -1,29 +1,25 @@
 //! This daemon's part in the tiers: beside the RIB, it keeps the RIB and [`crate::tiers`] informed of each other; on a border switch, it
 //! passes messages between RIBs on, and attests whose they are. The rules are in [`crate::tiers`].
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use gdp::cert::domain::roles;
-use gdp::cert::{Border, BorderStatement, Locator, MAX_LOCATED, Revocation, Signed, issue};
+use gdp::cert::{BorderStatement, issue};
 use gdp::control::{
-    EntityRequest, RecordPlace, RefusalCode, Request, Response, Shown, TierEntry, TierKey, TierLeg, TierMessage,
-    TierRequest, TierResponse,
+    EntityRequest, RefusalCode, Request, Response, Shown, TierEntry, TierLeg, TierMessage, TierRequest, TierResponse,
 };
-use gdp::domain::{Standing, Trust};
-use gdp::keys::KeyBox;
+use gdp::domain::Standing;
 use gdp::link::Link;
 use gdp::name::NameProof;
 use gdp_wire::Name;
-use serde_json::{Value, json};
-use tokio::sync::oneshot;
 
 use super::control::onward;
 use super::core::{Core, Expects, Next, Outgoing, ask, refuse};
+use super::federation::{Federation, Known};
 use super::peering::Wanted;
-use crate::rib::{Foreign, Now, Rib, Way};
-use crate::tiers::peering::{Peering, Peerings, choose};
-use crate::tiers::{self, Change, Effect, Item, Limits, Reply, Revoked, Sent, Ticket, Tiers};
+use crate::rib::Way;
+use crate::tiers::{Effect, Sent};
 use crate::unix_time::{unix_nanos, unix_now};
 
 /// After so long a border is told again which peerings are wanted of it.
@@ -31,219 +27,6 @@ const PEERINGS_AGAIN: Duration = Duration::from_secs(2);
 
 /// How long another domain's RIB is waited for.
 pub const PATIENCE: Duration = Duration::from_secs(10);
-
-/// What the RIB here has to do with other domains.
-pub struct Federation {
-    tiers: Tiers,
-    /// What switches of the domain have shown the RIB.
-    hosts: BTreeMap<Name, (NameProof, Shown)>,
-    /// What entities have stated in this domain, by switch.
-    stated: BTreeMap<Name, BTreeSet<RecordPlace>>,
-    /// What is to be told anew, besides what the RIB says has changed.
-    due: BTreeSet<RecordPlace>,
-    /// By entity and the places it was told with.
-    boxes: BTreeMap<Name, BTreeMap<RecordPlace, Vec<Signed<KeyBox>>>>,
-    /// The places abroad that the RIB was told of, and the neighbour that told.
-    given: BTreeMap<RecordPlace, Name>,
-    waiting: HashMap<Ticket, oneshot::Sender<TierResponse>>,
-    peerings: Peerings,
-    /// By domain.
-    wanted_for: BTreeMap<Name, Peering>,
-    /// What is wanted of each border, and when it is to be told.
-    wanted: BTreeMap<Name, (Wanted, Option<Duration>)>,
-}
-
-/// What is known here of what was taken back.
-struct Known<'a> {
-    rib: &'a Rib,
-    trust: &'a Trust,
-}
-
-impl Revoked for Known<'_> {
-    fn newest(&self, name: &Name) -> Option<&Revocation> {
-        self.trust.revocation(name).or_else(|| self.rib.revocation(name))
-    }
-}
-
-impl Federation {
-    /// Of a RIB in the domain `home`, in this run.
-    pub fn new(home: Name, run: u64) -> Self {
-        Self {
-            tiers: Tiers::new(home, run, Limits::default()),
-            hosts: BTreeMap::new(),
-            stated: BTreeMap::new(),
-            due: BTreeSet::new(),
-            boxes: BTreeMap::new(),
-            given: BTreeMap::new(),
-            waiting: HashMap::new(),
-            peerings: Peerings::default(),
-            wanted_for: BTreeMap::new(),
-            wanted: BTreeMap::new(),
-        }
-    }
-
-    /// When it has something to do by itself.
-    pub fn next_tick(&self) -> Option<Duration> {
-        self.tiers.next_tick()
-    }
-
-    /// A switch of the domain shows its membership: what was stated there may be told with it.
-    fn show(&mut self, switch: Name, proof: NameProof, shown: Shown) {
-        if self.hosts.get(&switch).is_some_and(|(_, held)| *held == shown) {
-            return;
-        }
-        self.due.extend(self.stated.get(&switch).into_iter().flatten());
-        self.hosts.insert(switch, (proof, shown));
-        self.tiers.set_own_locator(self.locator());
-    }
-
-    fn locator(&self) -> Locator {
-        let borders = self.hosts.values().filter_map(|(proof, shown)| {
-            let (statement, membership) = (shown.border.clone()?, shown.membership.clone());
-            Some(Border { proof: *proof, statement, membership })
-        });
-        Locator { borders: borders.take(MAX_LOCATED).collect() }
-    }
-
-    /// Finds out which peerings are to be made. `is_linked`: there is a link to this domain, other than by this peering.
-    fn want_peerings(&mut self, now: Now, trust: &Trust, is_linked: impl Fn(Name, &Peering) -> bool) {
-        let claims = |locator: &Locator| -> Vec<BorderStatement> {
-            locator.borders.iter().filter_map(|border| border.statement.claims_unverified().ok()).collect()
-        };
-        let may_peer = |domain: &Name| {
-            let certs = trust.papers().peers.iter().filter_map(|cert| cert.claims_unverified().ok());
-            certs.into_iter().any(|cert| cert.peer == *domain && cert.rights.peering)
-        };
-        let own = claims(&self.locator());
-        let concerned: Vec<Name> = self.tiers.concerned().copied().collect();
-        let mut wanted: BTreeMap<Name, Wanted> = self.wanted.keys().map(|border| (*border, Wanted::new())).collect();
-        for domain in self.peerings.follow(now.clock, concerned.into_iter()).into_iter().filter(may_peer) {
-            let peering = self.tiers.locator(domain).and_then(|locator| choose(&own, &claims(locator)));
-            // While it is idle, as before: who is there is not told any more.
-            let before = || self.wanted_for.get(&domain).copied();
-            let Some(peering) = peering.or_else(before).filter(|peering| !is_linked(domain, peering)) else { continue };
-            self.wanted_for.insert(domain, peering);
-            wanted.entry(peering.border).or_default().insert(peering.peer, peering.addr);
-        }
-        let all: BTreeSet<Name> = wanted.values().flat_map(BTreeMap::keys).copied().collect();
-        self.wanted_for.retain(|_, peering| all.contains(&peering.peer));
-        for (border, wanted) in wanted {
-            let (held, due) = self.wanted.entry(border).or_default();
-            if *held != wanted {
-                (*held, *due) = (wanted, Some(now.clock));
-            }
-        }
-    }
-
-    /// Tells the tiers what has changed in the RIB.
-    fn follow(&mut self, now: Now, rib: &mut Rib) {
-        let mut writers = BTreeSet::new();
-        let changed = rib.take_changed_places().into_iter().chain(std::mem::take(&mut self.due));
-        for place in changed.collect::<BTreeSet<_>>() {
-            let boxes = self.boxes.entry(place.entity).or_default();
-            let export = rib.export(now, &place).filter(|export| export.origin.is_none());
-            let told_before = boxes.remove(&place).is_some();
-            let Some(export) = export else {
-                self.tiers.remove_own(place);
-                if let Some(stated) = self.stated.get_mut(&place.switch) {
-                    stated.remove(&place);
-                }
-                if told_before {
-                    writers.insert(place.entity);
-                }
-                continue;
-            };
-            self.stated.entry(place.switch).or_default().insert(place);
-            if told_before || !export.boxes.is_empty() {
-                writers.insert(place.entity);
-                boxes.insert(place, export.boxes);
-            }
-            // Otherwise once the switch has reported.
-            if let Some((_, host)) = self.hosts.get(&place.switch)
-                && let Err(error) = self.tiers.set_own(now, export.record, host.membership.clone())
-            {
-                tracing::error!(%error, "the RIB holds a record that cannot be told to other domains");
-            }
-        }
-        for writer in writers {
-            let boxes = self.boxes.get(&writer).into_iter().flat_map(BTreeMap::values).flatten().cloned().collect();
-            if let Err(error) = self.tiers.set_own_boxes(writer, boxes) {
-                tracing::error!(%error, "the RIB holds a key box that cannot be told to other domains");
-            }
-        }
-        self.boxes.retain(|_, boxes| !boxes.is_empty());
-        self.stated.retain(|_, places| !places.is_empty());
-    }
-
-    /// Tells the RIB what it may know of other domains.
-    fn inform(&mut self, now: Now, rib: &mut Rib) {
-        let mut entities = BTreeSet::new();
-        for change in self.tiers.take_changes(now) {
-            match change {
-                Change::Remove(TierKey::Part(place)) => {
-                    if let Some(next) = self.given.remove(&place) {
-                        rib.remove_foreign(now, &place, &next);
-                    }
-                }
-                Change::Set(Item::Part { held, .. }) => drop(entities.insert(held.place.entity)),
-                Change::Set(Item::Box(signed)) => {
-                    entities.extend(signed.claims_unverified().map(|claims| claims.writer));
-                }
-                // The RIB lets go of boxes by itself, and of places it is told with which they go.
-                Change::Set(Item::Locator { .. }) | Change::Remove(_) => {}
-            }
-        }
-        for entity in entities {
-            let (parts, boxes) = self.tiers.known_of(entity);
-            for (held, only_passes) in parts {
-                let (Some(domain), Some(next)) = (held.path.first().copied(), held.path.last().copied()) else {
-                    continue;
-                };
-                let mut record = held.record.clone();
-                record.expires_in = held.ends.saturating_sub(now.clock).as_secs();
-                let (hops, boxes) = (held.path.len() as u32, boxes.clone());
-                let foreign = Foreign { record, domain, next, hops, boxes, local: !only_passes };
-                if let Err(refusal) = rib.set_foreign(now, foreign) {
-                    tracing::warn!(%refusal, domain = %format_args!("{domain:#}"), "the RIB does not take what another domain told");
-                }
-                if let Some(before) = self.given.insert(held.place, next).filter(|before| *before != next) {
-                    rib.remove_foreign(now, &held.place, &before);
-                }
-            }
-        }
-    }
-
-    fn wait(&mut self, reply: Reply, is_query: bool) -> Next {
-        match reply {
-            Reply::Now(response) if is_query => Next::Answer(records(response)),
-            Reply::Now(response) => Next::Answer(Response::Tier(Box::new(response))),
-            Reply::Later(ticket) => {
-                let (answer, waiting) = oneshot::channel();
-                self.waiting.insert(ticket, answer);
-                Next::Await { waiting, is_query }
-            }
-        }
-    }
-
-    /// What `gdp-ctl status` shows of the neighbouring domains.
-    pub fn status(&self) -> Vec<Value> {
-        let neighbours = self.tiers.neighbours();
-        let shown = neighbours.map(|neighbour| {
-            let (state, reason) = match neighbour.standing {
-                tiers::Standing::Waiting => ("waiting", neighbour.lacking),
-                tiers::Standing::Up => ("up", neighbour.lacking),
-                tiers::Standing::Lost(_) => ("lost", None),
-                tiers::Standing::Refused { reason, .. } => ("refused", Some(reason)),
-            };
-            json!({
-                "domain": neighbour.domain, "kind": if neighbour.kind.is_parent() { "parent" } else { "child" },
-                "state": state, "reason": reason, "entries_in": neighbour.entries_in,
-                "entries_out": neighbour.entries_out, "refused": neighbour.refused,
-            })
-        });
-        shown.collect()
-    }
-}
 
 impl Core {
     /// The RIB here tells other domains, and hears of them, as a member of its own.

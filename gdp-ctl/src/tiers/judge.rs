@@ -4,8 +4,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::cert::{CertError, Revocation};
-use gdp::control::{Abroad, Credential, MAX_PATH, TierEntry, TierKey};
+use gdp::cert::domain::roles;
+use gdp::cert::{BorderStatement, CertError, Membership, Revocation};
+use gdp::control::{Abroad, Credential, MAX_PATH, Record, TierEntry, TierKey};
 use gdp_wire::Name;
 
 use super::table::{Held, Item, Table};
@@ -89,7 +90,8 @@ impl<R: Revoked> Judge<'_, R> {
         match entry {
             TierEntry::Part(abroad) => {
                 let held = self.part(from, table, *abroad)?;
-                Ok((TierKey::Part(held.place), Item::part(Arc::new(held.clone())), held.ends))
+                let (key, ends) = (TierKey::Part(held.place), held.ends);
+                Ok((key, Item::part(Arc::new(held)), ends))
             }
             TierEntry::Box(signed) => {
                 let unreadable = |source| TierRefusal::Box { writer: from, source };
@@ -115,8 +117,7 @@ impl<R: Revoked> Judge<'_, R> {
                 if let Some(Item::Locator { locator: held, .. }) = table.get(&key) {
                     for held in &held.borders {
                         let held = held.statement.claims_unverified().map_err(wrong)?;
-                        let older =
-                            |new: &&gdp::cert::BorderStatement| new.switch == held.switch && new.serial < held.serial;
+                        let older = |new: &&BorderStatement| new.switch == held.switch && new.serial < held.serial;
                         if let Some(new) = statements.iter().find(older) {
                             return Err(wrong(CertError::ReplayedSerial { got: new.serial, floor: held.serial }));
                         }
@@ -168,12 +169,7 @@ impl<R: Revoked> Judge<'_, R> {
     }
 
     /// The lifetime of the statement in seconds, and the last Unix second at which all certificates hold.
-    fn verify(
-        &self,
-        record: &gdp::control::Record,
-        host: &gdp::cert::Membership,
-        origin: Name,
-    ) -> Result<(u32, u64), TierRefusal> {
+    fn verify(&self, record: &Record, host: &Membership, origin: Name) -> Result<(u32, u64), TierRefusal> {
         let Now { unix, .. } = self.now;
         let wrong_host = |source| TierRefusal::Host { switch: record.switch, domain: origin, source };
         let member = host.verify(origin, self.revoked.newest(&origin), unix).map_err(wrong_host)?;
@@ -181,8 +177,8 @@ impl<R: Revoked> Judge<'_, R> {
             let (expected, got) = (record.switch, member.entity);
             return Err(wrong_host(CertError::WrongEntity { expected, got }));
         }
-        if !gdp::cert::domain::roles::is_switch(&member.role) {
-            let expected = gdp::cert::domain::roles::SWITCH.into();
+        if !roles::is_switch(&member.role) {
+            let expected = roles::SWITCH.into();
             return Err(wrong_host(CertError::WrongRole { expected, got: member.role }));
         }
         let verified = record

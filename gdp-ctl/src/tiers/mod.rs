@@ -8,7 +8,9 @@
 //!
 //! What a neighbour that lies can do is to withhold, and to say what its own domain alone may say.
 
+mod incoming;
 mod judge;
+mod outgoing;
 pub mod peering;
 mod queries;
 mod side;
@@ -22,32 +24,20 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::cert::{CertError, Locator, Membership, Signed};
-use gdp::control::{
-    Credential, MAX_ANCESTORS, MAX_PATH, Record, RecordPlace, Refusal, RefusalCode, TierEntry, TierHolds, TierKey,
-    TierPush, TierRequest, TierResponse,
-};
+use gdp::control::{Credential, Record, RecordPlace, TierKey, TierRequest, TierResponse};
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
 use crate::feed::Room;
 use crate::rib::Now;
-use judge::{Judge, check_path};
-use queries::{Climbing, PATIENCE, Queries};
-use side::{HELLO, HELLO_AGAIN, Side, Told};
+use judge::Judge;
+use queries::{PATIENCE, Queries};
+use side::{Side, Told};
 use table::Table;
 
 pub use judge::{Revoked, TierRefusal};
 pub use side::{HOLD, Kind, SILENCE, Standing};
 pub use table::{Held, Item};
-
-/// What one push takes: a message has at most 64 KiB, and the rest is for what encloses the entries. A single one always fits.
-const ROOM: Room = Room { entries: 512, bytes: 48 * 1024 };
-
-/// Bytes of a key that is removed.
-const KEY_SIZE: usize = 160;
-
-/// Bytes of the records in an answer.
-const ANSWER_SIZE: usize = 48 * 1024;
 
 /// What is kept of neighbours at most.
 #[derive(Clone, Copy, Debug)]
@@ -318,328 +308,8 @@ impl Tiers {
     }
 }
 
-/// What neighbours ask.
+/// What ends by itself.
 impl Tiers {
-    /// Answers a neighbouring domain's RIB.
-    pub fn request(&mut self, now: Now, from: Name, request: TierRequest, revoked: &impl Revoked) -> Reply {
-        self.tick(now);
-        let answer = match request {
-            TierRequest::Hello { run, holds } => self.hello(now, from, run, holds),
-            TierRequest::Push(push) => self.push(now, from, *push, revoked),
-            TierRequest::Query { name, path } => return self.asked(now, from, name, path),
-        };
-        Reply::Now(answer.unwrap_or_else(TierResponse::Refused))
-    }
-
-    fn hello(&mut self, now: Now, from: Name, run: u64, holds: Option<TierHolds>) -> Result<TierResponse, Refusal> {
-        if self.parents.contains(&from) || from == self.home {
-            let reason = format!(
-                "domains {:#} and {from:#} each have the other for their parent: take `parent: true` away from one of them",
-                self.home
-            );
-            self.count(from, "cycle");
-            return Err(Refusal::new(RefusalCode::Unsupported, reason));
-        }
-        let limit = self.limits.children;
-        if !self.sides.contains_key(&from) {
-            if self.sides.len() - self.parents.len() >= limit {
-                let reason = format!("domain {:#} has {limit} children, and that is the limit", self.home);
-                return Err(Refusal::new(RefusalCode::Limit, reason));
-            }
-            self.sides.insert(from, Side::new(now.clock, Kind::Child));
-            self.all_changed();
-        }
-        let mut above: BTreeSet<Name> = BTreeSet::new();
-        for (parent, side) in &self.sides {
-            if side.kind.is_parent() && matches!(side.standing, Standing::Up | Standing::Lost(_)) {
-                above.insert(*parent);
-                above.extend(&side.ancestors);
-            }
-        }
-        let Some(side) = self.sides.get_mut(&from) else { return Err(not_a_neighbour(from)) };
-        side.hello(now.clock, self.run, run, holds);
-        if above.len() > MAX_ANCESTORS {
-            let reason = format!("more than {MAX_ANCESTORS} domains are above domain {:#}", self.home);
-            return Err(Refusal::new(RefusalCode::Limit, reason));
-        }
-        let ancestors = above.into_iter().collect();
-        Ok(TierResponse::Hello { run: self.run, holds: side.table.holds(), ancestors })
-    }
-
-    fn push(&mut self, now: Now, from: Name, push: TierPush, revoked: &impl Revoked) -> Result<TierResponse, Refusal> {
-        let Some(side) = self.sides.get_mut(&from) else {
-            self.strangers += 1;
-            return Err(not_a_neighbour(from));
-        };
-        if let Standing::Refused { reason, .. } = &side.standing {
-            return Ok(TierResponse::Partly { refused: push.set.len() as u32, reason: reason.clone() });
-        }
-        if !side.table.begin(TierHolds { run: push.run, generation: push.generation }, push.extent) {
-            side.count("generation");
-            let reason = "it does not follow what is held: send the whole";
-            return Err(Refusal::new(RefusalCode::ReplayedSerial, reason));
-        }
-        side.heard = now.clock;
-        let judge = Judge { home: self.home, now, revoked };
-        let (mut changed, mut refusals) = (BTreeSet::new(), Vec::new());
-        for key in push.remove {
-            if side.table.remove(&key).is_some() {
-                self.endings.set(from, key, None);
-                changed.insert(key);
-            }
-        }
-        for entry in push.set {
-            // What it said before about the same it says no more, even if what it says now is refused.
-            let key = key_of(&entry);
-            let judged = judge.entry(from, &side.table, entry).and_then(|(key, item, ends)| {
-                let is_new = side.table.get(&key).is_none();
-                let Limits { entries, bytes, .. } = self.limits;
-                for (what, held, limit) in
-                    [("entries", side.table.len(), entries), ("bytes", side.table.bytes() + item.size(), bytes)]
-                {
-                    if is_new && held >= limit {
-                        return Err(TierRefusal::Full { what, limit });
-                    }
-                }
-                Ok((key, item, ends))
-            });
-            match judged {
-                Ok((key, item, ends)) => {
-                    self.endings.set(from, key, (ends != Duration::MAX).then_some(ends));
-                    if side.table.insert(key, item) {
-                        changed.insert(key);
-                    }
-                }
-                Err(refusal) => {
-                    side.count(refusal.as_str());
-                    refusals.push(refusal);
-                    if let Some(key) = key.filter(|key| side.table.remove(key).is_some()) {
-                        self.endings.set(from, key, None);
-                        changed.insert(key);
-                    }
-                }
-            }
-        }
-        for key in side.table.end(push.extent) {
-            side.table.remove(&key);
-            self.endings.set(from, key, None);
-            changed.insert(key);
-        }
-        changed.into_iter().for_each(|key| self.changed(key));
-        Ok(match refusals.first() {
-            None => TierResponse::Done,
-            Some(first) => TierResponse::Partly { refused: refusals.len() as u32, reason: first.to_string() },
-        })
-    }
-
-    fn asked(&mut self, now: Now, from: Name, name: Name, path: Vec<Name>) -> Reply {
-        let is_child = self.sides.get(&from).is_some_and(|side| side.kind == Kind::Child && !side.is_refused());
-        if !is_child {
-            self.strangers += 1;
-            return Reply::Now(TierResponse::Refused(not_a_neighbour(from)));
-        }
-        if let Err(refusal) = check_path(self.home, from, &path) {
-            self.count(from, refusal.as_str());
-            let refusal = Refusal::new(RefusalCode::Unsupported, refusal.to_string());
-            return Reply::Now(TierResponse::Refused(refusal));
-        }
-        self.climb(now, name, path, Some(from))
-    }
-
-    /// What other domains know of a name, as far as this one may hear it: each record is verified.
-    pub fn query(&mut self, now: Now, name: Name) -> Reply {
-        self.tick(now);
-        self.climb(now, name, Vec::new(), None)
-    }
-
-    fn climb(&mut self, now: Now, name: Name, mut path: Vec<Name>, asked_by: Option<Name>) -> Reply {
-        let asker = path.first().copied().unwrap_or(self.home);
-        let (entries, truncated) = self.hear(now, name, asker, asked_by);
-        if !entries.is_empty() || path.len() >= MAX_PATH || self.queries.has_missed(name, asker) {
-            return Reply::Now(TierResponse::Answer { entries, truncated });
-        }
-        let is_asked = |parent: &&Name| {
-            let is_up = self.sides.get(*parent).is_some_and(|side| side.standing == Standing::Up);
-            is_up && self.adjacent.contains(*parent) && !path.contains(*parent)
-        };
-        let left: Vec<Name> = self.parents.iter().rev().filter(is_asked).copied().collect();
-        if left.is_empty() {
-            return Reply::Now(TierResponse::Answer { entries, truncated });
-        }
-        if !self.queries.has_room(asked_by) {
-            let reason = "too many queries are on their way; try again in a moment";
-            return Reply::Now(TierResponse::Refused(Refusal::new(RefusalCode::Limit, reason)));
-        }
-        path.push(self.home);
-        let climbing = Climbing { name, path, asked_by, left, at: None, until: now.clock };
-        Reply::Later(self.queries.begin(climbing))
-    }
-
-    /// What is known of a name that `asker` may hear, and did not say itself.
-    fn hear(&self, now: Now, name: Name, asker: Name, asked_by: Option<Name>) -> (Vec<TierEntry>, bool) {
-        let (mut entries, mut room) = (Vec::new(), ANSWER_SIZE);
-        let mut said = BTreeSet::new();
-        let own = asked_by.is_some().then_some(&self.own);
-        let others = self.sides.iter().filter(|(domain, side)| Some(**domain) != asked_by && !side.is_refused());
-        for table in own.into_iter().chain(others.map(|(_, side)| &side.table)) {
-            for held in table.parts_of(name) {
-                if !may_hear(held, asker, self.home) || !said.insert(held.place) {
-                    continue;
-                }
-                match room.checked_sub(Item::part(held.clone()).size()) {
-                    Some(rest) => room = rest,
-                    None => return (entries, true),
-                }
-                entries.push(TierEntry::Part(Box::new(held.told(now.clock, self.home))));
-            }
-        }
-        (entries, false)
-    }
-}
-
-/// What goes to neighbours.
-impl Tiers {
-    /// Takes out what is to be sent now.
-    pub fn effects(&mut self, now: Now) -> Vec<Effect> {
-        self.tick(now);
-        self.spread();
-        let mut effects = Vec::new();
-        for (domain, side) in self.sides.iter_mut().filter(|(domain, _)| self.adjacent.contains(*domain)) {
-            if side.is_asked {
-                continue;
-            }
-            let (to, home) = (*domain, self.home);
-            if side.kind.is_parent() && side.hello_at <= now.clock {
-                (side.is_asked, side.hello_at) = (true, now.clock + HELLO);
-                let request = TierRequest::Hello { run: self.run, holds: side.table.holds() };
-                effects.push(Effect::Ask { to, sent: Sent::Hello, request });
-            } else if side.is_followed()
-                && let Some(parcel) = side.told.feed.next(now.clock, ROOM, |item| item.map_or(KEY_SIZE, Item::size))
-            {
-                side.is_asked = true;
-                let (generation, extent) = (parcel.generation, parcel.extent);
-                let set = parcel.set.iter().map(|item| item.told(now.clock, home)).collect();
-                let push = TierPush { run: self.run, generation, extent, set, remove: parcel.remove };
-                let (sent, request) = (Sent::Push { generation }, TierRequest::Push(Box::new(push)));
-                effects.push(Effect::Ask { to, sent, request });
-            }
-        }
-        let idle: Vec<Ticket> = self.queries.climbing.iter().filter(|(_, c)| c.at.is_none()).map(|(t, _)| *t).collect();
-        effects.extend(idle.into_iter().filter_map(|ticket| self.ask_next(now, ticket)));
-        let answers = std::mem::take(&mut self.answers);
-        effects.extend(answers.into_iter().map(|(ticket, response)| Effect::Answer { ticket, response }));
-        effects
-    }
-
-    /// Sends a query to the next parent; if there is none, nobody knows.
-    fn ask_next(&mut self, now: Now, ticket: Ticket) -> Option<Effect> {
-        let climbing = self.queries.climbing.get_mut(&ticket)?;
-        let Some(to) = climbing.left.pop() else {
-            let Climbing { name, path, .. } = self.queries.climbing.remove(&ticket)?;
-            let asker = path.first().copied().unwrap_or(self.home);
-            self.queries.miss(now.clock, name, asker);
-            self.answers.push((ticket, TierResponse::Answer { entries: Vec::new(), truncated: false }));
-            return None;
-        };
-        (climbing.at, climbing.until) = (Some(to), now.clock + PATIENCE);
-        let request = TierRequest::Query { name: climbing.name, path: climbing.path.clone() };
-        Some(Effect::Ask { to, sent: Sent::Query(ticket), request })
-    }
-
-    /// What became of a message: the answer, or none.
-    pub fn answered(&mut self, now: Now, to: Name, sent: Sent, response: Option<TierResponse>, revoked: &impl Revoked) {
-        self.tick(now);
-        if let Sent::Query(ticket) = sent {
-            return self.query_answered(now, to, ticket, response, revoked);
-        }
-        let Some(side) = self.sides.get_mut(&to) else { return };
-        side.is_asked = false;
-        match (sent, response) {
-            (Sent::Hello, Some(TierResponse::Hello { run, holds, ancestors })) => {
-                side.hello(now.clock, self.run, run, holds);
-                side.lacking = None;
-                self.judge_parent(now, to, ancestors);
-            }
-            (Sent::Hello, Some(TierResponse::Refused(refusal))) => {
-                side.lacking = Some(refusal.reason);
-                side.lose(now.clock);
-            }
-            (Sent::Hello, _) => {
-                side.hello_at = now.clock + HELLO_AGAIN;
-                side.lose(now.clock);
-            }
-            (Sent::Push { generation }, response) => {
-                let done = matches!(response, Some(TierResponse::Done | TierResponse::Partly { .. }));
-                side.told.feed.answered(now.clock, generation, done);
-                match response {
-                    Some(TierResponse::Done) => side.lacking = None,
-                    Some(TierResponse::Partly { reason, .. }) => side.lacking = Some(reason),
-                    Some(TierResponse::Refused(refusal)) => side.lacking = Some(refusal.reason),
-                    _ => {}
-                }
-            }
-            (Sent::Query(_), _) => {}
-        }
-    }
-
-    /// A parent that this domain is above of is none.
-    fn judge_parent(&mut self, now: Now, parent: Name, ancestors: Vec<Name>) {
-        let Some(side) = self.sides.get_mut(&parent) else { return };
-        side.ancestors = ancestors.into_iter().take(MAX_ANCESTORS).collect();
-        let is_below = side.ancestors.contains(&self.home);
-        match &side.standing {
-            Standing::Refused { until, .. } if !is_below && *until <= now.clock => side.standing = Standing::Up,
-            Standing::Refused { .. } => return,
-            _ if is_below => {
-                side.cycles += 1;
-                side.count("cycle");
-                // All domains of the cycle may find it at once; not all are to try again at once.
-                let until = now.clock + HOLD + spread_out(self.home, side.cycles);
-                let reason = format!(
-                    "a cycle: domain {:#} is above domain {parent:#}, which can be no parent of it: take `parent: true` away \
-                     from one of them",
-                    self.home
-                );
-                side.standing = Standing::Refused { until, reason };
-                self.clear(parent);
-            }
-            _ => return,
-        }
-        self.all_changed();
-    }
-
-    fn query_answered(
-        &mut self,
-        now: Now,
-        from: Name,
-        ticket: Ticket,
-        response: Option<TierResponse>,
-        revoked: &impl Revoked,
-    ) {
-        let Some(climbing) = self.queries.climbing.get_mut(&ticket).filter(|climbing| climbing.at == Some(from)) else {
-            return;
-        };
-        climbing.at = None;
-        let Some(TierResponse::Answer { entries, truncated }) = response else { return };
-        let asker = climbing.path.first().copied().unwrap_or(self.home);
-        let (name, home) = (climbing.name, self.home);
-        let judge = Judge { home, now, revoked };
-        let (mut told, nothing) = (Vec::new(), Table::default());
-        for entry in entries {
-            match judge.entry(from, &nothing, entry) {
-                Ok((_, Item::Part { held, .. }, _)) if held.place.name == name && may_hear(&held, asker, home) => {
-                    told.push(TierEntry::Part(Box::new(held.told(now.clock, home))));
-                }
-                Ok(_) => self.count(from, "not_asked"),
-                Err(refusal) => self.count(from, refusal.as_str()),
-            }
-        }
-        if !told.is_empty() {
-            self.queries.climbing.remove(&ticket);
-            self.answers.push((ticket, TierResponse::Answer { entries: told, truncated }));
-        }
-    }
-
     /// An owner of a name, or a domain, has taken something back: what rests on it goes.
     pub fn reconsider(&mut self, now: Now, about: Name, revoked: &impl Revoked) {
         let judge = Judge { home: self.home, now, revoked };
@@ -657,10 +327,7 @@ impl Tiers {
             self.forget(domain, key);
         }
     }
-}
 
-/// What ends by itself.
-impl Tiers {
     pub fn tick(&mut self, now: Now) {
         while let Some((domain, key)) = self.endings.take_ended(now.clock) {
             self.forget(domain, key);
@@ -747,34 +414,4 @@ impl Tiers {
             side.count(what);
         }
     }
-}
-
-/// Whether somebody in domain `asker` who knows the name may hear of a part in it: writers have a scope.
-fn may_hear(held: &Held, asker: Name, home: Name) -> bool {
-    held.origin(home) != asker && (!held.place.role.is_writer() || held.scope.contains(&asker))
-}
-
-/// What an entry is about, believed by nobody.
-fn key_of(entry: &TierEntry) -> Option<TierKey> {
-    match entry {
-        TierEntry::Part(abroad) => abroad.record.place().ok().map(TierKey::Part),
-        TierEntry::Box(signed) => signed.claims_unverified().ok().map(|claims| TierKey::Box {
-            writer: claims.writer,
-            reader: claims.reader,
-            name: claims.name,
-            epoch: claims.epoch,
-        }),
-        TierEntry::Locator { domain, .. } => Some(TierKey::Locator(*domain)),
-    }
-}
-
-fn not_a_neighbour(domain: Name) -> Refusal {
-    let reason = format!("domain {domain:#} is neither parent nor child here: say hello first");
-    Refusal::new(RefusalCode::NotAttached, reason)
-}
-
-/// Up to 60 s, another time for each domain and attempt.
-fn spread_out(domain: Name, attempt: u64) -> Duration {
-    let mixed = (domain.words()[0] ^ attempt).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    Duration::from_millis((mixed >> 32) % 60_000)
 }

@@ -7,7 +7,7 @@ use gdp_wire::table::EGRESS_SET_SIZE;
 use serde::{Deserialize, Serialize};
 
 /// Neighbours that one switch states, at most: with them and [`MAX_BORDERS`] the statement is still one certificate's size.
-pub const MAX_NEIGHBOURS: usize = 48;
+pub const MAX_NEIGHBOURS: usize = 45;
 
 /// Links into other domains that one switch states, at most.
 pub const MAX_BORDERS: usize = 16;
