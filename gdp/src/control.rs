@@ -8,8 +8,10 @@
 //! them and again, with [`Record::verify`], by whoever receives an answer.
 
 mod peers;
+mod traced;
 
 pub use peers::{NameRole, Peers, PeersExtent, PeersPush};
+pub use traced::{MAX_BEYOND, Traced, TracedEnd};
 
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
@@ -73,6 +75,8 @@ pub enum Request {
     /// Switch → RIB: this entity shows a membership by an invitation; is it the one that was admitted?
     /// The first that asks is.
     Admitted { switch: Name, entity: Name, membership: Box<Membership> },
+    /// Switch → switch: a probe of yours ended here.
+    Traced(Traced),
 }
 
 /// What an entity may ask of the RIB, through the switch it is attached to.

@@ -2,7 +2,7 @@
 //! for, each hop by hop over the links of the domain's switches as the topology leads. Whoever passes something on need not know
 //! what it is.
 
-use gdp::control::{EntityRequest, MAX_HOPS, Refusal, RefusalCode, Request};
+use gdp::control::{EntityRequest, MAX_HOPS, Refusal, RefusalCode, Request, Response};
 use gdp::link::Link;
 use gdp_wire::{LinkRole, Name};
 
@@ -100,6 +100,10 @@ impl Core {
                 };
             }
             Request::Detach { switch, entity } if *switch == own => return self.told_to_detach(*entity),
+            Request::Traced(answer) => {
+                self.probe_answered(answer.clone());
+                return Next::Answer(Response::Done);
+            }
             Request::Relay { switch, .. } | Request::Detach { switch, .. } | Request::Admitted { switch, .. } => {
                 *switch
             }
