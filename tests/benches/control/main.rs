@@ -7,6 +7,7 @@
 //! - [`statements`]: advertisements per second at a RIB, beside the ECDSA verifications alone
 //! - [`queries`]: questions per second to a daemon, over its links, beside requests that ask nothing
 //! - [`memory`]: bytes of a RIB per name
+//! - [`scale`]: what RIBs of a thousand domains tell each other, in simulated time
 //! - [`ring`]: a link of a ring of five is cut, with few names and with many; a daemon is killed, and comes back
 //!
 //! [`owner`] makes names, and what entities state of them, by the thousand.
@@ -15,6 +16,7 @@ mod memory;
 mod owner;
 mod queries;
 mod ring;
+mod scale;
 mod statements;
 #[path = "../../tests/traffic/mod.rs"]
 mod traffic;
@@ -67,8 +69,13 @@ impl Bench {
     }
 }
 
-const ROWS: [(&str, Row<Bench>); 4] =
-    [("statements", statements::run), ("queries", queries::run), ("memory", memory::run), ("ring", ring::run)];
+const ROWS: [(&str, Row<Bench>); 5] = [
+    ("statements", statements::run),
+    ("queries", queries::run),
+    ("memory", memory::run),
+    ("ring", ring::run),
+    ("scale", scale::run),
+];
 
 fn main() -> Result<()> {
     let Options { bench, only, json, plots, .. } = Options::parse();

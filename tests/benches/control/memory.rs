@@ -42,10 +42,15 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
+/// Bytes that the process holds.
+pub fn held() -> usize {
+    HELD.load(Ordering::Relaxed)
+}
+
 pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     let (owner, switch) = (Owner::new()?, Identity::generate("switch")?);
     let now = Now { unix: owner.now(), clock: Duration::from_secs(1) };
-    let before = HELD.load(Ordering::Relaxed);
+    let before = held();
     let mut rib = Rib::new(switch.name(), Run { id: 1, settling: Duration::ZERO }, Limits::default());
     ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Done));
     let mut signed = 0;
@@ -59,7 +64,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
             };
         ask(&owner.attach(&robot, switch.name(), false)?)?;
         for (serial, number) in (1..).zip(share) {
-            let request = owner.advertise(number, &robot, switch.name(), serial)?;
+            let request = owner.advertise(number, &robot, switch.name(), serial, Vec::new())?;
             ask(&request)?;
             let EntityRequest::Advertise { ad_cert, advert, .. } = request else { bail!("no advertisement") };
             signed += ad_cert.size() + advert.as_bytes().len();
@@ -67,12 +72,12 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
         // What the daemon has to send is no part of what is kept.
         rib.effects(now);
     }
-    let held = HELD.load(Ordering::Relaxed).checked_sub(before).context("it frees more than it takes")?;
+    let taken = held().checked_sub(before).context("it frees more than it takes")?;
     ensure!(rib.name_count() == bench.names, "{} names", rib.name_count());
     let per_name = |bytes: usize| vec![bytes as f64 / bench.names as f64];
     let case = format!("{} names", bench.names);
     let measures =
-        vec![Measure::new(WITH, &case, per_name(held)), Measure::new(WITHOUT, &case, per_name(held - signed))];
+        vec![Measure::new(WITH, &case, per_name(taken)), Measure::new(WITHOUT, &case, per_name(taken - signed))];
     let figure = Figure::new("control-memory", "Memory of a RIB per published name", Unit::BytesEach, measures);
     Ok(vec![figure.aim(WITHOUT, &case, Aim::AtMost(ENOUGH))])
 }

@@ -47,10 +47,17 @@ impl Owner {
         derive(&owner_key, &digest)
     }
 
-    /// That `entity` publishes one of the names at `switch`.
-    pub fn advertise(&self, number: usize, entity: &Identity, switch: Name, serial: u64) -> Result<EntityRequest> {
+    /// That `entity` publishes one of the names at `switch`, for these domains.
+    pub fn advertise(
+        &self,
+        number: usize,
+        entity: &Identity,
+        switch: Name,
+        serial: u64,
+        scope: Vec<Name>,
+    ) -> Result<EntityRequest> {
         let (name, not_after) = (self.name(number), self.now + u64::from(LIFETIME));
-        let (mode, scope, not_before, entity_name) = (Mode::Multicast, Vec::new(), self.now, entity.name());
+        let (mode, not_before, entity_name) = (Mode::Multicast, self.now, entity.name());
         let cert = AdCert { name, entity: entity_name, mode, scope, serial: 1, not_before, not_after };
         let ad_cert: Issued<AdCert> = issue(&self.key, &cert)?.into();
         let advert = advert(AdvertOp::Publish, name, entity, switch, serial)?;
@@ -65,6 +72,12 @@ impl Owner {
         let grant: Reading = issue(&self.key, &grant)?.into();
         let advert = advert(AdvertOp::Subscribe, name, entity, switch, serial)?;
         Ok(EntityRequest::Subscribe { proof: self.proof(number), grant, advert, everywhere: false })
+    }
+
+    /// That `entity` has no part in one of the names any more.
+    pub fn withdraw(&self, number: usize, entity: &Identity, switch: Name, serial: u64) -> Result<EntityRequest> {
+        let advert = advert(AdvertOp::Withdraw, self.name(number), entity, switch, serial)?;
+        Ok(EntityRequest::Withdraw { advert })
     }
 
     /// That `switch` may carry the traffic of `entity`.

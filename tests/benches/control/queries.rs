@@ -76,7 +76,7 @@ async fn prepare(folder: &std::path::Path) -> Result<(Running, Vec<Client>, Vec<
     let mut clients = vec![dial(robot.clone()).await?];
     let mut statements = vec![owner.attach(&robot, daemon.name(), false)?];
     for (serial, number) in (1..).zip(0..NAMES) {
-        statements.push(owner.advertise(number, &robot, daemon.name(), serial)?);
+        statements.push(owner.advertise(number, &robot, daemon.name(), serial, Vec::new())?);
     }
     for statement in statements {
         let response = clients[0].link.request(&Request::Entity(statement)).await?;

@@ -85,7 +85,7 @@ fn state(ring: &Ring, owner: &Owner, names: std::ops::Range<usize>) -> Result<()
     for share in shares {
         check_interrupt()?;
         let numbers: Vec<usize> = share.collect();
-        side(&numbers, writers, |n, entity, serial| owner.advertise(n, entity, robots, serial))?;
+        side(&numbers, writers, |n, entity, serial| owner.advertise(n, entity, robots, serial, Vec::new()))?;
         side(&numbers, readers, |n, entity, serial| owner.subscribe(n, entity, clouds, serial))?;
     }
     Ok(())

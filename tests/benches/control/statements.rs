@@ -39,8 +39,9 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
 fn measure(bench: &Bench) -> Result<Vec<Figure>> {
     let (owner, switch, robot) = (Owner::new()?, Identity::generate("switch")?, Identity::generate("proxy")?);
     let attach = owner.attach(&robot, switch.name(), false)?;
-    let all: Vec<EntityRequest> =
-        (0..STATEMENTS).map(|i| owner.advertise(i, &robot, switch.name(), i as u64 + 1)).collect::<Result<_>>()?;
+    let all: Vec<EntityRequest> = (0..STATEMENTS)
+        .map(|i| owner.advertise(i, &robot, switch.name(), i as u64 + 1, Vec::new()))
+        .collect::<Result<_>>()?;
     let now = Now { unix: owner.now(), clock: Duration::from_secs(1) };
     let mut bare = || {
         let (message, key) = ([7u8; 300], owner.key().verify_key());

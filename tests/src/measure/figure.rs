@@ -36,8 +36,9 @@ pub enum Unit {
     FramesPerSecond,
     NamesPerSecond,
     MessagesPerSecond,
-    /// Of whatever the title says.
+    /// Of whatever the title says, thousands and few.
     PerSecond,
+    EachSecond,
     BytesPerSecond,
     Bytes,
     /// Few: of one of many.
@@ -218,7 +219,7 @@ impl Unit {
             Self::FramesPerSecond | Self::NamesPerSecond => format!("{:.3}", value / 1e6),
             Self::MessagesPerSecond | Self::PerSecond => format!("{:.2}", value / 1e3),
             Self::BytesPerSecond | Self::Bytes => format!("{:.1}", value / 1e6),
-            Self::Nanoseconds | Self::BytesEach => format!("{value:.1}"),
+            Self::Nanoseconds | Self::BytesEach | Self::EachSecond => format!("{value:.1}"),
             Self::Milliseconds | Self::SecondsPerGigabyte => format!("{value:.2}"),
         }
     }
@@ -229,6 +230,7 @@ impl Unit {
             Self::NamesPerSecond => "M names/s",
             Self::MessagesPerSecond => "k messages/s",
             Self::PerSecond => "k/s",
+            Self::EachSecond => "/s",
             Self::BytesPerSecond => "MB/s",
             Self::Bytes => "MB",
             Self::BytesEach => "B",
