@@ -222,8 +222,14 @@ impl Papers {
             expires_in: 60,
         };
         let place = record.place().ok();
-        let route =
-            Route { name, egress_bits: 3, locals: vec![entity], everywhere: vec![entity], writers: vec![entity] };
+        let route = Route {
+            name,
+            egress_bits: 3,
+            locals: vec![entity],
+            everywhere: vec![entity],
+            writers: vec![entity],
+            arrives_by: vec![],
+        };
         let push = FibPush {
             switch,
             run: 1,
