@@ -159,7 +159,9 @@ impl<'a> Chain<'a> {
         Config {
             udp: Some(self.addrs[i]),
             rib: i == 2,
-            neighbours: near.map(|j| Neighbour { place: place(j), cost: Some(1), dial: false }).collect(),
+            neighbours: near
+                .map(|j| Neighbour { place: place(j), cost: Some(1), dial: false, parent: false })
+                .collect(),
             ..config(self.folder, &format!("s{}", i + 1))
         }
     }

@@ -60,6 +60,7 @@ async fn prepare(folder: &std::path::Path) -> Result<(Running, Vec<Client>, Vec<
         data_plane: DataPlane::Userspace,
         rib: true,
         neighbours: Vec::new(),
+        public: Vec::new(),
         ebpf_object: None,
         fib_capacity: 1024,
         domain: None,
