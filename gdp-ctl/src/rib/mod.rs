@@ -15,9 +15,11 @@ mod boxes;
 mod entities;
 pub mod fib;
 mod inboxes;
+mod journal;
 mod key_boxes;
 mod names;
 mod reports;
+mod restore;
 mod revocations;
 mod revoke;
 mod statements;
@@ -42,9 +44,13 @@ use boxes::Boxes;
 use entities::Entities;
 use fib::{About, Fib, Pushed};
 use inboxes::Inboxes;
+use journal::Journal;
 use names::Names;
 use revocations::Revocations;
 use telling::{Source, Stake, Telling};
+
+pub use journal::Item;
+pub use restore::{MAX_ITEM, RestoreError, decode_item, encode_item};
 
 /// How long the names of a switch that nobody reaches stay: a restart or a short partition must not cost the FIBs.
 pub const HOLD: Duration = Duration::from_secs(10);
@@ -156,6 +162,9 @@ pub struct Rib {
     detached: BTreeSet<(Name, Name)>,
     /// Switches that are reached and have not reported, and when they are asked to.
     unreported: BTreeMap<Name, Duration>,
+    /// Switches that an earlier RIB knew and that have not reported to this one.
+    silent: BTreeSet<Name>,
+    journal: Journal,
 }
 
 /// One life of a RIB.
@@ -206,6 +215,8 @@ impl Rib {
             timers: Timers::from([(run.settling, Timer::Settled)]),
             detached: BTreeSet::new(),
             unreported: BTreeMap::new(),
+            silent: BTreeSet::new(),
+            journal: Journal::default(),
         }
     }
 
@@ -300,8 +311,11 @@ impl Rib {
                 }
                 Timer::Switch { switch } => self.forget_switch(&switch),
                 Timer::Unreported { switch } => self.ask_to_report(now, switch),
-                // So that they let go of what nobody has stated again.
-                Timer::Settled => self.switches.values_mut().for_each(|switch| switch.fib.restart()),
+                Timer::Settled => {
+                    std::mem::take(&mut self.silent).iter().for_each(|switch| self.forget_switch(switch));
+                    // So that they let go of what nobody has stated again.
+                    self.switches.values_mut().for_each(|switch| switch.fib.restart());
+                }
             }
         }
         self.telling.tick(now.clock);

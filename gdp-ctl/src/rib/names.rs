@@ -155,6 +155,11 @@ impl Names {
         self.0.get(name)?.part(role).by_entity.get(&(*entity, *switch))
     }
 
+    /// How the name is derived.
+    pub fn proof(&self, name: &Key) -> Option<NameProof> {
+        self.0.get(name).map(|topic| topic.proof)
+    }
+
     /// The switches at which an entity has stated this.
     pub fn switches_of(&self, name: &Key, entity: &Name, role: NameRole) -> Vec<Name> {
         let part = self.0.get(name).map(|topic| topic.part(role));

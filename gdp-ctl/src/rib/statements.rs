@@ -146,6 +146,11 @@ impl Rib {
             self.register(stake, name_proof, registration).map(|()| stake)
         });
         let stake = registered.inspect_err(|_| self.entities.retire(&speaker.entity))?;
+        if !everywhere {
+            let mut others = self.names.switches_of(&stake.name, &stake.entity, stake.role);
+            others.retain(|switch| *switch != speaker.switch);
+            others.into_iter().for_each(|switch| self.unregister(stake, switch));
+        }
         let (run, names, boxes, revocations) = (self.run.id, &self.names, &self.boxes, &self.revocations);
         let source = Source { run, now: now.clock, names, boxes, revocations };
         Ok(Response::Peers(match by_tool {
@@ -154,7 +159,7 @@ impl Rib {
         }))
     }
 
-    fn speaker(&self, now: Now, switch: Name, proof: &NameProof) -> Result<Speaker, Refusal> {
+    pub(super) fn speaker(&self, now: Now, switch: Name, proof: &NameProof) -> Result<Speaker, Refusal> {
         let not_a_key = |error| refusal(CertError::Crypto(error));
         let entity = proof.name().map_err(not_a_key)?;
         let entity_key = proof.verify_key().map_err(not_a_key)?;
@@ -232,7 +237,7 @@ impl Rib {
         self.names.bound_at(&stake.name, &stake.entity, stake.role).find(|other| other != switch)
     }
 
-    fn register(&mut self, stake: Stake, proof: NameProof, new: Registration) -> Result<(), Refusal> {
+    pub(super) fn register(&mut self, stake: Stake, proof: NameProof, new: Registration) -> Result<(), Refusal> {
         let Stake { name: key, entity, role } = stake;
         let name = Name::from_bytes(key);
         if name == entity {
@@ -250,11 +255,12 @@ impl Rib {
             let counterparts: Vec<Place> = self.counterparts(&key, role).collect();
             self.inboxes.check_room(place, &counterparts, &self.limits)?;
         }
-        let (ends, bound, everywhere) = (new.ends, new.bound, new.everywhere);
+        let (ends, bound) = (new.ends, new.bound);
         let says_the_same = self.names.get(&key, &entity, role).is_some_and(|old| old.tells_the_same(&new));
         self.revocations.enter(&key, &self.limits);
         let is_new_name = !self.names.contains(&key);
         let old = self.names.insert(name, proof, entity, new);
+        self.journal.mark(stake.at(place.switch));
         self.timers.insert((ends, Timer::Registration(stake, place.switch)));
         self.entities.add_name(&entity, key);
         if let Some(old) = &old
@@ -274,17 +280,13 @@ impl Rib {
         if !says_the_same {
             self.tell_counterparts(stake);
         }
-        if !everywhere {
-            let mut others = self.names.switches_of(&key, &entity, role);
-            others.retain(|switch| *switch != place.switch);
-            others.into_iter().for_each(|switch| self.unregister(stake, switch));
-        }
         Ok(())
     }
 
     pub(super) fn unregister(&mut self, stake: Stake, switch: Name) {
         let Stake { name, entity, role } = stake;
         let Some(old) = self.names.remove(&name, &entity, role, &switch) else { return };
+        self.journal.mark(stake.at(switch));
         self.timers.remove(&(old.ends, Timer::Registration(stake, switch)));
         let says_the_same = self.names.get(&name, &entity, role).is_some_and(|other| other.tells_the_same(&old));
         if old.bound {
