@@ -2,8 +2,8 @@
 //! are messages of this version, and not of the one before.
 
 use gdp::cert::{
-    AdCert, Advert, AdvertOp, Delegation, Grantee, Issued, LinkState, MemberCert, Membership, Mode, ReadGrant, Reading,
-    Revocation, RtCert, Signed, issue,
+    AdCert, Adjoining, Advert, AdvertOp, Delegation, Grantee, Issued, LinkState, MemberCert, Membership, Mode,
+    ReadGrant, Reading, Revocation, RtCert, Signed, issue,
 };
 use gdp::control::{
     Credential, EntityRequest, Extent, FibPush, Flooded, NameRole, Peers, PeersExtent, PeersPush, Record, Refusal,
@@ -156,7 +156,18 @@ impl Papers {
         let grant = issue(robot.key(), &grant).expect("a grant");
         let advert = Advert { op: AdvertOp::Publish, name, entity, switch, serial, lifetime: 60, box_key };
         let neighbours = vec![(Name::default(), 200), (Name::from_bytes([0xff; 32]), u32::MAX)];
-        let state = LinkState { switch: entity, run: 1 << 60, number: 1, bit: Some(63), neighbours, lifetime: 180 };
+        let border = Adjoining { domain, switch, cost: 500, transit: true, ours_transit: false };
+        let state = LinkState {
+            switch: entity,
+            run: 1 << 60,
+            number: 1,
+            bit: Some(63),
+            neighbours,
+            silent: 2,
+            rib: true,
+            borders: vec![border],
+            lifetime: 180,
+        };
         let revocation = Revocation { name, number: 3, floor: 2, revoked: vec![4, 1 << 60] };
         Self {
             ad_cert: issue(&owner, &ad_cert).expect("a certificate").into(),

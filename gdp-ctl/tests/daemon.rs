@@ -284,7 +284,17 @@ async fn only_what_a_switch_states_itself_becomes_topology() {
     let claims = |of: &Identity, neighbours: &[Name]| {
         let neighbours = neighbours.iter().collect::<std::collections::BTreeSet<_>>();
         let neighbours = neighbours.into_iter().map(|name| (*name, 5)).collect();
-        LinkState { switch: of.name(), run: 1, number: 1, bit: None, neighbours, lifetime: 60 }
+        LinkState {
+            switch: of.name(),
+            run: 1,
+            number: 1,
+            bit: None,
+            neighbours,
+            silent: 0,
+            rib: false,
+            borders: vec![],
+            lifetime: 60,
+        }
     };
     let flooded = |by: &Identity, claims: &LinkState| Flooded {
         proof: by.proof(),

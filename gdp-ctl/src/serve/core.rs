@@ -155,7 +155,8 @@ impl Core {
         // Should there be no random number: any that a RIB before this one did not have.
         let id = crypto::random::<8>().map_or_else(|_| unix_now(), u64::from_ne_bytes);
         let rib = rib.then(|| Rib::new(identity.name(), Run { id, settling: HOLD }, Limits::default()));
-        let topology = Topology::new(identity.clone(), unix_nanos());
+        let mut topology = Topology::new(identity.clone(), unix_nanos());
+        topology.set_rib(rib.is_some());
         Self {
             identity,
             neighbours,
@@ -193,13 +194,14 @@ impl Core {
             let role = if entry.role == LinkRole::Endpoint as u32 { Role::Endpoint } else { Role::Switch };
             let Some(id) = ids.reserve(entry.id) else { continue };
             let id = Kept::Adopted { _id: id };
-            let (peer, lane) = (entry.peer, entry.lane as u8);
-            self.held.keep(HeldLink { peer, lane, role, entry: entry.clone(), to: *to, until, id });
-            match role {
-                Role::Endpoint => drop(self.attached.insert(entry.peer)),
-                Role::Switch => drop(self.meters.insert(entry.peer, Meter::new(self.now().clock, None))),
-            }
             links.push((entry.clone(), role));
+            let (peer, lane) = (entry.peer, entry.lane as u8);
+            let (entry, standing) = (entry.clone(), None);
+            self.held.keep(HeldLink { peer, lane, role, entry, to: *to, until, standing, id });
+            match role {
+                Role::Endpoint => drop(self.attached.insert(peer)),
+                Role::Switch => drop(self.meters.insert(peer, Meter::new(self.now().clock, None))),
+            }
         }
         let changes = self.routes.adopt(&left, &links);
         self.carry_out(changes);
@@ -407,7 +409,7 @@ impl Core {
                 self.uplink_ready = false;
             }
         }
-        let Some(LinkState { link, entry, to, .. }) = self.links.remove(&id) else { return false };
+        let Some(LinkState { link, entry, to, admission, .. }) = self.links.remove(&id) else { return false };
         let is_replaced = self.routes.is_replaced(role, &peer, id);
         let is_silent = !is_replaced && link.fell_silent() && self.routes.link_silent(role, &peer, id);
         if !is_replaced && !is_silent {
@@ -416,7 +418,7 @@ impl Core {
         }
         let time = if is_replaced { GRACE } else { HOLD };
         let (until, id) = (Instant::now() + time, Kept::Closed { link });
-        let held = HeldLink { peer, lane, role, entry, to, until, id };
+        let held = HeldLink { peer, lane, role, entry, to, until, standing: Some(admission.standing), id };
         if let Some(first) = self.held.keep(held) {
             self.release(first);
         }

@@ -144,6 +144,9 @@ impl Daemon {
         for entity in lost {
             self.spawn(links::detach_lost(self.clone(), entity));
         }
+        if !only_ended {
+            self.topology_changed();
+        }
     }
 
     /// Takes in what a domain has revoked, and passes it on if it is news. `from`: the link it came by.
@@ -212,6 +215,8 @@ impl Daemon {
         match renewed {
             Ok(()) => {
                 link.set_papers(papers);
+                // The rights of a neighbouring domain are stated.
+                self.topology_changed();
                 Response::Done
             }
             Err(reason) => Refusal::new(RefusalCode::NotEntitled, reason).into(),

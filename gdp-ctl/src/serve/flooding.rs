@@ -1,11 +1,13 @@
 //! This switch's part in the topology: tells it which neighbours there are and what they cost, carries statements between it and
 //! the neighbours, and gives the paths to the data planes and the RIB here. The rules are in [`crate::topology`].
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use gdp::cert::Adjoining;
 use gdp::control::{Flooded, Refusal, RefusalCode, Request, Response};
-use gdp::link::Link;
+use gdp::domain::Standing;
+use gdp::link::{Link, Role};
 use gdp::port::LinkAddr;
 use gdp_wire::{LinkRole, Name};
 use tokio::sync::watch;
@@ -15,6 +17,17 @@ use super::core::{Core, LinkState};
 use super::{Daemon, interfaces, ports};
 use crate::topology::cost::Meter;
 use crate::topology::{Batch, Verified};
+
+/// The switches that a switch has links with.
+#[derive(Default, PartialEq, Eq)]
+pub struct Adjacencies {
+    /// Those of its domain, and what a frame to each costs.
+    pub neighbours: BTreeMap<Name, u32>,
+    /// Those of them whose links are only held.
+    pub silent: BTreeSet<Name>,
+    /// Those of other domains, by domain and switch.
+    pub borders: BTreeMap<(Name, Name), Adjoining>,
+}
 
 /// Keeps the topology up to date until the daemon ends.
 pub async fn run(daemon: Arc<Daemon>) {
@@ -109,19 +122,39 @@ pub async fn watch_carrier(daemon: Arc<Daemon>, mut changes: watch::Receiver<()>
 }
 
 impl Core {
-    /// This switch's adjacencies with other switches of its domain and their costs: those that frames may go by.
-    pub fn adjacencies(&self) -> Vec<(Name, u32)> {
+    /// This switch's adjacencies with other switches: those that frames may go by.
+    pub fn adjacencies(&self) -> Adjacencies {
         const SWITCH: u32 = LinkRole::Switch as u32;
-        let live = self.links.values().filter(|state| state.role() == SWITCH);
-        let held = self.held.iter().filter(|held| held.entry.role == SWITCH);
-        let links = live.map(|state| (state.link.peer().name, state.to)).chain(held.map(|held| (held.peer, held.to)));
         let is_dark = |to| matches!(to, LinkAddr::Ethernet { ifindex, .. } if self.dark.contains(&ifindex));
-        let near: BTreeSet<Name> = links.filter(|(_, to)| !is_dark(*to)).map(|(peer, _)| peer).collect();
-        let cost = |switch: &Name| {
-            let configured = self.neighbours.iter().find(|n| n.place.switch == *switch).and_then(|n| n.cost);
-            configured.unwrap_or_else(|| self.meters.get(switch).map_or(1, Meter::cost))
-        };
-        near.into_iter().map(|switch| (switch, cost(&switch))).collect()
+        let live = self.links.values().filter(|state| !is_dark(state.to));
+        let live = live.map(|state| (true, state.role(), state.link.peer().name, Some(&state.admission.standing)));
+        let held = self.held.iter().filter(|held| !is_dark(held.to));
+        let held = held.map(|held| (false, held.entry.role, held.peer, held.standing.as_ref()));
+        let mut all = Adjacencies::default();
+        for (is_live, role, switch, standing) in live.chain(held) {
+            match standing {
+                Some(Standing::Border { domain, ours, theirs }) => {
+                    let (domain, cost) = (*domain, self.cost(&switch));
+                    let (transit, ours_transit) = (theirs.transit, ours.transit);
+                    let border = Adjoining { domain, switch, cost, transit, ours_transit };
+                    all.borders.insert((domain, switch), border);
+                }
+                _ if role == SWITCH => {
+                    let is_new = all.neighbours.insert(switch, self.cost(&switch)).is_none();
+                    if is_new && !is_live {
+                        all.silent.insert(switch);
+                    }
+                }
+                _ => {}
+            }
+        }
+        all
+    }
+
+    /// What a frame to a neighbouring switch costs.
+    fn cost(&self, switch: &Name) -> u32 {
+        let configured = self.neighbours.iter().find(|n| n.place.switch == *switch).and_then(|n| n.cost);
+        configured.unwrap_or_else(|| self.meters.get(switch).map_or(1, Meter::cost))
     }
 
     /// What the data planes hold a link's peer for.
@@ -129,10 +162,12 @@ impl Core {
         self.links.get(&link.local_id()).map(LinkState::role)
     }
 
-    /// A link is up: if it is to a switch of the domain, the topology goes by it.
+    /// A link is up: if it is to a switch, it is measured; if to one of the domain, the topology goes by it.
     pub(super) fn meet(&mut self, link: &Link) {
         if self.role_on(link) == Some(LinkRole::Switch as u32) {
             self.topology.link_up(link.local_id());
+        }
+        if link.peer().role == Role::Switch {
             let now = self.now().clock;
             self.meters.entry(link.peer().name).or_insert_with(|| Meter::new(now, Some(link.rtt())));
         }
@@ -161,10 +196,12 @@ impl Core {
     /// Brings the topology up to date, and with it what follows. Returns what is to be sent over which link.
     fn follow_topology(&mut self) -> Vec<(Link, Batch)> {
         let (now, own) = (self.now(), self.name());
-        let near = self.adjacencies();
+        let Adjacencies { neighbours, silent, borders } = self.adjacencies();
         // Where nobody is any more, a new link begins with a new measurement.
         self.meters.retain(|switch, _| self.peers.contains_key(&(*switch, 0)) || self.held.keeps(switch));
-        self.topology.set_neighbours(near);
+        self.topology.set_neighbours(neighbours);
+        self.topology.set_silent(silent);
+        self.topology.set_borders(borders.into_values());
         self.topology.set_bit(self.routes.own_bit());
         if self.topology.tick(now.clock) {
             let changes = self.routes.set_paths(self.topology.paths(), &own);

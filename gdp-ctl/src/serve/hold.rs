@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
+use gdp::domain::Standing;
 use gdp::link::{KeyedEntry, Link, LinkId, Role};
 use gdp::port::LinkAddr;
 use gdp_wire::Name;
@@ -22,6 +23,8 @@ pub struct HeldLink {
     pub entry: KeyedEntry,
     pub to: LinkAddr,
     pub until: Instant,
+    /// What the peer was to this switch's domain, unless the link is from before this daemon.
+    pub standing: Option<Standing>,
     /// So that no new link gets the same index in the tables.
     pub id: Kept,
 }
@@ -130,7 +133,7 @@ mod tests {
         let entry = LinkEntry { id, ..LinkEntry::default() }.into();
         let to = LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] };
         let kept = Kept::Adopted { _id: ids.reserve(id).unwrap() };
-        HeldLink { peer: name(peer), lane: 0, role: Role::Switch, entry, to, until, id: kept }
+        HeldLink { peer: name(peer), lane: 0, role: Role::Switch, entry, to, until, standing: None, id: kept }
     }
 
     fn name(i: u8) -> Name {

@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use gdp::cert::LinkState;
+use gdp::cert::{Adjoining, LinkState};
 use gdp::control::RecordPlace;
 use gdp_wire::{Counter, ErrorCode, FibEntry, LinkRole, Name};
 use serde_json::{Map, Value, json};
 
 use super::core::Core;
+use super::flooding::Adjacencies;
 use super::{Daemon, interfaces};
 use crate::domain::{Domain, Standing};
 use crate::plane::host_pair;
@@ -83,7 +84,8 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
 pub fn links(core: &Core) -> Vec<Value> {
     let mut links: Vec<_> = core.links.values().collect();
     links.sort_by_key(|state| state.link.local_id());
-    let costs: BTreeMap<Name, u32> = core.adjacencies().into_iter().collect();
+    let Adjacencies { neighbours: mut costs, borders, .. } = core.adjacencies();
+    costs.extend(borders.into_values().map(|border| (border.switch, border.cost)));
     links
         .into_iter()
         .map(|state| {
@@ -152,16 +154,16 @@ pub fn topology(daemon: &Daemon) -> Value {
         .states()
         .map(|state| {
             let switch = &state.switch;
-            let bit = paths.bit(switch);
-            let next = bit.map(|bit| core.routes.neighbours_toward(1 << bit)).and_then(|next| next.first().copied());
             json!({
                 "switch": switch,
-                "bit": bit,
+                "bit": paths.bit(switch),
                 "cost": paths.costs.get(switch),
-                "next": next,
+                "next": paths.next.get(switch),
                 "run": state.run,
                 "number": state.number,
                 "neighbours": neighbours(state),
+                "rib": state.rib,
+                "borders": state.borders.iter().map(border).collect::<Vec<_>>(),
             })
         })
         .collect();
@@ -170,7 +172,13 @@ pub fn topology(daemon: &Daemon) -> Value {
 
 /// What a switch states of its neighbours.
 fn neighbours(state: &LinkState) -> Vec<Value> {
-    state.neighbours.iter().map(|(switch, cost)| json!({"switch": switch, "cost": cost})).collect()
+    let is_silent = |index: usize| state.silent & 1 << index != 0;
+    let near = state.neighbours.iter().enumerate();
+    near.map(|(i, (switch, cost))| json!({"switch": switch, "cost": cost, "silent": is_silent(i)})).collect()
+}
+
+fn border(Adjoining { domain, switch, cost, transit, ours_transit }: &Adjoining) -> Value {
+    json!({"domain": domain, "switch": switch, "cost": cost, "transit": transit, "ours_transit": ours_transit})
 }
 
 fn domain(domain: &Domain) -> Value {

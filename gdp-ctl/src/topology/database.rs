@@ -47,7 +47,7 @@ impl Database {
             Ordering::Equal => return Taken::Known,
             Ordering::Less => return Taken::Older,
         }
-        let says = |state: &LinkState| (state.run, state.bit, state.neighbours.clone());
+        let says = |state: &LinkState| LinkState { number: 0, lifetime: 0, ..state.clone() };
         let changed = self.0.get(&claims.switch).is_none_or(|held| says(&held.claims) != says(&claims));
         if self.0.len() >= MAX_SWITCHES && !self.0.contains_key(&claims.switch) {
             let Some(useless) = self.0.keys().find(|switch| !reached(switch)).copied() else { return Taken::NoRoom };
@@ -150,7 +150,17 @@ mod tests {
 
     fn state(i: u16, run: u64, number: u64, expires_in: u32) -> (Flooded, LinkState) {
         let key = SigningKey::generate().unwrap();
-        let claims = LinkState { switch: name(i), run, number, bit: None, neighbours: vec![], lifetime: 180 };
+        let claims = LinkState {
+            switch: name(i),
+            run,
+            number,
+            bit: None,
+            neighbours: vec![],
+            silent: 0,
+            rib: false,
+            borders: vec![],
+            lifetime: 180,
+        };
         let proof = NameProof { owner_key: key.public(), digest: [0; 32] };
         (Flooded { proof, state: issue(&key, &claims).unwrap(), expires_in }, claims)
     }

@@ -140,7 +140,7 @@ impl Desk {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gdp::cert::{LinkState, issue};
+    use gdp::cert::{Adjoining, LinkState, MAX_BORDERS, MAX_NEIGHBOURS, issue};
     use gdp::control::{Request, encode};
     use gdp::identity::SigningKey;
     use gdp::name::NameProof;
@@ -187,9 +187,22 @@ mod tests {
     fn database(switches: u16) -> Database {
         let (key, mut database) = (SigningKey::generate().unwrap(), Database::default());
         for i in 0..switches {
-            let neighbours = (1000..1064).map(|i| (name(i), u32::MAX)).collect();
-            let (run, number) = (u64::MAX, u64::MAX);
-            let claims = LinkState { switch: name(i), run, number, bit: Some(63), neighbours, lifetime: 180 };
+            let neighbours = (1000..).take(MAX_NEIGHBOURS).map(|i| (name(i), u32::MAX)).collect();
+            let border = |i| {
+                let (domain, switch, cost) = (name(i), name(1000), u32::MAX);
+                Adjoining { domain, switch, cost, transit: true, ours_transit: true }
+            };
+            let claims = LinkState {
+                switch: name(i),
+                run: u64::MAX,
+                number: u64::MAX,
+                bit: Some(63),
+                neighbours,
+                silent: 1,
+                rib: true,
+                borders: (2000..).take(MAX_BORDERS).map(border).collect(),
+                lifetime: 180,
+            };
             let proof = NameProof { owner_key: key.public(), digest: [0xff; 32] };
             let flooded = Flooded { proof, state: issue(&key, &claims).unwrap(), expires_in: 180 };
             database.take(NOW, flooded, claims, |_| true);

@@ -17,10 +17,10 @@ mod paths;
 mod tests;
 
 use std::cmp::Ordering;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use gdp::cert::{CertError, LinkState, MAX_NEIGHBOURS, issue};
+use gdp::cert::{Adjoining, CertError, LinkState, MAX_BORDERS, MAX_NEIGHBOURS, issue};
 use gdp::control::Flooded;
 use gdp::identity::Identity;
 use gdp_wire::Name;
@@ -71,32 +71,38 @@ pub struct Topology {
 struct Own {
     identity: Identity,
     version: (u64, u64),
-    bit: Option<u8>,
-    neighbours: BTreeMap<Name, u32>,
-    /// What it last stated; none: it is to be stated whatever it says.
+    has: Stated,
+    /// What it last stated; none: it is to be stated whatever it has.
     stated: Option<Stated>,
     /// When it last did, or tried.
     stated_at: Option<Duration>,
     wait: Duration,
 }
 
+#[derive(Clone, Default, PartialEq, Eq)]
 struct Stated {
     bit: Option<u8>,
     neighbours: BTreeMap<Name, u32>,
+    silent: BTreeSet<Name>,
+    rib: bool,
+    /// By domain and switch.
+    borders: BTreeMap<(Name, Name), Adjoining>,
+}
+
+impl Stated {
+    /// Whether somebody who was there is not any more, or does not answer.
+    fn lacks_one_of(&self, before: &Self) -> bool {
+        before.neighbours.keys().any(|near| !self.neighbours.contains_key(near))
+            || !self.silent.is_subset(&before.silent)
+            || before.borders.keys().any(|border| !self.borders.contains_key(border))
+    }
 }
 
 impl Topology {
     /// `run`: higher than that of this switch's last start. If it is not, the switch finds out as soon as a neighbour tells it.
     pub fn new(identity: Identity, run: u64) -> Self {
-        let own = Own {
-            identity,
-            version: (run, 0),
-            bit: None,
-            neighbours: BTreeMap::new(),
-            stated: None,
-            stated_at: None,
-            wait: BACKOFF.0,
-        };
+        let own =
+            Own { identity, version: (run, 0), has: Stated::default(), stated: None, stated_at: None, wait: BACKOFF.0 };
         let (database, flooding) = (Database::default(), Flooding::default());
         Self { own, database, flooding, paths: Paths::default(), is_stale: true }
     }
@@ -106,17 +112,37 @@ impl Topology {
         let own = self.own.identity.name();
         let usable = neighbours.into_iter().filter(|(name, _)| *name != own);
         let all: BTreeMap<Name, u32> = usable.map(|(name, cost)| (name, cost.max(1))).collect();
-        self.own.neighbours = all.into_iter().take(MAX_NEIGHBOURS).collect();
+        self.own.has.neighbours = all.into_iter().take(MAX_NEIGHBOURS).collect();
+    }
+
+    /// Those of the neighbours whose daemons do not answer, so that nothing but frames may go to them.
+    pub fn set_silent(&mut self, silent: impl IntoIterator<Item = Name>) {
+        self.own.has.silent = silent.into_iter().filter(|near| self.own.has.neighbours.contains_key(near)).collect();
+    }
+
+    /// The links into other domains that frames may go by now. Those beyond [`MAX_BORDERS`] are not stated.
+    pub fn set_borders(&mut self, borders: impl IntoIterator<Item = Adjoining>) {
+        let own = self.own.identity.name();
+        let usable = borders.into_iter().filter(|border| border.switch != own);
+        let all: BTreeMap<_, _> = usable
+            .map(|border| ((border.domain, border.switch), Adjoining { cost: border.cost.max(1), ..border }))
+            .collect();
+        self.own.has.borders = all.into_iter().take(MAX_BORDERS).collect();
+    }
+
+    /// Whether the domain's RIB is beside this switch.
+    pub fn set_rib(&mut self, rib: bool) {
+        self.own.has.rib = rib;
     }
 
     /// The egress bit that the RIB has given this switch.
     pub fn set_bit(&mut self, bit: Option<u8>) {
-        self.own.bit = bit;
+        self.own.has.bit = bit;
     }
 
     /// The bit that this switch has, whether or not it has stated it.
     pub fn bit(&self) -> Option<u8> {
-        self.own.bit
+        self.own.has.bit
     }
 
     /// A link to a neighbouring switch is up: it is told all there is.
@@ -211,6 +237,20 @@ impl Topology {
         &self.paths
     }
 
+    /// The nearest RIB that control reaches: its switch, and which run of it.
+    pub fn rib(&self) -> Option<(Name, u64)> {
+        let rib = self.paths.rib?;
+        let state = self.states().find(|state| state.switch == rib)?;
+        Some((rib, state.run))
+    }
+
+    /// The links of all switches that are reached into other domains, this one's among them, each with its switch; as of the last
+    /// [`Self::tick`].
+    pub fn borders(&self) -> impl Iterator<Item = (Name, &Adjoining)> {
+        let reached = self.states().filter(|state| self.paths.reaches(&state.switch));
+        reached.flat_map(|state| state.borders.iter().map(|border| (state.switch, border)))
+    }
+
     /// What each switch states, this one among them.
     pub fn states(&self) -> impl Iterator<Item = &LinkState> {
         self.database.claims()
@@ -230,8 +270,8 @@ impl Own {
     fn next(&self, now: Duration) -> Option<Duration> {
         let Some(stated_at) = self.stated_at else { return Some(now) };
         let wait = match &self.stated {
-            Some(stated) if stated.neighbours.keys().any(|near| !self.neighbours.contains_key(near)) => BACKOFF.0,
-            Some(stated) if (stated.bit, &stated.neighbours) == (self.bit, &self.neighbours) => REFRESH,
+            Some(stated) if self.has.lacks_one_of(stated) => BACKOFF.0,
+            Some(stated) if *stated == self.has => REFRESH,
             _ => self.wait,
         };
         Some(stated_at + wait)
@@ -245,17 +285,21 @@ impl Own {
             (run, u64::MAX) => (run.saturating_add(1), 1),
             (run, number) => (run, number + 1),
         };
+        let is_silent = |(_, near): &(u32, &Name)| self.has.silent.contains(*near);
         let claims = LinkState {
             switch: self.identity.name(),
             run,
             number,
-            bit: self.bit,
-            neighbours: self.neighbours.iter().map(|(name, cost)| (*name, *cost)).collect(),
+            bit: self.has.bit,
+            neighbours: self.has.neighbours.iter().map(|(name, cost)| (*name, *cost)).collect(),
+            silent: (0..).zip(self.has.neighbours.keys()).filter(is_silent).fold(0, |all, (i, _)| all | 1 << i),
+            rib: self.has.rib,
+            borders: self.has.borders.values().cloned().collect(),
             lifetime: LIFETIME,
         };
         let state = issue(self.identity.key(), &claims)?;
         self.version = (run, number);
-        self.stated = Some(Stated { bit: self.bit, neighbours: self.neighbours.clone() });
+        self.stated = Some(self.has.clone());
         Ok((Flooded { proof: self.identity.proof(), state, expires_in: LIFETIME }, claims))
     }
 }

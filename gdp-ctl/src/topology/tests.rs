@@ -319,7 +319,7 @@ impl World {
         let links: Vec<_> = self.cables.iter().filter(|((a, b), _)| *a == i || *b == i).collect();
         let links: Vec<_> = links.into_iter().map(|(ends, (_, cost))| (*ends, *cost)).collect();
         links.iter().for_each(|((a, b), _)| self.cut(*a, *b));
-        let bit = self.switches[i].topology.own.bit;
+        let bit = self.switches[i].topology.bit();
         self.switches[i].topology = Topology::new(self.switches[i].identity.clone(), run);
         self.switches[i].topology.set_bit(bit);
         links.into_iter().for_each(|((a, b), cost)| self.join(a, b, cost));

@@ -1,12 +1,16 @@
-//! What a switch states of itself to all switches of its domain: its egress bit, and which switches it has links with.
+//! What a switch states of itself to all switches of its domain: its egress bit, whether the RIB is there, and which switches it has
+//! links with, in the domain and in others.
 
 use super::{CertError, Claims, Validity};
 use crate::name::Name;
 use gdp_wire::table::EGRESS_SET_SIZE;
 use serde::{Deserialize, Serialize};
 
-/// Neighbours that one switch states, at most: with them the statement is still one certificate's size.
-pub const MAX_NEIGHBOURS: usize = 64;
+/// Neighbours that one switch states, at most: with them and [`MAX_BORDERS`] the statement is still one certificate's size.
+pub const MAX_NEIGHBOURS: usize = 48;
+
+/// Links into other domains that one switch states, at most.
+pub const MAX_BORDERS: usize = 16;
 
 /// The longest that a statement may hold without being renewed, in seconds.
 pub const MAX_LIFETIME: u32 = 3600;
@@ -24,8 +28,29 @@ pub struct LinkState {
     pub bit: Option<u8>,
     /// In the order of their names, with what a frame to each costs: 1 or more.
     pub neighbours: Vec<(Name, u32)>,
+    /// Bit i: the daemon of neighbour i does not answer, though its data plane does. Frames may go that way, control may not.
+    pub silent: u64,
+    /// The domain's RIB is here.
+    pub rib: bool,
+    /// In the order of domains and switches.
+    pub borders: Vec<Adjoining>,
     /// Seconds from when it was stated, as far as that is known: on the clock of whoever holds it.
     pub lifetime: u32,
+}
+
+/// A link of a border switch into another domain.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Adjoining {
+    pub domain: Name,
+    /// The border switch over there.
+    pub switch: Name,
+    /// What a frame over the link costs: 1 or more.
+    pub cost: u32,
+    /// That domain lets what this one sends cross it into a third.
+    pub transit: bool,
+    /// This domain lets that one do so.
+    pub ours_transit: bool,
 }
 
 impl LinkState {
@@ -55,6 +80,22 @@ impl Claims for LinkState {
         if self.neighbours.iter().any(|(name, cost)| *cost == 0 || *name == self.switch) {
             return malformed("a neighbour costs nothing, or is the switch itself".into());
         }
+        if self.silent.checked_shr(self.neighbours.len() as u32).unwrap_or(0) != 0 {
+            return malformed("neighbours are silent that are none".into());
+        }
+        if self.borders.len() > MAX_BORDERS {
+            return malformed(format!(
+                "{} links into other domains where at most {MAX_BORDERS} fit",
+                self.borders.len()
+            ));
+        }
+        let place = |border: &Adjoining| (border.domain, border.switch);
+        if !self.borders.is_sorted_by(|a, b| place(a) < place(b)) {
+            return malformed("its links into other domains are not in the order of domains and switches".into());
+        }
+        if self.borders.iter().any(|border| border.cost == 0 || border.switch == self.switch) {
+            return malformed("a link into another domain costs nothing, or leads to the switch itself".into());
+        }
         if self.bit.is_some_and(|bit| u64::from(bit) >= EGRESS_SET_SIZE.into()) {
             return malformed(format!("its egress bit is not below {EGRESS_SET_SIZE}"));
         }
@@ -77,12 +118,22 @@ mod tests {
         let near = |i: usize| (Name::from_bytes([0xc0 + i as u8 % 64; 32]), u32::MAX);
         let neighbours: Vec<_> = (0..MAX_NEIGHBOURS).map(near).collect();
         let switch = Name::from_bytes([1; 32]);
+        let border = |i: usize| Adjoining {
+            domain: Name::from_bytes([0xe0 + i as u8; 32]),
+            switch: Name::from_bytes([0xff; 32]),
+            cost: u32::MAX,
+            transit: true,
+            ours_transit: true,
+        };
         let largest = LinkState {
             switch,
             run: u64::MAX,
             number: u64::MAX,
             bit: Some(63),
-            neighbours: neighbours.clone(),
+            neighbours,
+            silent: u64::MAX >> (64 - MAX_NEIGHBOURS),
+            rib: true,
+            borders: (0..MAX_BORDERS).map(border).collect(),
             lifetime: MAX_LIFETIME,
         };
         let signed = issue(&key, &largest).unwrap();
@@ -94,11 +145,17 @@ mod tests {
             issue(&key, &claims).map(drop).unwrap_err().to_string()
         };
         for (error, needle) in [
-            (with(&|s| s.neighbours.push((Name::from_bytes([0xff; 32]), 1))), "65 neighbours"),
+            (with(&|s| s.neighbours.push((Name::from_bytes([0xff; 32]), 1))), "49 neighbours"),
             (with(&|s| s.neighbours.swap(0, 1)), "order"),
             (with(&|s| s.neighbours[1] = s.neighbours[0]), "order"),
             (with(&|s| s.neighbours[0].1 = 0), "costs nothing"),
             (with(&|s| s.switch = s.neighbours[0].0), "the switch itself"),
+            (with(&|s| s.silent = 1 << MAX_NEIGHBOURS), "silent that are none"),
+            (with(&|s| s.borders.push(border(20))), "17 links into other domains"),
+            (with(&|s| s.borders.swap(0, 1)), "order of domains"),
+            (with(&|s| s.borders[1] = s.borders[0].clone()), "order of domains"),
+            (with(&|s| s.borders[0].cost = 0), "costs nothing"),
+            (with(&|s| s.borders[0].switch = switch), "the switch itself"),
             (with(&|s| s.bit = Some(64)), "below 64"),
             (with(&|s| s.lifetime = 0), "lifetime"),
             (with(&|s| s.lifetime = MAX_LIFETIME + 1), "lifetime"),

@@ -20,7 +20,7 @@ mod statements;
 pub use claims::{Claims, Validity};
 pub use domain::{Invite, MemberCert, Membership, PeerCert, PeerRights};
 pub use issued::{Issued, MAX_CERT_FILE, Reading};
-pub use link_state::{LinkState, MAX_NEIGHBOURS};
+pub use link_state::{Adjoining, LinkState, MAX_BORDERS, MAX_NEIGHBOURS};
 pub use owner::{
     AboutName, AdCert, Delegation, Grantee, MAX_REVOKED, MAX_ROLE, MAX_SCOPE, Mode, ReadGrant, Revocation,
 };

@@ -124,6 +124,9 @@ impl World {
             number: 1,
             bit: self.rib.bit(&self.switch(i)),
             neighbours: near(i),
+            silent: 0,
+            rib: i == 0,
+            borders: vec![],
             lifetime: 60,
         });
         Paths::compute(self.switch(from), states.collect::<Vec<_>>().iter())
