@@ -1,6 +1,8 @@
 //! The daemon's configuration file, and what it is without one. Strict YAML: unknown keys are refused. Read once, at
 //! start; paths in it are relative to its folder.
 
+mod etcd;
+
 use std::fmt;
 use std::fs;
 use std::io::Read;
@@ -12,6 +14,8 @@ use gdp::link::RekeySchedule;
 use gdp_wire::Name;
 use serde::{Deserialize, Deserializer};
 
+pub use self::etcd::EtcdConfig;
+use self::etcd::EtcdEntry;
 use crate::folders;
 use crate::plane::FIB_CAPACITY;
 use crate::plane::pins::BPFFS;
@@ -41,6 +45,8 @@ pub struct Config {
     pub bpffs: Option<PathBuf>,
     /// The trust domain it is a member of; without, it takes any neighbour that is listed and any endpoint.
     pub domain: Option<DomainConfig>,
+    /// Where the RIB is kept, if it is one of several replicas.
+    pub etcd: Option<EtcdConfig>,
     /// When the keys of links are replaced. No option of the file.
     pub rekey: RekeySchedule,
 }
@@ -138,6 +144,7 @@ impl Config {
             fib_capacity: FIB_CAPACITY,
             bpffs: default_bpffs(),
             domain: None,
+            etcd: None,
             rekey: RekeySchedule::default(),
         })
     }
@@ -200,6 +207,7 @@ struct File {
     #[serde(default = "default_bpffs")]
     bpffs: Option<PathBuf>,
     domain: Option<DomainEntry>,
+    etcd: Option<EtcdEntry>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -308,6 +316,7 @@ impl File {
         {
             return invalid(format!("domain: {} peers, where at most {MAX_PEERS} are shown", domain.peers.len()));
         }
+        let etcd = self.etcd.map(|entry| entry.check(rib)).transpose().map_err(ParseError::Invalid)?;
         let here = |path: PathBuf| folder.join(path);
         Ok(Config {
             identity: match self.identity {
@@ -339,6 +348,7 @@ impl File {
                 },
                 members_only: entry.members_only,
             }),
+            etcd,
             rekey: RekeySchedule::default(),
         })
     }
@@ -436,6 +446,31 @@ mod tests {
             config.neighbours[0].dial
                 && !parse(&format!("uplink: {{interface: a, switch: {S}}}")).unwrap().neighbours[0].dial
         );
+    }
+
+    #[test]
+    fn replicas_of_a_rib() {
+        assert_eq!(parse("").unwrap().etcd, None);
+        let etcd = parse("etcd: {endpoints: ['http://10.0.0.1:2379', 'http://b:2379']}").unwrap().etcd.unwrap();
+        let shown: Vec<_> = etcd.endpoints.iter().map(ToString::to_string).collect();
+        assert_eq!(shown, ["http://10.0.0.1:2379", "http://b:2379"]);
+        assert_eq!(etcd.prefix, "gdp/rib");
+        for (section, needle) in [
+            ("{}", "endpoints"),
+            ("{endpoints: []}", "0 endpoints"),
+            ("{endpoints: ['http://a:1', 'http://a:1/']}", "listed twice"),
+            ("{endpoints: ['https://a:1']}", "TLS"),
+            ("{endpoints: [a]}", "is not an endpoint"),
+            ("{endpoints: ['http://a:1'], prefix: /rib}", "slash"),
+            ("{endpoints: ['http://a:1'], prefix: ''}", "visible"),
+            ("{endpoints: ['http://a:1'], prefix: 'a b'}", "visible"),
+            ("{endpoints: ['http://a:1'], user: x}", "user"),
+        ] {
+            let error = parse(&format!("etcd: {section}")).expect_err(section);
+            assert!(error.contains(needle), "{section}: {error}");
+        }
+        let elsewhere = format!("uplink: {{interface: a, switch: {S}}}\netcd: {{endpoints: ['http://a:1']}}");
+        assert!(parse(&elsewhere).unwrap_err().contains("this daemon is none"));
     }
 
     #[test]

@@ -10,5 +10,6 @@ pub mod folders;
 pub mod plane;
 pub mod rib;
 pub mod serve;
+pub mod store;
 pub mod topology;
 mod unix_time;

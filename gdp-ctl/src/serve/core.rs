@@ -3,6 +3,7 @@
 //! [`super::admin`]) do the waiting.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::sync::Arc;
 use std::time::Instant;
 
 use gdp::cert::Advert;
@@ -17,6 +18,7 @@ use gdp_wire::{LinkRole, Name};
 
 use super::domain;
 use super::hold::{GRACE, HeldLink, Hold, Kept};
+use super::replica::Term;
 use super::routes::{Change, Routes};
 use crate::config::{Neighbour, Via};
 use crate::domain::{Admission, Domain, Papers};
@@ -48,6 +50,12 @@ pub struct Core {
     /// The RIB has taken this switch's full report over the present uplink, so requests may follow.
     pub uplink_ready: bool,
     pub rib: Option<Rib>,
+    /// Of the RIB here, if that is the leader of several replicas.
+    pub(super) term: Option<Arc<Term>>,
+    /// Why a replica has no RIB, as far as it knows.
+    pub(super) no_rib: Option<String>,
+    /// Invitations that have admitted somebody, which is not stored yet.
+    pub(super) unstored_invitations: BTreeSet<u64>,
     /// Without it, links are taken with all neighbours that are listed, and with all endpoints.
     pub domain: Option<Domain>,
     pub planes: Planes,
@@ -138,6 +146,8 @@ pub enum Next {
     KeepInvitation {
         new: Option<u64>,
     },
+    /// What the RIB here has taken in is to be stored before anything else.
+    Store(Box<Next>),
     /// Ask over this link, and pass the response on.
     Forward(Link, Request),
     /// Have the endpoint at the other end of these attach again by each, or close it.
@@ -152,9 +162,8 @@ impl Core {
         rib: bool,
         planes: Planes,
     ) -> Self {
-        // Should there be no random number: any that a RIB before this one did not have.
-        let id = crypto::random::<8>().map_or_else(|_| unix_now(), u64::from_ne_bytes);
-        let rib = rib.then(|| Rib::new(identity.name(), Run { id, settling: HOLD }, Limits::default()));
+        let run = Run { id: run_id(), settling: HOLD };
+        let rib = rib.then(|| Rib::new(identity.name(), run, Limits::default()));
         let mut topology = Topology::new(identity.clone(), unix_nanos());
         topology.set_rib(rib.is_some());
         Self {
@@ -163,6 +172,9 @@ impl Core {
             uplink,
             uplink_ready: false,
             rib,
+            term: None,
+            no_rib: None,
+            unstored_invitations: BTreeSet::new(),
             domain: None,
             planes,
             routes: Routes::default(),
@@ -719,8 +731,11 @@ impl Core {
         match link {
             Some(link) if self.uplink_ready => Next::Forward(link, request),
             _ => {
-                let uplink = self.uplink.unwrap_or_default();
-                let reason = format!("switch {} has no way to the RIB: no link to its uplink {uplink}", self.name());
+                let why = match (&self.no_rib, self.uplink) {
+                    (Some(why), _) => why.clone(),
+                    (None, uplink) => format!("no link to its uplink {}", uplink.unwrap_or_default()),
+                };
+                let reason = format!("switch {} has no way to the RIB: {why}", self.name());
                 refuse(RefusalCode::Unreachable, reason)
             }
         }
@@ -791,6 +806,11 @@ impl Core {
         let live = self.links.iter().map(|(id, state)| (*id, state.link.peer().name));
         live.chain(self.held.iter().map(|held| (held.entry.id, held.peer))).collect()
     }
+}
+
+/// Of a life of a RIB. Should there be no random number: any that a RIB before this one did not have.
+pub(super) fn run_id() -> u64 {
+    crypto::random::<8>().map_or_else(|_| unix_now(), u64::from_ne_bytes)
 }
 
 /// Puts an entity's request to the RIB.

@@ -227,7 +227,11 @@ impl Daemon {
     pub(super) async fn ask_admitted(self: &Arc<Self>, request: Request) -> Result<(), Refusal> {
         let Request::Admitted { entity, membership, .. } = &request else { return Ok(()) };
         let (entity, membership) = (*entity, membership.clone());
-        let next = self.core().admitted(request);
+        let next = {
+            let mut core = self.core();
+            let next = core.admitted(request);
+            core.to_store(next)
+        };
         match self.complete(next).await {
             Response::Refused(refusal) => Err(refusal),
             _ => {

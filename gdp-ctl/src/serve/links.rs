@@ -146,7 +146,11 @@ async fn detach(daemon: &Arc<Daemon>, entity: Name) {
     if !lost {
         return;
     }
-    let next = daemon.core().detach(entity);
+    let next = {
+        let mut core = daemon.core();
+        let next = core.detach(entity);
+        core.to_store(next)
+    };
     if let Response::Refused(refusal) = daemon.complete(next).await {
         tracing::warn!(%refusal, "the RIB could not be told of a lost attachment; reporting in full");
         daemon.report_in_full();
@@ -182,7 +186,7 @@ async fn take_request(daemon: &Arc<Daemon>, link: &Link, request: EntityRequest)
             // Before the answer, so that a report in the meantime does not leave it out.
             core.attached.insert(link.peer().name);
         }
-        next
+        core.to_store(next)
     };
     let response = daemon.complete(next).await;
     if attach && matches!(response, Response::Attached { .. }) {
@@ -220,7 +224,8 @@ async fn switch_request(daemon: &Arc<Daemon>, link: &Link, request: Request) -> 
     let told_to_report = matches!(&request, Request::Detach { switch, entity } if switch == entity);
     let (next, own) = {
         let mut core = daemon.core();
-        (core.switch_request(link, request), core.uplink == Some(link.peer().name) && !core.uplink_ready)
+        let next = core.switch_request(link, request);
+        (core.to_store(next), core.uplink == Some(link.peer().name) && !core.uplink_ready)
     };
     daemon.notice_bit();
     if told_to_report && own {
@@ -279,6 +284,7 @@ impl Daemon {
         self.send_effects();
         match next {
             Next::Answer(response) => response,
+            Next::Store(next) => self.store(*next).await,
             Next::Keep => self.keep_revocations().await.map_or_else(Response::from, |()| Response::Done),
             Next::KeepInvitation { new } => self.keep_invitation(new).await,
             Next::Settle(response, statement) => match self.settled(&statement).await {

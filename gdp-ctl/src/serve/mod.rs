@@ -12,6 +12,7 @@ mod kept;
 mod links;
 mod liveness;
 mod ports;
+mod replica;
 pub mod routes;
 mod status;
 mod uplink;
@@ -34,6 +35,7 @@ use tokio::task::JoinSet;
 use self::core::Core;
 use self::domain::KeptDomain;
 use self::kept::KeptRevocations;
+use self::replica::Replica;
 use crate::config::{Config, DataPlane};
 use crate::folders;
 use crate::plane::host_pair;
@@ -71,6 +73,8 @@ pub struct Daemon {
     port_config: PortConfig,
     core: Mutex<Core>,
     revocations: KeptRevocations,
+    /// Its part, if this is one of several replicas of the RIB.
+    replica: Option<Replica>,
     /// What is kept of the domain, if this is a member of one.
     domain: Option<KeptDomain>,
     ports: Mutex<HashMap<String, Arc<Port>>>,
@@ -121,7 +125,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     })?;
     let uplink = config.uplink.as_ref().map(|place| place.switch);
     let link_ids = LinkIds::new();
-    let mut core = Core::new(identity.clone(), config.neighbours.clone(), uplink, config.rib, planes);
+    let mut core = Core::new(identity.clone(), config.neighbours.clone(), uplink, config.rib && config.etcd.is_none(), planes);
     core.take_over(&link_ids);
     let revocations = KeptRevocations::recall(&config.identity, &mut core)?;
     let port_config = PortConfig { rekey: config.rekey, ..PortConfig::switch(identity.clone(), link_ids) };
@@ -137,6 +141,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         port_config,
         core: Mutex::new(core),
         revocations,
+        replica: config.etcd.clone().map(Replica::new),
         domain,
         ports: Mutex::default(),
         turns: Mutex::default(),
@@ -182,6 +187,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     daemon.spawn(flooding::run(daemon.clone()));
     daemon.spawn(flooding::watch_carrier(daemon.clone(), changes));
     daemon.spawn(uplink::rib_clock(daemon.clone()));
+    daemon.spawn(replica::run(daemon.clone()));
     daemon.spawn(follow_addresses(daemon.clone()));
     daemon.report.notify_one();
     if let Some(config) = config.domain {
@@ -228,7 +234,9 @@ impl Running {
 
 impl Daemon {
     fn core(&self) -> MutexGuard<'_, Core> {
-        lock(&self.core)
+        let mut core = lock(&self.core);
+        core.end_term();
+        core
     }
 
     fn ports(&self) -> MutexGuard<'_, HashMap<String, Arc<Port>>> {

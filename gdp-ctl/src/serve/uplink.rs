@@ -89,9 +89,11 @@ pub async fn rib_clock(daemon: Arc<Daemon>) {
         let next = {
             let mut core = daemon.core();
             let now = core.now();
-            let Some(rib) = &mut core.rib else { return };
-            rib.tick(now);
-            rib.next_tick().and_then(|clock| core.instant(clock))
+            let next = core.rib.as_mut().and_then(|rib| {
+                rib.tick(now);
+                rib.next_tick()
+            });
+            next.and_then(|clock| core.instant(clock))
         };
         daemon.dispatch_effects();
         let latest = Instant::now() + LONGEST_SLEEP;
