@@ -6,8 +6,8 @@ use gdp::cert::{
     ReadGrant, Reading, Revocation, RtCert, Signed, issue,
 };
 use gdp::control::{
-    Credential, EntityRequest, Extent, FibPush, Flooded, NameRole, Peers, PeersExtent, PeersPush, Record, Refusal,
-    RefusalCode, Request, Response, Route, encode,
+    Credential, EntityRequest, Extent, FibPush, Flooded, MAX_HOPS, NameRole, Peers, PeersExtent, PeersPush, Record,
+    Refusal, RefusalCode, Request, Response, Route, encode,
 };
 use gdp::feedback_wire::{Feedback, Missing};
 use gdp::keys::KeyBox;
@@ -246,6 +246,7 @@ impl Papers {
         };
         let role = NameRole::Subscriber;
         let from_entity = Request::Entity;
+        let onward = |request| Request::Onward { to: switch, hops: MAX_HOPS, request: Box::new(request) };
         let of_domains = Domain::new().messages();
         let of_domains = of_domains.iter().map(|(name, request)| seed(name, request));
         of_domains
@@ -254,7 +255,10 @@ impl Papers {
                     "attach",
                     &from_entity(EntityRequest::Attach { rt_cert: rt_cert.clone(), resumes: true, lane: 1 }),
                 ),
-                seed("relay", &Request::Relay { switch, entity: Some(robot), by_tool: false, request: advertise }),
+                seed(
+                    "relay",
+                    &onward(Request::Relay { switch, entity: Some(robot), by_tool: false, request: advertise }),
+                ),
                 seed(
                     "subscribe",
                     &from_entity(EntityRequest::Subscribe {
@@ -266,7 +270,7 @@ impl Papers {
                 ),
                 seed("withdraw", &from_entity(EntityRequest::Withdraw { advert: advert.clone() })),
                 seed("query", &from_entity(EntityRequest::Query { prefix: name.into(), after: place })),
-                seed("report", &Request::Report { switch: robot, attached: vec![entity], own_bit: Some(63) }),
+                seed("report", &onward(Request::Report { switch: robot, attached: vec![entity], own_bit: Some(63) })),
                 seed(
                     "flood",
                     &Request::Flood {
@@ -276,7 +280,7 @@ impl Papers {
                 seed("revoke", &from_entity(EntityRequest::Revoke { proof, revocation: self.revocation.clone() })),
                 seed("detach", &Request::Detach { switch, entity }),
                 seed("ready", &Request::Ready),
-                seed("fib push", &Request::Fib(push)),
+                seed("fib push", &onward(Request::Fib(push))),
                 seed("key boxes", &from_entity(EntityRequest::KeyBoxes { boxes: peers.boxes.clone() })),
                 seed("peers push", &Request::Peers(PeersPush { switch, entity, name, role, peers: peers.clone() })),
                 seed("peers", &Response::Peers(peers)),

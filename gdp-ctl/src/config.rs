@@ -35,9 +35,8 @@ pub struct Config {
     /// Where to take links over UDP, if at all.
     pub udp: Option<SocketAddr>,
     pub data_plane: DataPlane,
-    /// Whether this daemon is the RIB. If not, `uplink` says how to reach it.
+    /// Whether this daemon is the RIB. If not, the topology leads to it.
     pub rib: bool,
-    pub uplink: Option<Place>,
     pub neighbours: Vec<Neighbour>,
     pub ebpf_object: Option<PathBuf>,
     pub fib_capacity: u32,
@@ -138,7 +137,6 @@ impl Config {
             udp: Some(default_udp()),
             data_plane: DataPlane::Auto,
             rib: true,
-            uplink: None,
             neighbours: Vec::new(),
             ebpf_object: None,
             fib_capacity: FIB_CAPACITY,
@@ -199,6 +197,7 @@ struct File {
     udp: Udp,
     data_plane: DataPlane,
     rib: Option<bool>,
+    /// A neighbour like others; that there is one says that the RIB is elsewhere.
     uplink: Option<PlaceEntry>,
     neighbours: Vec<PlaceEntry>,
     ebpf_object: Option<PathBuf>,
@@ -262,22 +261,21 @@ impl File {
             neighbours.push(neighbour);
         }
         let uplink_cost = self.uplink.as_ref().and_then(|entry| entry.cost);
-        let uplink_neighbour = self.uplink.map(|entry| entry.neighbour("uplink")).transpose()?;
-        let uplink = uplink_neighbour.as_ref().map(|neighbour| neighbour.place.clone());
+        let uplink = self.uplink.map(|entry| entry.neighbour("uplink")).transpose()?;
         let rib = self.rib.unwrap_or(uplink.is_none());
         match &uplink {
             Some(_) if rib => {
                 return invalid("uplink: this daemon is the RIB (rib: true); remove one of the two".into());
             }
-            None if !rib => {
+            None if !rib && neighbours.is_empty() => {
                 return invalid(
-                    "rib: false needs an uplink, the neighbour toward the RIB: uplink: {interface: …, switch: …}"
+                    "rib: false needs a neighbour by which the RIB is reached: neighbours: [{interface: …, switch: …}]"
                         .into(),
                 );
             }
             _ => {}
         }
-        if let Some(uplink) = uplink_neighbour {
+        if let Some(uplink) = uplink {
             let switch = uplink.place.switch;
             match neighbours.iter_mut().find(|n| n.place.switch == switch) {
                 Some(listed) if listed.place != uplink.place => {
@@ -335,7 +333,6 @@ impl File {
             },
             data_plane: self.data_plane,
             rib,
-            uplink,
             neighbours,
             ebpf_object: self.ebpf_object.map(here),
             fib_capacity,
@@ -411,7 +408,6 @@ mod tests {
         assert_eq!((config.udp, config.data_plane, config.rib), (None, DataPlane::Xdp, false));
         assert_eq!(config.neighbours.len(), 1);
         assert_eq!(config.neighbours[0].cost, Some(3));
-        assert_eq!(config.uplink.unwrap().via, Via::Interface("l0".into()));
     }
 
     #[test]
@@ -428,6 +424,7 @@ mod tests {
         assert_eq!(config.neighbours.len(), 1, "the uplink is a neighbour");
         let config = parse(&format!("uplink: {{interface: a, switch: {S}, cost: 7}}")).unwrap();
         assert_eq!(config.neighbours[0].cost, Some(7));
+        assert!(!parse(&format!("rib: false\nneighbours: [{{interface: a, switch: {S}}}]")).unwrap().rib);
         assert_eq!(parse("bpffs: null").unwrap().bpffs, None);
     }
 
@@ -487,7 +484,7 @@ mod tests {
             ("identiti: x", "identiti"),
             ("udp: nowhere", "is not an address and port"),
             ("data_plane: fast", "fast"),
-            ("rib: false", "needs an uplink"),
+            ("rib: false", "needs a neighbour"),
             (&format!("rib: true\nuplink: {{interface: a, switch: {S}}}"), "remove one"),
             (&format!("uplink: {{switch: {S}}}"), "needs either interface"),
             ("uplink: {interface: a, switch: 75e}", "64 hex digits"),

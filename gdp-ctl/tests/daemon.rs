@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::{Duration, Instant, SystemTime};
 
 use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, LinkState, Mode, ReadGrant, Reading, RtCert, issue};
-use gdp::control::{EntityRequest, Flooded, Request, Response};
+use gdp::control::{EntityRequest, Flooded, MAX_HOPS, Request, Response};
 use gdp::link::{Link, LinkIds};
 use gdp::node::{NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp::port::{LinkAddr, OutFrame, Port, PortConfig};
@@ -18,6 +18,7 @@ use gdp_ctl::config::{Config, Neighbour, Place, Via};
 use gdp_ctl::serve::{Running, start};
 use gdp_wire::table::PORT_USERSPACE;
 use gdp_wire::{Header, Name, forward};
+use serde_json::Value;
 use switch::{PATIENCE, config, wait};
 use zerocopy::IntoBytes;
 
@@ -306,16 +307,40 @@ async fn only_what_a_switch_states_itself_becomes_topology() {
         let topology = switch.status().await["topology"].clone();
         topology["switches"] == switches && topology["reached"] == reached
     };
+    let pass = async |to: Name, hops, request| {
+        let request = Request::Onward { to, hops, request: Box::new(request) };
+        match link.request(&request).await.unwrap() {
+            Response::Refused(refusal) => refusal.reason,
+            response => format!("{response:?}"),
+        }
+    };
+    let report = |of: &Identity| Request::Report { switch: of.proof(), attached: vec![], own_bit: None };
+    let refused = pass(switch.name(), MAX_HOPS, report(&near)).await;
+    assert!(refused.contains("not on the map of switch"), "{refused}");
     let lies = flood(flooded(&near, &claims(&far, &[near.name()]))).await;
     assert!(matches!(&lies, Response::Refused(r) if r.reason.contains("wrong name")), "{lies:?}");
     assert!(matches!(flood(flooded(&near, &claims(&near, &[switch.name(), far.name()]))).await, Response::Done));
     wait("the neighbour to be reached", async || known(2, 2).await).await;
+    assert_eq!(pass(switch.name(), MAX_HOPS, report(&near)).await, "Done");
+    let refused = pass(switch.name(), MAX_HOPS, report(&far)).await;
+    assert!(refused.contains("not on the map of the RIB"), "{refused}");
+    let direct = link.request(&report(&near)).await.unwrap();
+    assert!(matches!(&direct, Response::Refused(r) if r.reason.contains("with whom it is for")), "{direct:?}");
     assert!(matches!(flood(flooded(&far, &claims(&far, &[]))).await, Response::Done));
     wait("the other one to be known", async || known(3, 2).await).await;
     assert!(known(3, 2).await, "it does not state the link");
     let (newer, back) = (2, claims(&far, &[near.name()]));
     assert!(matches!(flood(flooded(&far, &LinkState { number: newer, ..back })).await, Response::Done));
     wait("the other one to be reached", async || known(3, 3).await).await;
+    assert_eq!(pass(switch.name(), MAX_HOPS, report(&far)).await, "Done", "behind its neighbour");
+    for (to, hops, needle) in [
+        (far.name(), MAX_HOPS, "which asks it"),
+        (far.name(), 0, "no hop is left"),
+        (Name::from_bytes([1; 32]), MAX_HOPS, "knows no path"),
+    ] {
+        let refused = pass(to, hops, report(&near)).await;
+        assert!(refused.contains(needle), "{refused}");
+    }
 
     let (_port, endpoint) = Papers::new().bare_link(&switch, 0).await;
     let states = vec![flooded(&far, &LinkState { number: 9, ..claims(&far, &[]) })];
@@ -327,21 +352,21 @@ async fn only_what_a_switch_states_itself_becomes_topology() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn uplinks_in_a_loop_lead_nowhere_and_say_so() {
+async fn where_no_switch_has_the_rib_that_is_said() {
     let folder = tempfile::tempdir().unwrap();
     let chain = Chain::new(folder.path());
-    let mut end = chain.config(1);
-    end.uplink = Some(end.neighbours[0].place.clone());
-    let switches = [start(chain.config(0)).await.unwrap(), start(end).await.unwrap()];
+    let switches = [start(chain.config(0)).await.unwrap(), start(chain.config(1)).await.unwrap()];
     for switch in &switches {
-        wait("the link", async || switch.status().await["uplink"]["connected"] == true).await;
+        wait("the other one to be reached", async || switch.status().await["topology"]["reached"] == 2).await;
     }
     let papers = Papers::new();
     let mut config = NodeConfig::new(papers.robot.clone(), format!("udp://{}", chain.addrs[0]).parse().unwrap());
     config.connect_timeout = Duration::from_millis(500);
     let error = Node::connect(config).await.err().unwrap();
     assert!(error.to_string().contains("no way to the RIB"), "{error}");
-    assert_eq!(switches[0].status().await["uplink"]["ready"], false);
+    let control = switches[0].status().await["control"].clone();
+    assert_eq!((&control["rib"], &control["ready"]), (&Value::Null, &false.into()));
+    assert!(control["reason"].as_str().unwrap().contains("no switch that it knows"), "{control}");
 }
 
 /// A message sent again and again until it arrives: links and routes may just be coming back.
@@ -392,7 +417,6 @@ impl<'a> Chain<'a> {
         Config {
             udp: Some(self.addrs[i]),
             rib: i == 2,
-            uplink: (i < 2).then(|| place(i + 1)),
             neighbours: near
                 .into_iter()
                 .flatten()

@@ -225,7 +225,7 @@ async fn an_invitation_admits_the_first_that_the_rib_sees() {
     let (hub, mid, first, second) = (Place::new("hub"), Place::new("mid"), Place::new("first"), Place::new("second"));
     let hub_running = hub.member(&home, "rib", LONG).rib().start().await;
     let mid_running = mid.member(&home, "switch", LONG).dials(&hub).start().await;
-    wait("the way to the RIB", async || mid_running.status().await["uplink"]["ready"] == true).await;
+    wait("the way to the RIB", async || mid_running.status().await["control"]["ready"] == true).await;
     let token = home.invite("switch", &mid);
     let line = token.to_line();
     let token = Token::from_line(&line).unwrap();
@@ -466,7 +466,7 @@ impl Place {
 
 impl Settings {
     fn rib(mut self) -> Self {
-        (self.0.rib, self.0.uplink) = (true, None);
+        self.0.rib = true;
         self
     }
 
@@ -482,7 +482,6 @@ impl Settings {
 
     fn dials(mut self, hub: &Place) -> Self {
         let place = At { switch: hub.name, via: Via::Udp(hub.addr) };
-        self.0.uplink = Some(place.clone());
         self.0.neighbours.push(Neighbour { place, cost: Some(1), dial: true });
         self
     }

@@ -25,7 +25,10 @@ use crate::name::{NamePrefix, NameProof};
 /// Largest encoded request or response, in bytes, without its length prefix.
 pub const MAX_MESSAGE: usize = 64 * 1024;
 
-/// Deepest nesting of a message; the deepest real one has seven levels.
+/// Hops that control goes between switches, at most: more than any path has on which it arrives in time.
+pub const MAX_HOPS: u8 = 64;
+
+/// Deepest nesting of a message; the deepest real one has nine levels.
 const MAX_DEPTH: usize = 16;
 
 /// Whatever one side of a link asks of the other.
@@ -33,11 +36,14 @@ const MAX_DEPTH: usize = 16;
 pub enum Request {
     /// Endpoint → its switch: on behalf of the entity at the other end of the link.
     Entity(EntityRequest),
-    /// Switch → its uplink, hop by hop to the RIB: what an entity attached to `switch` (or a tool on its host) asks.
+    /// Switch → neighbouring switch: a request to the switch `to`, or to the RIB beside it; pass it on along the shortest path, with one hop
+    /// less, and its answer back. What a switch asks of the RIB goes so, and what the RIB says to a switch.
+    Onward { to: Name, hops: u8, request: Box<Request> },
+    /// Switch → RIB: what an entity attached to `switch` (or a tool on its host) asks.
     /// `entity` shows the RIB the key that the entity's statements must verify under; `None` for revocations, and for queries of a name in full.
     /// `by_tool`: not over a link of the entity, so nothing is bound to an attachment, only to the statement's lifetime.
     Relay { switch: Name, entity: Option<NameProof>, by_tool: bool, request: EntityRequest },
-    /// Switch → RIB, first after every (re)connect: I am here, with these entities attached. The RIB drops those it holds
+    /// Switch → RIB, first when it reaches that RIB, and when it reaches it again: I am here, with these entities attached. The RIB drops those it holds
     /// beyond these, and answers those it does not hold with [`Request::Detach`], so that they attach again. A switch whose
     /// daemon has just started names those whose links it took over. `own_bit`: the egress bit it had, if it had one; frames
     /// on their way carry it, so a RIB that does not know the switch gives it the same one if nobody else has it.
@@ -51,9 +57,9 @@ pub enum Request {
     /// Switch → neighbouring switch: data frames are taken on this link from now on. Endpoint → its switch: of my links to you, send me
     /// on this one what I take on one.
     Ready,
-    /// RIB → switch, relayed down: what the switch's FIB holds.
+    /// RIB → switch: what the switch's FIB holds.
     Fib(FibPush),
-    /// RIB → entity, relayed down: its counterparts in a name are now these.
+    /// RIB → switch → entity: its counterparts in a name are now these.
     Peers(PeersPush),
     /// Either end of a link → the other: my data frames are now under the link key of this generation. Answered once the
     /// one after it is held; until then there is no further change.
@@ -64,7 +70,7 @@ pub enum Request {
     /// Either end of a link → the other: a domain has taken certificates back. Sent of all domains that the sender has to do with, first
     /// on every link and whenever there is news; it is the domain's signature that counts.
     DomainRevoked { proof: NameProof, revocation: Signed<Revocation> },
-    /// Switch → its uplink, hop by hop to the RIB: this entity shows a membership by an invitation; is it the one that was admitted?
+    /// Switch → RIB: this entity shows a membership by an invitation; is it the one that was admitted?
     /// The first that asks is.
     Admitted { switch: Name, entity: Name, membership: Box<Membership> },
 }
@@ -280,7 +286,7 @@ impl Record {
 /// A change of a switch's FIB, or a part of its whole. The RIB sends the next one once this is answered.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FibPush {
-    /// Whose FIB; switches on the way pass the push on.
+    /// Whose FIB.
     pub switch: Name,
     /// Which run of a RIB this is: another number after a restart.
     pub run: u64,

@@ -199,12 +199,12 @@ impl Site {
             udp: ends.iter().any(|(cable, _)| *cable != ETHERNET).then_some("[::]:31415".parse()?),
             data_plane: self.data_plane,
             rib: i == 1,
-            uplink: (i == 0).then(|| near.clone()),
             neighbours: vec![Neighbour { place: near, cost: None, dial: false }],
             ebpf_object: Some(Tools::beside_this_test()?.ebpf_object()?),
             fib_capacity: 1024,
             bpffs: None,
             domain: None,
+            etcd: None,
             rekey: Default::default(),
         })
     }

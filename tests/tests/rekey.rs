@@ -84,12 +84,12 @@ impl Scene {
                 udp: None,
                 data_plane,
                 rib: i == 1,
-                uplink: (i == 0).then(|| place.clone()),
                 neighbours: vec![Neighbour { place, cost: None, dial: false }],
                 ebpf_object: Some(tools.ebpf_object()?),
                 fib_capacity: 1024,
                 bpffs: None,
                 domain: None,
+                etcd: None,
                 rekey: OFTEN,
             };
             let inside = Inside::new(&chain.switches()[i], ROOT)?;

@@ -148,12 +148,12 @@ impl Site {
                 udp: Some(bind.parse()?),
                 data_plane: DataPlane::Xdp,
                 rib: label == "cloud",
-                uplink: (label == "edge").then(|| near.clone()),
                 neighbours: vec![Neighbour { place: near.clone(), cost: None, dial: false }],
                 ebpf_object: ebpf_object.clone(),
                 fib_capacity: 1024,
                 bpffs: None,
                 domain: None,
+                etcd: None,
                 rekey: Default::default(),
             })
         };

@@ -50,7 +50,7 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Run the daemon: switch, and RIB unless an uplink is configured.
+    /// Run the daemon: switch, and RIB unless the configuration says that it is elsewhere.
     Serve(serve::Options),
     /// Announce that an entity publishes a name, through the daemon's switch.
     Advertise(advertise::Options),

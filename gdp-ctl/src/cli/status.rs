@@ -20,17 +20,11 @@ fn describe(status: &Value) -> String {
         text(&status["data_plane"]),
         text(&status["data_plane_reason"])
     );
-    out += &match (&status["rib"], &status["uplink"]) {
+    let control = &status["control"];
+    out += &match (&status["rib"], control["reason"].as_str()) {
         (Value::Object(rib), _) => format!("RIB         here: {} names, {} switches\n", rib["names"], rib["switches"]),
-        (_, uplink) => format!(
-            "RIB         through {} ({})\n",
-            short(&uplink["switch"]),
-            match (uplink["connected"].as_bool(), uplink["ready"].as_bool()) {
-                (Some(true), Some(true)) => "connected",
-                (Some(true), _) => "connecting",
-                _ => "no link",
-            }
-        ),
+        (_, None) => format!("RIB         at {}, through {}\n", short(&control["rib"]), short(&control["next"])),
+        (_, Some(reason)) => format!("RIB         not reached: {reason}\n"),
     };
     out += &format!("FIB         {} names, generation {}\n", status["fib"]["names"], status["fib"]["generation"]);
     let links: Vec<_> = items(&status["links"])

@@ -127,7 +127,8 @@ mod tests {
             assert_eq!(item.to_string().parse(), Ok(item));
         }
         let upper = format!("entity/{}", a.to_string().replace('0', "A"));
-        for other in ["", "floor/", "leader", "entity/12", "invitation/+7", "invitation/07", "registration/1/2/3/4", &upper]
+        for other in
+            ["", "floor/", "leader", "entity/12", "invitation/+7", "invitation/07", "registration/1/2/3/4", &upper]
         {
             assert_eq!(other.parse::<Item>(), Err(NoItem), "{other:?}");
         }

@@ -1,5 +1,5 @@
 //! What the daemon holds and decides: its links, the RIB or the way to it, the topology, the FIB in links, the data planes. Behind one
-//! lock, never held across an await; the tasks around it ([`super::links`], [`super::uplink`], [`super::ports`],
+//! lock, never held across an await; the tasks around it ([`super::links`], [`super::report`], [`super::ports`],
 //! [`super::admin`]) do the waiting.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -16,7 +16,7 @@ use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
 use gdp_wire::{LinkRole, Name};
 
-use super::domain;
+use super::control::{self, Report};
 use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::replica::Term;
 use super::routes::{Change, Routes};
@@ -28,9 +28,6 @@ use crate::rib::{Effect, Limits, Now, Rib, Run, Told};
 use crate::topology::Topology;
 use crate::topology::cost::Meter;
 use crate::unix_time::{unix_nanos, unix_now};
-
-/// Switches that reach the RIB through this one; a RIB takes fewer.
-const MAX_DOWNSTREAM: usize = 256;
 
 /// Routes that are tried in vain whenever there may be room: one may need what another does not.
 const MAX_REFUSALS: usize = 16;
@@ -45,10 +42,6 @@ const MAX_UNLISTED: usize = EGRESS_SET_SIZE as usize;
 pub struct Core {
     pub identity: Identity,
     pub neighbours: Vec<Neighbour>,
-    /// The switch toward the RIB, unless the RIB is here.
-    pub uplink: Option<Name>,
-    /// The RIB has taken this switch's full report over the present uplink, so requests may follow.
-    pub uplink_ready: bool,
     pub rib: Option<Rib>,
     /// Of the RIB here, if that is the leader of several replicas.
     pub(super) term: Option<Arc<Term>>,
@@ -65,10 +58,10 @@ pub struct Core {
     pub held: Hold,
     /// The link to each peer; to an endpoint, of each lane.
     pub peers: BTreeMap<(Name, u8), u32>,
-    /// The link toward each switch further from the RIB.
-    pub downstream: HashMap<Name, u32>,
     /// Endpoints that the RIB has attached here.
     pub attached: HashSet<Name>,
+    /// Whether the RIB knows.
+    pub report: Report,
     pub topology: Topology,
     /// What the links to neighbours cost, of which the configuration does not say it.
     pub(super) meters: BTreeMap<Name, Meter>,
@@ -99,7 +92,7 @@ impl LinkState {
     }
 }
 
-/// Something to send, on behalf of the RIB or of a switch nearer to it.
+/// Something that the RIB here has to say, and the first link of the way, if there is one.
 pub struct Outgoing {
     pub link: Option<Link>,
     pub request: Request,
@@ -148,6 +141,8 @@ pub enum Next {
     },
     /// What the RIB here has taken in is to be stored before anything else.
     Store(Box<Next>),
+    /// The RIB has asked this switch to report again.
+    Report,
     /// Ask over this link, and pass the response on.
     Forward(Link, Request),
     /// Have the endpoint at the other end of these attach again by each, or close it.
@@ -155,13 +150,7 @@ pub enum Next {
 }
 
 impl Core {
-    pub fn new(
-        identity: Identity,
-        neighbours: Vec<Neighbour>,
-        uplink: Option<Name>,
-        rib: bool,
-        planes: Planes,
-    ) -> Self {
+    pub fn new(identity: Identity, neighbours: Vec<Neighbour>, rib: bool, planes: Planes) -> Self {
         let run = Run { id: run_id(), settling: HOLD };
         let rib = rib.then(|| Rib::new(identity.name(), run, Limits::default()));
         let mut topology = Topology::new(identity.clone(), unix_nanos());
@@ -169,8 +158,6 @@ impl Core {
         Self {
             identity,
             neighbours,
-            uplink,
-            uplink_ready: false,
             rib,
             term: None,
             no_rib: None,
@@ -181,8 +168,8 @@ impl Core {
             links: HashMap::new(),
             held: Hold::default(),
             peers: BTreeMap::new(),
-            downstream: HashMap::new(),
             attached: HashSet::new(),
+            report: Report::default(),
             topology,
             meters: BTreeMap::new(),
             dark: BTreeSet::new(),
@@ -315,23 +302,25 @@ impl Core {
         }
     }
 
-    /// What the RIB is to be asked before a member that was admitted by an invitation is taken for one. The switch on the way to the
-    /// RIB is taken: there is nobody else to ask.
+    /// What the RIB is to be asked before a member that was admitted by an invitation is taken for one. A neighbour that the
+    /// configuration names is taken if there is no way to the RIB but by it: there is nobody else to ask.
     pub fn question(&self, link: &Link, papers: &Papers) -> Option<Request> {
         let domain = self.domain.as_ref()?;
         let entity = link.peer().name;
         let invite = papers.membership.invite_unverified().ok()??;
         let is_own = papers.membership.domain.name().is_ok_and(|name| name == domain.trust.home());
         let is_known = domain.invitations.has_admitted(invite.serial, &entity);
-        if !is_own || is_known || self.uplink == Some(entity) {
+        if !is_own || is_known || self.is_only_way_to_rib(&entity) {
             return None;
         }
         Some(Request::Admitted { switch: self.name(), entity, membership: Box::new(papers.membership.clone()) })
     }
 
-    /// Puts to the RIB what [`Self::question`] asks.
-    pub fn admitted(&mut self, question: Request) -> Next {
-        self.upward(question)
+    fn is_only_way_to_rib(&self, neighbour: &Name) -> bool {
+        let paths = self.topology.paths();
+        let is_listed = self.neighbours.iter().any(|n| n.place.switch == *neighbour);
+        let other_way = |rib: &Name| paths.next.get(rib).is_some_and(|next| next != neighbour);
+        self.rib.is_none() && is_listed && !paths.rib.as_ref().is_some_and(other_way)
     }
 
     /// The peer of a link shows other papers: whether it may keep the link by them.
@@ -392,9 +381,6 @@ impl Core {
         let changes = self.routes.link_up(link.peer().role, peer, lane, id);
         self.carry_out(changes);
         self.meet(link);
-        if self.uplink == Some(peer) {
-            self.uplink_ready = false;
-        }
         Ok(replaced)
     }
 
@@ -413,13 +399,9 @@ impl Core {
     /// and to be [watched](super::liveness). Returns whether it is.
     pub fn link_down(&mut self, link: &Link) -> bool {
         let (id, peer, role, lane) = (link.local_id(), link.peer().name, link.peer().role, link.peer().lane);
-        self.downstream.retain(|_, via| *via != id);
         self.topology.link_down(id);
         if self.peers.get(&(peer, lane)) == Some(&id) {
             self.peers.remove(&(peer, lane));
-            if self.uplink == Some(peer) {
-                self.uplink_ready = false;
-            }
         }
         let Some(LinkState { link, entry, to, admission, .. }) = self.links.remove(&id) else { return false };
         let is_replaced = self.routes.is_replaced(role, &peer, id);
@@ -538,114 +520,23 @@ impl Core {
 
     /// What a neighbouring switch asks or says.
     pub fn switch_request(&mut self, from: &Link, request: Request) -> Next {
-        let peer = from.peer().name;
-        if matches!(request, Request::Ready) {
-            self.link_ready(from);
-            return Next::Answer(Response::Done);
-        }
-        let is_border = |state: &LinkState| state.admission.standing.is_border();
-        if self.domain.is_some() && self.links.get(&from.local_id()).is_none_or(is_border) {
-            return refuse(RefusalCode::Unsupported, "nothing of this kind is asked across a border between domains");
-        }
-        if self.uplink == Some(peer) {
-            return self.downward(request);
-        }
-        match &request {
-            Request::Report { switch, .. } => {
-                let Ok(reporter) = switch.name() else {
-                    return refuse(RefusalCode::Malformed, "the key of the reporting switch is not valid");
-                };
-                if reporter == self.name() {
-                    return refuse(
-                        RefusalCode::Malformed,
-                        "this switch's own report came back: the uplinks form a loop",
-                    );
-                }
-                if self.downstream.len() >= MAX_DOWNSTREAM && !self.downstream.contains_key(&reporter) {
-                    return refuse(
-                        RefusalCode::Limit,
-                        format!("{MAX_DOWNSTREAM} switches are behind this one already"),
-                    );
-                }
-                self.downstream.insert(reporter, from.local_id());
-            }
-            Request::Relay { switch, .. } | Request::Detach { switch, .. } | Request::Admitted { switch, .. } => {
-                if self.downstream.get(switch) != Some(&from.local_id()) {
-                    let reason = format!("switch {switch} has not reported over this link");
-                    return refuse(RefusalCode::Unreachable, reason);
-                }
-            }
-            Request::Entity(_)
-            | Request::Fib(_)
-            | Request::Peers(_)
-            | Request::Ready
-            | Request::Flood { .. }
-            | Request::Ratcheted { .. }
-            | Request::Papers(_)
-            | Request::DomainRevoked { .. } => {
-                let reason = "only the uplink of a switch may send it this; check uplink in the configuration of both";
-                return refuse(RefusalCode::Malformed, reason);
-            }
-        }
-        self.upward(request)
-    }
-
-    /// A request from further down, for the RIB.
-    fn upward(&mut self, request: Request) -> Next {
-        let now = self.now();
-        let Some(rib) = &mut self.rib else { return self.to_rib(request) };
-        if let Request::Admitted { entity, membership, .. } = &request {
-            return domain::admitted(self.domain.as_mut(), *entity, membership, now.unix);
-        }
-        Next::Answer(match request {
-            Request::Relay { switch, entity, by_tool, request } => {
-                return ask(rib, now, switch, entity.as_ref(), by_tool, &request);
-            }
-            Request::Report { switch, attached, own_bit } => rib.report(now, &switch, &attached, own_bit),
-            Request::Detach { switch, entity } => rib.detach(now, &switch, &entity),
-            _ => Refusal::new(RefusalCode::Malformed, "not a request to a RIB").into(),
-        })
-    }
-
-    /// Something the RIB sent, for this switch or one further down.
-    fn downward(&mut self, request: Request) -> Next {
-        let target = match &request {
-            Request::Fib(push) => push.switch,
-            Request::Peers(push) => push.switch,
-            Request::Detach { switch, .. } => *switch,
-            _ => return refuse(RefusalCode::Malformed, "this came from the uplink itself: the uplinks form a loop"),
-        };
-        if target != self.name() {
-            let link = self.downstream.get(&target).and_then(|id| self.links.get(id));
-            return match link {
-                Some(state) => Next::Forward(state.link.clone(), request),
-                None => refuse(RefusalCode::Unreachable, format!("switch {target} is not behind this one")),
-            };
-        }
         match request {
-            Request::Fib(push) => Next::Answer(self.push(&push)),
-            Request::Peers(push) => match self.link_to(&push.entity) {
-                Some(link) => Next::Forward(link, Request::Peers(push)),
-                None => refuse(RefusalCode::Unreachable, format!("{} has no link here", push.entity)),
-            },
-            Request::Detach { switch, entity } => {
-                Next::Reattach(self.told_to_detach(&entity), Request::Detach { switch, entity })
+            Request::Ready => {
+                self.link_ready(from);
+                Next::Answer(Response::Done)
             }
-            _ => refuse(RefusalCode::Malformed, "not a request to a switch"),
+            Request::Onward { to, hops, request } => self.passed_on(from, to, hops, *request),
+            _ => refuse(RefusalCode::Malformed, "what is for the RIB or from it is passed on with whom it is for"),
         }
     }
 
-    /// The RIB does not hold what this switch thinks it holds. Returns the links of the endpoint that is to attach again.
-    fn told_to_detach(&mut self, entity: &Name) -> Vec<Link> {
-        if *entity == self.name() {
-            // The caller reports again because of this.
-            self.uplink_ready = false;
-        }
+    /// The links of an endpoint here.
+    pub(super) fn links_of_endpoint(&self, entity: &Name) -> Vec<Link> {
         let links = self.links_of(entity).filter_map(|id| Some(self.links.get(&id)?.link.clone()));
         links.filter(|link| link.peer().role == Role::Endpoint).collect()
     }
 
-    fn push(&mut self, push: &FibPush) -> Response {
+    pub(super) fn push(&mut self, push: &FibPush) -> Response {
         match self.routes.push(push) {
             Ok(changes) => {
                 tracing::debug!(generation = push.generation, changes = changes.len(), "FIB push");
@@ -695,7 +586,7 @@ impl Core {
                         (push.switch, Request::Peers(push), expects)
                     }
                     Effect::Detach { switch, entity } if switch == own => {
-                        outgoing.extend(self.told_to_detach(&entity).into_iter().map(|link| Outgoing {
+                        outgoing.extend(self.links_of_endpoint(&entity).into_iter().map(|link| Outgoing {
                             link: Some(link),
                             request: Request::Detach { switch, entity },
                             expects: Expects::Reattach,
@@ -704,9 +595,9 @@ impl Core {
                     }
                     Effect::Detach { switch, entity } => (switch, Request::Detach { switch, entity }, Expects::Nothing),
                 };
-                let link = match &request {
-                    Request::Peers(push) if target == own => self.link_to(&push.entity),
-                    _ => self.downstream.get(&target).and_then(|id| self.links.get(id)).map(|s| s.link.clone()),
+                let (link, request) = match request {
+                    Request::Peers(push) if target == own => (self.link_to(&push.entity), Request::Peers(push)),
+                    request => (self.link_toward(&target).ok(), control::onward(target, request)),
                 };
                 outgoing.push(Outgoing { link, request, expects });
             }
@@ -723,21 +614,6 @@ impl Core {
                 rib.pushed(now, &switch, generation, response.map_or(Pushed::Failed, outcome));
             }
             Expects::Told(told) => rib.told(now, told, matches!(response, Some(Response::Done))),
-        }
-    }
-
-    fn to_rib(&self, request: Request) -> Next {
-        let link = self.uplink.as_ref().and_then(|uplink| self.link_to(uplink));
-        match link {
-            Some(link) if self.uplink_ready => Next::Forward(link, request),
-            _ => {
-                let why = match (&self.no_rib, self.uplink) {
-                    (Some(why), _) => why.clone(),
-                    (None, uplink) => format!("no link to its uplink {}", uplink.unwrap_or_default()),
-                };
-                let reason = format!("switch {} has no way to the RIB: {why}", self.name());
-                refuse(RefusalCode::Unreachable, reason)
-            }
         }
     }
 
@@ -814,7 +690,7 @@ pub(super) fn run_id() -> u64 {
 }
 
 /// Puts an entity's request to the RIB.
-fn ask(
+pub(super) fn ask(
     rib: &mut Rib,
     now: Now,
     switch: Name,
@@ -852,6 +728,6 @@ fn outcome(response: Response) -> Pushed {
     }
 }
 
-fn refuse(code: RefusalCode, reason: impl Into<String>) -> Next {
+pub(super) fn refuse(code: RefusalCode, reason: impl Into<String>) -> Next {
     Next::Answer(Refusal::new(code, reason).into())
 }

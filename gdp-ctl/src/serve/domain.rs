@@ -229,7 +229,7 @@ impl Daemon {
         let (entity, membership) = (*entity, membership.clone());
         let next = {
             let mut core = self.core();
-            let next = core.admitted(request);
+            let next = core.for_rib(request);
             core.to_store(next)
         };
         match self.complete(next).await {

@@ -34,7 +34,10 @@ pub async fn run(daemon: Arc<Daemon>) {
     loop {
         let (batches, next) = {
             let mut core = daemon.core();
-            let batches = core.follow_topology();
+            let (batches, other_paths) = core.follow_topology();
+            if core.follow_rib() && other_paths {
+                daemon.report.notify_one();
+            }
             let now = core.now().clock;
             (batches, core.topology.next_tick(now).and_then(|clock| core.instant(clock)))
         };
@@ -193,8 +196,9 @@ impl Core {
         changed
     }
 
-    /// Brings the topology up to date, and with it what follows. Returns what is to be sent over which link.
-    fn follow_topology(&mut self) -> Vec<(Link, Batch)> {
+    /// Brings the topology up to date, and with it what follows. Returns what is to be sent over which link, and whether there are
+    /// other paths than before, or another RIB.
+    fn follow_topology(&mut self) -> (Vec<(Link, Batch)>, bool) {
         let (now, own) = (self.now(), self.name());
         let Adjacencies { neighbours, silent, borders } = self.adjacencies();
         // Where nobody is any more, a new link begins with a new measurement.
@@ -203,7 +207,8 @@ impl Core {
         self.topology.set_silent(silent);
         self.topology.set_borders(borders.into_values());
         self.topology.set_bit(self.routes.own_bit());
-        if self.topology.tick(now.clock) {
+        let (rib, paths_changed) = (self.topology.rib(), self.topology.tick(now.clock));
+        if paths_changed {
             let changes = self.routes.set_paths(self.topology.paths(), &own);
             tracing::debug!(changes = changes.len(), "other paths");
             self.carry_out(changes);
@@ -212,6 +217,7 @@ impl Core {
             }
         }
         let batches = self.topology.batches(now.clock).into_iter();
-        batches.filter_map(|batch| Some((self.links.get(&batch.id.link)?.link.clone(), batch))).collect()
+        let batches = batches.filter_map(|batch| Some((self.links.get(&batch.id.link)?.link.clone(), batch)));
+        (batches.collect(), paths_changed || self.topology.rib() != rib)
     }
 }

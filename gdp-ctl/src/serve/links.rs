@@ -10,7 +10,7 @@ use gdp_wire::Name;
 use tokio::time::timeout;
 
 use super::core::{Expects, Next, Statement};
-use super::{Daemon, Place, domain, flooding, liveness};
+use super::{Daemon, Place, control, domain, flooding, liveness};
 use crate::config::Via;
 
 /// How long an accepted statement waits for switches to take their routes.
@@ -216,21 +216,15 @@ async fn switch_request(daemon: &Arc<Daemon>, link: &Link, request: Request) -> 
     if let Request::Flood { states } = request {
         return flooding::take(daemon, link, states);
     }
-    if let Request::Relay { request, .. } = &request
-        && let Some((proof, revocation)) = daemon.is_of_domain(request)
-    {
+    if let Some((proof, revocation)) = control::relayed(&request).and_then(|request| daemon.is_of_domain(request)) {
         return daemon.take_revocation(proof, revocation, Some(link.local_id())).await;
     }
-    let told_to_report = matches!(&request, Request::Detach { switch, entity } if switch == entity);
-    let (next, own) = {
+    let next = {
         let mut core = daemon.core();
         let next = core.switch_request(link, request);
-        (core.to_store(next), core.uplink == Some(link.peer().name) && !core.uplink_ready)
+        core.to_store(next)
     };
     daemon.notice_bit();
-    if told_to_report && own {
-        daemon.report_in_full();
-    }
     daemon.complete(next).await
 }
 
@@ -294,6 +288,10 @@ impl Daemon {
             Next::Reattach(links, request) => {
                 let asked = links.iter().map(async |link| reattached(self, link, link.request(&request).await.ok()));
                 join_all(asked).await;
+                Response::Done
+            }
+            Next::Report => {
+                self.report.notify_one();
                 Response::Done
             }
             Next::Forward(link, request) => match link.request(&request).await {

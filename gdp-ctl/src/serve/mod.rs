@@ -2,6 +2,7 @@
 //! tasks around [`core`]; the rules are in [`crate::rib`] and [`routes`], the data planes in [`crate::plane`].
 
 pub mod admin;
+mod control;
 pub mod core;
 mod domain;
 mod ends;
@@ -13,9 +14,9 @@ mod links;
 mod liveness;
 mod ports;
 mod replica;
+mod report;
 pub mod routes;
 mod status;
-mod uplink;
 
 use std::collections::HashMap;
 use std::net::SocketAddr;
@@ -32,6 +33,7 @@ use gdp_wire::Name;
 use tokio::sync::Notify;
 use tokio::task::JoinSet;
 
+use self::control::Report;
 use self::core::Core;
 use self::domain::KeptDomain;
 use self::kept::KeptRevocations;
@@ -123,9 +125,9 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         pins: config.bpffs.clone().map(|bpffs| PinPlace { bpffs, switch: identity.name() }),
         ..PlaneConfig::default()
     })?;
-    let uplink = config.uplink.as_ref().map(|place| place.switch);
     let link_ids = LinkIds::new();
-    let mut core = Core::new(identity.clone(), config.neighbours.clone(), uplink, config.rib && config.etcd.is_none(), planes);
+    let has_rib = config.rib && config.etcd.is_none();
+    let mut core = Core::new(identity.clone(), config.neighbours.clone(), has_rib, planes);
     core.take_over(&link_ids);
     let revocations = KeptRevocations::recall(&config.identity, &mut core)?;
     let port_config = PortConfig { rekey: config.rekey, ..PortConfig::switch(identity.clone(), link_ids) };
@@ -183,10 +185,10 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     if let Some((bind, port)) = &udp {
         daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind, changes.clone()));
     }
-    daemon.spawn(uplink::report(daemon.clone()));
+    daemon.spawn(report::report(daemon.clone()));
     daemon.spawn(flooding::run(daemon.clone()));
     daemon.spawn(flooding::watch_carrier(daemon.clone(), changes));
-    daemon.spawn(uplink::rib_clock(daemon.clone()));
+    daemon.spawn(report::rib_clock(daemon.clone()));
     daemon.spawn(replica::run(daemon.clone()));
     daemon.spawn(follow_addresses(daemon.clone()));
     daemon.report.notify_one();
@@ -264,7 +266,7 @@ impl Daemon {
 
     /// The RIB may hold less, or more, of this switch's endpoints than are here.
     fn report_in_full(&self) {
-        self.core().uplink_ready = false;
+        self.core().report = Report::Due;
         self.report.notify_one();
     }
 

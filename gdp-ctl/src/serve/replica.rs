@@ -130,7 +130,8 @@ impl Core {
             self.unstored_invitations.insert(*serial);
         }
         let is_positive = !matches!(next, Next::Answer(Response::Refused(_) | Response::Records { .. }));
-        let is_stored = !rib.has_changed() && self.unstored_invitations.is_empty() && !term.is_writing.load(Ordering::Acquire);
+        let is_stored =
+            !rib.has_changed() && self.unstored_invitations.is_empty() && !term.is_writing.load(Ordering::Acquire);
         if is_positive && !is_stored { Next::Store(Box::new(next)) } else { next }
     }
 
@@ -326,7 +327,11 @@ async fn take_over(
             let restored = match item {
                 Item::Invitation(serial) => decode_item::<Used>(bytes).map(|one| {
                     // Of what is of no use any more, nothing is kept.
-                    if one.serial == *serial && one.until >= now.unix { used.push(one) } else { useless.insert(*item); }
+                    if one.serial == *serial && one.until >= now.unix {
+                        used.push(one)
+                    } else {
+                        useless.insert(*item);
+                    }
                 }),
                 item => rib.restore(now, item, bytes),
             };

@@ -73,10 +73,20 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "topology": {"switches": core.topology.states().count(), "reached": core.topology.paths().costs.len()},
         "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
         "domain": core.domain.as_ref().map(domain),
-        "uplink": core.uplink.map(|switch| json!({
-            "switch": switch, "connected": core.link_to(&switch).is_some(), "ready": core.uplink_ready,
-        })),
+        "control": control(&core),
         "errors": errors,
+    })
+}
+
+/// Where the RIB is, which neighbour leads there, and whether it is to be asked; if not, why.
+fn control(core: &Core) -> Value {
+    let rib = core.topology.rib().map(|(rib, _)| rib);
+    let problem = core.rib_at().err().filter(|_| core.rib.is_none());
+    json!({
+        "rib": rib,
+        "next": rib.and_then(|rib| core.topology.paths().next.get(&rib)),
+        "ready": problem.is_none(),
+        "reason": problem.map(|refusal| refusal.reason),
     })
 }
 
@@ -266,10 +276,11 @@ fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry
 pub fn rib(daemon: &Daemon, after: Option<RecordPlace>, limit: usize) -> Result<Value, String> {
     let core = daemon.core();
     let Some(rib) = &core.rib else {
-        let uplink = core.uplink.unwrap_or_default();
-        return Err(format!(
-            "this daemon is not the RIB; it is behind {uplink}: run `gdp-ctl rib dump` on the RIB's host"
-        ));
+        let at = match core.topology.rib() {
+            Some((rib, _)) => format!("it is at switch {rib}"),
+            None => "and there is no way to it".into(),
+        };
+        return Err(format!("this daemon is not the RIB, {at}: run `gdp-ctl rib dump` on the RIB's host"));
     };
     let (records, more) = rib.records(core.now(), after, limit);
     let switches: Vec<Value> = rib

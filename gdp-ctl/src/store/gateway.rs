@@ -194,8 +194,7 @@ impl Gateway {
             Err(_) => return Err(self.turn(unreachable(&endpoint, "no answer in time"))),
         };
         self.connection = Some(connection);
-        serde_json::from_slice(&answer)
-            .map_err(|error| StoreError::Malformed { endpoint, reason: error.to_string() })
+        serde_json::from_slice(&answer).map_err(|error| StoreError::Malformed { endpoint, reason: error.to_string() })
     }
 
     /// Asks another from now on, if this one does not answer.
@@ -267,8 +266,7 @@ impl Watch {
         loop {
             if let Some(end) = self.read.iter().position(|byte| *byte == b'\n') {
                 let line = self.read.split_to(end + 1);
-                let malformed =
-                    |reason: String| StoreError::Malformed { endpoint: self.endpoint.clone(), reason };
+                let malformed = |reason: String| StoreError::Malformed { endpoint: self.endpoint.clone(), reason };
                 let Streamed::<WatchAnswer> { result } =
                     serde_json::from_slice(&line).map_err(|error| malformed(error.to_string()))?;
                 if result.compact_revision > 0 {

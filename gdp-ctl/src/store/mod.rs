@@ -83,8 +83,16 @@ mod tests {
         ] {
             assert_eq!(text.parse::<Endpoint>().unwrap().to_string(), shown);
         }
-        for text in ["", "127.0.0.1:2379", "http://", "http://:2379", "http://a", "http://a:0", "http://a:70000", "http://::1:2379"]
-        {
+        for text in [
+            "",
+            "127.0.0.1:2379",
+            "http://",
+            "http://:2379",
+            "http://a",
+            "http://a:0",
+            "http://a:70000",
+            "http://::1:2379",
+        ] {
             assert!(text.parse::<Endpoint>().unwrap_err().contains("is not an endpoint"), "{text}");
         }
         for text in ["http://a/b:1", "http://a b:1", "http://[a]:1", "http://u:p@a:1", "ftp://a:1"] {

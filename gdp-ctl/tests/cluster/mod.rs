@@ -89,7 +89,8 @@ impl Cluster {
         let all = self.members.iter().enumerate().map(|(i, member)| format!("m{i}={}", url(member.peer)));
         let all = all.collect::<Vec<_>>().join(",");
         let folder = self.folder.path();
-        let log = std::fs::File::options().create(true).append(true).open(folder.join(format!("m{index}.log"))).unwrap();
+        let log =
+            std::fs::File::options().create(true).append(true).open(folder.join(format!("m{index}.log"))).unwrap();
         let member = &self.members[index];
         let process = Command::new("etcd")
             .arg(format!("--name=m{index}"))

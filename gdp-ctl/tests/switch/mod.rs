@@ -19,11 +19,11 @@ pub fn config(folder: &Path, label: &str) -> Config {
         udp: Some("127.0.0.1:0".parse().unwrap()),
         data_plane: DataPlane::Userspace,
         rib: true,
-        uplink: None,
         neighbours: Vec::new(),
         ebpf_object: None,
         fib_capacity: 1024,
         domain: None,
+        etcd: None,
         rekey: RekeySchedule::default(),
     }
 }

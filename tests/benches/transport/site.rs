@@ -68,12 +68,12 @@ impl Site {
             udp: Some((Ipv4Addr::UNSPECIFIED, PORT).into()),
             data_plane: DataPlane::Xdp,
             rib: true,
-            uplink: None,
             neighbours: Vec::new(),
             ebpf_object: Some(bench.ebpf_object.clone()),
             fib_capacity: 1024,
             bpffs: None,
             domain: None,
+            etcd: None,
             rekey: RekeySchedule::default(),
         };
         let inside = Inside::new(&chain.switches()[0], ROOT)?;

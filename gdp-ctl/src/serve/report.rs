@@ -1,0 +1,97 @@
+//! Tells the RIB that this switch is there, and who is attached to it: when it first reaches that RIB, and whenever the RIB may hold
+//! something else. Keeps the RIB's clock, if the RIB is here.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp::control::Response;
+use tokio::time::{Instant, sleep_until, timeout};
+
+use super::Daemon;
+use super::control::Report;
+
+/// Between attempts to report: doubled from the first to the second.
+const RETRY: (Duration, Duration) = (Duration::from_millis(200), Duration::from_secs(5));
+
+/// The RIB's clock is looked at this often at least.
+const LONGEST_SLEEP: Duration = Duration::from_secs(10);
+
+/// And not more often than this, unless something happened.
+const SHORTEST_SLEEP: Duration = Duration::from_millis(10);
+
+/// Reports until the daemon ends.
+pub async fn report(daemon: Arc<Daemon>) {
+    loop {
+        daemon.report.notified().await;
+        let mut wait = RETRY.0;
+        while !report_once(&daemon).await {
+            // News, such as another path, is worth another attempt at once.
+            let _ = timeout(wait, daemon.report.notified()).await;
+            wait = (wait * 2).min(RETRY.1);
+        }
+    }
+}
+
+/// Whether there is nothing to report for now, or no way: then news of the topology brings the next attempt.
+async fn report_once(daemon: &Arc<Daemon>) -> bool {
+    if let Some(taken) = report_here(daemon) {
+        return taken;
+    }
+    let Some((by, run, link, request)) = daemon.core().report_to_send() else { return true };
+    match link.request(&request).await {
+        Ok(Response::Refused(refusal)) => {
+            tracing::warn!(%refusal, "the report to the RIB was refused");
+            false
+        }
+        Err(error) => {
+            tracing::debug!(%error, "the report to the RIB was not answered");
+            false
+        }
+        Ok(_) => {
+            tracing::info!(at = %format_args!("{by:#}"), "the RIB has taken this switch's report");
+            daemon.core().report_taken(by, run)
+        }
+    }
+}
+
+/// Reports to the RIB here. None: it is elsewhere.
+fn report_here(daemon: &Arc<Daemon>) -> Option<bool> {
+    {
+        let mut core = daemon.core();
+        let (switch, now, own_bit) = (core.identity.proof(), core.now(), core.routes.own_bit());
+        let (attached, was): (Vec<_>, _) = (core.attached.iter().copied().collect(), core.report);
+        let (by, rib) = (core.name(), core.rib.as_mut()?);
+        if was != Report::Due {
+            return Some(true);
+        }
+        if let Response::Refused(refusal) = rib.report(now, &switch, &attached, own_bit) {
+            tracing::error!(%refusal, "the RIB does not take its own switch's report");
+        }
+        core.report = Report::Taken { by, run: 0 };
+    }
+    daemon.send_effects();
+    Some(true)
+}
+
+/// Lets end in the RIB what ends by itself, and retries what is to be retried.
+pub async fn rib_clock(daemon: Arc<Daemon>) {
+    loop {
+        let next = {
+            let mut core = daemon.core();
+            let now = core.now();
+            let next = core.rib.as_mut().and_then(|rib| {
+                rib.tick(now);
+                rib.next_tick()
+            });
+            next.and_then(|clock| core.instant(clock))
+        };
+        daemon.dispatch_effects();
+        let latest = Instant::now() + LONGEST_SLEEP;
+        let next = next.map_or(latest, Instant::from_std);
+        let wake = next.min(latest).max(Instant::now() + SHORTEST_SLEEP);
+        tokio::select! {
+            () = sleep_until(wake) => {}
+            () = daemon.rib_changed.notified() => {}
+        }
+    }
+}
