@@ -80,7 +80,7 @@ async fn many_and_large_items_go_in_parts() {
     let mut writer = one.elected().await.unwrap();
     let mut changes: Vec<_> = (0..600).map(|i| put(i, &[i as u8; 100])).collect();
     changes.extend((600..640).map(|i| put(i, &[i as u8; 60_000])));
-    writer.write(&changes).await.unwrap();
+    written(&mut writer, &changes).await;
     let expected: Vec<_> = changes.iter().map(|(item, value)| (*item, value.clone().unwrap())).collect();
     two.catch_up(&expected).await;
     two.list().await;

@@ -175,7 +175,7 @@ impl Entities {
         let floor = floor.min(furthest(now));
         let entity = self.known.entry(name).or_insert_with(|| {
             *self.unattached.entry(through).or_default() += 1;
-            Entity::new(self.forgotten, through)
+            Entity::new(0, through)
         });
         entity.floor = entity.floor.max(floor);
     }

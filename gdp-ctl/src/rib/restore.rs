@@ -230,7 +230,8 @@ impl Rib {
         if !self.switches.contains_key(&switch) || !is_there {
             return Err(RestoreError::Unbound);
         }
-        self.entities.restore(now, entity, verified.advert.serial, switch);
+        let spent = verified.advert.serial.max(self.entities.floor(&entity));
+        self.entities.restore(now, entity, spent, switch);
         let serials = record.credential.serials()?;
         let Record { proof, entity: shown, credential, advert, .. } = record;
         let registration = Registration {

@@ -4,6 +4,7 @@ mod boxes;
 mod counterparts;
 mod random;
 mod revocations;
+mod stored;
 mod world;
 
 use std::time::Duration;

@@ -20,7 +20,7 @@ use super::core::{Core, Next, run_id};
 use super::{Daemon, lock};
 use crate::config::EtcdConfig;
 use crate::domain::Used;
-use crate::rib::{Item, Limits, Rib, Run, decode_item, encode_item};
+use crate::rib::{Item, Limits, RestoreError, Rib, Run, decode_item, encode_item};
 use crate::store::StoreError;
 use crate::store::gateway::Gateway;
 use crate::store::items::{Copy, Place, Writer};
@@ -339,14 +339,19 @@ async fn take_over(
                 Ok(()) => count += 1,
                 Err(error) => {
                     tracing::debug!(%item, %error, "left out of what was stored");
-                    useless.insert(*item);
+                    // A newer replica may lead next.
+                    if !matches!(error, RestoreError::Version(_)) {
+                        useless.insert(*item);
+                    }
                 }
             }
         }
         rib.restored();
-        // What was just read need not be written; what was not stored, as a revocation from the file of this daemon, is.
-        let is_stored: BTreeSet<&Item> = copy.items().map(|(item, _)| item).collect();
-        useless.extend(rib.take_changed().into_iter().filter(|item| !is_stored.contains(item)));
+        let changed = rib.take_changed();
+        // What is there as it was read need not be written.
+        let differs = |item: &Item| rib.stored(now, item).as_deref() != copy.get(item);
+        let changed: Vec<Item> = changed.into_iter().filter(differs).collect();
+        useless.extend(changed);
         (rib, copy, used, useless, taken, count)
     };
     let restored = tokio::task::spawn_blocking(restoring).await;

@@ -18,7 +18,7 @@ use tokio::time::timeout;
 use super::{Endpoint, StoreError};
 
 /// How long one member has to answer.
-const PATIENCE: Duration = Duration::from_secs(2);
+const PATIENCE: Duration = Duration::from_secs(3);
 
 /// Bytes of one answer: a page of items of the largest size.
 const MAX_ANSWER: usize = 32 << 20;
@@ -261,7 +261,7 @@ impl Gateway {
 }
 
 impl Watch {
-    /// The next changes, in their order. Never ends but with an error; can be dropped while it waits.
+    /// The next changes, in their order, at least one. Never ends but with an error; can be dropped while it waits.
     pub async fn next(&mut self) -> Result<Vec<Event>, StoreError> {
         loop {
             if let Some(end) = self.read.iter().position(|byte| *byte == b'\n') {
@@ -279,7 +279,12 @@ impl Watch {
                     Some("DELETE") => Event::Delete(event.kv),
                     _ => Event::Put(event.kv),
                 });
-                return Ok(events.collect());
+                let events: Vec<Event> = events.collect();
+                // It also says that it has begun.
+                if events.is_empty() {
+                    continue;
+                }
+                return Ok(events);
             }
             let frame = self.body.frame().await.ok_or_else(|| unreachable(&self.endpoint, "the watch ended"))?;
             let frame = frame.map_err(|error| unreachable(&self.endpoint, error))?;

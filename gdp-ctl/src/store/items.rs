@@ -16,8 +16,9 @@ pub const MAX_STORED: usize = 2 << 30;
 /// Operations of one transaction, of as many conditions: etcd's limit is 128, and one condition is that this is the leader.
 const MAX_OPS: usize = 127;
 
-/// Bytes of the items of one transaction; etcd takes requests of 1.5 MiB, if not told otherwise.
-const MAX_TRANSACTION: usize = 1 << 20;
+/// Bytes of the items of one transaction, unless it is one item. etcd takes requests of 1.5 MiB, if not told otherwise; what
+/// is smaller is answered sooner.
+const MAX_TRANSACTION: usize = 256 << 10;
 
 /// How often a transaction is tried whose items were found to be others.
 const ATTEMPTS: usize = 4;
@@ -137,6 +138,10 @@ impl Copy {
     /// The items, in their order.
     pub fn items(&self) -> impl Iterator<Item = (&Item, &[u8])> {
         self.items.iter().map(|(item, stored)| (item, stored.value.as_slice()))
+    }
+
+    pub fn get(&self, item: &Item) -> Option<&[u8]> {
+        self.items.get(item).map(|stored| stored.value.as_slice())
     }
 
     /// For the replica that the election of this revision made leader.

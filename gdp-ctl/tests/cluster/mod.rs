@@ -58,6 +58,12 @@ impl Cluster {
         self.await_health();
     }
 
+    /// All that were killed.
+    pub fn restart_all(&mut self) {
+        let gone: Vec<usize> = (0..self.members.len()).filter(|i| self.members[*i].process.is_none()).collect();
+        gone.into_iter().for_each(|i| self.restart(i));
+    }
+
     /// Which member leads the others.
     pub fn leader(&self) -> usize {
         let is_leader = |i: &usize| {

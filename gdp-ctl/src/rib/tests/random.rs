@@ -173,7 +173,7 @@ fn take_over(w: &mut World, entities: &[Entity], id: u64) {
     for i in 0..SWITCHES {
         w.report(i, &entities.iter().filter(|e| e.is_at(i)).map(|e| e.identity.name()).collect::<Vec<_>>());
     }
-    assert_eq!(w.detaches(), [], "nobody has to attach again");
+    assert!(w.rib.detached.is_empty(), "nobody has to attach again");
 }
 
 /// The RIB forgets everything; switches report, and entities attach again and state nothing until they next do.
