@@ -17,8 +17,9 @@ use tokio::time::timeout;
 
 use super::{Endpoint, StoreError};
 
-/// How long one member has to answer.
-const PATIENCE: Duration = Duration::from_secs(3);
+/// How long one member has to take a connection, and to answer: so short that a leader can still ask another one before its lease is over.
+const CONNECT: Duration = Duration::from_secs(1);
+const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Bytes of one answer: a page of items of the largest size.
 const MAX_ANSWER: usize = 32 << 20;
@@ -211,7 +212,7 @@ impl Gateway {
 
     async fn connect(&mut self) -> Result<(Endpoint, SendRequest<Full<Bytes>>), StoreError> {
         let endpoint = self.endpoint();
-        let connected = timeout(PATIENCE, async {
+        let connected = timeout(CONNECT, async {
             let stream = TcpStream::connect((endpoint.host.as_str(), endpoint.port)).await;
             let stream = stream.map_err(|error| unreachable(&endpoint, error))?;
             // A request is one small write, and etcd waits for it.

@@ -10,7 +10,7 @@ use gdp::identity::Identity;
 use gdp::name::Name;
 
 use super::world::{Parts, Random, World};
-use crate::rib::{HOLD, Limits, Rib, Run};
+use crate::rib::{Limits, Rib, Run};
 
 const SWITCHES: usize = 6;
 const ENTITIES: usize = 8;
@@ -162,7 +162,8 @@ fn take_over(w: &mut World, entities: &[Entity], id: u64) {
         (all, switches, desired)
     };
     let before = told(w);
-    let settling = w.now.clock + HOLD;
+    // Later than all that is waited for here.
+    let settling = w.now.clock + Duration::from_secs(24 * 3600);
     assert_eq!(w.take_over(Run { id, settling }), []);
     assert!(told(w) == before, "it has other things to say");
     for (item, bytes) in &w.stored {
