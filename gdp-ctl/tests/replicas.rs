@@ -8,7 +8,6 @@
 //! ```
 
 mod cluster;
-mod switch;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -31,7 +30,6 @@ use serde_json::{Value, json};
 use tokio::time::{sleep, timeout};
 
 use cluster::Cluster;
-use switch::wait;
 
 /// A lease has to end, and both clusters have to find another leader, on a machine that does other things as well.
 const RECOVERY: Duration = Duration::from_secs(60);
@@ -108,7 +106,7 @@ async fn nothing_is_lost_when_the_leading_rib_and_a_member_of_etcd_are_killed() 
     let survivor = timeout(RECOVERY, switches.leader()).await.expect("another replica leads");
     assert_ne!(survivor, leader);
     let again = async || stated.lock().unwrap().iter().filter(|(.., at)| *at > killed).count() >= 10;
-    timeout(RECOVERY, until(again)).await.expect("statements are taken again");
+    wait("statements to be taken again", again).await;
     let first = stated.lock().unwrap().iter().map(|(.., at)| *at).find(|at| *at > killed + Duration::from_millis(500));
     println!("statements were taken again after {:?}", first.map(|at| at - killed));
 
@@ -136,8 +134,10 @@ async fn nothing_is_lost_when_the_leading_rib_and_a_member_of_etcd_are_killed() 
     assert_eq!(timeout(RECOVERY, switches.leader()).await.expect("a leader"), survivor);
 }
 
-async fn until(condition: impl AsyncFn() -> bool) {
+async fn wait(what: &str, condition: impl AsyncFn() -> bool) {
+    let deadline = Instant::now() + RECOVERY;
     while !condition().await {
+        assert!(Instant::now() < deadline, "waited in vain for {what}");
         sleep(Duration::from_millis(20)).await;
     }
 }

@@ -128,7 +128,7 @@ async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
                     let next = {
                         let mut core = daemon.core();
                         let next = core.entity_request(entity.as_ref(), true, *request);
-                        core.to_store(next)
+                        core.store_first(next)
                     };
                     daemon.complete(next).await
                 }

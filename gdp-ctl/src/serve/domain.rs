@@ -230,7 +230,7 @@ impl Daemon {
         let next = {
             let mut core = self.core();
             let next = core.for_rib(request);
-            core.to_store(next)
+            core.store_first(next)
         };
         match self.complete(next).await {
             Response::Refused(refusal) => Err(refusal),

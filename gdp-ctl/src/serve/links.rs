@@ -149,7 +149,7 @@ async fn detach(daemon: &Arc<Daemon>, entity: Name) {
     let next = {
         let mut core = daemon.core();
         let next = core.detach(entity);
-        core.to_store(next)
+        core.store_first(next)
     };
     if let Response::Refused(refusal) = daemon.complete(next).await {
         tracing::warn!(%refusal, "the RIB could not be told of a lost attachment; reporting in full");
@@ -186,7 +186,7 @@ async fn take_request(daemon: &Arc<Daemon>, link: &Link, request: EntityRequest)
             // Before the answer, so that a report in the meantime does not leave it out.
             core.attached.insert(link.peer().name);
         }
-        core.to_store(next)
+        core.store_first(next)
     };
     let response = daemon.complete(next).await;
     if attach && matches!(response, Response::Attached { .. }) {
@@ -222,7 +222,7 @@ async fn switch_request(daemon: &Arc<Daemon>, link: &Link, request: Request) -> 
     let next = {
         let mut core = daemon.core();
         let next = core.switch_request(link, request);
-        core.to_store(next)
+        core.store_first(next)
     };
     daemon.notice_bit();
     daemon.complete(next).await

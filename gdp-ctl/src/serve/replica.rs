@@ -124,7 +124,7 @@ impl Core {
     }
 
     /// What follows from a request: if the RIB here has changed with it, that is to be stored before anybody is told.
-    pub(super) fn to_store(&mut self, next: Next) -> Next {
+    pub(super) fn store_first(&mut self, next: Next) -> Next {
         let (Some(term), Some(rib)) = (&self.term, &mut self.rib) else { return next };
         if let Next::KeepInvitation { new: Some(serial) } = &next {
             self.unstored_invitations.insert(*serial);
@@ -136,7 +136,7 @@ impl Core {
     }
 
     /// Moves what has changed and is not stored to `changed`, and says how it is to be stored. None without a RIB.
-    fn to_write(&mut self, changed: &mut BTreeSet<Item>) -> Option<Vec<(Item, Option<Vec<u8>>)>> {
+    fn unstored(&mut self, changed: &mut BTreeSet<Item>) -> Option<Vec<(Item, Option<Vec<u8>>)>> {
         let now = self.now();
         let (rib, term) = (self.rib.as_mut()?, self.term.as_ref()?);
         changed.append(&mut rib.take_changed());
@@ -243,7 +243,6 @@ impl Elected {
 
     /// So that others need not wait until the lease is over.
     async fn resign(&self, gateway: &mut Gateway) {
-        *lock(&self.term.ends) = Instant::now();
         if let Err(error) = gateway.revoke(self.lease).await {
             tracing::debug!(%error, "the lease is over only when its time is");
         }
@@ -280,19 +279,12 @@ async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elec
         error = elected.hold(&mut gateway) => error,
         error = serve_term(daemon, replica, copy, &elected) => error,
     };
-    elected.resign_at(daemon);
+    *lock(&elected.term.ends) = Instant::now();
+    daemon.core().end_term();
     replica.failed(replica.wanted.load(Ordering::Acquire), &error);
     daemon.topology_changed();
     elected.resign(&mut gateway).await;
     error
-}
-
-impl Elected {
-    fn resign_at(&self, daemon: &Daemon) {
-        *lock(&self.term.ends) = Instant::now();
-        // Looks at the end of the term.
-        drop(daemon.core());
-    }
 }
 
 async fn serve_term(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: &Elected) -> StoreError {
@@ -383,7 +375,7 @@ impl Core {
 async fn write(daemon: &Daemon, replica: &Replica, mut writer: Writer, mut changed: BTreeSet<Item>) -> StoreError {
     loop {
         let until = replica.wanted.load(Ordering::Acquire);
-        let batch = daemon.core().to_write(&mut changed);
+        let batch = daemon.core().unstored(&mut changed);
         let Some(batch) = batch else { return StoreError::Fenced };
         match writer.write(&batch).await {
             Ok(()) => {
