@@ -137,7 +137,9 @@ impl Rib {
             Item::Entity(entity) => {
                 let (floor, through) = self.entities.known(entity)?;
                 let stored = |(lane, Attachment { switch, ends })| StoredAttachment { lane, switch, ends: unix(ends) };
-                let attachments = self.entities.attachments(entity).map(stored).collect();
+                let attachments: Vec<_> = self.entities.attachments(entity).map(stored).collect();
+                // As it is once it is restored: of one that is attached, this says nothing else.
+                let through = attachments.last().map_or(through, |attachment| attachment.switch);
                 encode_item(&StoredEntity { floor, through, attachments })
             }
             Item::Registration(RecordPlace { name, role, entity, switch }) => {
