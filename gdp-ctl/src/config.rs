@@ -1,6 +1,8 @@
 //! The daemon's configuration file, and what it is without one. Strict YAML: unknown keys are refused. Read once, at
 //! start; paths in it are relative to its folder.
 
+mod etcd;
+
 use std::fmt;
 use std::fs;
 use std::io::Read;
@@ -13,6 +15,8 @@ use gdp::link::RekeySchedule;
 use gdp_wire::Name;
 use serde::{Deserialize, Deserializer};
 
+pub use self::etcd::EtcdConfig;
+use self::etcd::EtcdEntry;
 use crate::folders;
 use crate::plane::FIB_CAPACITY;
 use crate::plane::pins::BPFFS;
@@ -43,6 +47,8 @@ pub struct Config {
     pub domain: Option<DomainConfig>,
     /// Of a border: the addresses at which those of other domains reach it, best first.
     pub public: Vec<SocketAddr>,
+    /// Where the RIB is kept, if it is one of several replicas.
+    pub etcd: Option<EtcdConfig>,
     /// When the keys of links are replaced. No option of the file.
     pub rekey: RekeySchedule,
 }
@@ -142,6 +148,7 @@ impl Config {
             bpffs: default_bpffs(),
             domain: None,
             public: Vec::new(),
+            etcd: None,
             rekey: RekeySchedule::default(),
         })
     }
@@ -206,6 +213,7 @@ struct File {
     bpffs: Option<PathBuf>,
     domain: Option<DomainEntry>,
     public: Vec<SocketAddr>,
+    etcd: Option<EtcdEntry>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -318,6 +326,7 @@ impl File {
         if self.public.len() > MAX_ADDRESSES {
             return invalid(format!("public: {} addresses, where at most {MAX_ADDRESSES} are told", self.public.len()));
         }
+        let etcd = self.etcd.map(|entry| entry.check(rib)).transpose().map_err(ParseError::Invalid)?;
         let here = |path: PathBuf| folder.join(path);
         Ok(Config {
             identity: match self.identity {
@@ -349,6 +358,7 @@ impl File {
                 },
                 members_only: entry.members_only,
             }),
+            etcd,
             rekey: RekeySchedule::default(),
         })
     }
@@ -451,6 +461,31 @@ mod tests {
                 .unwrap();
         assert!(config.neighbours[0].parent && !config.neighbours[0].dial);
         assert_eq!(config.public, ["192.0.2.1:9".parse().unwrap()]);
+    }
+
+    #[test]
+    fn replicas_of_a_rib() {
+        assert_eq!(parse("").unwrap().etcd, None);
+        let etcd = parse("etcd: {endpoints: ['http://10.0.0.1:2379', 'http://b:2379']}").unwrap().etcd.unwrap();
+        let shown: Vec<_> = etcd.endpoints.iter().map(ToString::to_string).collect();
+        assert_eq!(shown, ["http://10.0.0.1:2379", "http://b:2379"]);
+        assert_eq!(etcd.prefix, "gdp/rib");
+        for (section, needle) in [
+            ("{}", "endpoints"),
+            ("{endpoints: []}", "0 endpoints"),
+            ("{endpoints: ['http://a:1', 'http://a:1/']}", "listed twice"),
+            ("{endpoints: ['https://a:1']}", "TLS"),
+            ("{endpoints: [a]}", "is not an endpoint"),
+            ("{endpoints: ['http://a:1'], prefix: /rib}", "slash"),
+            ("{endpoints: ['http://a:1'], prefix: ''}", "visible"),
+            ("{endpoints: ['http://a:1'], prefix: 'a b'}", "visible"),
+            ("{endpoints: ['http://a:1'], user: x}", "user"),
+        ] {
+            let error = parse(&format!("etcd: {section}")).expect_err(section);
+            assert!(error.contains(needle), "{section}: {error}");
+        }
+        let elsewhere = format!("uplink: {{interface: a, switch: {S}}}\netcd: {{endpoints: ['http://a:1']}}");
+        assert!(parse(&elsewhere).unwrap_err().contains("this daemon is none"));
     }
 
     #[test]

@@ -67,6 +67,10 @@ impl Invitations {
         self.0.values()
     }
 
+    pub fn get(&self, serial: u64) -> Option<&Used> {
+        self.0.get(&serial)
+    }
+
     /// Whether it is known that this invitation has admitted this entity.
     pub fn has_admitted(&self, serial: u64, entity: &Name) -> bool {
         self.0.get(&serial).is_some_and(|used| used.entity == *entity)
@@ -98,8 +102,13 @@ impl Invitations {
 
     /// What the RIB has decided.
     pub fn remember(&mut self, invite: &Invite, entity: Name) {
-        if self.0.len() < MAX_USED || self.0.contains_key(&invite.serial) {
-            self.0.insert(invite.serial, Used { serial: invite.serial, entity, until: invite.member_until });
+        self.take(Used { serial: invite.serial, entity, until: invite.member_until });
+    }
+
+    /// As [`Self::remember`].
+    pub fn take(&mut self, used: Used) {
+        if self.0.len() < MAX_USED || self.0.contains_key(&used.serial) {
+            self.0.insert(used.serial, used);
         }
     }
 }

@@ -11,6 +11,7 @@ pub mod folders;
 pub mod plane;
 pub mod rib;
 pub mod serve;
+pub mod store;
 pub mod tiers;
 pub mod topology;
 mod unix_time;

@@ -205,6 +205,7 @@ impl Site {
             bpffs: None,
             domain: None,
             public: Vec::new(),
+            etcd: None,
             rekey: Default::default(),
         })
     }

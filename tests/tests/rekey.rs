@@ -90,6 +90,7 @@ impl Scene {
                 bpffs: None,
                 domain: None,
                 public: Vec::new(),
+                etcd: None,
                 rekey: OFTEN,
             };
             let inside = Inside::new(&chain.switches()[i], ROOT)?;

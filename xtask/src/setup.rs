@@ -28,12 +28,14 @@ pub enum Part {
     Lints,
     /// Build networks of namespaces.
     Namespaces,
+    /// Run replicas of a RIB.
+    Etcd,
     /// Run foreign DDS programs against ours.
     Dds,
 }
 
 pub fn run(options: Options) -> Result<()> {
-    let all = [Part::Workspace, Part::Ebpf, Part::Lints, Part::Namespaces, Part::Dds];
+    let all = [Part::Workspace, Part::Ebpf, Part::Lints, Part::Namespaces, Part::Etcd, Part::Dds];
     let missing = missing(&all);
     if missing.is_empty() {
         println!("Nothing to do: everything is installed.");
@@ -134,6 +136,14 @@ const STEPS: &[Step] = &[
         present: || shell::which("ip").is_some() && shell::which("ethtool").is_some(),
         debian: &["apt-get install -y --no-install-recommends iproute2 ethtool"],
         elsewhere: "install iproute2 and ethtool",
+    },
+    Step {
+        part: Part::Etcd,
+        what: "etcd and etcdctl",
+        why: "tests run replicas of a RIB on clusters of their own; the service that Debian starts with it is not used",
+        present: || shell::which("etcd").is_some() && shell::which("etcdctl").is_some(),
+        debian: &["apt-get install -y --no-install-recommends etcd-server etcd-client"],
+        elsewhere: "install etcd 3.4 or later, with etcdctl",
     },
     Step {
         part: Part::Dds,

@@ -5,6 +5,8 @@ use std::collections::{BTreeMap, VecDeque};
 use gdp_wire::Name;
 use gdp_wire::table::EGRESS_SET_SIZE;
 
+use super::journal::{Item, Journal};
+
 /// The domain has as many switches as an egress set has bits.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("this RIB already routes between {EGRESS_SET_SIZE} switches, the most one egress set can name")]
@@ -15,11 +17,13 @@ pub struct Bits {
     given: BTreeMap<Name, u8>,
     /// Longest free first, so that a bit still on its way in frames is not soon someone else's.
     free: VecDeque<u8>,
+    journal: Journal,
 }
 
 impl Default for Bits {
     fn default() -> Self {
-        Self { given: BTreeMap::new(), free: (0..EGRESS_SET_SIZE as u8).collect() }
+        let free = (0..EGRESS_SET_SIZE as u8).collect();
+        Self { given: BTreeMap::new(), free, journal: Journal::default() }
     }
 }
 
@@ -32,6 +36,7 @@ impl Bits {
             let place = same.or_else(|| self.free.iter().position(|bit| !taken(*bit))).unwrap_or(0);
             let bit = self.free.remove(place).ok_or(Full)?;
             self.given.insert(switch, bit);
+            self.journal.mark(Item::Switch(switch));
         }
         Ok(())
     }
@@ -49,12 +54,17 @@ impl Bits {
 
     /// Frees the bit of a switch.
     pub fn forget(&mut self, switch: &Name) {
+        self.journal.mark(Item::Switch(*switch));
         self.free.extend(self.given.remove(switch));
     }
 
     /// The switch's egress bit (0 … 63).
     pub fn of(&self, switch: &Name) -> Option<u8> {
         self.given.get(switch).copied()
+    }
+
+    pub(super) fn journal(&mut self) -> &mut Journal {
+        &mut self.journal
     }
 
     pub fn all(&self) -> impl Iterator<Item = (Name, u8)> {

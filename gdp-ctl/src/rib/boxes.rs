@@ -10,6 +10,7 @@ use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
 use super::inboxes::Place;
+use super::journal::{Item, Journal};
 use super::names::Key;
 use super::telling::Stake;
 use super::ways::At;
@@ -35,6 +36,7 @@ pub(super) struct Boxes {
     kept: BTreeMap<(Key, Name), Kept>,
     by_writer: HashMap<Name, usize>,
     by_switch: HashMap<At, usize>,
+    journal: Journal,
 }
 
 impl Boxes {
@@ -84,19 +86,26 @@ impl Boxes {
         let new = || Kept { at: place.at, epochs: BTreeMap::new() };
         let kept = self.kept.entry(key).or_insert_with(new);
         let at = kept.at;
-        let gone = oldest.and_then(|oldest| kept.epochs.remove(&oldest)).map_or(0, |readers| readers.len());
+        let gone = oldest.and_then(|oldest| Some((oldest, kept.epochs.remove(&oldest)?)));
         let is_new = kept.epochs.entry(*epoch).or_default().insert(*reader, signed).is_none();
         if is_new {
             *self.by_writer.entry(*writer).or_default() += 1;
             *self.by_switch.entry(at).or_default() += 1;
         }
-        self.count_out(writer, &at, gone);
+        if is_stored(&at) {
+            self.journal.mark(Item::KeyBox { name: *name, writer: *writer, epoch: *epoch, reader: *reader });
+        }
+        if let Some((epoch, readers)) = gone {
+            self.mark(&key, &at, epoch, &readers);
+            self.count_out(writer, &at, readers.len());
+        }
         Ok(())
     }
 
     /// The writer sends to this name no more.
     pub fn forget(&mut self, name: &Key, writer: &Name) {
         if let Some(kept) = self.kept.remove(&(*name, *writer)) {
+            kept.epochs.iter().for_each(|(epoch, readers)| self.mark(&(*name, *writer), &kept.at, *epoch, readers));
             let count = kept.epochs.values().map(BTreeMap::len).sum();
             self.count_out(writer, &kept.at, count);
         }
@@ -128,8 +137,30 @@ impl Boxes {
         self.between(stake, counterpart).map(|signed| signed.as_bytes().len() + BOX_OVERHEAD).sum()
     }
 
+    pub fn get(&self, name: &Key, writer: &Name, epoch: u32, reader: &Name) -> Option<&Signed<KeyBox>> {
+        self.kept.get(&(*name, *writer))?.epochs.get(&epoch)?.get(reader)
+    }
+
+    pub fn journal(&mut self) -> &mut Journal {
+        &mut self.journal
+    }
+
+    fn mark(&mut self, (name, writer): &(Key, Name), at: &At, epoch: u32, readers: &BTreeMap<Name, Signed<KeyBox>>) {
+        if !is_stored(at) {
+            return;
+        }
+        let name = Name::from_bytes(*name);
+        let each = readers.keys().map(|reader| Item::KeyBox { name, writer: *writer, epoch, reader: *reader });
+        each.for_each(|item| self.journal.mark(item));
+    }
+
     fn count_out(&mut self, writer: &Name, at: &At, count: usize) {
         count_out(&mut self.by_writer, writer, count);
         count_out(&mut self.by_switch, at, count);
     }
+}
+
+/// What entities of other domains have for readers here is told again by their RIBs.
+fn is_stored(at: &At) -> bool {
+    matches!(at, At::Here(_))
 }

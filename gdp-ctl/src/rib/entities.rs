@@ -7,6 +7,7 @@ use std::time::Duration;
 use gdp::control::{Refusal, RefusalCode};
 use gdp_wire::Name;
 
+use super::journal::{Item, Journal};
 use super::names::Key;
 use super::{Now, count_out, limit_reached};
 
@@ -37,6 +38,7 @@ pub(super) struct Entities {
     /// The highest serial spent by any entity that is forgotten. It is the floor of all that are not known, so that what one
     /// of them stated cannot be presented again: memory is bounded, however many come and go.
     forgotten: u64,
+    journal: Journal,
 }
 
 impl Entity {
@@ -59,13 +61,13 @@ impl Entities {
     /// One stranger could otherwise end the serials of all by stating the highest there is, and being forgotten; so they may
     /// jump no further than the clock does, which leaves some to everybody.
     pub fn spend(&mut self, now: Now, name: Name, through: Name, serial: u64, limit: usize) -> Result<(), Refusal> {
-        let (floor, furthest) =
-            (self.floor(&name), now.unix.saturating_add(SERIAL_AHEAD).saturating_mul(1_000_000_000));
+        let (floor, furthest) = (self.floor(&name), furthest(now));
         if serial > floor.saturating_add(1) && serial > furthest {
             let reason =
                 format!("serial {serial} is too far above {floor}: count up from what the attachment answered");
             return Err(Refusal::new(RefusalCode::Malformed, reason));
         }
+        self.journal.mark(Item::Entity(name));
         if let Some(entity) = self.known.get_mut(&name) {
             entity.floor = serial;
             return Ok(());
@@ -96,6 +98,7 @@ impl Entities {
     }
 
     pub fn attach(&mut self, name: Name, lane: u8, attachment: Attachment) {
+        self.journal.mark(Item::Entity(name));
         let (floor, through) = (self.forgotten, attachment.switch);
         if let Some(entity) = self.known.get(&name).filter(|entity| entity.attachments.is_empty()) {
             count_out(&mut self.unattached, &entity.through, 1);
@@ -109,6 +112,7 @@ impl Entities {
     pub fn take_attachment(&mut self, name: &Name, lane: u8) -> Option<Attachment> {
         let entity = self.known.get_mut(name)?;
         let attachment = entity.attachments.remove(&lane)?;
+        self.journal.mark(Item::Entity(*name));
         if entity.attachments.is_empty() {
             entity.through = attachment.switch;
             *self.unattached.entry(attachment.switch).or_default() += 1;
@@ -137,8 +141,53 @@ impl Entities {
         if self.known.get(name).is_some_and(|entity| entity.attachments.is_empty() && entity.names.is_empty())
             && let Some(entity) = self.known.remove(name)
         {
-            self.forgotten = self.forgotten.max(entity.floor);
+            self.journal.mark(Item::Entity(*name));
+            if entity.floor > self.forgotten {
+                self.forgotten = entity.floor;
+                self.journal.mark(Item::Floor);
+            }
             count_out(&mut self.unattached, &entity.through, 1);
         }
     }
+}
+
+/// What a RIB needs that stores entities, or takes them back.
+impl Entities {
+    pub fn journal(&mut self) -> &mut Journal {
+        &mut self.journal
+    }
+
+    pub fn forgotten(&self) -> u64 {
+        self.forgotten
+    }
+
+    /// How far the serials of an entity are spent, and the switch through which it is known.
+    pub fn known(&self, name: &Name) -> Option<(u64, Name)> {
+        self.known.get(name).map(|entity| (entity.floor, entity.through))
+    }
+
+    pub fn restore_forgotten(&mut self, now: Now, floor: u64) {
+        self.forgotten = self.forgotten.max(floor.min(furthest(now)));
+    }
+
+    /// Has the serials of an entity spent so far at least; no further than a statement could spend them.
+    pub fn restore(&mut self, now: Now, name: Name, floor: u64, through: Name) {
+        let floor = floor.min(furthest(now));
+        let entity = self.known.entry(name).or_insert_with(|| {
+            *self.unattached.entry(through).or_default() += 1;
+            Entity::new(0, through)
+        });
+        entity.floor = entity.floor.max(floor);
+    }
+
+    /// Forgets all that have neither an attachment nor a name.
+    pub fn retire_unused(&mut self) {
+        let names: Vec<Name> = self.known.keys().copied().collect();
+        names.iter().for_each(|name| self.retire(name));
+    }
+}
+
+/// The highest serial that need not be counted up to.
+fn furthest(now: Now) -> u64 {
+    now.unix.saturating_add(SERIAL_AHEAD).saturating_mul(1_000_000_000)
 }

@@ -18,9 +18,11 @@ mod entities;
 mod exports;
 pub mod fib;
 mod inboxes;
+mod journal;
 mod key_boxes;
 mod names;
 mod reports;
+mod restore;
 mod revocations;
 mod revoke;
 mod statements;
@@ -49,6 +51,7 @@ use boxes::Boxes;
 use entities::Entities;
 use fib::{About, Fib, Pushed};
 use inboxes::Inboxes;
+use journal::Journal;
 use names::Names;
 use revocations::Revocations;
 use telling::{Source, Stake, Telling};
@@ -56,6 +59,8 @@ use ways::Ways;
 
 pub use abroad::{Foreign, Way};
 pub use exports::Export;
+pub use journal::Item;
+pub use restore::{MAX_ITEM, RestoreError, decode_item, encode_item};
 
 /// How long the names of a switch that nobody reaches stay: a restart or a short partition must not cost the FIBs.
 pub const HOLD: Duration = Duration::from_secs(10);
@@ -175,6 +180,9 @@ pub struct Rib {
     detached: BTreeSet<(Name, Name)>,
     /// Switches that are reached and have not reported, and when they are asked to.
     unreported: BTreeMap<Name, Duration>,
+    /// Switches that an earlier RIB knew and that have not reported to this one.
+    silent: BTreeSet<Name>,
+    journal: Journal,
 }
 
 /// One life of a RIB.
@@ -236,6 +244,8 @@ impl Rib {
             timers: Timers::from([(run.settling, Timer::Settled)]),
             detached: BTreeSet::new(),
             unreported: BTreeMap::new(),
+            silent: BTreeSet::new(),
+            journal: Journal::default(),
         }
     }
 
@@ -331,8 +341,11 @@ impl Rib {
                 Timer::Switch { switch } => self.forget_switch(&switch),
                 Timer::Unreported { switch } => self.ask_to_report(now, switch),
                 Timer::Ways => self.end_earlier_ways(now),
-                // So that they let go of what nobody has stated again.
-                Timer::Settled => self.switches.values_mut().for_each(|switch| switch.fib.restart()),
+                Timer::Settled => {
+                    std::mem::take(&mut self.silent).iter().for_each(|switch| self.forget_switch(switch));
+                    // So that they let go of what nobody has stated again.
+                    self.switches.values_mut().for_each(|switch| switch.fib.restart());
+                }
             }
         }
         self.telling.tick(now.clock);

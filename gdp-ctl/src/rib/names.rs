@@ -221,6 +221,11 @@ impl Names {
         all.peek().is_some() && all.all(|registration| registration.tells_the_same(other))
     }
 
+    /// How the name is derived.
+    pub fn proof(&self, name: &Key) -> Option<NameProof> {
+        self.0.get(name).map(|topic| topic.proof)
+    }
+
     /// The switches of this domain at which an entity has stated this.
     pub fn switches_of(&self, name: &Key, entity: &Name, role: NameRole) -> Vec<Name> {
         let here = self.all_of(name, entity, role).filter(|registration| registration.abroad.is_none());

@@ -33,6 +33,7 @@ impl Rib {
         if is_new {
             self.follow_border(switch);
         }
+        self.silent.remove(&switch);
         if let Some(at) = self.unreported.remove(&switch) {
             self.timers.remove(&(at, Timer::Unreported { switch }));
         }
@@ -72,7 +73,8 @@ impl Rib {
                 _ => {}
             }
         }
-        for switch in self.paths.costs.keys().filter(|switch| !self.switches.contains_key(switch)) {
+        let reported = |switch: &Name| self.switches.contains_key(switch) && !self.silent.contains(switch);
+        for switch in self.paths.costs.keys().filter(|switch| !reported(switch)) {
             self.unreported.entry(*switch).or_insert_with(|| {
                 let at = now.clock + UNREPORTED;
                 self.timers.insert((at, Timer::Unreported { switch: *switch }));
@@ -108,7 +110,8 @@ impl Rib {
     /// A switch that is reached has not reported for a while.
     pub(super) fn ask_to_report(&mut self, now: Now, switch: Name) {
         self.unreported.remove(&switch);
-        if self.paths.reaches(&switch) && !self.switches.contains_key(&switch) {
+        let is_silent = self.silent.contains(&switch) || !self.switches.contains_key(&switch);
+        if self.paths.reaches(&switch) && is_silent {
             self.detached.insert((switch, switch));
             self.judge_reach(now);
         }
@@ -123,6 +126,7 @@ impl Rib {
             self.unregister(Stake { name, entity, role }, *switch);
         }
         self.switches.remove(switch);
+        self.silent.remove(switch);
         self.bits.forget(switch);
         self.follow_border(*switch);
     }

@@ -6,8 +6,10 @@ use std::collections::{BTreeMap, HashMap};
 
 use gdp::cert::Revocation;
 use gdp::revocations::{Kept, Origin};
+use gdp_wire::Name;
 
 use super::Limits;
+use super::journal::{Item, Journal};
 use super::names::Key;
 
 #[derive(Debug)]
@@ -34,6 +36,7 @@ pub(super) struct Revocations {
     idle_count: usize,
     next: u64,
     changes: u64,
+    journal: Journal,
 }
 
 impl Revocations {
@@ -55,7 +58,12 @@ impl Revocations {
         if !is_used || share.used > limits.used_revocations {
             self.leave(&name, limits);
         }
+        self.journal.mark(Item::Revocation(Name::from_bytes(name)));
         self.changes += 1;
+    }
+
+    pub fn journal(&mut self) -> &mut Journal {
+        &mut self.journal
     }
 
     /// Rises whenever one is put.
@@ -111,6 +119,7 @@ impl Revocations {
 
     fn remove(&mut self, name: &Key) {
         let Some(Held { kept, idle, .. }) = self.held.remove(name) else { return };
+        self.journal.mark(Item::Revocation(Name::from_bytes(*name)));
         let Some(share) = self.shares.get_mut(&kept.origin) else { return };
         match idle {
             Some(place) => {

@@ -153,6 +153,11 @@ impl Rib {
             self.register(stake, name_proof, registration).map(|()| stake)
         });
         let stake = registered.inspect_err(|_| self.entities.retire(&speaker.entity))?;
+        if !everywhere {
+            let mut others = self.names.switches_of(&stake.name, &stake.entity, stake.role);
+            others.retain(|switch| *switch != speaker.switch);
+            others.into_iter().for_each(|switch| self.unregister(stake, switch));
+        }
         let (run, names, boxes, revocations) = (self.run.id, &self.names, &self.boxes, &self.revocations);
         let source = Source { run, now: now.clock, names, boxes, revocations };
         Ok(Response::Peers(match by_tool {
@@ -161,7 +166,7 @@ impl Rib {
         }))
     }
 
-    fn speaker(&self, now: Now, switch: Name, proof: &NameProof) -> Result<Speaker, Refusal> {
+    pub(super) fn speaker(&self, now: Now, switch: Name, proof: &NameProof) -> Result<Speaker, Refusal> {
         let not_a_key = |error| refusal(CertError::Crypto(error));
         let entity = proof.name().map_err(not_a_key)?;
         let entity_key = proof.verify_key().map_err(not_a_key)?;
@@ -239,7 +244,7 @@ impl Rib {
         self.names.bound_at(&stake.name, &stake.entity, stake.role).find(|other| other != switch)
     }
 
-    fn register(&mut self, stake: Stake, proof: NameProof, new: Registration) -> Result<(), Refusal> {
+    pub(super) fn register(&mut self, stake: Stake, proof: NameProof, new: Registration) -> Result<(), Refusal> {
         let Stake { name: key, entity, role } = stake;
         let name = Name::from_bytes(key);
         if name == entity {
@@ -281,8 +286,12 @@ impl Rib {
         let says_the_same = self.names.tell_the_same(&key, &entity, role, &new);
         self.revocations.enter(&key, &self.limits);
         let is_new_name = !self.names.contains(&key);
+        let is_stored = new.abroad.is_none();
         self.abroad.enter(&new, key);
         let old = self.names.insert(name, proof, entity, new);
+        if is_stored {
+            self.journal.mark(stake.at(switch));
+        }
         self.timers.insert((ends, Timer::Registration(stake, switch)));
         let (mut places, mut told) = (vec![at], self.to_tell_of(stake, &switch));
         if let Some(old) = &old {
@@ -318,6 +327,10 @@ impl Rib {
     pub(super) fn unregister(&mut self, stake: Stake, switch: Name) {
         let Stake { name, entity, role } = stake;
         let Some(old) = self.names.remove(&name, &entity, role, &switch) else { return };
+        // What was told from abroad is told again.
+        if old.abroad.is_none() {
+            self.journal.mark(stake.at(switch));
+        }
         self.timers.remove(&(old.ends, Timer::Registration(stake, switch)));
         let says_the_same = self.names.tell_the_same(&name, &entity, role, &old);
         self.abroad.leave(&old, &name);

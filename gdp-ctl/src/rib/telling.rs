@@ -6,11 +6,12 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::time::Duration;
 
-use gdp::control::{NameRole, Peers, PeersExtent, PeersPush, Record};
+use gdp::control::{NameRole, Peers, PeersExtent, PeersPush, Record, RecordPlace};
 use gdp_wire::Name;
 
 use super::Told;
 use super::boxes::Boxes;
+use super::journal::Item;
 use super::names::{Key, Names, RECORDS_SIZE, Registration};
 use super::revocations::Revocations;
 
@@ -37,6 +38,12 @@ impl Stake {
     /// keys for it.
     pub fn inbox(entity: Name) -> Self {
         Self { name: entity.to_bytes(), entity, role: NameRole::Subscriber }
+    }
+
+    /// As it is stored, of what is stated at `switch`.
+    pub fn at(&self, switch: Name) -> Item {
+        let (name, entity, role) = (Name::from_bytes(self.name), self.entity, self.role);
+        Item::Registration(RecordPlace { name, role, entity, switch })
     }
 
     pub fn is_inbox(&self) -> bool {
@@ -132,6 +139,12 @@ impl Telling {
         Stream::new(switch, Phase::Whole { part: 0, after: None }).message(&stake, self.generation, source)
     }
 
+    /// Tells of all counterparts once more, as a RIB that takes the place of another.
+    pub fn resume(&mut self, stake: Stake, switch: Name) {
+        self.streams.entry(stake).or_insert_with(|| Stream::new(switch, Phase::Whole { part: 0, after: None }));
+        self.queue(stake);
+    }
+
     /// Tells nothing any more through `switch`; the whole through `other`, if that is there.
     pub fn follow(&mut self, stake: &Stake, switch: &Name, other: Option<Name>) {
         if self.streams.get(stake).is_none_or(|stream| stream.switch != *switch) {
@@ -163,8 +176,7 @@ impl Telling {
 
     /// A counterpart has boxes for what it sends to the entity itself. The stream begins with the first of them.
     pub fn inbox_boxes_changed(&mut self, stake: Stake, switch: Name, counterpart: Name) {
-        let new = || Stream::new(switch, Phase::Whole { part: 0, after: None });
-        self.streams.entry(stake).or_insert_with(new);
+        self.resume(stake, switch);
         self.boxes_changed(stake, counterpart);
     }
 

@@ -6,6 +6,7 @@ mod counterparts;
 mod federation;
 mod random;
 mod revocations;
+mod stored;
 mod world;
 
 use std::time::Duration;

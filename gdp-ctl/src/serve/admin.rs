@@ -176,7 +176,11 @@ async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
             let response = match daemon.is_of_domain(&request) {
                 Some((proof, revocation)) => daemon.take_revocation(proof, revocation, None).await,
                 None => {
-                    let next = daemon.core().entity_request(entity.as_ref(), true, *request);
+                    let next = {
+                        let mut core = daemon.core();
+                        let next = core.entity_request(entity.as_ref(), true, *request);
+                        core.store_first(next)
+                    };
                     daemon.complete(next).await
                 }
             };

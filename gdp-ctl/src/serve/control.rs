@@ -27,12 +27,12 @@ impl Core {
         let unreachable = |why: String| Refusal::new(RefusalCode::Unreachable, why);
         let Some((by, run)) = self.topology.rib() else {
             let stated = self.topology.states().find(|state| state.rib).map(|state| state.switch);
-            return Err(unreachable(match stated {
-                Some(rib) => format!("switch {own} has no way to the RIB: no path to switch {rib}, where it was"),
-                None => {
-                    format!("switch {own} has no way to the RIB: no switch that it knows says that the RIB is there")
-                }
-            }));
+            let why = match (stated, &self.no_rib) {
+                (Some(rib), _) => format!("no path to switch {rib}, where it was"),
+                (None, Some(why)) => why.clone(),
+                (None, None) => "no switch that it knows says that the RIB is there".into(),
+            };
+            return Err(unreachable(format!("switch {own} has no way to the RIB: {why}")));
         };
         if self.report != (Report::Taken { by, run }) {
             let why =

@@ -4,6 +4,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::Instant;
 
 use gdp::cert::Advert;
@@ -23,6 +24,7 @@ use super::federation::Federation;
 use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::peering::Wanted;
 use super::refusals::Refusals;
+use super::replica::Term;
 use super::routes::{Change, Routes};
 use super::trace::Outstanding;
 use crate::config::{Neighbour, Via};
@@ -49,6 +51,12 @@ pub struct Core {
     pub identity: Identity,
     pub neighbours: Vec<Neighbour>,
     pub rib: Option<Rib>,
+    /// Of the RIB here, if that is the leader of several replicas.
+    pub(super) term: Option<Arc<Term>>,
+    /// Why a replica has no RIB, as far as it knows.
+    pub(super) no_rib: Option<String>,
+    /// Invitations that have admitted somebody, which is not stored yet.
+    pub(super) unstored_invitations: BTreeSet<u64>,
     /// Without it, links are taken with all neighbours that are listed, and with all endpoints.
     pub domain: Option<Domain>,
     pub planes: Planes,
@@ -163,6 +171,8 @@ pub enum Next {
         waiting: oneshot::Receiver<TierResponse>,
         is_query: bool,
     },
+    /// What the RIB here has taken in is to be stored before anything else.
+    Store(Box<Next>),
     /// The RIB has asked this switch to report again.
     Report,
     /// Ask over this link, and pass the response on.
@@ -173,15 +183,17 @@ pub enum Next {
 
 impl Core {
     pub fn new(identity: Identity, neighbours: Vec<Neighbour>, rib: bool, planes: Planes) -> Self {
-        // Should there be no random number: any that a RIB before this one did not have.
-        let id = crypto::random::<8>().map_or_else(|_| unix_now(), u64::from_ne_bytes);
-        let rib = rib.then(|| Rib::new(identity.name(), Run { id, settling: HOLD }, Limits::default()));
+        let run = Run { id: run_id(), settling: HOLD };
+        let rib = rib.then(|| Rib::new(identity.name(), run, Limits::default()));
         let mut topology = Topology::new(identity.clone(), unix_nanos());
         topology.set_rib(rib.is_some());
         Self {
             identity,
             neighbours,
             rib,
+            term: None,
+            no_rib: None,
+            unstored_invitations: BTreeSet::new(),
             domain: None,
             planes,
             routes: Routes::default(),
@@ -781,6 +793,11 @@ pub fn link_role(role: u32) -> &'static str {
         _ if role == LinkRole::Border as u32 => "border",
         _ => "switch",
     }
+}
+
+/// Of a life of a RIB. Should there be no random number: any that a RIB before this one did not have.
+pub(super) fn run_id() -> u64 {
+    crypto::random::<8>().map_or_else(|_| unix_now(), u64::from_ne_bytes)
 }
 
 /// Puts an entity's request to the RIB.

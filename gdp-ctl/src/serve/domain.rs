@@ -233,7 +233,11 @@ impl Daemon {
     pub(super) async fn ask_admitted(self: &Arc<Self>, request: Request) -> Result<(), Refusal> {
         let Request::Admitted { entity, membership, .. } = &request else { return Ok(()) };
         let (entity, membership) = (*entity, membership.clone());
-        let next = self.core().for_rib(request);
+        let next = {
+            let mut core = self.core();
+            let next = core.for_rib(request);
+            core.store_first(next)
+        };
         match self.complete(next).await {
             Response::Refused(refusal) => Err(refusal),
             _ => {

@@ -8,8 +8,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use gdp::cert::Revocation;
 use gdp::control::{Refusal, RefusalCode};
-use gdp::revocations::RevocationFile;
+use gdp::revocations::{Kept, RevocationFile};
 use gdp::secret_file::SecretFileError;
 use tokio::sync::Mutex;
 use tokio::time::{Instant, sleep_until};
@@ -89,6 +90,18 @@ impl KeptRevocations {
             saved = rib.revocations_taken();
         }
         Ok(Self { file, keeper: Keeper::new(saved) })
+    }
+}
+
+impl KeptRevocations {
+    /// What an earlier RIB here knew.
+    pub fn known(&self) -> Result<Vec<(Kept, Revocation)>, SecretFileError> {
+        self.file.load()
+    }
+
+    /// There is another RIB, that has taken so many from the file.
+    pub fn restart(&self, taken: u64) {
+        self.keeper.saved.store(taken, Ordering::Release);
     }
 }
 

@@ -156,7 +156,11 @@ async fn detach(daemon: &Arc<Daemon>, entity: Name) {
     if !lost {
         return;
     }
-    let next = daemon.core().detach(entity);
+    let next = {
+        let mut core = daemon.core();
+        let next = core.detach(entity);
+        core.store_first(next)
+    };
     if let Response::Refused(refusal) = daemon.complete(next).await {
         tracing::warn!(%refusal, "the RIB could not be told of a lost attachment; reporting in full");
         daemon.report_in_full();
@@ -192,7 +196,7 @@ async fn take_request(daemon: &Arc<Daemon>, link: &Link, request: EntityRequest)
             // Before the answer, so that a report in the meantime does not leave it out.
             core.attached.insert(link.peer().name);
         }
-        next
+        core.store_first(next)
     };
     let response = daemon.complete(next).await;
     if attach && matches!(response, Response::Attached { .. }) {
@@ -227,7 +231,11 @@ async fn switch_request(daemon: &Arc<Daemon>, link: &Link, request: Request) -> 
     if let Some((proof, revocation)) = control::relayed(&request).and_then(|request| daemon.is_of_domain(request)) {
         return daemon.take_revocation(proof, revocation, Some(link.local_id())).await;
     }
-    let next = daemon.core().switch_request(link, request);
+    let next = {
+        let mut core = daemon.core();
+        let next = core.switch_request(link, request);
+        core.store_first(next)
+    };
     daemon.notice_bit();
     daemon.complete(next).await
 }
@@ -291,6 +299,7 @@ impl Daemon {
         self.send_effects();
         match next {
             Next::Answer(response) => response,
+            Next::Store(next) => self.store(*next).await,
             Next::Keep => self.keep_revocations().await.map_or_else(Response::from, |()| Response::Done),
             Next::Await { waiting, is_query } => match timeout(tiers::PATIENCE, waiting).await {
                 Ok(Ok(response)) if is_query => tiers::records(response),

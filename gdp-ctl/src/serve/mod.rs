@@ -17,6 +17,7 @@ mod liveness;
 mod peering;
 mod ports;
 mod refusals;
+mod replica;
 mod report;
 pub mod routes;
 mod status;
@@ -43,6 +44,7 @@ use self::control::Report;
 use self::core::Core;
 use self::domain::KeptDomain;
 use self::kept::KeptRevocations;
+use self::replica::Replica;
 use crate::config::{Config, DataPlane};
 use crate::folders;
 use crate::plane::host_pair;
@@ -81,6 +83,8 @@ pub struct Daemon {
     port_config: PortConfig,
     core: Mutex<Core>,
     revocations: KeptRevocations,
+    /// Its part, if this is one of several replicas of the RIB.
+    replica: Option<Replica>,
     /// What is kept of the domain, if this is a member of one.
     domain: Option<KeptDomain>,
     ports: Mutex<HashMap<String, Arc<Port>>>,
@@ -130,7 +134,8 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         ..PlaneConfig::default()
     })?;
     let link_ids = LinkIds::new();
-    let mut core = Core::new(identity.clone(), config.neighbours.clone(), config.rib, planes);
+    let has_rib = config.rib && config.etcd.is_none();
+    let mut core = Core::new(identity.clone(), config.neighbours.clone(), has_rib, planes);
     core.take_over(&link_ids);
     let revocations = KeptRevocations::recall(&config.identity, &mut core)?;
     let port_config = PortConfig { rekey: config.rekey, ..PortConfig::switch(identity.clone(), link_ids) };
@@ -148,6 +153,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         port_config,
         core: Mutex::new(core),
         revocations,
+        replica: config.etcd.clone().map(Replica::new),
         domain,
         ports: Mutex::default(),
         turns: Mutex::default(),
@@ -196,6 +202,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     daemon.spawn(trace::run(daemon.clone()));
     daemon.spawn(flooding::watch_carrier(daemon.clone(), changes));
     daemon.spawn(report::rib_clock(daemon.clone()));
+    daemon.spawn(replica::run(daemon.clone()));
     daemon.spawn(follow_addresses(daemon.clone()));
     daemon.report.notify_one();
     if let Some(config) = config.domain {
@@ -242,7 +249,9 @@ impl Running {
 
 impl Daemon {
     fn core(&self) -> MutexGuard<'_, Core> {
-        lock(&self.core)
+        let mut core = lock(&self.core);
+        core.end_term();
+        core
     }
 
     fn ports(&self) -> MutexGuard<'_, HashMap<String, Arc<Port>>> {

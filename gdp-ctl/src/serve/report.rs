@@ -10,7 +10,6 @@ use tokio::time::{Instant, sleep_until, timeout};
 use super::Daemon;
 use super::control::Report;
 use super::federation::Federation;
-use crate::rib::Rib;
 
 /// Between attempts to report: doubled from the first to the second.
 const RETRY: (Duration, Duration) = (Duration::from_millis(200), Duration::from_secs(5));
@@ -87,10 +86,11 @@ pub async fn rib_clock(daemon: Arc<Daemon>) {
         let next = {
             let mut core = daemon.core();
             let now = core.now();
-            let Some(rib) = &mut core.rib else { return };
-            rib.tick(now);
             let federation = core.federation.as_ref().and_then(Federation::next_tick);
-            let next = core.rib.as_ref().and_then(Rib::next_tick).into_iter().chain(federation).min();
+            let next = core.rib.as_mut().and_then(|rib| {
+                rib.tick(now);
+                rib.next_tick().into_iter().chain(federation).min()
+            });
             next.and_then(|clock| core.instant(clock))
         };
         daemon.dispatch_effects();

@@ -57,6 +57,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         Vec::new()
     });
     errors.extend(core.unplaced());
+    errors.extend(core.no_rib.iter().map(|why| format!("the RIB of this replica: {why}")));
     // What the host itself has made is no interface that anybody asked about.
     let outward: Vec<_> = report.into_iter().filter(|plane| !host_pair::is_end(&plane.interface)).collect();
     let (data_plane, reason) = summary(&outward, udp_links);

@@ -24,6 +24,7 @@ pub fn config(folder: &Path, label: &str) -> Config {
         fib_capacity: 1024,
         domain: None,
         public: Vec::new(),
+        etcd: None,
         rekey: RekeySchedule::default(),
     }
 }

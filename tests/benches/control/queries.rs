@@ -61,6 +61,7 @@ async fn prepare(folder: &std::path::Path) -> Result<(Running, Vec<Client>, Vec<
         rib: true,
         neighbours: Vec::new(),
         public: Vec::new(),
+        etcd: None,
         ebpf_object: None,
         fib_capacity: 1024,
         domain: None,

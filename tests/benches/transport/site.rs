@@ -74,6 +74,7 @@ impl Site {
             bpffs: None,
             domain: None,
             public: Vec::new(),
+            etcd: None,
             rekey: RekeySchedule::default(),
         };
         let inside = Inside::new(&chain.switches()[0], ROOT)?;

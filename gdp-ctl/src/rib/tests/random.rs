@@ -5,7 +5,7 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use gdp::control::NameRole;
+use gdp::control::{self, NameRole};
 use gdp::identity::Identity;
 use gdp::name::Name;
 
@@ -118,6 +118,7 @@ fn pushes_bring_everything_to_its_desired_state_whatever_happens() {
                     }
                 }
                 _ if step % 4 == 0 => restart(&mut w, &entities, round * 100 + u64::from(step) + 2),
+                _ if step % 4 < 3 => take_over(&mut w, &entities, round * 100 + u64::from(step) + 2),
                 _ => {}
             }
             if random.below(3) == 0 {
@@ -149,9 +150,38 @@ fn check(w: &mut World) {
     w.check_told();
 }
 
+/// Another RIB goes on with what this one has stored: it has the same to say, and nobody has to say anything again.
+fn take_over(w: &mut World, entities: &[Entity], id: u64) {
+    w.store();
+    let told = |w: &World| {
+        let (mut records, _) = w.rib.records(w.now, None, usize::MAX);
+        records.iter_mut().for_each(|record| record.expires_in = 0);
+        let all = records.iter().map(|record| control::encode(record).unwrap()).collect::<Vec<_>>();
+        let switches: Vec<_> = w.rib.switches().collect();
+        let desired = switches.iter().map(|(switch, ..)| w.rib.desired(switch)).collect::<Vec<_>>();
+        (all, switches, desired)
+    };
+    let before = told(w);
+    // Later than all that is waited for here.
+    let settling = w.now.clock + Duration::from_secs(24 * 3600);
+    assert_eq!(w.take_over(Run { id, settling }), []);
+    assert!(told(w) == before, "it has other things to say");
+    for (item, bytes) in &w.stored {
+        assert_eq!(w.rib.stored(w.now, item).as_ref(), Some(bytes), "{item}");
+    }
+    let unknown = w.rib.take_changed().into_iter().find(|item| !w.stored.contains_key(item));
+    assert_eq!(unknown, None, "more than was stored");
+    for i in 0..SWITCHES {
+        w.report(i, &entities.iter().filter(|e| e.is_at(i)).map(|e| e.identity.name()).collect::<Vec<_>>());
+    }
+    assert!(w.rib.detached.is_empty(), "nobody has to attach again");
+}
+
 /// The RIB forgets everything; switches report, and entities attach again and state nothing until they next do.
 fn restart(w: &mut World, entities: &[Entity], id: u64) {
     w.rib = Rib::new(w.switch(0), Run { id, settling: Duration::ZERO }, Limits::default());
+    w.rib.open_journal();
+    w.stored.clear();
     (0..SWITCHES).for_each(|i| {
         let here: Vec<Name> = entities.iter().filter(|e| e.is_at(i)).map(|e| e.identity.name()).collect();
         w.report(i, &here);

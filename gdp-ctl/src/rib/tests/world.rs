@@ -18,7 +18,7 @@ use gdp::peers::{Counterparts, PeerEvent};
 
 use crate::rib::fib::Pushed;
 use crate::rib::telling::Stake;
-use crate::rib::{Effect, Limits, Now, Rib, Run, Told};
+use crate::rib::{Effect, Item, Limits, Now, Rib, Run, Told};
 use crate::topology::Paths;
 
 pub const UNIX: u64 = 1_800_000_000;
@@ -46,6 +46,8 @@ pub struct World {
     random: Random,
     /// Key boxes that readers were given: name, writer, reader, epoch.
     pub given: BTreeSet<(Name, Name, Name, u32)>,
+    /// What a store has of the RIB.
+    pub stored: BTreeMap<Item, Vec<u8>>,
 }
 
 #[derive(Default)]
@@ -82,7 +84,9 @@ impl World {
             loss: 0,
             random: Random(3),
             given: BTreeSet::new(),
+            stored: BTreeMap::new(),
         };
+        world.rib.open_journal();
         (0..length).for_each(|i| world.report(i, &[]));
         world
     }
@@ -258,6 +262,31 @@ impl World {
     pub fn another_name(&mut self) -> NameCard {
         self.card = NameCard::create(self.owner.verify_key(), "topic", "/chatter", "T", None).unwrap();
         self.card.clone()
+    }
+
+    /// Brings the store up to date.
+    pub fn store(&mut self) {
+        for item in self.rib.take_changed() {
+            match self.rib.stored(self.now, &item) {
+                Some(bytes) => drop(self.stored.insert(item, bytes)),
+                None => drop(self.stored.remove(&item)),
+            }
+        }
+    }
+
+    /// Another RIB takes the place of this one, with what is stored. Returns what it left out.
+    pub fn take_over(&mut self, run: Run) -> Vec<(Item, String)> {
+        self.rib = Rib::new(self.switch(0), run, self.rib.limits);
+        self.rib.open_journal();
+        let mut omitted = Vec::new();
+        for (item, bytes) in &self.stored {
+            if let Err(error) = self.rib.restore(self.now, item, bytes) {
+                omitted.push((*item, error.to_string()));
+            }
+        }
+        self.rib.restored();
+        self.rewire();
+        omitted
     }
 
     pub fn pass(&mut self, time: Duration) {

@@ -1,0 +1,397 @@
+//! The daemon as one of several replicas of its domain's RIB. One of them leads: it alone is the RIB, as long as its lease at etcd
+//! lasts; the others keep a copy of what it stores and stand for election when it is gone. What entities state is said to be
+//! done once it is stored.
+//!
+//! Two do not lead at once as far as anybody can tell: a leader counts its lease from before it asked for it and shorter than etcd does,
+//! looks at that count whenever it touches the RIB, and etcd takes nothing of it once the key of its term is gone.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
+
+use gdp::control::{Refusal, RefusalCode, Response};
+use gdp::link::HOLD;
+use gdp_wire::Name;
+use tokio::sync::{Notify, watch};
+use tokio::time::{Instant, sleep, sleep_until, timeout};
+
+use super::core::{Core, Next, run_id};
+use super::{Daemon, lock};
+use crate::config::EtcdConfig;
+use crate::domain::Used;
+use crate::rib::{Item, Limits, RestoreError, Rib, Run, decode_item, encode_item};
+use crate::store::StoreError;
+use crate::store::gateway::Gateway;
+use crate::store::items::{Copy, Place, Writer};
+
+/// Seconds of a leader's lease.
+const TTL: u64 = 5;
+
+/// So much shorter does the leader itself count it: clocks differ in how fast they run, and what it last sent is on its way.
+const MARGIN: Duration = Duration::from_secs(1);
+
+/// How often the leader renews it, and the others look whether there is one.
+const BEAT: Duration = Duration::from_millis(800);
+
+/// How long after a failure the next attempt is made.
+const RETRY: Duration = Duration::from_millis(300);
+
+/// How long what is stated waits to be stored.
+const PATIENCE: Duration = Duration::from_secs(4);
+
+/// What ends by itself is stored within this.
+const SWEEP: Duration = Duration::from_millis(250);
+
+/// A replica's part in what is kept together.
+pub struct Replica {
+    config: EtcdConfig,
+    place: Place,
+    /// How many have asked to have stored what had changed until then.
+    wanted: AtomicU64,
+    wake: Notify,
+    progress: watch::Sender<Progress>,
+}
+
+/// Of those that asked.
+#[derive(Clone, Debug, Default)]
+struct Progress {
+    done: u64,
+    failed: u64,
+    why: String,
+}
+
+/// A leader's term of office.
+pub struct Term {
+    ends: std::sync::Mutex<Instant>,
+    /// Something is on its way to etcd.
+    is_writing: AtomicBool,
+}
+
+impl Term {
+    fn is_over(&self) -> bool {
+        Instant::now() >= *lock(&self.ends)
+    }
+}
+
+/// What made this replica the leader.
+struct Elected {
+    lease: i64,
+    revision: i64,
+    term: Arc<Term>,
+}
+
+impl Replica {
+    pub fn new(config: EtcdConfig) -> Self {
+        let (progress, _) = watch::channel(Progress::default());
+        Self { place: Place::new(&config.prefix), config, wanted: 0.into(), wake: Notify::new(), progress }
+    }
+
+    fn gateway(&self) -> Gateway {
+        Gateway::new(&self.config.endpoints)
+    }
+
+    fn done(&self, until: u64) {
+        self.progress.send_modify(|progress| progress.done = progress.done.max(until));
+    }
+
+    fn failed(&self, until: u64, why: &StoreError) {
+        self.progress.send_modify(|progress| (progress.failed, progress.why) = (until, why.to_string()));
+    }
+
+    /// Returns once what has changed by now is stored.
+    async fn stored(&self) -> Result<(), Refusal> {
+        let mut progress = self.progress.subscribe();
+        let own = self.wanted.fetch_add(1, Ordering::AcqRel) + 1;
+        self.wake.notify_one();
+        let settled = progress.wait_for(|progress| progress.done >= own || progress.failed >= own);
+        let why = match timeout(PATIENCE, settled).await {
+            Ok(Ok(progress)) if progress.done >= own => return Ok(()),
+            Ok(Ok(progress)) => progress.why.clone(),
+            Ok(Err(_)) | Err(_) => "etcd takes too long".into(),
+        };
+        Err(Refusal::new(RefusalCode::Unreachable, format!("taken in, but not kept: {why}; try again in a moment")))
+    }
+}
+
+impl Core {
+    /// A leader whose lease is over has no RIB.
+    pub(super) fn end_term(&mut self) {
+        if self.term.take_if(|term| term.is_over()).is_some() {
+            self.rib = None;
+            self.topology.set_rib(false);
+        }
+    }
+
+    /// What follows from a request: if the RIB here has changed with it, that is to be stored before anybody is told.
+    pub(super) fn store_first(&mut self, next: Next) -> Next {
+        let (Some(term), Some(rib)) = (&self.term, &mut self.rib) else { return next };
+        if let Next::KeepInvitation { new: Some(serial) } = &next {
+            self.unstored_invitations.insert(*serial);
+        }
+        let is_positive = !matches!(next, Next::Answer(Response::Refused(_) | Response::Records { .. }));
+        let is_stored =
+            !rib.has_changed() && self.unstored_invitations.is_empty() && !term.is_writing.load(Ordering::Acquire);
+        if is_positive && !is_stored { Next::Store(Box::new(next)) } else { next }
+    }
+
+    /// Moves what has changed and is not stored to `changed`, and says how it is to be stored. None without a RIB.
+    fn unstored(&mut self, changed: &mut BTreeSet<Item>) -> Option<Vec<(Item, Option<Vec<u8>>)>> {
+        let now = self.now();
+        let (rib, term) = (self.rib.as_mut()?, self.term.as_ref()?);
+        changed.append(&mut rib.take_changed());
+        changed.extend(std::mem::take(&mut self.unstored_invitations).into_iter().map(Item::Invitation));
+        term.is_writing.store(!changed.is_empty(), Ordering::Release);
+        let domain = self.domain.as_ref();
+        let value = |item: &Item| match item {
+            Item::Invitation(serial) => encode_item(domain?.invitations.get(*serial)?).ok(),
+            item => rib.stored(now, item),
+        };
+        Some(changed.iter().map(|item| (*item, value(item))).collect())
+    }
+}
+
+impl Daemon {
+    /// Stores what a request has changed, and then does what it needs besides.
+    pub(super) async fn store(self: &Arc<Self>, next: Next) -> Response {
+        let stored = match &self.replica {
+            Some(replica) => replica.stored().await,
+            None => Ok(()),
+        };
+        match (stored, next) {
+            (Ok(()), next) => Box::pin(self.complete(next)).await,
+            (Err(refusal), Next::KeepInvitation { new: Some(serial) }) => {
+                if let Some(domain) = &mut self.core().domain {
+                    domain.invitations.forget(serial);
+                }
+                refusal.into()
+            }
+            (Err(refusal), _) => refusal.into(),
+        }
+    }
+}
+
+/// Follows what is stored and leads when it is this replica's turn, until the daemon ends.
+pub async fn run(daemon: Arc<Daemon>) {
+    let Some(replica) = &daemon.replica else { return };
+    loop {
+        let error = match stand_by(&daemon, replica).await {
+            Ok((copy, elected)) => lead(&daemon, replica, copy, elected).await,
+            Err(error) => error,
+        };
+        if !matches!(error, StoreError::Compacted) {
+            tracing::warn!(%error, "this replica of the RIB is behind");
+            daemon.core().no_rib = Some(error.to_string());
+        }
+        sleep(RETRY).await;
+    }
+}
+
+/// Keeps a copy of what is stored until there is no leader, and this replica is elected.
+async fn stand_by(daemon: &Daemon, replica: &Replica) -> Result<(Copy, Elected), StoreError> {
+    let (mut gateway, place, own) = (replica.gateway(), &replica.place, daemon.name);
+    let mut copy = Copy::list(place, &mut gateway).await?;
+    let mut watch = gateway.watch(place.prefix(), copy.revision() + 1).await?;
+    loop {
+        let is_led = place.has_leader(&mut gateway).await?;
+        daemon.core().no_rib = (!is_led).then(|| "no replica of it leads; one is about to".into());
+        if !is_led && let Some(elected) = Elected::stand(place, &mut gateway, &own).await? {
+            let caught_up = async {
+                while copy.revision() < elected.revision {
+                    copy.apply(watch.next().await?)?;
+                }
+                Ok(())
+            };
+            match timeout(MARGIN, caught_up).await {
+                Ok(Ok(())) => return Ok((copy, elected)),
+                Ok(Err(error)) => {
+                    elected.resign(&mut gateway).await;
+                    return Err(error);
+                }
+                // Listed anew, it is whole again.
+                Err(_) => {
+                    elected.resign(&mut gateway).await;
+                    return Err(StoreError::Compacted);
+                }
+            }
+        }
+        let look = Instant::now() + BEAT;
+        loop {
+            tokio::select! {
+                events = watch.next() => if copy.apply(events?)? { break },
+                () = sleep_until(look) => break,
+            }
+        }
+    }
+}
+
+impl Elected {
+    async fn stand(place: &Place, gateway: &mut Gateway, own: &Name) -> Result<Option<Self>, StoreError> {
+        let asked = Instant::now();
+        let lease = gateway.grant(TTL).await?;
+        let ends = std::sync::Mutex::new(asked + Duration::from_secs(TTL) - MARGIN);
+        let term = Arc::new(Term { ends, is_writing: false.into() });
+        match place.stand(gateway, own, lease).await? {
+            Some(revision) => Ok(Some(Self { lease, revision, term })),
+            None => {
+                // Another was elected.
+                gateway.revoke(lease).await?;
+                Ok(None)
+            }
+        }
+    }
+
+    /// So that others need not wait until the lease is over.
+    async fn resign(&self, gateway: &mut Gateway) {
+        if let Err(error) = gateway.revoke(self.lease).await {
+            tracing::debug!(%error, "the lease is over only when its time is");
+        }
+    }
+
+    /// Renews the lease until it is over all the same.
+    async fn hold(&self, gateway: &mut Gateway) -> StoreError {
+        loop {
+            sleep(BEAT).await;
+            let asked = Instant::now();
+            match gateway.keep_alive(self.lease).await {
+                Ok(true) => {}
+                Ok(false) => return StoreError::Fenced,
+                Err(error) if self.term.is_over() => return error,
+                Err(error) => {
+                    tracing::warn!(%error, "the lease of the leading RIB was not renewed");
+                    continue;
+                }
+            }
+            let mut ends = lock(&self.term.ends);
+            // It may be over in the meantime, and has then been noticed.
+            if *ends <= Instant::now() {
+                return StoreError::Fenced;
+            }
+            *ends = asked + Duration::from_secs(TTL) - MARGIN;
+        }
+    }
+}
+
+/// Is the RIB for a term. Returns why no longer.
+async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elected) -> StoreError {
+    let mut gateway = replica.gateway();
+    let error = tokio::select! {
+        error = elected.hold(&mut gateway) => error,
+        error = serve_term(daemon, replica, copy, &elected) => error,
+    };
+    *lock(&elected.term.ends) = Instant::now();
+    daemon.core().end_term();
+    replica.failed(replica.wanted.load(Ordering::Acquire), &error);
+    daemon.topology_changed();
+    elected.resign(&mut gateway).await;
+    error
+}
+
+async fn serve_term(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: &Elected) -> StoreError {
+    let (writer, changed) = match take_over(daemon, replica, copy, elected).await {
+        Ok(taken) => taken,
+        Err(error) => return error,
+    };
+    write(daemon, replica, writer, changed).await
+}
+
+/// Makes the copy the RIB of this daemon. Returns who writes what changes in it, and what of it is of no use.
+async fn take_over(
+    daemon: &Arc<Daemon>,
+    replica: &Replica,
+    copy: Copy,
+    elected: &Elected,
+) -> Result<(Writer, BTreeSet<Item>), StoreError> {
+    let known = daemon.revocations.known().unwrap_or_else(|error| {
+        tracing::error!(%error, "what is kept here of revocations is of no use; those at etcd count");
+        Vec::new()
+    });
+    let (now, root) = (daemon.core().now(), daemon.name);
+    let run = Run { id: run_id(), settling: now.clock + HOLD };
+    // Signatures are verified, perhaps many.
+    let restoring = move || {
+        let mut rib = Rib::new(root, run, Limits::default());
+        rib.open_journal();
+        rib.recall(known);
+        let taken = rib.revocations_taken();
+        let (mut used, mut useless, mut count) = (Vec::new(), BTreeSet::new(), 0);
+        for (item, bytes) in copy.items() {
+            let restored = match item {
+                Item::Invitation(serial) => decode_item::<Used>(bytes).map(|one| {
+                    // Of what is of no use any more, nothing is kept.
+                    if one.serial == *serial && one.until >= now.unix {
+                        used.push(one)
+                    } else {
+                        useless.insert(*item);
+                    }
+                }),
+                item => rib.restore(now, item, bytes),
+            };
+            match restored {
+                Ok(()) => count += 1,
+                Err(error) => {
+                    tracing::debug!(%item, %error, "left out of what was stored");
+                    // A newer replica may lead next.
+                    if !matches!(error, RestoreError::Version(_)) {
+                        useless.insert(*item);
+                    }
+                }
+            }
+        }
+        rib.restored();
+        let changed = rib.take_changed();
+        // What is there as it was read need not be written.
+        let differs = |item: &Item| rib.stored(now, item).as_deref() != copy.get(item);
+        let changed: Vec<Item> = changed.into_iter().filter(differs).collect();
+        useless.extend(changed);
+        (rib, copy, used, useless, taken, count)
+    };
+    let restored = tokio::task::spawn_blocking(restoring).await;
+    let Ok((rib, copy, used, changed, taken, count)) = restored else { return Err(StoreError::Fenced) };
+    {
+        let mut core = daemon.core();
+        daemon.revocations.restart(taken);
+        if let Some(domain) = &mut core.domain {
+            used.into_iter().for_each(|used| domain.invitations.take(used));
+        }
+        core.lead(rib, elected.term.clone());
+    }
+    tracing::info!(items = count, left_out = changed.len(), "this replica leads: the RIB is here");
+    daemon.topology_changed();
+    daemon.report_in_full();
+    daemon.send_effects();
+    Ok((copy.into_writer(replica.gateway(), elected.revision), changed))
+}
+
+impl Core {
+    fn lead(&mut self, mut rib: Rib, term: Arc<Term>) {
+        rib.set_paths(self.now(), self.topology.paths().clone());
+        (self.rib, self.term, self.no_rib) = (Some(rib), Some(term), None);
+        self.topology.set_rib(true);
+    }
+}
+
+/// Writes what changes, all that have asked meanwhile at once. Returns why it cannot.
+async fn write(daemon: &Daemon, replica: &Replica, mut writer: Writer, mut changed: BTreeSet<Item>) -> StoreError {
+    loop {
+        let until = replica.wanted.load(Ordering::Acquire);
+        let batch = daemon.core().unstored(&mut changed);
+        let Some(batch) = batch else { return StoreError::Fenced };
+        match writer.write(&batch).await {
+            Ok(()) => {
+                changed.clear();
+                if let Some(term) = &daemon.core().term {
+                    term.is_writing.store(false, Ordering::Release);
+                }
+                replica.done(until);
+                let _ = timeout(SWEEP, replica.wake.notified()).await;
+            }
+            Err(error @ (StoreError::Fenced | StoreError::Contended)) => return error,
+            Err(error) => {
+                tracing::warn!(%error, "what has changed in the RIB is not stored");
+                replica.failed(until, &error);
+                sleep(RETRY).await;
+            }
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! Where the RIB of several replicas is kept: etcd. A daemon whose RIB runs alone needs none of this.
+//!
+//! [`gateway`] speaks to etcd, [`items`] knows how items of the RIB lie in it and how a leader writes them; who leads, and what
+//! follows from that, is in [`crate::serve::replica`].
+
+pub mod gateway;
+pub mod items;
+
+use std::fmt;
+use std::str::FromStr;
+
+/// Where a member of an etcd cluster takes requests.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Endpoint {
+    /// A name, or an address without brackets.
+    pub host: String,
+    pub port: u16,
+}
+
+impl fmt::Display for Endpoint {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { host, port } = self;
+        if host.contains(':') { write!(f, "http://[{host}]:{port}") } else { write!(f, "http://{host}:{port}") }
+    }
+}
+
+impl FromStr for Endpoint {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("{text:?} is not an endpoint such as http://127.0.0.1:2379 or http://[::1]:2379");
+        if text.starts_with("https://") {
+            return Err(format!(
+                "{text:?}: etcd is spoken to without TLS; have it listen on this host or on a network that is yours alone"
+            ));
+        }
+        let authority = text.strip_prefix("http://").ok_or_else(wrong)?;
+        let authority = authority.strip_suffix('/').unwrap_or(authority);
+        let (host, port) = authority.rsplit_once(':').ok_or_else(wrong)?;
+        let host = match host.strip_prefix('[') {
+            Some(inner) => inner.strip_suffix(']').filter(|ip| ip.parse::<std::net::Ipv6Addr>().is_ok()),
+            None => Some(host).filter(|host| is_host_name(host)),
+        };
+        let port = port.parse().ok().filter(|port| *port > 0).ok_or_else(wrong)?;
+        Ok(Self { host: host.ok_or_else(wrong)?.to_owned(), port })
+    }
+}
+
+fn is_host_name(text: &str) -> bool {
+    let is_part_of_one = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '.' | '_');
+    (1..=253).contains(&text.len()) && text.chars().all(is_part_of_one)
+}
+
+/// Why the store did not do what it was to.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    #[error("etcd does not answer at {endpoint}: {reason}")]
+    Unreachable { endpoint: Endpoint, reason: String },
+    #[error("etcd at {endpoint} refused: {reason}")]
+    Refused { endpoint: Endpoint, reason: String },
+    #[error("what came from {endpoint} is not an answer of etcd: {reason}")]
+    Malformed { endpoint: Endpoint, reason: String },
+    #[error("etcd has let go of the history that was to be followed")]
+    Compacted,
+    #[error("etcd holds more than the {0} bytes that a RIB takes: look what is under its prefix")]
+    TooMuch(usize),
+    #[error("another replica leads, or nobody does: the lease of this one is over")]
+    Fenced,
+    #[error("what is stored changes under the leader: does somebody else write under the prefix?")]
+    Contended,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn endpoints_are_read_and_nonsense_is_not() {
+        for (text, shown) in [
+            ("http://127.0.0.1:2379", "http://127.0.0.1:2379"),
+            ("http://etcd-1.lab:80/", "http://etcd-1.lab:80"),
+            ("http://[::1]:2379", "http://[::1]:2379"),
+        ] {
+            assert_eq!(text.parse::<Endpoint>().unwrap().to_string(), shown);
+        }
+        for text in [
+            "",
+            "127.0.0.1:2379",
+            "http://",
+            "http://:2379",
+            "http://a",
+            "http://a:0",
+            "http://a:70000",
+            "http://::1:2379",
+        ] {
+            assert!(text.parse::<Endpoint>().unwrap_err().contains("is not an endpoint"), "{text}");
+        }
+        for text in ["http://a/b:1", "http://a b:1", "http://[a]:1", "http://u:p@a:1", "ftp://a:1"] {
+            assert!(text.parse::<Endpoint>().is_err(), "{text}");
+        }
+        assert!("https://a:2379".parse::<Endpoint>().unwrap_err().contains("TLS"));
+    }
+}
