@@ -126,6 +126,7 @@ mod tests {
             cost: u32::MAX,
             transit: true,
             ours_transit: true,
+            parent: Some(u8::MAX),
         };
         let largest = LinkState {
             switch,
