@@ -79,8 +79,8 @@ fn check_sent<'s>(packet: &[u8], sent: &[u8], switch: &'s Switch) -> (&'s Link, 
     assert!(is_tagged(&left, &link.tx_keys, link.tx_phase != 0), "sent with another tag");
     assert_eq!(u32::from(left[1] >> 7), link.tx_phase, "the wrong key phase");
     assert_eq!(left[32..], came[32..], "names changed");
-    if left[0] == 0x10 {
-        assert_eq!((came[0], left[2] + 1), (0x10, came[2]), "the hop limit falls by one");
+    if matches!(left[0], 0x10 | 0x13) {
+        assert_eq!((came[0], left[2] + 1), (left[0], came[2]), "the hop limit falls by one");
         let length = usize::from(u16::from_be_bytes([came[4], came[5]]));
         assert_eq!(*rest, payload[..length], "the payload changed");
         let marked = switch.find(packet).is_some_and(|place| place.class & ECN == ECN);

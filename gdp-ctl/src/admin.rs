@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use gdp::control::{EntityRequest, RecordPlace, Response};
-use gdp::name::NameProof;
+use gdp::name::{NamePrefix, NameProof};
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -33,6 +33,24 @@ const PATIENCE: Duration = Duration::from_secs(15);
 pub enum Request {
     Status,
     Links,
+    /// Those that this switch has, or is to have, links with, and why there is none.
+    Peers,
+    /// Where a name is.
+    Locate {
+        what: NamePrefix,
+    },
+    /// One echo to a neighbour.
+    Echo {
+        peer: Name,
+    },
+    /// One probe for a name, toward an egress switch.
+    Probe {
+        name: Name,
+        switch: Name,
+        hops: u8,
+    },
+    /// From now on, what happens: the connection brings [`Event`](crate::serve::events::Event)s, until the client closes it.
+    Monitor,
     /// What the switch knows of the domain's switches.
     Topology,
     /// A page of the data plane's routes, behind this name.
@@ -98,8 +116,17 @@ impl Client {
         let mut value = serde_json::to_value(request).map_err(malformed)?;
         value["v"] = VERSION.into();
         self.stream.get_mut().write_all(format!("{value}\n").as_bytes()).map_err(ClientError::Broken)?;
+        self.reply()?.ok_or_else(|| ClientError::Broken(std::io::ErrorKind::UnexpectedEof.into()))
+    }
+
+    /// The next line from the daemon; none if it has closed the connection.
+    fn reply(&mut self) -> Result<Option<Reply>, ClientError> {
+        let malformed = |error: serde_json::Error| ClientError::Malformed(error.to_string());
         let mut line = String::new();
         (&mut self.stream).take(MAX_REPLY).read_line(&mut line).map_err(ClientError::Broken)?;
+        if line.is_empty() {
+            return Ok(None);
+        }
         if !line.ends_with('\n') {
             return Err(ClientError::Broken(std::io::ErrorKind::UnexpectedEof.into()));
         }
@@ -107,8 +134,16 @@ impl Client {
         check_version(&mut value).map_err(ClientError::Malformed)?;
         match serde_json::from_value(value).map_err(malformed)? {
             Reply::Error { code, reason } => Err(ClientError::Refused { code, reason }),
-            reply => Ok(reply),
+            reply => Ok(Some(reply)),
         }
+    }
+
+    /// Asks to be told what happens from now on.
+    pub fn monitor(mut self) -> Result<Happenings, ClientError> {
+        self.ask_value(&Request::Monitor)?;
+        // It may be quiet for long.
+        self.stream.get_mut().set_read_timeout(None).map_err(ClientError::Broken)?;
+        Ok(Happenings(self))
     }
 
     /// Asks for a JSON value.
@@ -125,6 +160,21 @@ impl Client {
             Reply::Control(response) => Ok(response),
             _ => Err(ClientError::Malformed("another kind of reply".into())),
         }
+    }
+}
+
+/// What happens at the daemon.
+pub struct Happenings(Client);
+
+impl Iterator for Happenings {
+    type Item = Result<Value, ClientError>;
+
+    /// Waits for the next [`Event`](crate::serve::events::Event); none once the daemon has ended.
+    fn next(&mut self) -> Option<Self::Item> {
+        self.0.reply().transpose().map(|reply| match reply? {
+            Reply::Ok(event) => Ok(event),
+            _ => Err(ClientError::Malformed("another kind of reply".into())),
+        })
     }
 }
 

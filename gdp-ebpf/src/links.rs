@@ -8,14 +8,15 @@
 //! `TX_COUNTERS` is shared with the userspace plane, which maps it: a link has one sequence of counters, whichever
 //! plane sends. Hence atomic additions, and nothing else, on both sides.
 //!
-//! `COMPLAINTS` is shared likewise. Two that race write nearly the same time, and the link gets one error more.
+//! `COMPLAINTS` and `PUNTS` are shared likewise. Two that race write nearly the same time, and the link gets one error more, or the
+//! daemon one probe. The second is written by user space only, which is where probes get to the daemon.
 
 use aya_ebpf::bindings::BPF_F_MMAPABLE;
 use aya_ebpf::helpers::bpf_ktime_get_coarse_ns;
 use aya_ebpf::macros::map;
 use aya_ebpf::maps::Array;
 use gdp_wire::LinkEntry;
-use gdp_wire::table::{COMPLAINT_INTERVAL_NS, MAX_LINKS, link_index};
+use gdp_wire::table::{COMPLAINT_INTERVAL_NS, MAX_LINKS, PUNT_INTERVAL_NS, link_index};
 
 #[map]
 static LINKS: Array<LinkEntry> = Array::with_max_entries(MAX_LINKS, 0);
@@ -27,6 +28,10 @@ static TX_COUNTERS: Array<u64> = Array::with_max_entries(MAX_LINKS, BPF_F_MMAPAB
 /// When the last error left by the link with the same index, in nanoseconds of the monotonic clock.
 #[map]
 static COMPLAINTS: Array<u64> = Array::with_max_entries(MAX_LINKS, BPF_F_MMAPABLE);
+
+/// When the daemon was last given a probe that came on the link with the same index, likewise.
+#[map]
+static PUNTS: Array<u64> = Array::with_max_entries(MAX_LINKS, BPF_F_MMAPABLE);
 
 #[inline(always)]
 pub fn get(id: u32) -> Option<&'static LinkEntry> {
@@ -49,6 +54,13 @@ pub fn may_complain(link: &LinkEntry) -> bool {
     let Some(last) = COMPLAINTS.get_ptr_mut(link_index(link.id)) else { return false };
     // SAFETY: a helper without arguments, and a live, aligned element of the map; the kernel's JIT makes one load.
     unsafe { bpf_ktime_get_coarse_ns().wrapping_sub(last.read_volatile()) >= COMPLAINT_INTERVAL_NS }
+}
+
+#[inline(always)]
+pub fn may_punt(link: &LinkEntry) -> bool {
+    let Some(last) = PUNTS.get_ptr(link_index(link.id)) else { return false };
+    // SAFETY: as above.
+    unsafe { bpf_ktime_get_coarse_ns().wrapping_sub(last.read_volatile()) >= PUNT_INTERVAL_NS }
 }
 
 #[inline(always)]

@@ -95,4 +95,13 @@ impl Tables for Maps<'_> {
     fn complain(&self, link: &LinkEntry) {
         links::complain(link);
     }
+
+    #[inline(always)]
+    fn may_punt(&self, link: &LinkEntry) -> bool {
+        links::may_punt(link)
+    }
+
+    /// The userspace plane says so, which is the one that gives it one.
+    #[inline(always)]
+    fn punt(&self, _: &LinkEntry) {}
 }

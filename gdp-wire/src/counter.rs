@@ -42,7 +42,7 @@ counters! {
     Replicated = "replicated",
     /// An echo, answered.
     Echoed = "echoed",
-    /// An error or the answer to an echo, for this node itself.
+    /// An error, the answer to an echo or a probe, for this node itself.
     Notice = "notice",
     /// Left to the userspace plane, because the kernel cannot send by the next link, or the frame is for the daemon.
     Slow = "slow",
@@ -68,7 +68,7 @@ counters! {
     NoRoute = "drop_no_route",
     /// Dropped: the link may not send to this name.
     NotPermitted = "drop_not_permitted",
-    /// Dropped: no live neighbour leads to the egress switch, or the frame names none.
+    /// Dropped: no live neighbour leads to the egress switch, or the frame names none; or it is a probe and names several.
     NoEgress = "drop_no_egress",
     /// Dropped: would leave by the link it came in on.
     Hairpin = "drop_hairpin",
@@ -78,6 +78,8 @@ counters! {
     TooBig = "drop_too_big",
     /// Dropped: a router marked what carried the frame (congestion experienced), and its writer does not take marks.
     Congested = "drop_congested",
+    /// Dropped: a probe that ends here, too soon after the one before on its link.
+    PuntLimit = "drop_punt_limit",
     /// Dropped: the decision was to redirect, and the kernel refused.
     RedirectFailed = "drop_redirect_failed",
     /// Dropped after the decision: the interface it was redirected to did not take it. It is counted already, as

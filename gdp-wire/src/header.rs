@@ -25,7 +25,7 @@ pub enum FrameType {
     Control = 1,
     /// Tells the neighbour a frame came from why it was dropped; never forwarded.
     Error = 2,
-    /// Reserved for `trace`.
+    /// Asks the switch where it ends who that is; forwarded by its egress bit.
     Probe = 3,
     /// Asks the neighbour's data plane whether it lives, and its answer; never forwarded.
     Echo = 4,
@@ -151,6 +151,20 @@ impl Header {
             ..Self::default()
         }
     }
+
+    /// A probe of `source`, a switch, on the path to egress switch `bit` (0 … 63) of a name, before a link's fields are filled in. It ends
+    /// there, or at the switch where it arrives with `hop_limit` 1.
+    pub fn probe(destination: Name, source: Name, bit: u8, hop_limit: u8) -> Self {
+        Self {
+            version_type: FrameType::Probe.first_byte(),
+            hop_limit,
+            egress_bits: (1u64 << (bit & 63)).to_be(),
+            ..Self::data(destination, source, Self::COOKIE_LEN as u16)
+        }
+    }
+
+    /// Bytes of the payload of a probe: what its answer repeats.
+    pub const COOKIE_LEN: usize = 8;
 
     /// Turns an echo that wants an answer into that answer. Its payload is left out, so it is never larger than what drew it.
     #[inline(always)]

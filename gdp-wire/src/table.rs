@@ -31,6 +31,9 @@ pub const MAX_LOCAL_ADDRESSES: u32 = 1024;
 /// A neighbour is sent an error no sooner than this after the one before.
 pub const COMPLAINT_INTERVAL_NS: u64 = 10_000_000;
 
+/// A daemon is given a probe that came on a link no sooner than this after the one before.
+pub const PUNT_INTERVAL_NS: u64 = 10_000_000;
+
 /// The group of all neighbouring switches, and no endpoint.
 pub const NEIGHBOURS: u32 = 0;
 
@@ -336,6 +339,12 @@ pub trait Tables {
 
     /// Says that an error goes to the neighbour on this link now.
     fn complain(&self, link: &LinkEntry);
+
+    /// Whether the daemon may be given a probe from the neighbour on this link now: [`PUNT_INTERVAL_NS`] after the last.
+    fn may_punt(&self, link: &LinkEntry) -> bool;
+
+    /// Says that the daemon is given one now.
+    fn punt(&self, link: &LinkEntry);
 }
 
 /// Index of the entry of link `id`.

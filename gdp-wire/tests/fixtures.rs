@@ -59,10 +59,27 @@ fn frames_that_wait_are_marked_if_they_take_marks() {
 }
 
 #[test]
+fn a_daemon_is_given_no_probe_right_after_another() {
+    let both = |sent: &Sent| {
+        let (kernel, userspace) = (PlainTables::<true>::new(&switch()), PlainTables::<false>::new(&switch()));
+        let frame = sent.frame.bytes();
+        [kernel.punted().run(&frame), userspace.punted().run(&frame)].map(Expected::from)
+    };
+    for ends in [probe(WEST, OWN), probe(WEST, 1 << 3).with(|f| f.hop_limit = 1), probe(ABROAD, 0)] {
+        assert_eq!(both(&ends), [drop("drop_punt_limit"), drop("drop_punt_limit")]);
+    }
+    let onward: Expected = sends(&probe(WEST, 1 << 3), EAST, 1 << 3).into();
+    assert_eq!(both(&probe(WEST, 1 << 3)), [onward.clone(), onward], "one that goes on costs the daemon nothing");
+    let answer = probe(WEST, 9).with(|f| (f.version_type, f.egress_set) = (0x14, 1));
+    assert_eq!(both(&answer), [pass("slow"), pass("notice")], "and what is not a probe goes on being heard");
+}
+
+#[test]
 fn every_counter_has_a_case() {
     let cases = fixtures::read().cases;
-    // What a redirect loses is known only after it.
-    for counter in Counter::ALL.iter().filter(|counter| **counter != Counter::RedirectLost) {
+    // What a redirect loses is known only after it, and each case is the first of its kind.
+    let others = [Counter::RedirectLost, Counter::PuntLimit];
+    for counter in Counter::ALL.iter().filter(|counter| !others.contains(counter)) {
         let counts = |expected: &Expected| expected.counter == counter.as_str();
         let any = cases.iter().any(|case| counts(&case.kernel) || case.userspace.as_ref().is_some_and(counts));
         assert!(any, "none for {counter:?}");
@@ -234,6 +251,7 @@ fn cases() -> Vec<Case> {
         sizes(),
         tags(),
         echoes_and_errors(),
+        probes(),
         other_frames(),
         crossings(),
         congestion(),
@@ -597,6 +615,43 @@ fn echoes_and_errors() -> Vec<Case> {
     ]
 }
 
+/// Probes go as data for one egress switch does, and end where their hop limit does; nobody is told of one that is dropped.
+fn probes() -> Vec<Case> {
+    let hops = |sent: Sent, hop_limit| sent.with(|f| f.hop_limit = hop_limit);
+    let ends = |sent: Sent, name: &str| Case { userspace: Some(pass("notice")), ..sent.case(name, pass("slow")) };
+    let (onward, over_udp) = (probe(WEST, 1 << 3), probe(INET, 1 << 3));
+    let slow = probe(WEST, 1 << 7);
+    let last = hops(probe(WEST, 1 << 3), 2);
+    let marked = probe(INET, 1 << 3).in_datagram(3);
+    let large = |payload| probe(WEST, 1 << 6).with(|f| f.payload = vec![0; payload]);
+    vec![
+        onward.case("a probe goes on toward its egress switch", sends(&onward, EAST, 1 << 3)),
+        over_udp.case("also from UDP to Ethernet", sends(&over_udp, EAST, 1 << 3)),
+        last.case("its hop limit falls as that of data", sends(&last, EAST, 1 << 3)),
+        ends(hops(probe(WEST, 1 << 3), 1), "a probe whose hop limit ends here is the daemon's"),
+        ends(hops(probe(WEST, 1 << 3), 0), "likewise with hop limit 0"),
+        ends(probe(WEST, OWN), "and so is one for this egress switch"),
+        ends(probe(WEST, OWN).to("here"), "also if the name has readers here"),
+        ends(probe(ABROAD, 1 << 3), "and one from another domain, wherever it would go"),
+        ends(probe(ABROAD, 0), "which need not know any bits"),
+        probe(ROBOT, 1 << 3).case("an endpoint sends no probes", drop("drop_unknown")),
+        probe(ROBOT, OWN).case("not even to its switch", drop("drop_unknown")),
+        probe(WEST, 0).case("a probe for no egress switch", drop("drop_no_egress")),
+        probe(WEST, 1 << 3 | 1).case("a probe for two", drop("drop_no_egress")),
+        probe(WEST, OWN | 1 << 3).case("a probe for this one and another", drop("drop_no_egress")),
+        hops(probe(WEST, 3), 1).case("a probe for two whose hop limit ends", drop("drop_no_egress")),
+        probe(WEST, 1 << 62).case("a probe for a bit that nobody has", drop("drop_no_egress")),
+        probe(EAST, 1 << 3).case("a probe that would go back", drop("drop_hairpin")),
+        probe(WEST, OWN).with(|f| f.tag = Some(1)).case("a probe that nobody sent", drop("drop_bad_tag")),
+        large(505).case("a probe that is too big for its link", drop("drop_too_big")),
+        marked.case("a probe takes no marks", drop("drop_congested")),
+        Case {
+            userspace: Some(sends(&slow, UNPLUGGED, 1 << 7).into()),
+            ..slow.case("a probe to a port without an interface", drop("drop_redirect_failed"))
+        },
+    ]
+}
+
 fn other_frames() -> Vec<Case> {
     let transit = from(WEST).bits(1 << 3);
     let first_byte = |byte| transit.clone().with(|f| f.version_type = byte);
@@ -611,7 +666,7 @@ fn other_frames() -> Vec<Case> {
         raw("also a short one", &short_control, pass("control")),
         first_byte(0x00).case("version 0", drop("drop_unknown")),
         first_byte(0x20).case("version 2", drop("drop_unknown")),
-        first_byte(0x13).case("a probe is not known yet", drop("drop_unknown")),
+        first_byte(0x15).case("the first type that is not known", drop("drop_unknown")),
         first_byte(0x1f).case("the last type", drop("drop_unknown")),
         first_byte(0x40).case("what would be QUIC on UDP", drop("drop_unknown")),
         first_byte(0xff).case("the last first byte", drop("drop_unknown")),
@@ -834,6 +889,11 @@ fn from(id: u32) -> Sent {
     let source = if link(id).role == Role::Endpoint { name(&label) } else { name("writer") };
     let carrier = link(id).arrives_in();
     Sent { frame: Frame { carrier, link_id: id, link_counter: 7, key, destination, source, ..Frame::default() } }
+}
+
+/// A probe as a switch sends it on.
+fn probe(id: u32, bits: u64) -> Sent {
+    from(id).bits(bits).with(|f| (f.version_type, f.payload) = (0x13, vec![0x77; 8]))
 }
 
 impl Sent {

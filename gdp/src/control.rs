@@ -9,12 +9,14 @@
 
 mod peers;
 mod tiers;
+mod traced;
 
 pub use peers::{NameRole, Peers, PeersExtent, PeersPush};
 pub use tiers::{
     Abroad, MAX_ANCESTORS, MAX_PATH, Shown, TierEntry, TierHolds, TierKey, TierLeg, TierMessage, TierPush, TierRequest,
     TierResponse,
 };
+pub use traced::{MAX_BEYOND, Traced, TracedEnd};
 
 use std::net::SocketAddr;
 
@@ -86,6 +88,8 @@ pub enum Request {
     /// Switch → RIB: this entity shows a membership by an invitation; is it the one that was admitted?
     /// The first that asks is.
     Admitted { switch: Name, entity: Name, membership: Box<Membership> },
+    /// Switch → switch: a probe of yours ended here.
+    Traced(Traced),
 }
 
 /// What an entity may ask of the RIB, through the switch it is attached to.

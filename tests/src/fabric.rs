@@ -274,6 +274,11 @@ impl Switch {
         Ok(Self { name: name.to_owned(), process, socket })
     }
 
+    /// The daemon's admin socket.
+    pub fn socket(&self) -> &Path {
+        &self.socket
+    }
+
     /// A `gdp-ctl` command against the daemon, as JSON.
     pub fn ctl(&self, tools: &Tools, arguments: &[&str]) -> Result<Value> {
         let mut command = Command::new(tools.gdp_ctl()?);

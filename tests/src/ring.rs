@@ -24,8 +24,11 @@ use crate::wait::wait_for;
 
 const SWITCHES: usize = 5;
 
+/// Names that each switch has room for: benchmarks have a million, and a few.
+const FIB_CAPACITY: u32 = 1 << 21;
+
 /// Where the robot, the cloud and the RIB are; counted from 0.
-const ROBOT_AT: usize = 0;
+pub const ROBOT_AT: usize = 0;
 pub const CLOUD_AT: usize = 2;
 pub const RIB_AT: usize = 4;
 
@@ -143,6 +146,7 @@ fn config(i: usize, names: &[String], bpffs: &Mounted) -> Value {
         "udp": null,
         "data_plane": "xdp",
         "bpffs": bpffs.0,
+        "fib_capacity": FIB_CAPACITY,
         "rib": i == RIB_AT,
         "neighbours": [left, right],
     })

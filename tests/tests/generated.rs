@@ -48,8 +48,8 @@ fn the_kernel_does_what_decide_says_with_a_million_frames() -> Result<()> {
             return Err(find_miscounted(&switch, chunk * CHUNK)?);
         }
     }
-    // The userspace plane's, which the kernel leaves them to; what a redirect loses is known only after it.
-    reached(seen, &[Counter::Notice, Counter::RedirectLost])
+    // The userspace plane's, which the kernel leaves them to; what a redirect loses is known only after it; rates need time.
+    reached(seen, &[Counter::Notice, Counter::RedirectLost, Counter::PuntLimit])
 }
 
 #[test]
@@ -64,7 +64,7 @@ fn the_userspace_plane_does_what_decide_says_with_a_million_frames() -> Result<(
         seen[fate.counter as usize] += 1;
         fate.copies.iter().for_each(|(_, counter)| seen[*counter as usize] += 1);
     }
-    reached(seen, &[Counter::Slow, Counter::RedirectFailed, Counter::RedirectLost])
+    reached(seen, &[Counter::Slow, Counter::RedirectFailed, Counter::RedirectLost, Counter::PuntLimit])
 }
 
 struct Kernel {
@@ -184,7 +184,7 @@ fn begin(memory: LinkMemory, switch: &Switch) -> LinkMemory {
     memory
 }
 
-/// Nobody was sent an error lately: plain tables know no time.
+/// Nobody was sent an error lately, and the daemon no probe: plain tables know no time.
 fn forgive(memory: &LinkMemory, links: &[u32]) {
     links.iter().for_each(|link| memory.forgive(*link));
 }

@@ -149,6 +149,7 @@ fn permission_comes_and_goes_in_the_kernel() -> Result<()> {
         egress_bits: OWN_BIT,
         readers: vec![right_link().id],
         writers: writers.to_vec(),
+        ..PlaneRoute::default()
     };
     let (mut delivered, mut refused) = (0, 0);
     for (route, may) in [
@@ -179,6 +180,31 @@ fn permission_comes_and_goes_in_the_kernel() -> Result<()> {
     wait_for("a permit to go with its name", SOON, || {
         Ok((switch.count(Counter::NotPermitted)? == (refused + 1, 0)).then_some(()))
     })
+}
+
+#[test]
+fn who_may_come_from_abroad_comes_and_goes_in_the_kernel() -> Result<()> {
+    let site = Site::build(1500)?;
+    let mut switch = site.switch(Wanted::Xdp)?;
+    let border = LinkEntry { role: LinkRole::Border as u32, ..left_link() };
+    let at = switch.address_of_left()?;
+    switch.planes.set_link(border, at)?;
+    let (mut delivered, mut refused) = (0, 0);
+    for sources in [vec![], vec![border.id], vec![0x1004, border.id], vec![0x1004], vec![border.id], vec![]] {
+        let may = sources.contains(&border.id);
+        let route = PlaneRoute { sources, ..PlaneRoute::default() };
+        match route.is_idle() {
+            true => switch.planes.remove_route(&border.peer)?,
+            false => switch.planes.set_route(border.peer, &route)?,
+        }
+        site.send(&site.next_frame(200))?;
+        *(if may { &mut delivered } else { &mut refused }) += 1;
+        wait_for(&format!("{delivered} delivered, {refused} refused at {route:?}"), SOON, || {
+            let counts = (switch.count(Counter::Delivered)?, switch.count(Counter::Source)?);
+            Ok((counts == ((delivered, 0), (refused, 0))).then_some(()))
+        })?;
+    }
+    Ok(())
 }
 
 /// The FIB begins small and is replaced by larger ones. One frame is under way at a time, so each that is lost is missed.
@@ -363,7 +389,9 @@ impl Site {
         switch.planes.set_link(left_link(), LinkAddr::Ethernet { ifindex: left, mac: LEFT_MAC })?;
         switch.planes.set_link(right_link(), LinkAddr::Ethernet { ifindex: right, mac: RIGHT_MAC })?;
         let (readers, writers) = (vec![right_link().id], vec![left_link().id]);
-        switch.planes.set_route(TOPIC, &PlaneRoute { egress_bits: OWN_BIT, readers, writers })?;
+        switch
+            .planes
+            .set_route(TOPIC, &PlaneRoute { egress_bits: OWN_BIT, readers, writers, ..PlaneRoute::default() })?;
         ensure!(matches!(switch.planes.routes()?[..], [(TOPIC, _)]));
         Ok(switch)
     }

@@ -449,7 +449,7 @@ impl Site {
         site.dial(ROBOT, "", "")?;
         site.dial(INET, "10.2.0.9:0", V4)?;
         site.dial(INET6, "[2001:db8:2::9]:0", V6)?;
-        let nobody = PlaneRoute { egress_bits: OWN_BIT, readers: vec![], writers: vec![0x7fff_0001] };
+        let nobody = PlaneRoute { egress_bits: OWN_BIT, writers: vec![0x7fff_0001], ..PlaneRoute::default() };
         site.planes.set_route(FORBIDDEN, &nobody)?;
         Ok(site)
     }
@@ -490,7 +490,8 @@ impl Site {
             let mut writers = links.clone();
             writers.retain(|link| *link != links[reader]);
             writers.sort_unstable();
-            let route = PlaneRoute { egress_bits: OWN_BIT, readers: vec![links[reader]], writers };
+            let route =
+                PlaneRoute { egress_bits: OWN_BIT, readers: vec![links[reader]], writers, ..PlaneRoute::default() };
             self.planes.set_route(topic(end.name), &route)?;
         }
         Ok(())

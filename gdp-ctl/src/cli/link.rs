@@ -34,10 +34,25 @@ fn describe(reply: &Value) -> String {
                 "" | "stranger" | "border" => text("role"),
                 standing => format!("{} ({standing})", text("role")),
             };
-            let place = [role, text("via"), text("address")];
+            let via = if link["carrier"] == false { format!("{} (no carrier)", text("via")) } else { text("via") };
+            let place = [role, via, text("address")];
             let [role, via, address] = place;
             let cost = link["cost"].as_u64().map_or_else(|| "–".to_owned(), |cost| cost.to_string());
-            [id, short(&link["peer"]), role, via, address, mtu, rtt, cost, age, text("plane"), taken, dropped]
+            [
+                id,
+                short(&link["peer"]),
+                role,
+                via,
+                address,
+                mtu,
+                rtt,
+                cost,
+                age,
+                text("plane"),
+                link["sent"].to_string(),
+                taken,
+                dropped,
+            ]
         })
         .collect();
     table(
@@ -52,6 +67,7 @@ fn describe(reply: &Value) -> String {
             "cost",
             "age",
             "plane",
+            "frames out",
             "frames in",
             "of these dropped",
         ],

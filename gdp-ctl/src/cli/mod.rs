@@ -10,14 +10,19 @@ mod dump;
 mod grant;
 mod key;
 mod link;
+mod monitor;
 mod name;
 mod output;
 mod paper;
+mod peer;
+mod ping;
+mod place;
 mod query;
 mod revocation;
 mod serve;
 mod status;
 mod topology;
+mod trace;
 mod xdp;
 
 use std::path::PathBuf;
@@ -84,6 +89,13 @@ enum Command {
     /// The daemon's links.
     #[command(subcommand)]
     Link(link::Command),
+    /// The switches and domains that the daemon peers with.
+    #[command(subcommand)]
+    Peer(peer::Command),
+    Trace(trace::Options),
+    Ping(ping::Options),
+    /// Print what happens at the daemon's switch, until ^C: links, attachments, refusals, routes, the topology, the RIB.
+    Monitor,
     /// Show the domain's switches and the links between them, as this switch knows them.
     Topology(topology::Options),
     /// Check what the daemon needs from this machine, and name the remedy for what is amiss.
@@ -147,6 +159,10 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Fib(command) => dump::fib(&command, context),
         Command::Rib(command) => dump::rib(&command, context),
         Command::Link(command) => link::run(&command, context),
+        Command::Peer(command) => peer::run(&command, context),
+        Command::Trace(options) => trace::run(&options, context),
+        Command::Ping(options) => ping::run(&options, context),
+        Command::Monitor => monitor::run(context),
         Command::Topology(options) => topology::run(&options, context),
         Command::Doctor(options) => doctor::run(options, context),
         Command::Xdp(command) => xdp::run(&command, context),

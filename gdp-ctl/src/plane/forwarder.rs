@@ -41,7 +41,7 @@ impl From<LinkAddr> for Medium {
 /// What all threads share.
 pub struct Shared {
     pub tables: RwLock<UserTables>,
-    pub notices: Notices,
+    pub notices: Arc<Notices>,
     pub tally: Tally,
     sockets: RwLock<HashMap<Medium, Arc<DataSocket>>>,
     counters: [AtomicU64; Counter::COUNT],
@@ -51,7 +51,7 @@ impl Shared {
     pub fn new(tables: UserTables) -> Self {
         Self {
             tables: RwLock::new(tables),
-            notices: Notices::default(),
+            notices: Arc::default(),
             tally: Tally::default(),
             sockets: RwLock::new(HashMap::new()),
             counters: [const { AtomicU64::new(0) }; Counter::COUNT],
@@ -63,13 +63,13 @@ impl Shared {
         std::array::from_fn(|i| self.counters[i].load(Ordering::Relaxed))
     }
 
-    /// Sends a frame of this node itself, without a payload, to the neighbour on link `id`; if it is lost, so be it.
-    pub fn send_own(&self, id: u32, header: Header) {
+    /// Sends a frame of this node itself to the neighbour on link `id`; if it is lost, so be it.
+    pub fn send_own(&self, id: u32, header: Header, payload: &[u8]) {
         let made = self.tables.read().unwrap_or_else(PoisonError::into_inner).address_frame(id, header);
         let Some((header, to)) = made else { return };
         let sockets = self.sockets.read().unwrap_or_else(PoisonError::into_inner);
         if let Some(socket) = sockets.get(&Medium::from(to)) {
-            socket.send_batch([OutFrame { to, head: header.as_bytes(), body: &[] }]);
+            socket.send_batch([OutFrame { to, head: header.as_bytes(), body: payload }]);
         }
     }
 
@@ -200,11 +200,8 @@ impl Worker {
                 }
                 Outcome::Control => Counter::Control,
                 Outcome::Notice { link, header } => {
-                    if self.shared.notices.take(link, &header) {
-                        Counter::Notice
-                    } else {
-                        Counter::Unknown
-                    }
+                    let payload = frame.get(Header::LEN..header.frame_len()).unwrap_or_default();
+                    self.shared.notices.take(link, &header, payload)
                 }
                 Outcome::Drop(counter) => counter,
             };

@@ -278,9 +278,10 @@ impl KernelPlane {
         let tx_counters: Array<MapData, u64> = maps.take("TX_COUNTERS")?;
         let windows: Array<MapData, [u64; WORDS]> = maps.take("WINDOWS")?;
         let complaints: Array<MapData, u64> = maps.take("COMPLAINTS")?;
+        let punts: Array<MapData, u64> = maps.take("PUNTS")?;
         let groups = GroupMaps { groups, served: maps.take("SERVED")?, places: maps.take("PLACES")? };
         let groups = KernelGroups::open(groups, of_groups, pins.as_ref().map(|pins| pins.folder().to_owned()))?;
-        let shared = LinkMaps { counts: &tx_counters, windows: &windows, complaints: &complaints };
+        let shared = LinkMaps { counts: &tx_counters, windows: &windows, complaints: &complaints, punts: &punts };
         Ok(Self {
             switches,
             capacity,

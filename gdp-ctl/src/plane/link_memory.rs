@@ -1,5 +1,5 @@
-//! What changes with the frames of a link, shared by the planes: the count of frames sent, the replay window, and when an error
-//! was sent. A link has one of each, whichever plane sends and receives. Where XDP runs, this is the memory of its BPF maps; otherwise it is
+//! What changes with the frames of a link, shared by the planes: the count of frames sent, the replay window, when an error
+//! was sent, and when the daemon was given a probe. A link has one of each, whichever plane sends and receives. Where XDP runs, this is the memory of its BPF maps; otherwise it is
 //! ordinary memory. Only ever accessed atomically.
 
 use std::io;
@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use aya::maps::{Array, IterableMap, MapData};
 use gdp_wire::replay::{WORDS, Window};
-use gdp_wire::table::{COMPLAINT_INTERVAL_NS, MAX_LINKS, link_index};
+use gdp_wire::table::{COMPLAINT_INTERVAL_NS, MAX_LINKS, PUNT_INTERVAL_NS, link_index};
 
 use super::mapping::Mapping;
 
@@ -20,6 +20,7 @@ pub struct LinkMemory {
     counts: Arc<Memory>,
     windows: Arc<Memory>,
     complaints: Arc<Memory>,
+    punts: Arc<Memory>,
 }
 
 /// The BPF maps whose memory it can be.
@@ -27,19 +28,20 @@ pub struct LinkMaps<'a> {
     pub counts: &'a Array<MapData, u64>,
     pub windows: &'a Array<MapData, [u64; WORDS]>,
     pub complaints: &'a Array<MapData, u64>,
+    pub punts: &'a Array<MapData, u64>,
 }
 
 impl LinkMemory {
     /// Memory that no kernel plane shares.
     pub fn new() -> Self {
         let own = |words| Arc::new(Memory::own(words));
-        Self { counts: own(LINKS), windows: own(LINKS * WORDS), complaints: own(LINKS) }
+        Self { counts: own(LINKS), windows: own(LINKS * WORDS), complaints: own(LINKS), punts: own(LINKS) }
     }
 
     /// The memory of the BPF maps. The mappings outlive the maps' descriptors.
     pub fn map(maps: LinkMaps<'_>) -> io::Result<Self> {
-        let LinkMaps { counts, windows, complaints } = maps;
-        for length in [counts.len(), windows.len(), complaints.len()] {
+        let LinkMaps { counts, windows, complaints, punts } = maps;
+        for length in [counts.len(), windows.len(), complaints.len(), punts.len()] {
             if length != MAX_LINKS {
                 return Err(io::Error::other(format!("a map has {length} entries instead of {MAX_LINKS}")));
             }
@@ -49,6 +51,7 @@ impl LinkMemory {
             counts: mapped(counts.map(), LINKS)?,
             windows: mapped(windows.map(), LINKS * WORDS)?,
             complaints: mapped(complaints.map(), LINKS)?,
+            punts: mapped(punts.map(), LINKS)?,
         })
     }
 
@@ -82,7 +85,7 @@ impl LinkMemory {
 
     /// Whether an error may leave by the link now.
     pub fn may_complain(&self, id: u32) -> bool {
-        coarse_monotonic_ns().wrapping_sub(self.complaint(id).load(Ordering::Relaxed)) >= COMPLAINT_INTERVAL_NS
+        is_past(self.complaint(id), COMPLAINT_INTERVAL_NS)
     }
 
     /// Says that one leaves now.
@@ -90,13 +93,28 @@ impl LinkMemory {
         self.complaint(id).store(coarse_monotonic_ns(), Ordering::Relaxed);
     }
 
-    /// Lets the next error leave by the link at once.
+    /// Whether the daemon may be given a probe of the link now.
+    pub fn may_punt(&self, id: u32) -> bool {
+        is_past(self.last_punt(id), PUNT_INTERVAL_NS)
+    }
+
+    /// Says that it is given one now.
+    pub fn punt(&self, id: u32) {
+        self.last_punt(id).store(coarse_monotonic_ns(), Ordering::Relaxed);
+    }
+
+    /// Lets the next error leave by the link, and the next probe from it to the daemon, at once.
     pub fn forgive(&self, id: u32) {
         self.complaint(id).store(0, Ordering::Relaxed);
+        self.last_punt(id).store(0, Ordering::Relaxed);
     }
 
     fn complaint(&self, id: u32) -> &AtomicU64 {
         &self.complaints.words()[link_index(id) as usize]
+    }
+
+    fn last_punt(&self, id: u32) -> &AtomicU64 {
+        &self.punts.words()[link_index(id) as usize]
     }
 
     fn count(&self, id: u32) -> &AtomicU64 {
@@ -108,6 +126,11 @@ impl Default for LinkMemory {
     fn default() -> Self {
         Self::new()
     }
+}
+
+/// Whether so much time has passed since what is in the word.
+fn is_past(last: &AtomicU64, interval: u64) -> bool {
+    coarse_monotonic_ns().wrapping_sub(last.load(Ordering::Relaxed)) >= interval
 }
 
 /// The clock that the XDP programs read.
@@ -153,6 +176,11 @@ mod tests {
         assert!(memory.may_complain(a));
         memory.complain(a);
         assert!(!memory.may_complain(a) && memory.may_complain(b), "each has its rate");
+        assert!(memory.may_punt(a), "probes have another");
+        memory.punt(a);
+        assert!(!memory.may_punt(a) && memory.may_punt(b));
+        memory.forgive(a);
+        assert!(memory.may_complain(a) && memory.may_punt(a));
         assert!(replay::take(memory.window(successor), 5));
         assert!(!replay::take(memory.window(b), 5));
     }

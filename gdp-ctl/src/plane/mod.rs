@@ -49,6 +49,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLockReadGuard, RwLockWriteGuard};
 
 use gdp::link::KeyedEntry;
+use gdp::name::NamePrefix;
 use gdp::port::{DataSocket, HostPair, Interface, LinkAddr};
 use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS, PORT_ROUTED, PORT_USERSPACE, Tables, ip_of, mac_bytes};
 use gdp_wire::{
@@ -447,11 +448,16 @@ impl Planes {
 
     /// Asks the data plane of the neighbour on a link whether it lives.
     pub fn ask(&self, link: u32, cookie: u64) {
-        self.shared.send_own(link, Header::echo(cookie));
+        self.shared.send_own(link, Header::echo(cookie), &[]);
+    }
+
+    /// Sends a probe (see [`Header::probe`]) to the neighbour on a link.
+    pub fn probe(&self, link: u32, probe: Header, cookie: u64) {
+        self.shared.send_own(link, probe, &cookie.to_be_bytes());
     }
 
     /// What neighbours said to this node itself.
-    pub fn notices(&self) -> &Notices {
+    pub fn notices(&self) -> &Arc<Notices> {
         &self.shared.notices
     }
 
@@ -520,6 +526,23 @@ impl Planes {
         }
         self.release_group(before.group);
         Ok(())
+    }
+
+    /// Where a name leads, as the planes were told.
+    pub fn route(&self, name: &Name) -> Option<FibEntry> {
+        self.read_tables().route(name)
+    }
+
+    /// Of the names that lead somewhere, those that begin so; `limit` of them at most.
+    pub fn names_like(&self, prefix: &NamePrefix, limit: usize) -> Vec<Name> {
+        let tables = self.read_tables();
+        let names = tables.routes().map(|(name, _)| *name).filter(|name| prefix.matches(name));
+        names.take(limit).collect()
+    }
+
+    /// For each egress bit the link toward that switch; 0 if there is none.
+    pub fn next_hop(&self, bit: u8) -> u32 {
+        self.read_tables().next_hop(bit.into())
     }
 
     /// The links that may send to a name.

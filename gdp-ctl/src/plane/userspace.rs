@@ -31,7 +31,7 @@ pub enum Outcome {
     },
     /// It is for the control plane.
     Control,
-    /// It tells this node something: an error, or the answer to an echo, from the neighbour on this link.
+    /// It tells this node something: an error, the answer to an echo, or a probe that ends here, from the neighbour on this link.
     Notice {
         link: u32,
         header: Header,
@@ -262,5 +262,13 @@ impl Tables for UserTables {
 
     fn complain(&self, link: &LinkEntry) {
         self.link_memory.complain(link.id);
+    }
+
+    fn may_punt(&self, link: &LinkEntry) -> bool {
+        self.link_memory.may_punt(link.id)
+    }
+
+    fn punt(&self, link: &LinkEntry) {
+        self.link_memory.punt(link.id);
     }
 }

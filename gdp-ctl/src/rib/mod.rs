@@ -5,7 +5,8 @@
 //! Nothing is stored before it is verified: the derivation of names, the certificates and what their owner has revoked of
 //! them, the entity's own statement and its serial. The FIB of every switch is derived from what is stored, and from the
 //! paths in [`paths`]. Here is what goes in and out; [`statements`] takes what entities state, [`key_boxes`] and [`revoke`]
-//! what goes with it, [`reports`] what switches say.
+//! what goes with it, [`reports`] what switches say; [`abroad`] takes what RIBs of other domains tell, and [`exports`] gives what they may
+//! be told.
 //!
 //! Nobody has to believe this: who is told of others verifies their records again, who is given a key verifies who wrapped it,
 //! and who holds a newer revocation than the RIB gives keeps to that. What a RIB that lies can do is to withhold.

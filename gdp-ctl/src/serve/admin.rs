@@ -6,13 +6,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::control::Response;
+use gdp::control::{Response, TracedEnd};
 use serde_json::{Value, json};
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::Semaphore;
 use tokio::time::timeout;
 
+use super::events::Listener;
+use super::trace::{Hop, Location, ProbeError};
 use super::{Daemon, status};
 use crate::admin::{MAX_REQUEST, PAGE, Reply, Request, reply_line};
 
@@ -99,13 +102,18 @@ async fn serve(daemon: &Arc<Daemon>, stream: UnixStream) -> std::io::Result<()> 
             return Ok(());
         }
         let too_long = line.len() > MAX_REQUEST;
-        let reply = if too_long {
-            Reply::Error { code: "malformed".into(), reason: format!("a request longer than {MAX_REQUEST} bytes") }
-        } else {
-            match crate::admin::parse_request(&line) {
-                Ok(request) => answer(daemon, request).await,
-                Err(reason) => Reply::Error { code: "malformed".into(), reason },
+        let request = match too_long {
+            true => Err(format!("a request longer than {MAX_REQUEST} bytes")),
+            false => crate::admin::parse_request(&line),
+        };
+        let reply = match request {
+            Ok(Request::Monitor) => {
+                let listener = daemon.core().events.listen();
+                writer.write_all(reply_line(&Reply::Ok(json!({}))).as_bytes()).await?;
+                return monitor(listener, reader, writer).await;
             }
+            Ok(request) => answer(daemon, request).await,
+            Err(reason) => Reply::Error { code: "malformed".into(), reason },
         };
         timeout(IDLE, writer.write_all(reply_line(&reply).as_bytes())).await??;
         if too_long {
@@ -114,8 +122,51 @@ async fn serve(daemon: &Arc<Daemon>, stream: UnixStream) -> std::io::Result<()> 
     }
 }
 
+/// Writes what happens, one event to a line, until the client closes the connection or says more. A client that does not read holds
+/// up nobody but itself.
+async fn monitor(
+    mut events: Listener,
+    mut reader: BufReader<OwnedReadHalf>,
+    mut writer: OwnedWriteHalf,
+) -> std::io::Result<()> {
+    let tell = async {
+        while let Some(event) = events.next().await {
+            writer.write_all(reply_line(&Reply::Ok(event)).as_bytes()).await?;
+        }
+        Ok(())
+    };
+    tokio::select! {
+        result = tell => result,
+        closed = reader.fill_buf() => closed.map(drop),
+    }
+}
+
 async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
     match request {
+        Request::Monitor => {
+            Reply::Error { code: "malformed".into(), reason: "events have a connection of their own".into() }
+        }
+        Request::Peers => {
+            let core = daemon.core();
+            let home = core.domain.as_ref().map(|domain| domain.trust.home());
+            Reply::Ok(json!({"domain": home, "peers": status::peers(&core)}))
+        }
+        Request::Locate { what } => {
+            let core = daemon.core();
+            probed(core.locate(&what).map(|Location { name, is_near, egress }| {
+                json!({
+                    "name": name, "own": core.name(), "near": is_near, "egress": egress,
+                    "end": ended(&core.end_of(&name)),
+                })
+            }))
+        }
+        Request::Echo { peer } => probed(daemon.echo(peer).await.map(|time| json!({"rtt_us": time.map(micros)}))),
+        Request::Probe { name, switch, hops } => probed(daemon.probe(name, switch, hops).await.map(|hop| match hop {
+            Some(Hop { switch, end, time }) => {
+                json!({"switch": switch, "rtt_us": micros(time), "end": end.as_ref().map(ended)})
+            }
+            None => json!({"switch": null, "rtt_us": null, "end": null}),
+        })),
         Request::Status => Reply::Ok(status::status(daemon).await),
         Request::Links => Reply::Ok(json!({"links": status::links(&daemon.core())})),
         Request::Topology => Reply::Ok(status::topology(daemon)),
@@ -139,6 +190,21 @@ async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
             }
         }
     }
+}
+
+/// What a name is delivered to at its egress switch.
+fn ended(end: &TracedEnd) -> Value {
+    let beyond: Vec<_> =
+        end.beyond.iter().map(|(domain, switch)| json!({"domain": domain, "switch": switch})).collect();
+    json!({"links": end.links, "beyond": beyond})
+}
+
+fn micros(time: Duration) -> u64 {
+    time.as_micros() as u64
+}
+
+fn probed(result: Result<Value, ProbeError>) -> Reply {
+    page(result.map_err(|error| error.to_string()))
 }
 
 fn page(result: Result<Value, String>) -> Reply {

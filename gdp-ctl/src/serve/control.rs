@@ -108,6 +108,10 @@ impl Core {
                 };
             }
             Request::Detach { switch, entity } if *switch == own => return self.told_to_detach(*entity),
+            Request::Traced(answer) => {
+                self.probe_answered(answer.clone());
+                return Next::Answer(Response::Done);
+            }
             Request::Relay { switch, .. } | Request::Detach { switch, .. } | Request::Admitted { switch, .. } => {
                 *switch
             }

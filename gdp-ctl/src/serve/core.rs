@@ -15,14 +15,16 @@ use gdp::name::NameProof;
 use gdp::port::LinkAddr;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, PORT_USERSPACE};
 use gdp_wire::{LinkEntry, LinkRole, Name};
+use tokio::sync::{oneshot, watch};
 
 use super::control::{self, Report};
+use super::events::{Event, Events};
 use super::federation::Federation;
 use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::peering::Wanted;
+use super::refusals::Refusals;
 use super::routes::{Change, Routes};
-use tokio::sync::{oneshot, watch};
-
+use super::trace::Outstanding;
 use crate::config::{Neighbour, Via};
 use crate::domain::{Admission, Domain, Papers, Standing};
 use crate::plane::{PlaneError, PlaneRoute, Planes};
@@ -71,6 +73,13 @@ pub struct Core {
     pub(super) peerings: watch::Sender<Wanted>,
     /// What the links to neighbours cost, of which the configuration does not say it.
     pub(super) meters: BTreeMap<Name, Meter>,
+    /// Why peers have no link.
+    pub refusals: Refusals,
+    pub events: Events,
+    /// Who waits for answers to probes.
+    pub(super) outstanding: Outstanding,
+    /// What was told last of the RIB here: names and switches.
+    told_of_rib: (usize, usize),
     /// Interfaces without a carrier, by index.
     pub(super) dark: BTreeSet<u32>,
     /// Routes that the data plane refused, and why it refused the last.
@@ -187,6 +196,10 @@ impl Core {
             shown: None,
             peerings: watch::Sender::default(),
             meters: BTreeMap::new(),
+            refusals: Refusals::default(),
+            events: Events::default(),
+            outstanding: Outstanding::new(),
+            told_of_rib: (0, 0),
             dark: BTreeSet::new(),
             unplaced: Default::default(),
             adopted_until: None,
@@ -407,6 +420,14 @@ impl Core {
         }
         let replaced = self.peers.insert((peer, lane), id);
         let replaced = replaced.and_then(|old| self.links.get(&old)).map(|old| old.link.clone());
+        self.refusals.forget(&peer);
+        self.events.tell(Event::LinkUp {
+            peer,
+            role: link_role(entry.role),
+            standing: admission.standing.as_str(),
+            via: via.to_string(),
+            address: to.to_string(),
+        });
         self.links.insert(id, LinkState { link: link.clone(), via, since: Instant::now(), admission, entry, to });
         let changes = self.routes.link_up(role, peer, lane, id);
         self.carry_out(changes);
@@ -422,6 +443,12 @@ impl Core {
             self.carry_out(changes);
             self.held.replaced(&peer, link.peer().lane, Instant::now());
         }
+    }
+
+    /// A peer got no link.
+    pub fn refused(&mut self, peer: Name, via: &Via, reason: &str) {
+        self.refusals.add(peer, reason.to_owned(), Instant::now());
+        self.events.tell(Event::LinkRefused { peer, via: via.to_string(), reason: reason.to_owned() });
     }
 
     /// A link is closed. It goes out of service, unless frames may still come on it: because the peer is only about to learn
@@ -541,7 +568,9 @@ impl Core {
 
     /// The link of an entity is gone: what tells the RIB.
     pub fn detach(&mut self, entity: Name) -> Next {
-        self.attached.remove(&entity);
+        if self.attached.remove(&entity) {
+            self.events.tell(Event::Detached { entity });
+        }
         let (now, switch) = (self.now(), self.name());
         match &mut self.rib {
             Some(rib) => Next::Answer(rib.detach(now, &switch, &entity)),
@@ -571,7 +600,9 @@ impl Core {
     pub(super) fn push(&mut self, push: &FibPush) -> Response {
         match self.routes.push(push) {
             Ok(changes) => {
-                tracing::debug!(generation = push.generation, changes = changes.len(), "FIB push");
+                let (generation, changes_made) = (push.generation, changes.len());
+                tracing::debug!(generation, changes = changes_made, "FIB push");
+                self.events.tell(Event::Routes { generation, changes: changes_made });
                 self.carry_out(changes);
                 match self.unplaced() {
                     None => Response::Done,
@@ -596,6 +627,10 @@ impl Core {
             let now = self.now();
             outgoing.extend(self.federation_effects());
             let Some(rib) = &mut self.rib else { return outgoing };
+            let (names, switches) = (rib.name_count(), rib.switches().count());
+            if std::mem::replace(&mut self.told_of_rib, (names, switches)) != (names, switches) {
+                self.events.tell(Event::Rib { names, switches });
+            }
             let effects = rib.effects(now);
             if effects.is_empty() {
                 return outgoing;
@@ -736,6 +771,15 @@ fn flags_of(admission: &Admission) -> u16 {
     match &admission.standing {
         Standing::Border { ours, .. } if ours.transit => LinkEntry::TRANSIT,
         _ => 0,
+    }
+}
+
+/// As the data planes know a peer.
+pub fn link_role(role: u32) -> &'static str {
+    match role {
+        _ if role == LinkRole::Endpoint as u32 => "endpoint",
+        _ if role == LinkRole::Border as u32 => "border",
+        _ => "switch",
     }
 }
 

@@ -15,6 +15,7 @@ use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until};
 
 use super::core::{Core, LinkState};
+use super::events::Event;
 use super::{Daemon, interfaces, ports};
 use crate::topology::cost::Meter;
 use crate::topology::{Batch, Verified};
@@ -130,10 +131,9 @@ impl Core {
     /// This switch's adjacencies with other switches: those that frames may go by.
     pub fn adjacencies(&self) -> Adjacencies {
         const SWITCH: u32 = LinkRole::Switch as u32;
-        let is_dark = |to| matches!(to, LinkAddr::Ethernet { ifindex, .. } if self.dark.contains(&ifindex));
-        let live = self.links.values().filter(|state| !is_dark(state.to));
+        let live = self.links.values().filter(|state| !self.is_dark(state.to));
         let live = live.map(|state| (true, state.role(), state.link.peer().name, Some(&state.admission.standing)));
-        let held = self.held.iter().filter(|held| !is_dark(held.to));
+        let held = self.held.iter().filter(|held| !self.is_dark(held.to));
         let held = held.map(|held| (false, held.entry.role, held.peer, held.standing.as_ref()));
         let mut all = Adjacencies::default();
         for (is_live, role, switch, standing) in live.chain(held) {
@@ -155,6 +155,11 @@ impl Core {
             }
         }
         all
+    }
+
+    /// Whether the interface that frames to an address leave by has no carrier.
+    pub(super) fn is_dark(&self, to: LinkAddr) -> bool {
+        matches!(to, LinkAddr::Ethernet { ifindex, .. } if self.dark.contains(&ifindex))
     }
 
     /// What a frame to a neighbouring switch costs.
@@ -226,6 +231,8 @@ impl Core {
         if paths_changed {
             let changes = self.routes.set_paths(self.topology.paths(), &own);
             tracing::debug!(changes = changes.len(), "other paths");
+            let (switches, reached) = (self.topology.states().count(), self.topology.paths().costs.len());
+            self.events.tell(Event::Topology { switches, reached });
             self.carry_out(changes);
             if let Some(rib) = &mut self.rib {
                 rib.set_paths(now, self.topology.paths().clone());

@@ -10,6 +10,7 @@ use gdp_wire::Name;
 use tokio::time::timeout;
 
 use super::core::{Expects, Next, Statement};
+use super::events::Event;
 use super::{Daemon, Place, control, domain, flooding, liveness, tiers};
 use crate::config::Via;
 
@@ -195,7 +196,9 @@ async fn take_request(daemon: &Arc<Daemon>, link: &Link, request: EntityRequest)
     };
     let response = daemon.complete(next).await;
     if attach && matches!(response, Response::Attached { .. }) {
-        daemon.core().link_ready(link);
+        let mut core = daemon.core();
+        core.link_ready(link);
+        core.events.tell(Event::Attached { entity: link.peer().name });
     }
     response
 }
@@ -233,7 +236,16 @@ fn end(daemon: &Arc<Daemon>, link: &Link) {
     let reason = link.close_reason().unwrap_or_else(|| "closed".into());
     let name = link.peer().name;
     tracing::info!(peer = %format_args!("{name:#}"), reason, "link down");
-    if daemon.core().link_down(link) {
+    let is_held = {
+        let mut core = daemon.core();
+        let is_held = core.link_down(link);
+        if link.peer().role == Role::Switch && core.link_to(&name).is_none() {
+            core.refusals.add(name, format!("the link ended: {reason}"), Instant::now());
+        }
+        core.events.tell(Event::LinkDown { peer: name, reason });
+        is_held
+    };
+    if is_held {
         daemon.spawn(liveness::watch(daemon.clone(), link.clone()));
     }
 }

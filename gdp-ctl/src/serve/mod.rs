@@ -6,6 +6,7 @@ mod control;
 pub mod core;
 mod domain;
 mod ends;
+pub mod events;
 mod federation;
 mod flooding;
 mod hold;
@@ -15,10 +16,12 @@ mod links;
 mod liveness;
 mod peering;
 mod ports;
+mod refusals;
 mod report;
 pub mod routes;
 mod status;
 mod tiers;
+mod trace;
 mod warnings;
 
 use std::collections::HashMap;
@@ -190,6 +193,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     }
     daemon.spawn(report::report(daemon.clone()));
     daemon.spawn(flooding::run(daemon.clone()));
+    daemon.spawn(trace::run(daemon.clone()));
     daemon.spawn(flooding::watch_carrier(daemon.clone(), changes));
     daemon.spawn(report::rib_clock(daemon.clone()));
     daemon.spawn(follow_addresses(daemon.clone()));

@@ -193,7 +193,8 @@ async fn accept(daemon: &Arc<Daemon>, port: &Port, via: &Via) {
 
 async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     let peer = link.peer().name;
-    if let Err(reason) = links::take(daemon, link, via).await {
+    if let Err(reason) = links::take(daemon, link, via.clone()).await {
+        daemon.core().refused(peer, &via, &reason);
         tracing::warn!(peer = %format_args!("{peer:#}"), %reason, "refused a link");
     }
 }
@@ -222,6 +223,7 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, place: Place) {
             },
         };
         if problem != told {
+            daemon.core().refused(place.switch, &place.via, &problem);
             tracing::warn!(switch = %format_args!("{:#}", place.switch), via = %place.via, "no link: {problem}; trying on");
             told = problem;
         }

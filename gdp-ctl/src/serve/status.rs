@@ -1,14 +1,15 @@
 //! What the daemon tells people and programs of itself, as JSON.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use gdp::cert::{Adjoining, LinkState};
 use gdp::control::RecordPlace;
-use gdp_wire::{Counter, ErrorCode, FibEntry, LinkRole, Name};
+use gdp::link::Role;
+use gdp_wire::{Counter, ErrorCode, FibEntry, Name};
 use serde_json::{Map, Value, json};
 
-use super::core::Core;
+use super::core::{Core, LinkState as LiveLink, link_role};
 use super::federation::Federation;
 use super::flooding::Adjacencies;
 use super::{Daemon, interfaces, warnings};
@@ -106,7 +107,7 @@ pub fn links(core: &Core) -> Vec<Value> {
             let (rx_keys, tx_keys) = link.key_generations();
             json!({
                 "peer": peer.name,
-                "role": role(state.role()),
+                "role": link_role(state.role()),
                 "lane": peer.lane,
                 "standing": state.admission.standing.as_str(),
                 "domain": foreign(&state.admission.standing),
@@ -121,10 +122,58 @@ pub fn links(core: &Core) -> Vec<Value> {
                 "age_s": state.since.elapsed().as_secs(),
                 "errors_received": errors_received(core, link.local_id()),
                 "arrivals": arrivals(core, link.local_id()),
+                "sent": core.planes.frames_sent(link.local_id()),
+                "carrier": !core.is_dark(state.to),
                 "plane": if core.planes.kernel_sends_on(link.local_id()) { "kernel" } else { "userspace" },
             })
         })
         .collect()
+}
+
+/// `gdp-ctl peer list`: the neighbours of the configuration, the other switches and domains that links lead to, and whoever was
+/// refused a link lately; by name. A peer with a link is not refused.
+pub fn peers(core: &Core) -> Vec<Value> {
+    let listed = core.neighbours.iter().map(|neighbour| neighbour.place.switch);
+    let is_peer =
+        |state: &&LiveLink| state.link.peer().role == Role::Switch || foreign(&state.admission.standing).is_some();
+    let linked = core.links.values().filter(is_peer).map(|state| state.link.peer().name);
+    let refused = core.refusals.iter().map(|(peer, _)| *peer);
+    let all: BTreeSet<Name> = listed.chain(linked).chain(refused).collect();
+    all.into_iter().map(|peer| self::peer(core, peer)).collect()
+}
+
+fn peer(core: &Core, name: Name) -> Value {
+    let neighbour = core.neighbours.iter().find(|neighbour| neighbour.place.switch == name);
+    let link = core.link_to(&name);
+    let state = link.as_ref().and_then(|link| core.links.get(&link.local_id()));
+    let standing = state.map(|state| &state.admission.standing);
+    let (ours, theirs) = match standing {
+        Some(Standing::Border { ours, theirs, .. }) => (Some(ours.to_string()), Some(theirs.to_string())),
+        _ => (None, None),
+    };
+    let refused = core.refusals.iter().find(|(peer, _)| **peer == name).map(|(_, refused)| refused);
+    json!({
+        "peer": name,
+        "listed": neighbour.is_some(),
+        "role": state.map(|state| link_role(state.role())),
+        "domain": match standing {
+            Some(Standing::Member { .. }) => core.domain.as_ref().map(|domain| domain.trust.home()),
+            Some(standing) => foreign(standing),
+            None => None,
+        },
+        "standing": standing.map(Standing::as_str),
+        "rights_given": ours,
+        "rights_held": theirs,
+        "until": state.map(|state| state.admission.until).filter(|until| *until < u64::MAX),
+        "link": match state {
+            Some(_) => "up",
+            None if core.held.keeps(&name) => "held",
+            None => "down",
+        },
+        "via": state.map(|state| state.via.to_string()).or_else(|| neighbour.map(|n| n.place.via.to_string())),
+        "reason": refused.map(|refused| &refused.reason),
+        "reason_age_s": refused.map(|refused| refused.at.elapsed().as_secs()),
+    })
 }
 
 /// Links whose peers fell silent or have a newer one, or that an earlier daemon left; by id.
@@ -135,7 +184,7 @@ fn links_held(core: &Core) -> Vec<Value> {
         .map(|link| {
             json!({
                 "peer": link.peer,
-                "role": role(link.entry.role),
+                "role": link_role(link.entry.role),
                 "address": link.to.to_string(),
                 "id": link.entry.id,
                 "errors_received": errors_received(core, link.entry.id),
@@ -180,7 +229,8 @@ pub fn topology(daemon: &Daemon) -> Value {
             })
         })
         .collect();
-    json!({"own": core.name(), "switches": switches})
+    let home = core.domain.as_ref().map(|domain| domain.trust.home());
+    json!({"own": core.name(), "domain": home, "switches": switches})
 }
 
 /// What a switch states of its neighbours.
@@ -213,15 +263,6 @@ fn foreign(standing: &Standing) -> Option<Name> {
     match standing {
         Standing::Border { domain, .. } | Standing::Visitor { domain } | Standing::Host { domain } => Some(*domain),
         Standing::Stranger | Standing::Member { .. } => None,
-    }
-}
-
-/// As the data planes know the peer.
-fn role(role: u32) -> &'static str {
-    match role {
-        _ if role == LinkRole::Endpoint as u32 => "endpoint",
-        _ if role == LinkRole::Border as u32 => "border",
-        _ => "switch",
     }
 }
 

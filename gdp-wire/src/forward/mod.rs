@@ -2,12 +2,13 @@
 //! the egress switches as bits (after BIER, RFC 8279); a switch in transit only looks at bits; the egress switch finds
 //! its own bit and looks the name up for its local links.
 //!
-//! [`decide`] is the order of things; [`arrival`], [`route`] and [`answer`] are its parts, and [`copy()`] is what it leaves
+//! [`decide`] is the order of things; [`arrival`], [`route`], [`probe`] and [`answer`] are its parts, and [`copy()`] is what it leaves
 //! to be done for each link of a group.
 
 mod answer;
 mod arrival;
 mod copy;
+mod probe;
 mod route;
 
 pub use arrival::accept;
@@ -32,7 +33,7 @@ pub enum Verdict<'t> {
     Copies(u32),
     /// The header has become an answer to the neighbour: send it by this link, without a payload.
     Answer(&'t LinkEntry, Counter),
-    /// It is for this node itself, unchanged; counted as [`Counter::Notice`].
+    /// It is for this node itself, unchanged: an error, the answer to an echo, or a probe that ends here; counted as [`Counter::Notice`].
     Notice(&'t LinkEntry),
     /// Leave it, untouched, to the next plane; counted as [`Counter::Slow`].
     Slow,
@@ -97,6 +98,10 @@ pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, traffic: u8,
         What::Refuse => answer::complain(header, fate.refusal, ingress, tables),
         What::Echo => answer::echo(header, ingress, tables),
         What::Notice => Verdict::Notice(ingress),
+        What::Punt => {
+            tables.punt(ingress);
+            Verdict::Notice(ingress)
+        }
     }
 }
 
@@ -122,6 +127,8 @@ enum What {
     Refuse,
     Echo,
     Notice,
+    /// As a notice, but not more often than may be.
+    Punt,
 }
 
 #[inline(always)]
@@ -136,6 +143,15 @@ fn fate<'t, T: Tables>(header: &Header, ingress: &'t LinkEntry, tables: &'t T) -
                 let refusal = answer::as_told(refusal, header, ingress, tables);
                 Fate { what: What::Refuse, refusal, ..none }
             }
+        }
+    } else if header.version_type == FrameType::Probe.first_byte() {
+        match probe::next(header, ingress, tables) {
+            Ok(Some(link)) => {
+                let (bits, set, counter) = (header.egress_bits(), header.egress_set, Counter::Forwarded);
+                Fate { what: What::Send, link, bits, set, counter, ..none }
+            }
+            Ok(None) => Fate { what: What::Punt, ..none },
+            Err(counter) => Fate { what: What::Refuse, refusal: counter.into(), ..none },
         }
     } else if header.version_type == FrameType::Echo.first_byte() && header.egress_set == Header::ASKS {
         Fate { what: What::Echo, ..none }
@@ -153,7 +169,7 @@ fn is_for_this_plane<T: Tables>(fate: &Fate<'_>, length: usize, tables: &T) -> b
         What::Send | What::Echo => tables.can_send(fate.link),
         What::Copy => tables.can_copy(fate.group, fate.bits, length),
         What::Refuse => fate.refusal.code.is_none() || tables.can_send(fate.link),
-        What::Notice => false,
+        What::Notice | What::Punt => false,
     }
 }
 
@@ -209,11 +225,13 @@ fn frame_type(first_byte: u8) -> Option<FrameType> {
     const DATA: u8 = FrameType::Data.first_byte();
     const CONTROL: u8 = FrameType::Control.first_byte();
     const ERROR: u8 = FrameType::Error.first_byte();
+    const PROBE: u8 = FrameType::Probe.first_byte();
     const ECHO: u8 = FrameType::Echo.first_byte();
     match first_byte {
         DATA => Some(FrameType::Data),
         CONTROL => Some(FrameType::Control),
         ERROR => Some(FrameType::Error),
+        PROBE => Some(FrameType::Probe),
         ECHO => Some(FrameType::Echo),
         _ => None,
     }

@@ -123,6 +123,6 @@ pub fn is_foreign(header: &Header, ingress: &LinkEntry) -> bool {
 
 /// Index of the lowest set bit of a value that is not zero.
 #[inline(always)]
-fn lowest_bit(bits: u64) -> u32 {
+pub fn lowest_bit(bits: u64) -> u32 {
     bits.trailing_zeros() & (EGRESS_SET_SIZE - 1)
 }

@@ -32,6 +32,8 @@ pub struct PlainTables<const KERNEL: bool> {
     makes_copies: bool,
     /// Links that frames wait for.
     queues: HashSet<u32>,
+    /// The daemon was given a probe just now.
+    punted: bool,
 }
 
 impl<const KERNEL: bool> PlainTables<KERNEL> {
@@ -52,6 +54,7 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             served: switch.kernel_groups().map(|(group, _, served)| (group, served)).collect(),
             makes_copies: true,
             queues: HashSet::new(),
+            punted: false,
         }
     }
 
@@ -65,6 +68,12 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
     #[allow(dead_code, reason = "each test that includes this uses a part of it")]
     pub fn with_queues(self, links: &[u32]) -> Self {
         Self { queues: links.iter().copied().collect(), ..self }
+    }
+
+    /// Of a switch whose daemon was given a probe just now.
+    #[allow(dead_code, reason = "each test that includes this uses a part of it")]
+    pub fn punted(self) -> Self {
+        Self { punted: true, ..self }
     }
 
     /// What becomes of an Ethernet frame.
@@ -183,6 +192,12 @@ impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
     }
 
     fn complain(&self, _: &LinkEntry) {}
+
+    fn may_punt(&self, _: &LinkEntry) -> bool {
+        !self.punted
+    }
+
+    fn punt(&self, _: &LinkEntry) {}
 }
 
 fn window(taken: &[u64]) -> Window {

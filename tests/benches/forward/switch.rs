@@ -82,7 +82,10 @@ impl Switch {
         planes.set_link(right, addresses[1])?;
         if first || last {
             let readers = if last { vec![RIGHT] } else { vec![] };
-            planes.set_route(TOPIC, &PlaneRoute { egress_bits: 1 << (hops - 1), readers, writers: vec![LEFT] })?;
+            planes.set_route(
+                TOPIC,
+                &PlaneRoute { egress_bits: 1 << (hops - 1), readers, writers: vec![LEFT], ..PlaneRoute::default() },
+            )?;
         }
         let mut next_hops = [0; 64];
         (i + 1..hops).for_each(|bit| next_hops[bit] = RIGHT);
@@ -92,7 +95,7 @@ impl Switch {
 
     /// Has another name lead to the left and to the right.
     pub fn copy_another_name(&mut self, _inside: &Entered) -> Result<()> {
-        let route = PlaneRoute { egress_bits: u64::MAX, readers: vec![LEFT, RIGHT], writers: vec![] };
+        let route = PlaneRoute { egress_bits: u64::MAX, readers: vec![LEFT, RIGHT], ..PlaneRoute::default() };
         Ok(self.planes.set_route(Name::from_bytes([0xd1; 32]), &route)?)
     }
 

@@ -99,7 +99,10 @@ impl Way {
         planes.set_link(link(FROM, from.carrier), from.at)?;
         planes.set_link(link(TO, to.carrier), to.at)?;
         planes.set_own_bit(1)?;
-        planes.set_route(TOPIC, &PlaneRoute { egress_bits: 1, readers: vec![TO], writers: vec![FROM] })?;
+        planes.set_route(
+            TOPIC,
+            &PlaneRoute { egress_bits: 1, readers: vec![TO], writers: vec![FROM], ..PlaneRoute::default() },
+        )?;
         drop(entered);
         Ok(Self {
             kind,

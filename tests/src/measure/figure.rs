@@ -36,8 +36,13 @@ pub enum Unit {
     FramesPerSecond,
     NamesPerSecond,
     MessagesPerSecond,
+    /// Of whatever the title says, thousands and few.
+    PerSecond,
+    EachSecond,
     BytesPerSecond,
     Bytes,
+    /// Few: of one of many.
+    BytesEach,
     Nanoseconds,
     Milliseconds,
     /// Of CPU time.
@@ -212,9 +217,9 @@ impl Unit {
     pub fn number(self, value: f64) -> String {
         match self {
             Self::FramesPerSecond | Self::NamesPerSecond => format!("{:.3}", value / 1e6),
-            Self::MessagesPerSecond => format!("{:.2}", value / 1e3),
+            Self::MessagesPerSecond | Self::PerSecond => format!("{:.2}", value / 1e3),
             Self::BytesPerSecond | Self::Bytes => format!("{:.1}", value / 1e6),
-            Self::Nanoseconds => format!("{value:.1}"),
+            Self::Nanoseconds | Self::BytesEach | Self::EachSecond => format!("{value:.1}"),
             Self::Milliseconds | Self::SecondsPerGigabyte => format!("{value:.2}"),
         }
     }
@@ -224,8 +229,11 @@ impl Unit {
             Self::FramesPerSecond => "Mpps",
             Self::NamesPerSecond => "M names/s",
             Self::MessagesPerSecond => "k messages/s",
+            Self::PerSecond => "k/s",
+            Self::EachSecond => "/s",
             Self::BytesPerSecond => "MB/s",
             Self::Bytes => "MB",
+            Self::BytesEach => "B",
             Self::Nanoseconds => "ns",
             Self::Milliseconds => "ms",
             Self::SecondsPerGigabyte => "s/GB",

@@ -194,7 +194,7 @@ impl Switch {
     pub fn set_route(&mut self, name: Name, egress_bits: u64, readers: &[Leaf]) -> Result<()> {
         let mut readers: Vec<u32> = readers.iter().map(Leaf::id).collect();
         readers.sort_unstable();
-        let route = PlaneRoute { egress_bits, readers, writers: vec![WRITER.id()] };
+        let route = PlaneRoute { egress_bits, readers, writers: vec![WRITER.id()], ..PlaneRoute::default() };
         Ok(self.change(|planes| planes.set_route(name, &route))??)
     }
 

@@ -2,6 +2,7 @@
 //!
 //! What is compared is measured in one run under the same conditions, in turn, so that a busy machine slows both.
 
+mod control;
 mod forward;
 mod latency;
 mod local;
@@ -27,6 +28,8 @@ enum Figure {
     Latency(latency::Options),
     /// What forwarding costs: XDP beside a bare redirect, the kernel's IPv4 routers and a forwarder on packet sockets
     Forward(forward::Options),
+    /// The control plane: statements and queries per second, memory per name, recovery after a cut, reconciliation
+    Control(control::Options),
     /// From one endpoint to another on the switch's host: through the daemon, on packet sockets, past both
     Local(local::Options),
     /// Throughput, CPU time and latency of messages: this SDK beside quinn and TLS over TCP
@@ -37,6 +40,7 @@ pub fn run(options: Options) -> Result<()> {
     match options.figure {
         Figure::Latency(options) => latency::run(options),
         Figure::Forward(options) => forward::run(options),
+        Figure::Control(options) => control::run(options),
         Figure::Local(options) => local::run(options),
         Figure::Transport(options) => transport::run(options),
     }

@@ -1,0 +1,34 @@
+//! The way of a probe: as that of a data frame for one egress switch, as far as the switches lead; no name is looked up, nothing is
+//! copied, and nobody is told of one that is dropped. Changes nothing.
+
+use super::route::lowest_bit;
+use crate::table::Tables;
+use crate::{Counter, Header, LinkEntry, LinkRole};
+
+/// The link that a probe leaves by; `None` if it ends here and the daemon may be given it: its hop limit is used up, this is the
+/// egress switch, or it comes from another domain, to which the inside of this one is hidden.
+#[inline(always)]
+pub fn next<'t, T: Tables>(
+    header: &Header,
+    ingress: &LinkEntry,
+    tables: &'t T,
+) -> Result<Option<&'t LinkEntry>, Counter> {
+    if ingress.role == LinkRole::Endpoint as u32 {
+        return Err(Counter::Unknown);
+    }
+    let (bits, is_foreign) = (header.egress_bits(), ingress.role == LinkRole::Border as u32);
+    if !is_foreign && !bits.is_power_of_two() {
+        return Err(Counter::NoEgress);
+    }
+    if is_foreign || header.hop_limit <= 1 || bits == tables.own_bit() {
+        return if tables.may_punt(ingress) { Ok(None) } else { Err(Counter::PuntLimit) };
+    }
+    let link = tables.link(tables.next_hop(lowest_bit(bits))).ok_or(Counter::NoEgress)?;
+    if bits & !link.reach != 0 {
+        return Err(Counter::NoEgress);
+    }
+    if link.id == ingress.id {
+        return Err(Counter::Hairpin);
+    }
+    if header.frame_len() > link.mtu as usize { Err(Counter::TooBig) } else { Ok(Some(link)) }
+}

@@ -1,0 +1,85 @@
+//! What the control plane does: how fast a RIB takes statements and answers queries, what it keeps a name in, how soon a switch
+//! holds its FIB again, how soon traffic flows after a link was cut. Run by `cargo xtask bench control`; needs root for the rows
+//! in namespaces.
+//!
+//! One file a row of the figures, each a function from [`Bench`] to [`Figure`](gdp_tests::measure::figure::Figure)s:
+//!
+//! - [`statements`]: advertisements per second at a RIB, beside the ECDSA verifications alone
+//! - [`queries`]: questions per second to a daemon, over its links, beside requests that ask nothing
+//! - [`memory`]: bytes of a RIB per name
+//! - [`scale`]: what RIBs of a thousand domains tell each other, in simulated time
+//! - [`ring`]: a link of a ring of five is cut, with few names and with many; a daemon is killed, and comes back
+//!
+//! [`owner`] makes names, and what entities state of them, by the thousand.
+
+mod memory;
+mod owner;
+mod queries;
+mod ring;
+mod scale;
+mod statements;
+#[path = "../../tests/traffic/mod.rs"]
+mod traffic;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::Result;
+use clap::Parser;
+use gdp_tests::measure::{self, Row, Wanted};
+
+#[derive(Parser)]
+struct Options {
+    #[command(flatten)]
+    bench: Bench,
+    /// Only these rows
+    #[arg(long)]
+    only: Vec<String>,
+    /// One JSON object on stdout instead of tables
+    #[arg(long)]
+    json: bool,
+    /// A folder to draw plots into
+    #[arg(long)]
+    plots: Option<PathBuf>,
+    /// What cargo passes to every benchmark
+    #[arg(long = "bench", hide = true)]
+    _cargo: bool,
+}
+
+/// What every row is given.
+#[derive(clap::Args)]
+struct Bench {
+    /// The XDP switch; the daemons find it beside them
+    #[arg(long = "ebpf-object")]
+    _ebpf_object: PathBuf,
+    /// Whatever is compared is measured this often, in turn
+    #[arg(long, default_value_t = 3)]
+    rounds: usize,
+    /// How long one measurement takes
+    #[arg(long, default_value_t = 500)]
+    milliseconds: u64,
+    /// Names where there are many
+    #[arg(long, default_value_t = 1_000_000)]
+    names: usize,
+}
+
+impl Bench {
+    fn duration(&self) -> Duration {
+        Duration::from_millis(self.milliseconds)
+    }
+}
+
+const ROWS: [(&str, Row<Bench>); 5] = [
+    ("statements", statements::run),
+    ("queries", queries::run),
+    ("memory", memory::run),
+    ("ring", ring::run),
+    ("scale", scale::run),
+];
+
+fn main() -> Result<()> {
+    let Options { bench, only, json, plots, .. } = Options::parse();
+    gdp_tests::wait::catch_interrupts();
+    gdp_tests::netns::sweep()?;
+    measure::run(&bench, &ROWS, &Wanted { only: &only, json, plots: plots.as_deref() })
+}

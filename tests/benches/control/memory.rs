@@ -1,0 +1,83 @@
+//! What a RIB keeps a name in that somebody publishes: bytes of memory with all certificates, and without the bytes of what is
+//! signed. Every allocation of the process is counted, so nothing else runs meanwhile.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail, ensure};
+use gdp::Identity;
+use gdp::control::{EntityRequest, Response};
+use gdp_ctl::rib::{Limits, Now, Rib, Run};
+use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
+
+use crate::Bench;
+use crate::owner::{Owner, shares};
+
+/// Bytes of a name without what is signed.
+const ENOUGH: f64 = 600.0;
+
+const WITH: &str = "with certificates";
+const WITHOUT: &str = "without";
+
+struct Counting;
+
+static HELD: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: everything is passed on to the system's allocator; counting touches only an atomic.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        HELD.fetch_add(layout.size(), Ordering::Relaxed);
+        // SAFETY: the caller's guarantees are those that `System` asks for.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        HELD.fetch_sub(layout.size(), Ordering::Relaxed);
+        // SAFETY: as above; what this allocator hands out comes from `System`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Bytes that the process holds.
+pub fn held() -> usize {
+    HELD.load(Ordering::Relaxed)
+}
+
+pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
+    let (owner, switch) = (Owner::new()?, Identity::generate("switch")?);
+    let now = Now { unix: owner.now(), clock: Duration::from_secs(1) };
+    let before = held();
+    let mut rib = Rib::new(switch.name(), Run { id: 1, settling: Duration::ZERO }, Limits::default());
+    ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Done));
+    let mut signed = 0;
+    for share in shares(bench.names) {
+        gdp_tests::wait::check_interrupt()?;
+        let robot = Identity::generate("proxy")?;
+        let mut ask =
+            |request: &EntityRequest| match rib.request(now, switch.name(), Some(&robot.proof()), false, request) {
+                Response::Refused(refusal) => bail!("refused: {refusal}"),
+                _ => Ok(()),
+            };
+        ask(&owner.attach(&robot, switch.name(), false)?)?;
+        for (serial, number) in (1..).zip(share) {
+            let request = owner.advertise(number, &robot, switch.name(), serial, Vec::new())?;
+            ask(&request)?;
+            let EntityRequest::Advertise { ad_cert, advert, .. } = request else { bail!("no advertisement") };
+            signed += ad_cert.size() + advert.as_bytes().len();
+        }
+        // What the daemon has to send is no part of what is kept.
+        rib.effects(now);
+    }
+    let taken = held().checked_sub(before).context("it frees more than it takes")?;
+    ensure!(rib.name_count() == bench.names, "{} names", rib.name_count());
+    let per_name = |bytes: usize| vec![bytes as f64 / bench.names as f64];
+    let case = format!("{} names", bench.names);
+    let measures =
+        vec![Measure::new(WITH, &case, per_name(taken)), Measure::new(WITHOUT, &case, per_name(taken - signed))];
+    let figure = Figure::new("control-memory", "Memory of a RIB per published name", Unit::BytesEach, measures);
+    Ok(vec![figure.aim(WITHOUT, &case, Aim::AtMost(ENOUGH))])
+}

@@ -1,0 +1,139 @@
+//! A ring of five XDP switches with their daemons. The link that traffic goes by is cut: how long until it flows again, with one
+//! name and with many. The daemon of a switch is killed: how long after it is started until it holds all its names from the RIB.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use gdp::control::{EntityRequest, Response};
+use gdp::{Identity, Name};
+use gdp_ctl::admin::{Client, Request};
+use gdp_tests::Tools;
+use gdp_tests::fabric::PATIENCE;
+use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
+use gdp_tests::ring::{CLOUD_AT, ROBOT_AT, Ring};
+use gdp_tests::wait::{check_interrupt, wait_for};
+
+use crate::Bench;
+use crate::owner::{Owner, shares};
+use crate::traffic::Traffic;
+
+/// Names of the switch whose daemon is killed.
+const RECONCILED: usize = 100_000;
+
+/// Commands that ask a daemon at once.
+const TOOLS: usize = 8;
+
+/// Names in one push of a RIB.
+const NAMES_PER_PUSH: usize = 400;
+
+const RECOVERY: f64 = 200.0;
+const RECONCILIATION: f64 = 2000.0;
+
+const TRAFFIC: &str = "traffic";
+const DAEMON: &str = "daemon";
+
+pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
+    let mut ring = Ring::start(Tools::beside_this_test()?)?;
+    let owner = Owner::new()?;
+    let (few, some, many) = (0, RECONCILED.min(bench.names), bench.names);
+    let mut recovery = vec![Measure::new(TRAFFIC, cases(few), cut(&mut ring, bench.rounds)?)];
+    state(&ring, &owner, few..some)?;
+    let back = Measure::new(DAEMON, cases(some), reconcile(&mut ring, bench.rounds, some)?);
+    state(&ring, &owner, some..many)?;
+    recovery.push(Measure::new(TRAFFIC, cases(many), cut(&mut ring, bench.rounds)?));
+    let title = "Until traffic flows again after the link it went by was cut, in a ring of five";
+    let recovery = Figure::new("control-recovery", title, Unit::Milliseconds, recovery);
+    let recovery = [few, many].iter().fold(recovery, |f, n| f.aim(TRAFFIC, &cases(*n), Aim::AtMost(RECOVERY)));
+    let recovery = recovery.compare_with(TRAFFIC, (TRAFFIC, &cases(few)), |_| None);
+    let title = "Until a switch holds its FIB from the RIB again after its daemon was killed, from its start";
+    let back = Figure::new("control-reconcile", title, Unit::Milliseconds, vec![back]);
+    Ok(vec![recovery, back.aim(DAEMON, &cases(some), Aim::AtMost(RECONCILIATION))])
+}
+
+fn cases(names: usize) -> String {
+    format!("{names} names")
+}
+
+/// Milliseconds without a message, one being sent each millisecond, at each cut.
+fn cut(ring: &mut Ring, rounds: usize) -> Result<Vec<f64>> {
+    let traffic = Traffic::start((&ring.robot, ring.folder_of("robot")), (&ring.cloud, ring.folder_of("cloud")))?;
+    let mut gaps = Vec::new();
+    for _ in 0..rounds {
+        check_interrupt()?;
+        ring.wait("traffic by s2", |ring| {
+            let before = ring.forwarded(1)?;
+            std::thread::sleep(Duration::from_millis(100));
+            Ok(ring.forwarded(1)? > before + 50)
+        })?;
+        traffic.wait_for_more(500, PATIENCE)?;
+        let lost = traffic.nothing_came_twice()?;
+        ring.set_cable(0, false)?;
+        traffic.wait_for_more(500, PATIENCE).with_context(|| ring.report())?;
+        gaps.push((traffic.nothing_came_twice()? - lost) as f64);
+        ring.set_cable(0, true)?;
+    }
+    Ok(gaps)
+}
+
+/// Has each of these names published at the robot's switch and read at the cloud's.
+fn state(ring: &Ring, owner: &Owner, names: std::ops::Range<usize>) -> Result<()> {
+    let of_all = |i: usize| -> Result<Name> { Ok(ring.switches[i].name.parse()?) };
+    let (robots, clouds) = (of_all(ROBOT_AT)?, of_all(CLOUD_AT)?);
+    let (writers, readers) = (ring.switches[ROBOT_AT].socket(), ring.switches[CLOUD_AT].socket());
+    let shares: Vec<_> = shares(names.len()).map(|s| s.start + names.start..s.end + names.start).collect();
+    for share in shares {
+        check_interrupt()?;
+        let numbers: Vec<usize> = share.collect();
+        side(&numbers, writers, |n, entity, serial| owner.advertise(n, entity, robots, serial, Vec::new()))?;
+        side(&numbers, readers, |n, entity, serial| owner.subscribe(n, entity, clouds, serial))?;
+    }
+    Ok(())
+}
+
+/// Every tool speaks for an entity of its own: statements of one have to come in the order of their serials.
+fn side(
+    numbers: &[usize],
+    socket: &Path,
+    request: impl Fn(usize, &Identity, u64) -> Result<EntityRequest> + Sync,
+) -> Result<()> {
+    let tool = |numbers: &[usize]| {
+        let (entity, mut client) = (Identity::generate("proxy")?, Client::connect(socket)?);
+        for (serial, number) in (1..).zip(numbers) {
+            let request = Box::new(request(*number, &entity, serial)?);
+            let said = client.ask_control(&Request::Entity { entity: Some(entity.proof()), request })?;
+            ensure!(matches!(said, Response::Peers(_)), "{said:?}");
+        }
+        Ok(())
+    };
+    std::thread::scope(|scope| {
+        let chunks = numbers.chunks(numbers.len().div_ceil(TOOLS).max(1));
+        let threads: Vec<_> = chunks.map(|chunk| scope.spawn(|| tool(chunk))).collect();
+        threads.into_iter().try_for_each(|thread| match thread.join() {
+            Ok(ended) => ended,
+            Err(panic) => std::panic::resume_unwind(panic),
+        })
+    })
+}
+
+/// Milliseconds from the start of the daemon of the cloud's switch until the RIB has given it all names, each time it was killed.
+fn reconcile(ring: &mut Ring, rounds: usize, names: usize) -> Result<Vec<f64>> {
+    let mut times = Vec::new();
+    let pushes = names.div_ceil(NAMES_PER_PUSH) as u64;
+    for _ in 0..rounds {
+        let before = ring.generation(CLOUD_AT)?;
+        ring.switches[CLOUD_AT].process.kill()?;
+        let begin = Instant::now();
+        ring.start_again(CLOUD_AT)?;
+        let socket = ring.switches[CLOUD_AT].socket().to_owned();
+        let holds = || {
+            let Ok(mut client) = Client::connect(&socket) else { return Ok(None) };
+            let status = client.ask_value(&Request::Status)?;
+            let Some(generation) = status["fib"]["generation"].as_u64() else { bail!("no generation in the status") };
+            Ok((generation >= before + pushes).then_some(()))
+        };
+        wait_for("all names", 3 * PATIENCE, holds).with_context(|| ring.report())?;
+        times.push(begin.elapsed().as_secs_f64() * 1000.0);
+    }
+    Ok(times)
+}

@@ -1,0 +1,81 @@
+//! How many advertisements a RIB takes per second on one CPU, counted in the signatures it must verify for them, beside the same
+//! signatures verified and nothing else. No network: the RIB is called as its daemon calls it.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail, ensure};
+use gdp::Identity;
+use gdp::control::{EntityRequest, Response};
+use gdp_ctl::rib::{Limits, Now, Rib, Run};
+use gdp_tests::measure::cpu;
+use gdp_tests::measure::figure::{Aim, Figure, Unit};
+use gdp_tests::measure::rounds::{Contender, Sample, alternate};
+
+use crate::Bench;
+use crate::owner::Owner;
+
+/// Statements of one measurement, all of other names.
+const STATEMENTS: usize = 4096;
+
+/// Signatures under an advertisement: the owner's under the certificate, the entity's under what it states.
+const SIGNATURES: f64 = 2.0;
+
+/// Of the rate of verifications alone.
+const ENOUGH: f64 = 0.7;
+
+const RIB: &str = "RIB";
+const BARE: &str = "ECDSA";
+const CASE: &str = "advertise";
+
+pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
+    // On a thread of its own, which is pinned for as long as it lives.
+    let pinned = || cpu::pin(cpu::SENDER).and_then(|()| measure(bench));
+    match std::thread::scope(|scope| scope.spawn(pinned).join()) {
+        Ok(figures) => figures,
+        Err(panic) => std::panic::resume_unwind(panic),
+    }
+}
+
+fn measure(bench: &Bench) -> Result<Vec<Figure>> {
+    let (owner, switch, robot) = (Owner::new()?, Identity::generate("switch")?, Identity::generate("proxy")?);
+    let attach = owner.attach(&robot, switch.name(), false)?;
+    let all: Vec<EntityRequest> = (0..STATEMENTS)
+        .map(|i| owner.advertise(i, &robot, switch.name(), i as u64 + 1, Vec::new()))
+        .collect::<Result<_>>()?;
+    let now = Now { unix: owner.now(), clock: Duration::from_secs(1) };
+    let mut bare = || {
+        let (message, key) = ([7u8; 300], owner.key().verify_key());
+        let signature = owner.key().sign(&message)?;
+        let begin = Instant::now();
+        for _ in 0..2 * STATEMENTS {
+            key.verify(&message, &signature)?;
+        }
+        Ok(rate(begin, 2 * STATEMENTS))
+    };
+    let mut rib = || {
+        let run = Run { id: 1, settling: Duration::ZERO };
+        let mut rib = Rib::new(switch.name(), run, Limits::default());
+        ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Done));
+        let mut ask =
+            |request: &EntityRequest| match rib.request(now, switch.name(), Some(&robot.proof()), false, request) {
+                Response::Refused(refusal) => bail!("refused: {refusal}"),
+                _ => Ok(()),
+            };
+        ask(&attach)?;
+        let begin = Instant::now();
+        for request in &all {
+            ask(request)?;
+        }
+        let sample = rate(begin, STATEMENTS);
+        Ok(Sample { value: sample.value * SIGNATURES, ..sample })
+    };
+    let contenders = vec![Contender::new(RIB, CASE, &mut rib), Contender::new(BARE, CASE, &mut bare)];
+    let measures = alternate(bench.rounds, contenders)?;
+    let title = "Signatures verified on one CPU: under advertisements at a RIB, two each, and alone";
+    let figure = Figure::new("control-statements", title, Unit::PerSecond, measures);
+    Ok(vec![figure.compare(RIB, BARE, |_| Some(Aim::AtLeast(ENOUGH)))])
+}
+
+fn rate(begin: Instant, count: usize) -> Sample {
+    Sample { value: count as f64 / begin.elapsed().as_secs_f64(), ..Sample::default() }
+}
