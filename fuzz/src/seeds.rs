@@ -7,7 +7,7 @@ use gdp::cert::{
 };
 use gdp::control::{
     Credential, EntityRequest, Extent, FibPush, Flooded, MAX_HOPS, NameRole, Peers, PeersExtent, PeersPush, Record,
-    Refusal, RefusalCode, Request, Response, Route, encode,
+    Refusal, RefusalCode, Request, Response, Route, TierLeg, TierMessage, TierRequest, encode,
 };
 use gdp::feedback_wire::{Feedback, Missing};
 use gdp::keys::KeyBox;
@@ -228,7 +228,7 @@ impl Papers {
             locals: vec![entity],
             everywhere: vec![entity],
             writers: vec![entity],
-            arrives_by: vec![],
+            arrives_by: vec![switch],
         };
         let push = FibPush {
             switch,
@@ -252,6 +252,8 @@ impl Papers {
         };
         let role = NameRole::Subscriber;
         let from_entity = Request::Entity;
+        let asked = TierRequest::Query { name, path: vec![switch, entity] };
+        let tier = TierMessage { leg: TierLeg::In { from: entity }, request: asked };
         let onward = |request| Request::Onward { to: switch, hops: MAX_HOPS, request: Box::new(request) };
         let of_domains = Domain::new().messages();
         let of_domains = of_domains.iter().map(|(name, request)| seed(name, request));
@@ -280,6 +282,8 @@ impl Papers {
                     "report",
                     &onward(Request::Report { switch: robot, attached: vec![entity], own_bit: Some(63), shown: None }),
                 ),
+                seed("peerings", &onward(Request::Peerings { wanted: vec![(switch, ([192, 0, 2, 1], 31415).into())] })),
+                seed("tier query", &Request::Tier(Box::new(tier))),
                 seed(
                     "flood",
                     &Request::Flood {

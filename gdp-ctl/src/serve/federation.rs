@@ -18,7 +18,7 @@ use super::peering::Wanted;
 use super::tiers::records;
 use crate::rib::{Foreign, Now, Rib};
 use crate::tiers::peering::{Peering, Peerings, choose};
-use crate::tiers::{self, Change, Item, Limits, Reply, Revoked, Ticket, Tiers};
+use crate::tiers::{self, Change, Item, Limits, OfEntity, Reply, Revoked, Ticket, Tiers};
 
 /// What the RIB here has to do with other domains.
 pub struct Federation {
@@ -186,7 +186,7 @@ impl Federation {
             }
         }
         for entity in entities {
-            let (parts, boxes) = self.tiers.known_of(entity);
+            let OfEntity { parts, boxes } = self.tiers.known_of(entity);
             for (held, only_passes) in parts {
                 let (Some(domain), Some(next)) = (held.path.first().copied(), held.path.last().copied()) else {
                     continue;

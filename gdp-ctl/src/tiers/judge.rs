@@ -28,9 +28,9 @@ pub enum TierRefusal {
     #[error("a cycle: it came through domain {0:#} before")]
     Cycle(Name),
     #[error("the record of {name:#}: {source}")]
-    Record { name: Name, source: CertError },
+    Record { name: Name, source: Box<CertError> },
     #[error("the membership of switch {switch:#} in domain {domain:#}: {source}")]
-    Host { switch: Name, domain: Name, source: CertError },
+    Host { switch: Name, domain: Name, source: Box<CertError> },
     #[error(
         "the writer of {name:#} may be known in its own domain {origin:#} only: have its AdCert issued with the other domains in its scope"
     )]
@@ -40,9 +40,9 @@ pub enum TierRefusal {
     #[error("a key box of {0:#}, of which no part in a name is known")]
     NoWriter(Name),
     #[error("a key box of {writer:#}: {source}")]
-    Box { writer: Name, source: CertError },
+    Box { writer: Name, source: Box<CertError> },
     #[error("the locator of domain {domain:#}: {source}")]
-    Locator { domain: Name, source: CertError },
+    Locator { domain: Name, source: Box<CertError> },
     #[error("{limit} {what} of one domain are kept: that is the limit of this RIB")]
     Full { what: &'static str, limit: usize },
 }
@@ -61,7 +61,7 @@ impl TierRefusal {
             Self::Record { source, .. }
             | Self::Host { source, .. }
             | Self::Box { source, .. }
-            | Self::Locator { source, .. } => match source {
+            | Self::Locator { source, .. } => match **source {
                 CertError::BadSignature { .. } | CertError::WrongKey { .. } => "signature",
                 CertError::NotYetValid { .. } => "not_yet_valid",
                 CertError::Expired { .. } => "expired",
@@ -94,21 +94,21 @@ impl<R: Revoked> Judge<'_, R> {
                 Ok((key, Item::part(Arc::new(held)), ends))
             }
             TierEntry::Box(signed) => {
-                let unreadable = |source| TierRefusal::Box { writer: from, source };
+                let unreadable = |source: CertError| TierRefusal::Box { writer: from, source: source.into() };
                 let claims = signed.claims_unverified().map_err(unreadable)?;
                 let writer = claims.writer;
                 let key = TierKey::Box { writer, reader: claims.reader, name: claims.name, epoch: claims.epoch };
                 let item = Item::Box(Arc::new(signed.clone()));
                 let part = table.part_by(&writer).ok_or(TierRefusal::NoWriter(writer))?;
                 if table.get(&key) != Some(&item) {
-                    let wrong = |source| TierRefusal::Box { writer, source };
+                    let wrong = |source: CertError| TierRefusal::Box { writer, source: source.into() };
                     let signer = part.record.entity.verify_key().map_err(|error| wrong(error.into()))?;
                     signed.verify_signature(&signer).map_err(wrong)?;
                 }
                 Ok((key, item, Duration::MAX))
             }
             TierEntry::Locator { domain, locator } => {
-                let wrong = |source| TierRefusal::Locator { domain, source };
+                let wrong = |source: CertError| TierRefusal::Locator { domain, source: source.into() };
                 if domain == self.home {
                     return Err(TierRefusal::Cycle(domain));
                 }
@@ -139,7 +139,8 @@ impl<R: Revoked> Judge<'_, R> {
         let name = abroad.record.name;
         check_path(self.home, from, &abroad.path)?;
         let origin = abroad.path[0];
-        let place = abroad.record.place().map_err(|source| TierRefusal::Record { name, source })?;
+        let place =
+            abroad.record.place().map_err(|source: CertError| TierRefusal::Record { name, source: source.into() })?;
         let said = self.now.clock + Duration::from_secs(abroad.record.expires_in.min(u32::MAX.into()));
         if let Some(Item::Part { held, .. }) = table.get(&TierKey::Part(place))
             && held.origin(self.home) == origin
@@ -152,7 +153,7 @@ impl<R: Revoked> Judge<'_, R> {
         let scope = match &abroad.record.credential {
             Credential::Writer(cert) => {
                 let claims = cert.cert.claims_unverified();
-                claims.map_err(|source| TierRefusal::Record { name, source })?.scope
+                claims.map_err(|source: CertError| TierRefusal::Record { name, source: source.into() })?.scope
             }
             Credential::Reader(_) => Vec::new(),
         };
@@ -171,7 +172,8 @@ impl<R: Revoked> Judge<'_, R> {
     /// The lifetime of the statement in seconds, and the last Unix second at which all certificates hold.
     fn verify(&self, record: &Record, host: &Membership, origin: Name) -> Result<(u32, u64), TierRefusal> {
         let Now { unix, .. } = self.now;
-        let wrong_host = |source| TierRefusal::Host { switch: record.switch, domain: origin, source };
+        let wrong_host =
+            |source: CertError| TierRefusal::Host { switch: record.switch, domain: origin, source: source.into() };
         let member = host.verify(origin, self.revoked.newest(&origin), unix).map_err(wrong_host)?;
         if member.entity != record.switch {
             let (expected, got) = (record.switch, member.entity);
@@ -183,7 +185,7 @@ impl<R: Revoked> Judge<'_, R> {
         }
         let verified = record
             .verify(self.revoked.newest(&record.name), unix)
-            .map_err(|source| TierRefusal::Record { name: record.name, source })?;
+            .map_err(|source: CertError| TierRefusal::Record { name: record.name, source: source.into() })?;
         Ok((verified.advert.lifetime, verified.not_after.min(member.not_after)))
     }
 

@@ -36,7 +36,7 @@ use side::{Side, Told};
 use table::Table;
 
 pub use judge::{Revoked, TierRefusal};
-pub use side::{HOLD, Kind, SILENCE, Standing};
+pub use side::{HOLD, Kind, OfEntity, SILENCE, Standing};
 pub use table::{Held, Item};
 
 /// What is kept of neighbours at most.
@@ -267,9 +267,8 @@ impl Tiers {
         removed.chain(parcel.set.into_iter().map(Change::Set)).collect()
     }
 
-    /// The parts of an entity of another domain that the own RIB may know, each with whether it only passes through this domain, and
-    /// the keys it has for readers here.
-    pub fn known_of(&self, entity: Name) -> (Vec<(Arc<Held>, bool)>, Vec<Signed<KeyBox>>) {
+    /// What the own RIB may know of an entity of another domain, with the keys it has for readers here.
+    pub fn known_of(&self, entity: Name) -> OfEntity {
         self.known.of(entity)
     }
 

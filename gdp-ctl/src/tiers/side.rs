@@ -135,6 +135,13 @@ impl Side {
     }
 }
 
+/// What is told of one entity.
+pub struct OfEntity {
+    /// Each with whether it only passes through this domain.
+    pub parts: Vec<(Arc<Held>, bool)>,
+    pub boxes: Vec<Signed<KeyBox>>,
+}
+
 /// What one side is to be told, and by which sides it was said: this RIB's own entities are such a side, too.
 #[derive(Debug, Default)]
 pub struct Told {
@@ -216,7 +223,7 @@ impl Told {
     }
 
     /// The parts of an entity that are told, and its boxes.
-    pub fn of(&self, entity: Name) -> (Vec<(Arc<Held>, bool)>, Vec<Signed<KeyBox>>) {
+    pub fn of(&self, entity: Name) -> OfEntity {
         let places = self.entities.get(&entity).into_iter().flat_map(BTreeMap::keys);
         let parts = places.filter_map(|place| match self.feed.entries().get(&TierKey::Part(*place)) {
             Some(Item::Part { held, only_passes }) => Some((held.clone(), *only_passes)),
@@ -227,7 +234,7 @@ impl Told {
             Item::Box(signed) => Some((**signed).clone()),
             _ => None,
         });
-        (parts.collect(), boxes.collect())
+        OfEntity { parts: parts.collect(), boxes: boxes.collect() }
     }
 
     /// Who said the parts of an entity that are told.

@@ -220,11 +220,10 @@ impl Table {
 
     /// The parts in one name.
     pub fn parts_of(&self, name: Name) -> impl Iterator<Item = &Arc<Held>> {
-        let items = self.items.range(first_place(name)..).map_while(move |(key, item)| match (key, item) {
+        self.items.range(first_place(name)..).map_while(move |(key, item)| match (key, item) {
             (TierKey::Part(place), Item::Part { held, .. }) if place.name == name => Some(held),
             _ => None,
-        });
-        items
+        })
     }
 
     /// The key boxes of one writer.
