@@ -24,6 +24,7 @@ use crate::rib::{Item, Limits, RestoreError, Rib, Run, decode_item, encode_item}
 use crate::store::StoreError;
 use crate::store::gateway::Gateway;
 use crate::store::items::{Copy, Place, Writer};
+use crate::unix_time::unix_nanos;
 
 /// Seconds of a leader's lease.
 const TTL: u64 = 5;
@@ -118,7 +119,7 @@ impl Core {
     /// A leader whose lease is over has no RIB.
     pub(super) fn end_term(&mut self) {
         if self.term.take_if(|term| term.is_over()).is_some() {
-            self.rib = None;
+            (self.rib, self.federation) = (None, None);
             self.topology.set_rib(false);
         }
     }
@@ -367,6 +368,7 @@ impl Core {
     fn lead(&mut self, mut rib: Rib, term: Arc<Term>) {
         rib.set_paths(self.now(), self.topology.paths().clone());
         (self.rib, self.term, self.no_rib) = (Some(rib), Some(term), None);
+        self.federate(unix_nanos());
         self.topology.set_rib(true);
     }
 }

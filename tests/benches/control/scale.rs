@@ -166,7 +166,7 @@ impl World {
     fn fill(&mut self) -> Result<()> {
         for number in 0..self.names {
             gdp_tests::wait::check_interrupt()?;
-            if number % CROSSING == 0 {
+            if number.is_multiple_of(CROSSING) {
                 self.read(number)?;
             }
             self.publish(number)?;
@@ -176,7 +176,7 @@ impl World {
 
     fn publish(&mut self, number: usize) -> Result<()> {
         let (at, reader) = (self.edge(number), self.reader_of(number));
-        let crosses = number % CROSSING == 0;
+        let crosses = number.is_multiple_of(CROSSING);
         let scope = if crosses { vec![self.domains[reader].identity.name()] } else { Vec::new() };
         if crosses {
             self.awaited.insert(self.owner.name(number), self.now.clock);
