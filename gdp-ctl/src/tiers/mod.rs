@@ -212,13 +212,18 @@ impl Tiers {
         self.adjacent = adjacent;
     }
 
-    /// What an entity has stated in this domain, verified by its RIB, with the membership of the switch it is attached to.
+    /// What an entity has stated in this domain, verified by its RIB, with the membership of the switch it is attached to. Of what is for
+    /// this domain alone nothing is kept.
     pub fn set_own(&mut self, now: Now, record: Record, host: Membership) -> Result<(), CertError> {
         let place = record.place()?;
         let scope = match &record.credential {
             Credential::Writer(cert) => cert.cert.claims_unverified()?.scope,
             Credential::Reader(_) => Vec::new(),
         };
+        if record.is_writer() && scope.iter().all(|domain| *domain == self.home) {
+            self.remove_own(place);
+            return Ok(());
+        }
         let ends = now.clock + Duration::from_secs(record.expires_in);
         let held = Held { place, record, host, path: Vec::new(), scope, ends };
         let key = TierKey::Part(place);
