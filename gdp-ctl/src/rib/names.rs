@@ -59,9 +59,10 @@ impl Registration {
         }
     }
 
-    /// Whether a counterpart that knows `other` need not be told of this one.
+    /// Whether a counterpart that knows `other` need not be told of this one. Who calls a service wants to know where its servers are.
     pub fn tells_the_same(&self, other: &Self) -> bool {
-        self.credential == other.credential && self.box_key == other.box_key
+        let is_as_near = self.role != NameRole::Server || self.switch == other.switch;
+        self.credential == other.credential && self.box_key == other.box_key && is_as_near
     }
 }
 
@@ -70,8 +71,8 @@ struct Topic {
     proof: NameProof,
     /// By role.
     parts: [Registrations; NameRole::ALL.len()],
-    /// The egress bits of the switches of those that take what is sent, as of the last [`Names::reroute`]; 0 while there are
-    /// no routes.
+    /// The egress bits of the switches of its subscribers, as of the last [`Names::reroute`]; 0 while there are no routes: for as long as
+    /// nobody publishes it, and of a service, whose servers and callers send to each other's own names.
     egress_bits: u64,
 }
 
@@ -93,8 +94,7 @@ impl Names {
 
     /// Whether one more registration is allowed.
     ///
-    /// A name is published or served, not both: so those that may call it, and have no more than the right to read it, never
-    /// send to those that read it.
+    /// A name is published or served, not both: it is of a topic or of a service.
     pub fn check_room(&self, name: &Name, entity: &Name, new: &Registration, limits: &Limits) -> Result<(), Refusal> {
         let Some(topic) = self.0.get(name.as_bytes()) else {
             let limit = limits.names;
@@ -110,8 +110,10 @@ impl Names {
                 _ => Ok(()),
             };
         }
-        let (limit, other) =
-            (limits.writers_per_name, if new.role.sends() { NameRole::Server } else { NameRole::Publisher });
+        let (limit, other) = (
+            limits.writers_per_name,
+            if new.role == NameRole::Server { NameRole::Publisher } else { NameRole::Server },
+        );
         if !topic.part(other).is_empty() {
             let reason = format!("{name} has a {other} already, and cannot have a {} too: use another name", new.role);
             return Err(Refusal::new(RefusalCode::Unsupported, reason));
@@ -224,12 +226,12 @@ impl Names {
 
     /// The switches whose route changes because registrations of the name `at` this switch did.
     ///
-    /// There are no routes unless somebody sends to the name and somebody takes it. One more taker at a switch concerns that
+    /// There are no routes unless somebody publishes the name and somebody subscribes to it. One more taker at a switch concerns that
     /// switch alone; the first or the last one there also those of the senders.
     pub fn reroute(&mut self, name: &Key, at: &Name, bit: impl Fn(&Name) -> Option<u8>) -> BTreeSet<Name> {
         let mut affected = BTreeSet::from([*at]);
         let Some(topic) = self.0.get_mut(name) else { return affected };
-        let (senders, takers) = topic.ways();
+        let (senders, takers) = (topic.part(NameRole::Publisher), topic.part(NameRole::Subscriber));
         let takers_at = takers.by_switch.keys().filter_map(bit);
         let now = if senders.is_empty() { 0 } else { takers_at.fold(0, |bits, bit| bits | 1 << bit) };
         match (topic.egress_bits, now) {
@@ -304,19 +306,13 @@ impl Topic {
         &mut self.parts[role as usize]
     }
 
-    /// Those who send to the name, and those who take what is sent.
-    fn ways(&self) -> (&Registrations, &Registrations) {
-        let takers = if self.part(NameRole::Server).is_empty() { NameRole::Subscriber } else { NameRole::Server };
-        (self.part(takers.counterpart()), self.part(takers))
-    }
-
     /// Where anybody has a part in the name; some several times.
     fn switches(&self) -> impl Iterator<Item = &Name> {
         self.parts.iter().flat_map(|part| part.by_switch.keys())
     }
 
     fn route(&self, name: &Key, switch: &Name) -> Option<Route> {
-        let (senders, takers) = self.ways();
+        let (senders, takers) = (self.part(NameRole::Publisher), self.part(NameRole::Subscriber));
         let writers: Vec<Name> = senders.at(switch).copied().collect();
         let locals: Vec<Name> = takers.at(switch).copied().collect();
         let is_everywhere = |entity: &&Name| takers.by_entity.get(&(**entity, *switch)).is_some_and(|r| r.everywhere);

@@ -290,8 +290,7 @@ impl Rib {
         if old.bound {
             self.part(stake, switch);
         }
-        let sends = |role: &NameRole| role.sends() && self.names.get(&name, &entity, *role).is_some();
-        if !NameRole::ALL.iter().any(sends) {
+        if self.names.get(&name, &entity, NameRole::Publisher).is_none() {
             self.boxes.forget(&name, &entity);
         }
         if !self.names.has(&name, &entity) {

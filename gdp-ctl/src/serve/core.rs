@@ -565,6 +565,8 @@ impl Core {
             | Request::Fib(_)
             | Request::Peers(_)
             | Request::Ready
+            | Request::WatchCosts
+            | Request::Costs(_)
             | Request::Flood { .. }
             | Request::Ratcheted { .. }
             | Request::Papers(_)

@@ -22,6 +22,7 @@ pub async fn run(daemon: Arc<Daemon>) {
         let (batches, next) = {
             let mut core = daemon.core();
             let batches = core.follow_topology();
+            daemon.set_costs(&core.topology.paths().costs);
             let now = core.now().clock;
             (batches, core.topology.next_tick(now).and_then(|clock| core.instant(clock)))
         };

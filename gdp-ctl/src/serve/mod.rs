@@ -3,6 +3,7 @@
 
 pub mod admin;
 pub mod core;
+mod costs;
 mod domain;
 mod ends;
 mod flooding;
@@ -23,12 +24,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use gdp::control::PathCosts;
 use gdp::identity::Identity;
 use gdp::link::{LinkError, LinkIds};
 use gdp::port::{Port, PortConfig};
 use gdp::secret_file::SecretFileError;
 use gdp_wire::Name;
-use tokio::sync::Notify;
+use tokio::sync::{Notify, watch};
 use tokio::task::JoinSet;
 
 use self::core::Core;
@@ -79,6 +81,8 @@ pub struct Daemon {
     report: Notify,
     topology: Notify,
     rib_changed: Notify,
+    /// What paths from here cost.
+    costs: watch::Sender<PathCosts>,
     /// Switches have answered the RIB here.
     answered: Notify,
     stopping: AtomicBool,
@@ -143,6 +147,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         report: Notify::new(),
         topology: Notify::new(),
         rib_changed: Notify::new(),
+        costs: watch::Sender::default(),
         answered: Notify::new(),
         stopping: AtomicBool::new(false),
         tasks: Mutex::default(),

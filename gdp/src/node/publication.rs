@@ -177,11 +177,6 @@ impl Publication {
         self.room.notify_waiters();
     }
 
-    /// Whether this entity may read, as far as is known.
-    pub fn is_reader(&self, entity: &Name) -> bool {
-        lock(&self.readers).known.contains_key(entity)
-    }
-
     /// Readers that are attached.
     pub fn readers(&self) -> usize {
         lock(&self.readers).attached().count()
@@ -380,7 +375,7 @@ impl Publication {
                 PeerEvent::Refused(error) => {
                     tracing::warn!(name = %self.name, %error, "the RIB told of a reader that does not verify");
                 }
-                // Boxes for requests are the servers'; a RIB that is behind is the supervisor's business.
+                // Boxes are for readers; a RIB that is behind is the supervisor's business.
                 PeerEvent::KeyBox(_) | PeerEvent::RibIsBehind(_) => {}
             }
         }
