@@ -86,14 +86,20 @@ impl State {
 
     /// Those who call or serve a service are now others. To be called with [`State::counterparts`] locked, as all that changes parties.
     pub(super) fn take_parties(&self, name: Name, role: NameRole, events: &[PeerEvent]) {
-        let concerned = {
+        let (concerned, returned) = {
             let (now, mut services) = (self.outlet.clock.now(), lock(&self.services));
+            let joined = events.iter().filter_map(|event| match event {
+                PeerEvent::Joined(right) => Some(right.entity),
+                _ => None,
+            });
+            let is_here = |entity: &Name| services.values().any(|service| service.parties.is_attached(entity));
+            let returned: BTreeSet<Name> = joined.filter(|entity| !is_here(entity)).collect();
             let Some(Service { parties, .. }) = services.get_mut(&(name, role)) else { return };
             let mut concerned = parties.take(now, &name, events);
             concerned.extend(parties.sweep(now, unix_now()));
-            concerned
+            (concerned, returned)
         };
-        self.settle(concerned);
+        self.settle(concerned, &returned);
         // Now that there is a way back.
         self.release_requests();
     }
@@ -102,7 +108,7 @@ impl State {
     pub(super) fn sweep_parties(&self) {
         let (now, now_unix) = (self.outlet.clock.now(), unix_now());
         let gone = lock(&self.services).values_mut().flat_map(|service| service.parties.sweep(now, now_unix)).collect();
-        self.settle(gone);
+        self.settle(gone, &BTreeSet::new());
         self.release_requests();
     }
 
@@ -111,12 +117,13 @@ impl State {
         let ended = lock(&self.services).remove(&(name, stated.role()));
         if let Some(mut service) = ended {
             service.end(why);
-            self.settle(service.parties.clear(self.outlet.clock.now()));
+            self.settle(service.parties.clear(self.outlet.clock.now()), &BTreeSet::new());
         }
     }
 
-    /// Brings the way to each of these, and who is believed in the inbox, in line with the services that they are parties of.
-    fn settle(&self, entities: BTreeSet<Name>) {
+    /// Brings the way to each of these, and who is believed in the inbox, in line with the services that they are parties of. `returned`:
+    /// those that were attached for none of these before.
+    fn settle(&self, entities: BTreeSet<Name>, returned: &BTreeSet<Name>) {
         if entities.is_empty() {
             return;
         }
@@ -126,14 +133,14 @@ impl State {
                 joint_right(services.values().filter_map(|service| service.parties.right(&entity)))
             };
             match right {
-                Some(right) => self.open_way(right),
+                Some(right) => self.open_way(right, returned.contains(&entity)),
                 None => self.close_way(entity),
             }
         }
         self.outlet.upkeep.notify_one();
     }
 
-    fn open_way(&self, right: Counterpart) {
+    fn open_way(&self, right: Counterpart, returned: bool) {
         let (entity, own) = (right.entity, self.identity.name());
         let joined = PeerEvent::Joined(right);
         let known = lock(&self.publications).get(&entity).cloned();
@@ -141,6 +148,9 @@ impl State {
             Some(publication) => {
                 // The RIB has forgotten the boxes of a pair that had parted.
                 publication.store_again();
+                if returned {
+                    publication.returned(&self.outlet, &entity);
+                }
                 publication
             }
             None => match Publication::new(entity, &self.identity, &PublishOptions::reliable(), &self.outlet) {

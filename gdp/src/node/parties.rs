@@ -192,6 +192,10 @@ impl Parties {
         instances
     }
 
+    pub fn is_attached(&self, entity: &Name) -> bool {
+        self.known.get(entity).is_some_and(|party| party.presence.is_some())
+    }
+
     pub fn attached_count(&self) -> usize {
         self.known.values().filter(|party| party.presence.is_some()).count()
     }

@@ -360,6 +360,15 @@ impl Publication {
         Some(Feedback::Welcome { name, challenge, session, sequence, reliable })
     }
 
+    /// A reader that was away is back. If it has begun anew, what is sent from now on is for it, also what goes before it asks.
+    pub fn returned(&self, outlet: &Outlet, reader: &Name) {
+        let readers = &mut *lock(&self.readers);
+        let Some(entry) = readers.known.get_mut(reader) else { return };
+        if let Some(from) = lock(&outlet.uplink).join(outlet.clock.now(), self.topic, *reader) {
+            (entry.from, entry.greeted) = (from, None);
+        }
+    }
+
     /// Takes what the RIB told of readers, and was verified.
     pub fn take(&self, outlet: &Outlet, now_unix: u64, events: impl IntoIterator<Item = PeerEvent>) {
         let readers = &mut *lock(&self.readers);
