@@ -293,6 +293,8 @@ impl Papers {
                 seed("revoke", &from_entity(EntityRequest::Revoke { proof, revocation: self.revocation.clone() })),
                 seed("detach", &Request::Detach { switch, entity }),
                 seed("ready", &Request::Ready),
+                seed("watch costs", &Request::WatchCosts),
+                seed("costs", &Request::Costs([(switch, 7)].into())),
                 seed("fib push", &onward(Request::Fib(push))),
                 seed("key boxes", &from_entity(EntityRequest::KeyBoxes { boxes: peers.boxes.clone() })),
                 seed("peers push", &Request::Peers(PeersPush { switch, entity, name, role, peers: peers.clone() })),

@@ -173,6 +173,7 @@ impl Scene {
                 let drafts = body.chunks(usize::from(what) * 4 + 1).take(8).map(|body| Draft {
                     in_reply_to: (what & 4 == 0).then_some(request),
                     origin: &body[..body.len().min(9)],
+                    service: (what & 8 == 0).then_some(Name::from_bytes([what; 32])),
                     ..Draft::new(Encoding::Cdr, body)
                 });
                 let drafts: Vec<_> = drafts.collect();

@@ -18,6 +18,7 @@ pub use tiers::{
 };
 pub use traced::{MAX_BEYOND, Traced, TracedEnd};
 
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
 use gdp_wire::Name;
@@ -76,6 +77,11 @@ pub enum Request {
     Fib(FibPush),
     /// RIB → switch → entity: its counterparts in a name are now these.
     Peers(PeersPush),
+    /// Endpoint → its switch: what does the path to each switch of the domain cost, now and whenever that changes? For one that chooses among
+    /// servers. Answered by [`Response::Costs`]; changes come as [`Request::Costs`], on this link.
+    WatchCosts,
+    /// Switch → an endpoint that watches: the paths cost this now. The next comes once this is answered, and a while after.
+    Costs(PathCosts),
     /// Either end of a link → the other: my data frames are now under the link key of this generation. Answered once the
     /// one after it is held; until then there is no further change.
     Ratcheted { generation: u64 },
@@ -137,8 +143,14 @@ pub enum Response {
     Peers(Peers),
     /// Of another domain's RIB.
     Tier(Box<TierResponse>),
+    /// What paths cost from the switch that answers.
+    Costs(PathCosts),
     Refused(Refusal),
 }
+
+/// What the path to each switch of a domain costs that there is one to. Unsigned: who states it is the switch that all frames to those
+/// switches go by. At most as many as a domain has switches.
+pub type PathCosts = BTreeMap<Name, u64>;
 
 /// Why a request was refused: a code for programs and a sentence that names the thing and the remedy for people.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
@@ -342,7 +354,7 @@ pub struct Route {
     pub locals: Vec<Name>,
     /// Those of them that take it on each of their links to the switch; the others do on one.
     pub everywhere: Vec<Name>,
-    /// The local endpoints that may send to the name: those that publish or call it through this switch; to the name of an
+    /// The local endpoints that may send to the name: those that publish it through this switch; to the name of an
     /// entity, its counterparts.
     pub writers: Vec<Name>,
     /// The switches of other domains that frames from this name may come from, at a border: if it is that of an entity abroad. They stand

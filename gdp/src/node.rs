@@ -15,6 +15,7 @@
 mod choice;
 mod clock;
 mod counters;
+mod desk;
 mod ending;
 mod feedback;
 mod frame_size;
@@ -22,12 +23,14 @@ mod gathered;
 mod greeting;
 mod held;
 mod home;
+mod inbox;
 mod intake;
 mod lane;
 mod latched;
 mod options;
 mod outlet;
 mod pairs;
+mod parties;
 mod publication;
 mod publisher;
 mod reading;
@@ -73,6 +76,7 @@ pub use feedback::{Feedback, FrameError};
 pub use gdp_wire::ErrorCode;
 pub use lane::{LinkState, LinkStatus};
 pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOptions};
+pub use parties::Instance;
 pub use publisher::{Publisher, Unflushed};
 pub use services::{Call, Client, Server};
 pub use subscription::Subscription;
@@ -151,6 +155,12 @@ pub enum NodeError {
     Keys(#[from] RingError),
     #[error("no server of {0:#} is attached at the moment; call again later")]
     NoServer(Name),
+    #[error("{instance:#}, a server of {service:#}, is not attached at the moment; call again later, or another")]
+    NoInstance { service: Name, instance: Name },
+    #[error(
+        "{instance:#}, a server of {service:#}, left before it replied; the request may have been carried out, so it is sent to no other"
+    )]
+    InstanceLeft { service: Name, instance: Name },
     #[error("{0} calls wait for their replies already; wait for some, or give some up")]
     TooManyCalls(usize),
     #[error("the switch answered another question: {0}")]
@@ -176,7 +186,8 @@ impl NodeError {
             Self::Link(_) | Self::NoAnswer { .. } | Self::NoAddress { .. } | Self::NoSwitch(_) => true,
             // Papers may be renewed.
             Self::Domain(_) => true,
-            Self::Detached(_) | Self::NoServer(_) | Self::TooManyCalls(_) | Self::Unflushed(_) => true,
+            Self::Detached(_) | Self::NoServer(_) | Self::NoInstance { .. } | Self::InstanceLeft { .. } => true,
+            Self::TooManyCalls(_) | Self::Unflushed(_) => true,
             Self::NotASwitch(_) | Self::Cert(_) | Self::Seal(_) | Self::Already { .. } | Self::Keys(_) => false,
             Self::Protocol(_) | Self::Links(_) | Self::State(_) | Self::Closed => false,
         }
@@ -202,6 +213,11 @@ impl Stated {
             Self::Served => NameRole::Server,
             Self::Called => NameRole::Caller,
         }
+    }
+
+    /// Whether it concerns what the node sends, which may go by any of its links: to the name, or to those who serve it.
+    fn sends(self) -> bool {
+        matches!(self, Self::Published | Self::Called)
     }
 
     fn of(role: NameRole) -> Self {
@@ -309,27 +325,27 @@ impl Node {
         Ok(subscription)
     }
 
-    /// Answers calls to a name: `ad_cert` shows that its owner allows it. Those who call it share no key: neither requests nor replies
-    /// can be read by another of them.
+    /// Answers calls to a name, as one of those who serve it: `ad_cert` shows that its owner allows it. Requests and replies can be read by
+    /// the one caller and the one server alone.
     pub async fn serve(&self, proof: NameProof, ad_cert: Issued<AdCert>) -> Result<Server, NodeError> {
         let state = &self.0.state;
         let statement = Statement::Write { proof, ad_cert };
         let name = state.check(&statement)?;
-        let (queue, ending) = state.read(name, Stated::Served, statement, SubscribeOptions::reliable())?;
-        let server = Server::new(self.0.clone(), queue, ending);
+        let (desk, ending) = state.open_service(name, Stated::Served, statement)?;
+        let server = Server::new(self.0.clone(), name, desk, ending);
         self.make_known(name, Stated::Served, None).await?;
         Ok(server)
     }
 
-    /// Calls a name: `grant` shows that its owner allows it.
+    /// Calls a name, each time the nearest that serves it: `grant` shows that its owner allows it.
     pub async fn client(&self, proof: NameProof, grant: Grant) -> Result<Client, NodeError> {
         let state = &self.0.state;
         let statement = Statement::Read { proof, grant };
         let name = state.check(&statement)?;
-        state.open_inbox();
-        let publication = state.open(name, Stated::Called, statement, &PublishOptions::reliable())?;
-        let client = Client::new(self.0.clone(), publication.clone());
-        self.make_known(name, Stated::Called, Some(&publication)).await?;
+        let (_, ending) = state.open_service(name, Stated::Called, statement)?;
+        let client = Client::new(self.0.clone(), name, ending);
+        self.make_known(name, Stated::Called, None).await?;
+        state.store_first_boxes(name).await?;
         Ok(client)
     }
 

@@ -22,6 +22,8 @@ pub const MAX_COUNTERPARTS: usize = 8192;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Counterpart {
     pub entity: Name,
+    /// A switch that it is attached to.
+    pub switch: Name,
     /// What it signs with.
     pub key: VerifyKey,
     /// What keys for it are wrapped to, and agreed on with it: P-256, SEC1 compressed.
@@ -32,6 +34,12 @@ pub struct Counterpart {
 }
 
 impl Counterpart {
+    /// As if a certificate with this serial had been verified.
+    #[cfg(test)]
+    pub fn for_test(entity: Name, switch: Name, key: VerifyKey, not_after: u64, serial: u64) -> Self {
+        Self { entity, switch, key, box_key: [0; PUBLIC_KEY_LEN], not_after, serials: vec![("AdCert", serial)] }
+    }
+
     /// Whether its right holds under this revocation of the name.
     pub fn holds(&self, revocation: &Revocation) -> bool {
         self.serials.iter().all(|(what, serial)| revocation.check(what, *serial).is_ok())
@@ -177,6 +185,7 @@ impl Counterparts {
         }
         Ok(Counterpart {
             entity: verified.entity,
+            switch: record.switch,
             key: record.entity.verify_key()?,
             box_key: verified.advert.box_key,
             not_after: verified.not_after,

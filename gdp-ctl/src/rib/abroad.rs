@@ -5,7 +5,7 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use gdp::cert::{CertError, Revocation, Signed};
-use gdp::control::{Credential, Record, RecordPlace, Refusal, RefusalCode};
+use gdp::control::{Credential, NameRole, Record, RecordPlace, Refusal, RefusalCode};
 use gdp::keys::KeyBox;
 use gdp::name::NameProof;
 use gdp_wire::Name;
@@ -270,7 +270,7 @@ impl Rib {
         }
         let told = self.names.all_of(&stake.name, &stake.entity, stake.role).find(|told| told.abroad.is_some());
         let Some(place) = told.map(|told| Place { entity: stake.entity, at: told.at() }) else { return Ok(()) };
-        let is_sent = stake.role.sends() && claims.name.to_bytes() == stake.name;
+        let is_sent = stake.role == NameRole::Publisher && claims.name.to_bytes() == stake.name;
         let is_inbox = claims.name == claims.reader && self.inboxes.allows(claims.name, place);
         if !is_sent && !is_inbox || self.boxes.holds(&claims, signed) {
             return Ok(());

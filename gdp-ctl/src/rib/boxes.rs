@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::ops::Bound;
 
 use gdp::cert::Signed;
-use gdp::control::{Refusal, RefusalCode};
+use gdp::control::{NameRole, Refusal, RefusalCode};
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
@@ -113,7 +113,7 @@ impl Boxes {
 
     /// What a counterpart has for the entity: the keys of what it sends to the name, if the entity is to take that.
     pub fn between(&self, stake: &Stake, counterpart: &Name) -> impl Iterator<Item = &Signed<KeyBox>> {
-        let kept = self.kept.get(&(stake.name, *counterpart)).filter(|_| !stake.role.sends());
+        let kept = self.kept.get(&(stake.name, *counterpart)).filter(|_| stake.role == NameRole::Subscriber);
         let reader = stake.entity;
         kept.into_iter().flat_map(|kept| kept.epochs.values()).filter_map(move |readers| readers.get(&reader))
     }

@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 
 use gdp::cert::Signed;
-use gdp::control::{Record, RecordPlace};
+use gdp::control::{NameRole, Record, RecordPlace};
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
@@ -44,8 +44,10 @@ impl Rib {
         let others = self.names.bound(&key, place.role.counterpart());
         let abroad = others.filter(|(_, other)| other.abroad.is_some() && registration.meets(other));
         let abroad: BTreeSet<Name> = abroad.map(|(entity, _)| entity).collect();
-        let sent =
-            self.boxes.of(&key, &place.entity).filter(|(reader, _)| place.role.sends() && abroad.contains(reader));
+        let sent = self
+            .boxes
+            .of(&key, &place.entity)
+            .filter(|(reader, _)| place.role == NameRole::Publisher && abroad.contains(reader));
         let inboxes = abroad.iter().flat_map(|other| self.boxes.of(other.as_bytes(), &place.entity));
         sent.chain(inboxes).map(|(_, signed)| signed.clone()).collect()
     }

@@ -40,26 +40,21 @@ impl Rib {
     /// Where the writer sends from; a refusal if it may not send to the name of the box.
     fn sends_from(&self, speaker: &Speaker, claims: &KeyBox) -> Result<Place, Refusal> {
         let (name, entity) = (claims.name, speaker.entity);
-        let sending = NameRole::ALL.iter().filter(|role| role.sends());
-        let registered = sending.filter_map(|role| self.names.get(name.as_bytes(), &entity, *role)).next();
-        if let Some(registration) = registered {
+        if let Some(registration) = self.names.get(name.as_bytes(), &entity, NameRole::Publisher) {
             return Ok(Place { entity, at: registration.at() });
         }
         let here = Place { entity, at: At::Here(speaker.switch) };
         if name == claims.reader && self.inboxes.allows(name, here) {
             return Ok(here);
         }
-        let reason =
-            format!("{entity} neither publishes nor calls {name}, nor is it a counterpart of that: advertise first");
+        let reason = format!("{entity} neither publishes {name}, nor is it a counterpart of that: advertise first");
         Err(Refusal::new(RefusalCode::NotEntitled, reason))
     }
 
     pub(super) fn tell_reader(&mut self, claims: &KeyBox) {
         let (name, entity) = (claims.name.to_bytes(), claims.reader);
-        for role in [NameRole::Subscriber, NameRole::Server] {
-            if self.names.get(&name, &claims.writer, role.counterpart()).is_some() {
-                self.telling.boxes_changed(Stake { name, entity, role }, claims.writer);
-            }
+        if self.names.get(&name, &claims.writer, NameRole::Publisher).is_some() {
+            self.telling.boxes_changed(Stake { name, entity, role: NameRole::Subscriber }, claims.writer);
         }
         if let Some(switch) = self.inbox_home(claims) {
             self.telling.inbox_boxes_changed(Stake::inbox(entity), switch, claims.writer);

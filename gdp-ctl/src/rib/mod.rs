@@ -413,7 +413,9 @@ impl Rib {
     /// To be asked once a statement at `at` is settled: takes it back there if a switch has no room for the route it needs.
     pub fn check_room(&mut self, name: &Name, entity: &Name, role: NameRole, at: &Name) -> Result<(), Refusal> {
         let lacking = |switch| self.switches.get(switch)?.fib.lacking();
-        let routed = self.names.routed(name.as_bytes(), self.map());
+        // Frames of a service go to the names of its parties.
+        let inboxes = self.inboxes.routed(entity, self.map()).into_iter().filter(|_| role.is_of_service());
+        let routed: Vec<Name> = self.names.routed(name.as_bytes(), self.map()).into_iter().chain(inboxes).collect();
         let Some(reason) = routed.iter().find_map(lacking) else { return Ok(()) };
         let refusal = Refusal::new(RefusalCode::Limit, reason);
         self.unregister(Stake { name: name.to_bytes(), entity: *entity, role }, *at);

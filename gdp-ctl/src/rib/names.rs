@@ -117,9 +117,13 @@ impl Registration {
         }
     }
 
-    /// Whether a counterpart that knows `other` need not be told of this one.
+    /// Whether a counterpart that knows `other` need not be told of this one. Who calls a service wants to know where its servers are.
     pub fn tells_the_same(&self, other: &Self) -> bool {
-        self.credential == other.credential && self.box_key == other.box_key && self.kind() == other.kind()
+        let is_as_near = self.role != NameRole::Server || self.switch == other.switch;
+        self.credential == other.credential
+            && self.box_key == other.box_key
+            && self.kind() == other.kind()
+            && is_as_near
     }
 }
 
@@ -147,8 +151,7 @@ impl Names {
 
     /// Whether one more registration is allowed.
     ///
-    /// A name is published or served, not both: so those that may call it, and have no more than the right to read it, never
-    /// send to those that read it.
+    /// A name is published or served, not both: it is of a topic or of a service.
     pub fn check_room(&self, name: &Name, entity: &Name, new: &Registration, limits: &Limits) -> Result<(), Refusal> {
         let Some(topic) = self.0.get(name.as_bytes()) else {
             let limit = limits.names;
@@ -166,8 +169,10 @@ impl Names {
             }
             return Ok(());
         }
-        let (limit, other) =
-            (limits.writers_per_name, if new.role.sends() { NameRole::Server } else { NameRole::Publisher });
+        let (limit, other) = (
+            limits.writers_per_name,
+            if new.role == NameRole::Server { NameRole::Publisher } else { NameRole::Server },
+        );
         if !topic.part(other).is_empty() {
             let reason = format!("{name} has a {other} already, and cannot have a {} too: use another name", new.role);
             return Err(Refusal::new(RefusalCode::Unsupported, reason));

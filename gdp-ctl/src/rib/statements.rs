@@ -338,8 +338,7 @@ impl Rib {
             self.tell_elsewhere(stake, &switch);
             self.part(stake, &old);
         }
-        let sends = |role: &NameRole| role.sends() && self.names.get(&name, &entity, *role).is_some();
-        if !NameRole::ALL.iter().any(sends) {
+        if self.names.get(&name, &entity, NameRole::Publisher).is_none() {
             self.boxes.forget(&name, &entity);
         }
         if !self.names.has(&name, &entity) {

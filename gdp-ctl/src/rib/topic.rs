@@ -64,7 +64,8 @@ impl Topic {
         all.map(move |(role, entity, switch)| RecordPlace { name, role, entity, switch })
     }
 
-    /// Whether somebody sends to the name and somebody takes that.
+    /// Whether somebody publishes the name and somebody reads it. A service is not routed: its servers and callers send to each other's
+    /// own names.
     pub fn is_routed(&self) -> bool {
         !self.spread.egress.is_empty()
     }
@@ -78,7 +79,7 @@ impl Topic {
 
     /// The switches whose route changes because registrations `at` these switches did, or ways over them.
     ///
-    /// There are no routes unless somebody sends to the name and somebody takes it. One more taker at a switch concerns that
+    /// There are no routes unless somebody publishes the name and somebody reads it. One more taker at a switch concerns that
     /// switch alone; the first or the last one there also those where frames come in.
     pub fn reroute(&mut self, name: &Key, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
         let spread = self.spread(name, map);
@@ -94,15 +95,8 @@ impl Topic {
         affected
     }
 
-    /// Those who send to the name, and those who take what is sent.
-    fn roles(&self) -> (NameRole, NameRole) {
-        let takers = if self.part(NameRole::Server).is_empty() { NameRole::Subscriber } else { NameRole::Server };
-        (takers.counterpart(), takers)
-    }
-
     fn spread(&self, name: &Key, map: Map) -> Spread {
-        let (sending, taking) = self.roles();
-        let (senders, takers) = (self.part(sending), self.part(taking));
+        let (senders, takers) = (self.part(NameRole::Publisher), self.part(NameRole::Subscriber));
         if senders.by_realm.is_empty() && takers.by_realm.is_empty() {
             let bits = takers.by_switch.keys().fold(0, |bits, switch| bits | map.bits_to(name, &At::Here(*switch)));
             let switches = senders.by_switch.keys().filter(|_| bits != 0);
@@ -113,7 +107,7 @@ impl Topic {
         bits.retain(|_, bits| *bits != 0);
         let (mut egress, mut met) = (BTreeMap::new(), [BTreeSet::new(), BTreeSet::new()]);
         for (at, kind) in senders.kinds() {
-            for (taker, bits) in bits.iter().filter(|(taker, _)| meets(sending, &kind, taker)) {
+            for (taker, bits) in bits.iter().filter(|(taker, _)| meets(NameRole::Publisher, &kind, taker)) {
                 for switch in map.switches(&at) {
                     *egress.entry(switch).or_default() |= bits;
                 }
@@ -128,8 +122,7 @@ impl Topic {
         if !self.is_routed() {
             return None;
         }
-        let (sending, taking) = self.roles();
-        let (senders, takers) = (self.part(sending), self.part(taking));
+        let (senders, takers) = (self.part(NameRole::Publisher), self.part(NameRole::Subscriber));
         let is_sender = |(_, registration): &(Name, &Registration)| self.spread.has_sender(|| registration.kind());
         let is_taker = |(_, registration): &(Name, &Registration)| self.spread.has_taker(|| registration.kind());
         let sent_from = |realm| senders.in_realm(realm).any(|registration| is_sender(&registration));

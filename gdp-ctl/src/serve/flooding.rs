@@ -37,6 +37,7 @@ pub async fn run(daemon: Arc<Daemon>) {
         let (batches, next) = {
             let mut core = daemon.core();
             let (batches, other_paths) = core.follow_topology();
+            daemon.set_costs(&core.topology.paths().costs);
             core.follow_borders();
             if core.follow_rib() && other_paths {
                 daemon.report.notify_one();

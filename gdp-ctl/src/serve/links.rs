@@ -11,7 +11,7 @@ use tokio::time::timeout;
 
 use super::core::{Expects, Next, Statement};
 use super::events::Event;
-use super::{Daemon, Place, control, domain, flooding, liveness, tiers};
+use super::{Daemon, Place, control, costs, domain, flooding, liveness, tiers};
 use crate::config::Via;
 
 /// How long an accepted statement waits for switches to take their routes.
@@ -112,6 +112,7 @@ async fn serve_endpoint(daemon: Arc<Daemon>, link: Link) {
     let (entity, place) = (link.peer().name, Place::Lane(link.peer().name, link.peer().lane));
     let turns = daemon.turns(place);
     let turn = turns.lock().await;
+    let mut watches_costs = false;
     while let Some((request, responder)) = link.accept_request().await {
         let request = match domain::answer(&daemon, &link, request).await {
             Ok(response) => {
@@ -126,6 +127,7 @@ async fn serve_endpoint(daemon: Arc<Daemon>, link: Link) {
                 daemon.core().prefer(&link);
                 Response::Done
             }
+            Request::WatchCosts => costs::watch(&daemon, &link, &mut watches_costs),
             _ => Refusal::new(RefusalCode::Malformed, "an endpoint may not send what switches tell each other").into(),
         };
         answer(responder, response).await;

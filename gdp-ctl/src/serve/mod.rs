@@ -4,6 +4,7 @@
 pub mod admin;
 mod control;
 pub mod core;
+mod costs;
 mod domain;
 mod ends;
 pub mod events;
@@ -32,12 +33,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use gdp::control::PathCosts;
 use gdp::identity::Identity;
 use gdp::link::{LinkError, LinkIds};
 use gdp::port::{Port, PortConfig};
 use gdp::secret_file::SecretFileError;
 use gdp_wire::Name;
-use tokio::sync::Notify;
+use tokio::sync::{Notify, watch};
 use tokio::task::JoinSet;
 
 use self::control::Report;
@@ -93,6 +95,8 @@ pub struct Daemon {
     report: Notify,
     topology: Notify,
     rib_changed: Notify,
+    /// What paths from here cost.
+    costs: watch::Sender<PathCosts>,
     /// Switches have answered the RIB here.
     answered: Notify,
     stopping: AtomicBool,
@@ -160,6 +164,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         report: Notify::new(),
         topology: Notify::new(),
         rib_changed: Notify::new(),
+        costs: watch::Sender::default(),
         answered: Notify::new(),
         stopping: AtomicBool::new(false),
         tasks: Mutex::default(),

@@ -148,7 +148,7 @@ mod tests {
             issue(&key, &claims).map(drop).unwrap_err().to_string()
         };
         for (error, needle) in [
-            (with(&|s| s.neighbours.push((Name::from_bytes([0xff; 32]), 1))), "49 neighbours"),
+            (with(&|s| s.neighbours.push((Name::from_bytes([0xff; 32]), 1))), "46 neighbours"),
             (with(&|s| s.neighbours.swap(0, 1)), "order"),
             (with(&|s| s.neighbours[1] = s.neighbours[0]), "order"),
             (with(&|s| s.neighbours[0].1 = 0), "costs nothing"),

@@ -58,9 +58,9 @@ impl NameRole {
         matches!(self, Self::Publisher | Self::Server)
     }
 
-    /// Whether it sends to the name; the others take what is sent there.
-    pub fn sends(self) -> bool {
-        matches!(self, Self::Publisher | Self::Caller)
+    /// Whether it has a part in a service. Nothing is sent to the name of one: callers and servers send to each other's own names.
+    pub fn is_of_service(self) -> bool {
+        matches!(self, Self::Server | Self::Caller)
     }
 }
 

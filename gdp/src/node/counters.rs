@@ -126,6 +126,8 @@ pub struct Counters {
     pub not_subscribed: Count,
     /// Messages the application did not take in time.
     pub queue_full: Count,
+    /// Requests to what is not served here, or of those who may not call it.
+    pub requests_refused: Count,
     /// Frames of reliable names that there was no room for; they come again.
     pub beyond: Count,
     /// Told to counterparts, and what they told.
@@ -174,6 +176,7 @@ impl Counters {
             ("drop_not_subscribed", self.not_subscribed.get()),
             ("drop_queue_full", self.queue_full.get()),
             ("drop_socket_full", socket_drops),
+            ("drop_request_refused", self.requests_refused.get()),
             ("drop_no_room", self.beyond.get()),
             ("drop_feedback_unknown", self.feedback_unknown.get()),
             ("drop_feedback_forged", self.feedback_forged.get()),

@@ -29,7 +29,10 @@ impl Gathered {
 
     /// Whether these can wait here: one, small and without extensions, so that sealing it cannot fail for what it is.
     pub fn takes(drafts: &[Draft<'_>]) -> bool {
-        matches!(drafts, [only] if only.body.len() <= SMALL && only.origin.is_empty() && only.in_reply_to.is_none())
+        let is_plain = |draft: &Draft<'_>| {
+            draft.origin.is_empty() && draft.in_reply_to.is_none() && draft.latched.is_none() && draft.service.is_none()
+        };
+        matches!(drafts, [only] if only.body.len() <= SMALL && is_plain(only))
     }
 
     pub fn push(&mut self, draft: &Draft<'_>) {

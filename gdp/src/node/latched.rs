@@ -2,6 +2,8 @@
 
 use std::collections::VecDeque;
 
+use gdp_wire::Name;
+
 use crate::seal::{Draft, Encoding, Latched, MessageId};
 
 pub struct LatchedSamples {
@@ -16,13 +18,15 @@ pub struct Sample {
     encoding: Encoding,
     in_reply_to: Option<MessageId>,
     origin: Vec<u8>,
+    service: Option<Name>,
     body: Vec<u8>,
 }
 
 impl Sample {
     pub fn draft(&self) -> Draft<'_> {
-        let Self { first, encoding, in_reply_to, origin, body } = self;
-        Draft { encoding: *encoding, in_reply_to: *in_reply_to, origin, latched: Some(*first), body }
+        let Self { first, encoding, in_reply_to, origin, service, body } = self;
+        let (encoding, in_reply_to, service) = (*encoding, *in_reply_to, *service);
+        Draft { encoding, in_reply_to, origin, latched: Some(*first), service, body }
     }
 }
 
@@ -42,6 +46,7 @@ impl LatchedSamples {
                 encoding: draft.encoding,
                 in_reply_to: draft.in_reply_to,
                 origin: draft.origin.to_vec(),
+                service: draft.service,
                 body: draft.body.to_vec(),
             });
         }

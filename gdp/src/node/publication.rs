@@ -177,11 +177,6 @@ impl Publication {
         self.room.notify_waiters();
     }
 
-    /// Whether this entity may read, as far as is known.
-    pub fn is_reader(&self, entity: &Name) -> bool {
-        lock(&self.readers).known.contains_key(entity)
-    }
-
     /// Readers that are attached.
     pub fn readers(&self) -> usize {
         lock(&self.readers).attached().count()
@@ -365,6 +360,15 @@ impl Publication {
         Some(Feedback::Welcome { name, challenge, session, sequence, reliable })
     }
 
+    /// A reader that was away is back. If it has begun anew, what is sent from now on is for it, also what goes before it asks.
+    pub fn returned(&self, outlet: &Outlet, reader: &Name) {
+        let readers = &mut *lock(&self.readers);
+        let Some(entry) = readers.known.get_mut(reader) else { return };
+        if let Some(from) = lock(&outlet.uplink).join(outlet.clock.now(), self.topic, *reader) {
+            (entry.from, entry.greeted) = (from, None);
+        }
+    }
+
     /// Takes what the RIB told of readers, and was verified.
     pub fn take(&self, outlet: &Outlet, now_unix: u64, events: impl IntoIterator<Item = PeerEvent>) {
         let readers = &mut *lock(&self.readers);
@@ -380,7 +384,7 @@ impl Publication {
                 PeerEvent::Refused(error) => {
                     tracing::warn!(name = %self.name, %error, "the RIB told of a reader that does not verify");
                 }
-                // Boxes for requests are the servers'; a RIB that is behind is the supervisor's business.
+                // Boxes are for readers; a RIB that is behind is the supervisor's business.
                 PeerEvent::KeyBox(_) | PeerEvent::RibIsBehind(_) => {}
             }
         }

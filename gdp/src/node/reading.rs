@@ -9,17 +9,22 @@ use super::intake::Change;
 use crate::cert::{Revocation, Signed};
 use crate::crypto::PUBLIC_KEY_LEN;
 use crate::identity::Identity;
-use crate::keys::{KeyBox, KeyStore, StoreError};
+use crate::keys::{KeyBox, KeyStore, MAX_WRITERS, StoreError};
 use crate::peers::{Counterpart, PeerEvent};
 
-/// Boxes of writers that are not known yet, which may be told of in another message.
-const MAX_EARLY: usize = 64;
+/// Writers of one name that are believed at once, and boxes of writers that are not known yet, which may be told of in another message.
+struct Bounds {
+    writers: usize,
+    early: usize,
+}
 
-/// Writers of one name that are believed at once.
-pub const MAX_WRITERS: usize = 256;
+const TOPIC: Bounds = Bounds { writers: 256, early: 64 };
+/// Of what this node is told under its own name, by all that it calls and all that call it.
+const INBOX: Bounds = Bounds { writers: MAX_WRITERS, early: MAX_WRITERS };
 
 pub struct Reading {
     name: Name,
+    bounds: Bounds,
     keys: KeyStore,
     /// Those that are believed, attached or not: forgetting one would forget which of its messages were delivered.
     writers: HashMap<Name, Counterpart>,
@@ -42,6 +47,7 @@ impl Reading {
     pub fn new(name: Name, reader: &Identity) -> Self {
         Self {
             name,
+            bounds: if name == reader.name() { INBOX } else { TOPIC },
             keys: KeyStore::new(name, reader),
             writers: HashMap::new(),
             revocation: None,
@@ -80,18 +86,19 @@ impl Reading {
         let ended: Vec<Name> =
             self.writers.values().filter(|writer| !holds(writer)).map(|writer| writer.entity).collect();
         let mut effects = Vec::new();
-        for writer in ended {
-            self.writers.remove(&writer);
-            self.keys.forget(&writer);
-            effects.extend([Effect::Change(Change::Revoke { writer }), Effect::Part(writer)]);
-        }
+        ended.iter().for_each(|writer| effects.extend(self.forget(writer)));
         let over = self.keys.expire(now).into_iter();
         effects.extend(over.map(|(writer, epoch)| Effect::Change(Change::DropKey { writer, epoch })));
         effects
     }
 
-    pub fn knows(&self, writer: &Name) -> bool {
-        self.writers.contains_key(writer)
+    /// The writer is believed no more.
+    pub fn forget(&mut self, writer: &Name) -> Vec<Effect> {
+        if self.writers.remove(writer).is_none() {
+            return Vec::new();
+        }
+        self.keys.forget(writer);
+        vec![Effect::Change(Change::Revoke { writer: *writer }), Effect::Part(*writer)]
     }
 
     pub fn writers(&self) -> impl Iterator<Item = &Name> {
@@ -101,8 +108,9 @@ impl Reading {
     fn join(&mut self, writer: Counterpart, effects: &mut Vec<Effect>) {
         let Counterpart { entity, key, box_key, .. } = writer;
         let known = self.writers.get(&entity).map(|known| known.box_key);
-        if known.is_none() && self.writers.len() >= MAX_WRITERS {
-            tracing::warn!(name = %self.name, writer = %entity, "more than {MAX_WRITERS} writers of one name; this one is not believed");
+        let most = self.bounds.writers;
+        if known.is_none() && self.writers.len() >= most {
+            tracing::warn!(name = %self.name, writer = %entity, "more than {most} writers of one name; this one is not believed");
             return;
         }
         if known != Some(box_key) {
@@ -118,7 +126,7 @@ impl Reading {
             Ok(Some(Some(key))) => effects.push(Effect::Change(key)),
             Ok(Some(None)) => {}
             Ok(None) => {
-                if self.early.len() == MAX_EARLY {
+                if self.early.len() == self.bounds.early {
                     self.early.pop_front();
                 }
                 self.early.push_back(signed);

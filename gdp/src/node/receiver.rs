@@ -338,7 +338,7 @@ impl Intakes {
             let (name, source) = (header.destination, header.source);
             let payload = &rest[..header.payload_len().into()];
             let marked = congested || header.flags & ECN == CONGESTED;
-            // What comes for this node's own name is what counterparts tell it, or segments: replies.
+            // What comes for this node's own name is what counterparts tell it, or segments: requests and replies.
             if name == self.outlet.name() && payload.first() != Some(&SEGMENT_VERSION) {
                 self.hear(source, payload, &counters);
                 continue;

@@ -1,5 +1,6 @@
-//! Calls and their replies. A request is sealed like a message of the name, under keys of the caller that its servers alone have; the reply
-//! goes to the caller's own name, under keys of the server that this caller alone has. So no caller reads another's.
+//! Calls and their replies. A call goes to one server of the service, to its own name, under keys of the caller that this server alone has;
+//! the reply goes to the caller's own name, under keys of the server that this caller alone has. So nobody else reads either, and no
+//! frame goes to the name of the service.
 
 use std::sync::Arc;
 
@@ -7,12 +8,11 @@ use bytes::Bytes;
 use gdp_wire::Name;
 use tokio::sync::oneshot;
 
+use super::desk::Desk;
 use super::ending::{Ended, Ending};
-use super::options::SubscribeOptions;
-use super::publication::Publication;
+use super::parties::{Instance, Place};
 use super::publisher::send_through;
 use super::state::{State, Statement, lock};
-use super::subscription::Queue;
 use super::{Handle, NodeError, Stated};
 use crate::cert::{AdCert, Issued, Reading};
 use crate::seal::{Draft, Encoding, Message, MessageId};
@@ -23,13 +23,14 @@ const MAX_CALLS: usize = 4096;
 /// Takes calls to a name. Dropping it withdraws the name.
 pub struct Server {
     node: Arc<Handle>,
-    queue: Queue,
+    name: Name,
+    desk: Desk,
     ending: Arc<Ending>,
 }
 
 impl Server {
-    pub(super) fn new(node: Arc<Handle>, queue: Queue, ending: Arc<Ending>) -> Self {
-        Self { node, queue, ending }
+    pub(super) fn new(node: Arc<Handle>, name: Name, desk: Desk, ending: Arc<Ending>) -> Self {
+        Self { node, name, desk, ending }
     }
 
     /// Waits until nothing is served any more, and says why.
@@ -40,23 +41,24 @@ impl Server {
     /// Serves on by this certificate, as [`Publisher::renew`](super::Publisher::renew) publishes.
     pub async fn renew(&mut self, ad_cert: Issued<AdCert>) -> Result<(), NodeError> {
         let renewed = |proof| Statement::Write { proof, ad_cert };
-        self.node.state.renew(self.queue.name, Stated::Served, renewed).await
+        self.node.state.renew(self.name, Stated::Served, renewed).await
     }
 
     pub fn name(&self) -> Name {
-        self.queue.name
+        self.name
     }
 
-    /// The next call; `None` once the node is closed, or the certificate holds no more. Safe to cancel.
+    /// The next call; `None` once the node is closed, or the certificate holds no more. Safe to cancel. Some thousands wait here; more are
+    /// dropped and counted, and never answered.
     pub async fn recv(&mut self) -> Option<Call> {
-        let request = self.queue.recv(&self.node.state).await?;
+        let request = self.desk.recv().await?;
         Some(Call { node: self.node.clone(), request })
     }
 }
 
 impl Drop for Server {
     fn drop(&mut self) {
-        self.node.state.withdraw(self.queue.name, Stated::Served);
+        self.node.state.withdraw(self.name, Stated::Served);
     }
 }
 
@@ -95,68 +97,99 @@ impl Call {
 /// Calls a name. Dropping it withdraws that.
 pub struct Client {
     node: Arc<Handle>,
-    publication: Arc<Publication>,
+    name: Name,
+    ending: Arc<Ending>,
 }
 
 /// A call that waits for its reply.
 pub struct Pending {
-    publication: Arc<Publication>,
-    reply: oneshot::Sender<Message>,
+    /// Who may give it.
+    pub instance: Name,
+    pub reply: oneshot::Sender<Message>,
 }
 
 impl Client {
-    pub(super) fn new(node: Arc<Handle>, publication: Arc<Publication>) -> Self {
-        Self { node, publication }
+    pub(super) fn new(node: Arc<Handle>, name: Name, ending: Arc<Ending>) -> Self {
+        Self { node, name, ending }
     }
 
     pub fn name(&self) -> Name {
-        self.publication.name
+        self.name
     }
 
     /// Waits until nothing can be called any more, and says why.
     pub fn ended(&self) -> impl Future<Output = Ended> + Send + use<> {
-        self.publication.ending.wait()
+        self.ending.wait()
     }
 
     /// Calls on by this grant, as [`Subscription::renew`](super::Subscription::renew) reads.
     pub async fn renew(&mut self, grant: Reading) -> Result<(), NodeError> {
         let renewed = |proof| Statement::Read { proof, grant };
-        self.node.state.renew(self.publication.name, Stated::Called, renewed).await
+        self.node.state.renew(self.name, Stated::Called, renewed).await
     }
 
     /// Servers that are attached at the moment, as far as is known here.
     pub fn servers(&self) -> usize {
-        self.publication.readers()
+        self.node.state.servers(self.name)
     }
 
-    /// Sends a request and waits for the first reply to it, for as long as the caller of this function does. A request is never sent
-    /// again to another server: it may have been carried out.
+    /// These servers, the one that is called next in front.
+    pub fn instances(&self) -> Vec<Instance> {
+        self.node.state.instances(self.name)
+    }
+
+    /// Sends a request to one server, and waits for the reply to it for as long as the caller of this function does. The server is the
+    /// nearest; of several that are as near, the one with the fewest calls of this node waiting. [`Message::writer`] of the reply is who
+    /// it was. If that is not attached any more before it replies, this fails at once: a request is never sent again to another
+    /// server, for it may have been carried out.
     pub async fn call(&self, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
-        let state = &self.node.state;
-        if self.servers() == 0 {
-            return Err(NodeError::NoServer(self.name()));
-        }
+        let place = self.node.state.choose(self.name, None).ok_or(NodeError::NoServer(self.name))?;
+        self.call_there(place, encoding, body).await
+    }
+
+    /// As [`Self::call`], of this server whichever is nearest: what was begun at one is continued there. Its name is the
+    /// [writer](Message::writer) of an earlier reply.
+    pub async fn call_at(&self, instance: Name, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
+        let absent = NodeError::NoInstance { service: self.name, instance };
+        let place = self.node.state.choose(self.name, Some(&instance)).ok_or(absent)?;
+        self.call_there(place, encoding, body).await
+    }
+
+    async fn call_there(&self, place: Place, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
+        let (state, service, instance) = (&self.node.state, self.name, place.instance);
+        let left = || NodeError::InstanceLeft { service, instance };
+        let publication = lock(&state.publications).get(&instance).cloned().ok_or_else(left)?;
         let waiting = lock(&state.calls).len();
         if waiting >= MAX_CALLS {
             return Err(NodeError::TooManyCalls(waiting));
         }
-        let session = self.publication.session;
+        let session = publication.session;
         let (reply, replied) = oneshot::channel();
         let mut guard = Waiting { state, id: None };
         let begun = |sequence| {
             let id = MessageId { session, sequence };
             guard.id = Some(id);
-            lock(&state.calls).insert(id, Pending { publication: self.publication.clone(), reply });
+            lock(&state.calls).insert(id, Pending { instance, reply });
         };
-        let draft = Draft::new(encoding, body);
-        send_through(&self.publication, &state.outlet, &[draft], begun).await?;
-        replied.await.map_err(|_| NodeError::Closed)
+        let draft = Draft { service: Some(service), ..Draft::new(encoding, body) };
+        let drafts = [draft];
+        let exchange = async {
+            send_through(&publication, &state.outlet, &drafts, begun).await?;
+            replied.await.map_err(|_| NodeError::Closed)
+        };
+        tokio::select! {
+            // A reply that is here counts, whatever became of the server since.
+            biased;
+            result = exchange => result.map_err(|error| if place.has_left() { left() } else { error }),
+            () = place.left() => Err(left()),
+            why = self.ending.wait() => Err(why.into()),
+        }
     }
 }
 
 impl Drop for Client {
     fn drop(&mut self) {
-        self.node.state.withdraw(self.publication.name, Stated::Called);
+        self.node.state.withdraw(self.name, Stated::Called);
     }
 }
 
@@ -169,36 +202,5 @@ struct Waiting<'a> {
 impl Drop for Waiting<'_> {
     fn drop(&mut self) {
         self.id.map(|id| lock(&self.state.calls).remove(&id));
-    }
-}
-
-impl State {
-    /// Takes replies from now on, as long as the node runs.
-    pub fn open_inbox(self: &Arc<Self>) {
-        let own = self.identity.name();
-        let mut opened = lock(&self.inbox_opened);
-        if std::mem::replace(&mut *opened, true) {
-            return;
-        }
-        let (mut queue, _) = self.listen(own, SubscribeOptions::reliable());
-        let state = self.clone();
-        tokio::spawn(async move {
-            while let Some(reply) = queue.recv(&state).await {
-                state.take_reply(reply);
-            }
-            // Whoever waits still waits in vain.
-            lock(&state.calls).clear();
-        });
-    }
-
-    /// Only one who serves the name that was called may answer, and once.
-    fn take_reply(&self, reply: Message) {
-        let Some(id) = reply.in_reply_to else { return };
-        let called = lock(&self.calls).get(&id).map(|pending| pending.publication.clone());
-        if called.is_some_and(|publication| publication.is_reader(&reply.writer))
-            && let Some(pending) = lock(&self.calls).remove(&id)
-        {
-            let _ = pending.reply.send(reply);
-        }
     }
 }

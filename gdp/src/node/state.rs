@@ -1,7 +1,7 @@
 //! What a node states to the RIB, and the link it states it on: shared by the application's handles, the supervisor and its
 //! tasks. Requests go out from here; when, is the supervisor's business.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
@@ -10,13 +10,16 @@ use tokio::sync::mpsc;
 
 use super::clock::unix_now;
 use super::counters::Counters;
+use super::desk::{self, Desk};
 use super::ending::{Ended, Ending};
 use super::feedback::Feedbacks;
 use super::home::Home;
+use super::inbox::Service;
 use super::intake::{Intake, Shared};
 use super::lane::{Lane, Status};
 use super::options::{PublishOptions, SubscribeOptions};
 use super::outlet::Outlet;
+use super::parties::Parties;
 use super::publication::Publication;
 use super::reading::Reading;
 use super::receiver::Command;
@@ -26,7 +29,7 @@ use super::subscription::Queue;
 use super::supervisor::{Attachment, Event};
 use super::{LinkConfig, NodeError, Stated};
 use crate::cert::{AdCert, Advert, AdvertOp, CertError, Issued, Reading as Grant, Revocation, RtCert, Signed, issue};
-use crate::control::{EntityRequest, NameRole, Record, RecordPlace, RefusalCode, Request, Response};
+use crate::control::{EntityRequest, NameRole, PathCosts, Record, RecordPlace, RefusalCode, Request, Response};
 use crate::identity::Identity;
 use crate::name::{NamePrefix, NameProof};
 use crate::peers::Counterparts;
@@ -47,9 +50,13 @@ pub struct State {
     pub outlet: Arc<Outlet>,
     pub publications: Mutex<HashMap<Name, Arc<Publication>>>,
     pub readings: Mutex<HashMap<Name, Reading>>,
+    /// What this node serves and calls.
+    pub services: Mutex<HashMap<(Name, NameRole), Service>>,
+    /// What paths cost from the switch of each lane, as it last said.
+    pub costs: Mutex<Vec<Arc<PathCosts>>>,
     /// Calls that wait for their replies.
     pub calls: Mutex<HashMap<MessageId, Pending>>,
-    /// Whether replies are taken.
+    /// Whether requests and replies are taken.
     pub inbox_opened: Mutex<bool>,
     /// That subscriptions ended, and why.
     pub subscriptions: Mutex<HashMap<Name, Arc<Ending>>>,
@@ -132,6 +139,8 @@ impl State {
             counters,
             publications: Mutex::default(),
             readings: Mutex::default(),
+            services: Mutex::default(),
+            costs: Mutex::new(vec![Arc::default(); links.len()]),
             calls: Mutex::default(),
             inbox_opened: Mutex::default(),
             subscriptions: Mutex::default(),
@@ -213,22 +222,31 @@ impl State {
             _ => return,
         }
         tracing::warn!(%name, %error, "the right of this node as a {role} has ended");
-        if role.sends() {
-            if let Some(publication) = lock(&self.publications).get(&name) {
-                publication.end(error.into());
+        match role {
+            NameRole::Publisher => {
+                if let Some(publication) = lock(&self.publications).get(&name) {
+                    publication.end(error.into());
+                }
             }
-            return;
+            NameRole::Subscriber => {
+                if let Some(ending) = lock(&self.subscriptions).get(&name) {
+                    ending.end(error.into());
+                }
+                self.command(Command::Unsubscribe { name });
+            }
+            NameRole::Server | NameRole::Caller => {
+                if let Some(service) = lock(&self.services).get_mut(&(name, role)) {
+                    service.end(error.into());
+                }
+            }
         }
-        if let Some(ending) = lock(&self.subscriptions).get(&name) {
-            ending.end(error.into());
-        }
-        self.command(Command::Unsubscribe { name });
     }
 
     /// The node is closed.
     pub fn close(&self) {
         lock(&self.publications).values().for_each(|publication| publication.end(Ended::Closed));
         lock(&self.subscriptions).values().for_each(|ending| ending.end(Ended::Closed));
+        lock(&self.services).values_mut().for_each(|service| service.end(Ended::Closed));
     }
 
     /// Puts another right in the place of the one that something is stated by. The RIB has it then, or gets it with the next link; if
@@ -289,10 +307,7 @@ impl State {
         let mut counterparts = Counterparts::new(*statement.proof(), stated.role())?;
         self.revoked.of(&name).into_iter().for_each(|revocation| counterparts.recall(revocation));
         let (mut known, mut statements) = (lock(&self.counterparts), lock(&self.statements));
-        // What it sends to the name is one stream, and what it takes of it is another.
-        let same_way = |other: &Stated| other.role().sends() == stated.role().sends();
-        let mut taken = Stated::ALL.into_iter().filter(same_way);
-        if let Some(stated) = taken.find(|other| statements.contains_key(&(name, *other))) {
+        if statements.contains_key(&(name, stated)) {
             return Err(NodeError::Already { name, stated });
         }
         known.insert((name, stated.role()), counterparts);
@@ -302,9 +317,24 @@ impl State {
         Ok(())
     }
 
-    /// The names that something is stated about.
-    pub fn stated_names(&self) -> HashSet<Name> {
-        lock(&self.statements).keys().map(|(name, _)| *name).collect()
+    pub fn is_stated(&self, name: Name, stated: Stated) -> bool {
+        lock(&self.statements).contains_key(&(name, stated))
+    }
+
+    /// Serves or calls what is stated: returns the end of that, and of what is served where requests come.
+    pub fn open_service(
+        self: &Arc<Self>,
+        name: Name,
+        stated: Stated,
+        statement: Statement,
+    ) -> Result<(Desk, Arc<Ending>), NodeError> {
+        self.open_inbox();
+        let ((tray, desk), ending) = (desk::new(), Arc::<Ending>::default());
+        let tray = (stated == Stated::Served).then_some(tray);
+        let service = Service { parties: Parties::new(self.identity.name()), ending: ending.clone(), tray };
+        let register = || _ = lock(&self.services).insert((name, stated.role()), service);
+        self.begin(name, stated, statement, false, register)?;
+        Ok((desk, ending))
     }
 
     /// A publication for what is stated.
@@ -363,7 +393,12 @@ impl State {
     pub fn withdraw(&self, name: Name, stated: Stated) {
         // The statement last: until then nobody else can begin the same.
         match stated {
-            Stated::Subscribed | Stated::Served => {
+            Stated::Served | Stated::Called => {
+                let mut known = lock(&self.counterparts);
+                self.end_service(name, stated, Ended::Closed);
+                known.remove(&(name, stated.role()));
+            }
+            Stated::Subscribed => {
                 lock(&self.subscriptions).remove(&name).into_iter().for_each(|ending| ending.end(Ended::Closed));
                 if let Some(reading) = lock(&self.readings).remove(&name) {
                     let mut pairs = lock(&self.outlet.pairs);
@@ -371,7 +406,7 @@ impl State {
                 }
                 self.command(Command::Unsubscribe { name });
             }
-            Stated::Published | Stated::Called => {
+            Stated::Published => {
                 self.feedback.forget(&name);
                 self.unregister(name);
             }
@@ -417,12 +452,15 @@ impl State {
     /// What is sent may be sent by any link, whichever is the main one then. What is taken comes by the main one, and moves with it,
     /// unless it is to come by each.
     pub async fn state(&self, attachment: &Attachment, name: Name, stated: Stated) -> Result<(), NodeError> {
+        if stated == Stated::Called {
+            attachment.watch_costs(self).await;
+        }
         let mut serial = self.serial.lock().await;
         let several = self.outlet.lanes().len() > 1;
         let (statement, everywhere) = {
             let statements = lock(&self.statements);
             let Some(standing) = statements.get(&(name, stated)) else { return Ok(()) };
-            let everywhere = several && (stated.role().sends() || standing.duplicate);
+            let everywhere = several && (stated.sends() || standing.duplicate);
             let belongs = everywhere || self.outlet.ways().borrow().main == usize::from(attachment.lane);
             if !belongs || standing.over || standing.done & bit(attachment) != 0 {
                 return Ok(());
@@ -441,7 +479,7 @@ impl State {
         if let Some(standing) = lock(&self.statements).get_mut(&(name, stated)).filter(|it| it.statement == statement) {
             standing.done = if everywhere { standing.done | bit(attachment) } else { bit(attachment) };
         }
-        if let Some(publication) = lock(&self.publications).get(&name).filter(|_| stated.role().sends()) {
+        if let Some(publication) = lock(&self.publications).get(&name).filter(|_| stated == Stated::Published) {
             publication.stated();
         }
         if everywhere {
@@ -481,7 +519,7 @@ impl State {
                 standing.done = 0;
                 self.restate();
                 // Its keys went with it.
-                if let Some(publication) = lock(&self.publications).get(&name).filter(|_| other.role().sends()) {
+                if let Some(publication) = lock(&self.publications).get(&name).filter(|_| other == Stated::Published) {
                     publication.store_again();
                 }
             }

@@ -4,7 +4,7 @@
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use gdp_wire::table::PORT_USERSPACE;
@@ -79,13 +79,16 @@ pub struct Attachment {
     count: AtomicU64,
     /// Cookie of the latest answer to an echo.
     answer: AtomicU64,
+    /// The switch tells what paths cost.
+    costs_told: AtomicBool,
 }
 
 impl Attachment {
     fn new(lane: u8, link: Link, port: &Port) -> Self {
         let (entry, data, largest) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data(), port.mtu() as usize);
         let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
-        Self { lane, entry, link, data, largest, frame_size, since: Instant::now(), count, answer }
+        let costs_told = AtomicBool::new(false);
+        Self { lane, entry, link, data, largest, frame_size, since: Instant::now(), count, answer, costs_told }
     }
 
     /// The count for the next frame: 1 for the first.
@@ -131,6 +134,23 @@ impl Attachment {
             }
         }
         false
+    }
+
+    /// Has the switch tell what paths cost, if it does not already. If it does not answer, servers are chosen without that, and it is
+    /// asked again with what is stated next.
+    pub async fn watch_costs(&self, state: &State) {
+        if self.costs_told.load(Ordering::Relaxed) {
+            return;
+        }
+        match self.link.request(&Request::WatchCosts).await {
+            // What it has told since is newer.
+            Ok(Response::Costs(costs)) if !self.costs_told.swap(true, Ordering::Relaxed) => {
+                state.set_costs(self.lane, costs)
+            }
+            Ok(Response::Costs(_)) => {}
+            Ok(other) => tracing::debug!(?other, "the switch does not tell what paths cost"),
+            Err(error) => tracing::debug!(%error, "the switch did not tell what paths cost"),
+        }
     }
 
     /// Largest payload of a frame, in bytes: what this link takes now, and links further on as far as is known.
@@ -520,6 +540,11 @@ async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request
                 None => Refusal::new(RefusalCode::NotFound, format!("no {} of {} here", push.role, push.name)).into(),
             }
         }
+        Request::Costs(costs) => {
+            attachment.costs_told.store(true, Ordering::Relaxed);
+            state.set_costs(attachment.lane, costs);
+            Response::Done
+        }
         // The RIB has forgotten what was stated, as after a restart. Frames go on meanwhile.
         Request::Detach { entity, .. } if entity == state.identity.name() => {
             match tokio::time::timeout(REATTACH, attach_again(&state, &attachment)).await {
@@ -536,10 +561,11 @@ async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request
             Ok(()) => Response::Done,
             Err(error) => Refusal::new(RefusalCode::ReplayedSerial, error.to_string()).into(),
         },
-        _ => {
-            Refusal::new(RefusalCode::Unsupported, "an endpoint is told about its counterparts and its attachment only")
-                .into()
-        }
+        _ => Refusal::new(
+            RefusalCode::Unsupported,
+            "an endpoint is told about its counterparts, its attachment and what paths cost only",
+        )
+        .into(),
     };
     let _ = responder.respond(response).await;
 }

@@ -1,5 +1,6 @@
 //! Nodes against a switch and RIB of a page, over UDP on loopback. No root. The real ones: `gdp-ctl`, `tests/`.
 
+mod anycast;
 mod fabric;
 mod links;
 mod qos;
@@ -557,8 +558,9 @@ async fn calls_are_answered_and_no_caller_reads_anothers() {
     let (first, second) = (owner.client(&one).await, owner.client(&two).await);
     // As if the other caller saw all frames: the fabric is not what keeps them apart.
     let taped = Arc::new(Mutex::new(Vec::new()));
-    let (tape, names) = (taped.clone(), [owner.name(), one.name()]);
+    let (tape, names, service) = (taped.clone(), [robot.name(), one.name()], owner.name());
     fabric.set_fate(Some(Box::new(move |header, payload| {
+        assert_ne!(header.destination, service, "nothing goes to the service's name");
         if names.contains(&header.destination) {
             lock(&tape).push((header.destination, header.source, payload.to_vec()));
         }
@@ -585,13 +587,13 @@ async fn calls_are_answered_and_no_caller_reads_anothers() {
 
     // The second has a right of its own, and every box that is for it.
     let mut readers = Vec::new();
-    for (name, writer) in [(owner.name(), &one), (one.name(), &robot)] {
+    for (name, writer) in [(robot.name(), &one), (one.name(), &robot)] {
         let mut reader = Reader::new(name, Backend::default(), Limits::default());
         let key = writer.0.state.identity.key().verify_key();
         reader.authorise(writer.name(), key).unwrap();
         let reader_key = (two.name(), two.0.state.identity.box_key());
         for signed in fabric.all_boxes() {
-            for of in [owner.name(), one.name(), two.name()] {
+            for of in [owner.name(), robot.name(), one.name(), two.name()] {
                 if let Ok((epoch, key)) = keys::open(&signed, of, (writer.name(), &key), reader_key) {
                     reader.set_key(&writer.name(), epoch, key).unwrap();
                 }

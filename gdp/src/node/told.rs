@@ -10,7 +10,6 @@ use tokio::time::Instant;
 
 use super::NodeError;
 use super::clock::{unix_nanos, unix_now};
-use super::options::PublishOptions;
 use super::publication::Publication;
 use super::reading::Effect;
 use super::receiver::Command;
@@ -18,10 +17,6 @@ use super::state::{State, ask, lock};
 use super::supervisor::{Attachment, Event};
 use crate::control::{EntityRequest, NameRole, Peers, RefusalCode, Response};
 use crate::peers::{OutOfStep, PeerEvent};
-
-fn joined(events: &[PeerEvent]) -> Vec<PeerEvent> {
-    events.iter().filter(|event| matches!(event, PeerEvent::Joined(_))).cloned().collect()
-}
 
 /// How often it is looked for what has ended.
 const LOOK: Duration = Duration::from_secs(1);
@@ -65,25 +60,19 @@ impl State {
         {
             self.end(name, role, error);
         }
-        if role == NameRole::Caller {
-            // Its servers reply to this node's own name.
-            self.take_writers(self.identity.name(), joined(&events));
-        }
-        if role.sends() {
-            if let Some(publication) = lock(&self.publications).get(&name) {
-                publication.take(&self.outlet, unix_now(), events);
-                self.outlet.upkeep.notify_one();
+        match role {
+            NameRole::Server | NameRole::Caller => self.take_parties(name, role, &events),
+            NameRole::Publisher => {
+                if let Some(publication) = lock(&self.publications).get(&name) {
+                    publication.take(&self.outlet, unix_now(), events);
+                    self.outlet.upkeep.notify_one();
+                }
             }
-            return;
-        }
-        let callers = if role == NameRole::Server { joined(&events) } else { Vec::new() };
-        self.take_writers(name, events);
-        for event in callers {
-            self.open_replies(&name, event);
+            NameRole::Subscriber => self.take_writers(name, events),
         }
     }
 
-    fn take_writers(&self, name: Name, events: Vec<PeerEvent>) {
+    pub(super) fn take_writers(&self, name: Name, events: Vec<PeerEvent>) {
         let effects = lock(&self.readings).get_mut(&name).map(|reading| reading.take(unix_nanos(), events));
         self.carry_out(name, effects.unwrap_or_default());
     }
@@ -96,42 +85,6 @@ impl State {
         }
         self.take_writers(own, peers.boxes.iter().cloned().map(PeerEvent::KeyBox).collect());
         Some(Ok(()))
-    }
-
-    /// Replies to a caller go to its own name, under a key for it alone.
-    fn open_replies(&self, served: &Name, event: PeerEvent) {
-        let PeerEvent::Joined(caller) = &event else { return };
-        let entity = caller.entity;
-        if !lock(&self.readings).get(served).is_some_and(|reading| reading.knows(&entity)) {
-            return;
-        }
-        let known = lock(&self.publications).get(&entity).cloned();
-        let publication = match known {
-            Some(publication) => publication,
-            None => match Publication::new(entity, &self.identity, &PublishOptions::reliable(), &self.outlet) {
-                Ok(publication) => {
-                    let publication = Arc::new(publication);
-                    self.register(publication.clone());
-                    publication
-                }
-                Err(error) => return tracing::error!(caller = %entity, %error, "it cannot be answered"),
-            },
-        };
-        publication.take(&self.outlet, unix_now(), [event]);
-        self.outlet.upkeep.notify_one();
-    }
-
-    /// Ends what was opened for callers that are none any more.
-    fn close_replies(&self) {
-        // In this order: what is begun meanwhile is not among those to look at.
-        let publications: Vec<_> = lock(&self.publications).keys().copied().collect();
-        let statements = self.stated_names();
-        let replies = publications.into_iter().filter(|name| !statements.contains(name));
-        let ended: Vec<Name> = {
-            let readings = lock(&self.readings);
-            replies.filter(|caller| !readings.values().any(|reading| reading.knows(caller))).collect()
-        };
-        ended.into_iter().for_each(|caller| self.unregister(caller));
     }
 
     pub(super) fn carry_out(&self, name: Name, effects: Vec<Effect>) {
@@ -200,6 +153,7 @@ impl State {
                     self.act(*name, *role, events);
                 }
             }
+            self.sweep_parties();
         }
         for (name, stated, error) in self.expired(now) {
             self.end(name, stated.role(), error);
@@ -210,7 +164,6 @@ impl State {
             ended.push((*name, reading.expire(unix_nanos())));
         }
         ended.into_iter().for_each(|(name, effects)| self.carry_out(name, effects));
-        self.close_replies();
     }
 
     /// Brings the boxes of a publication to the RIB, as far as there are any.

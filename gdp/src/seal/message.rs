@@ -14,10 +14,12 @@ const IN_REPLY_TO_LEN: usize = 24;
 const ORIGIN: u16 = 2;
 const LATCHED: u16 = 3;
 const LATCHED_LEN: usize = 16;
+const SERVICE: u16 = 4;
+const SERVICE_LEN: usize = 32;
 
 /// What is in front of the body at most, by this version.
 pub const MAX_PREAMBLE: usize =
-    MESSAGE_HEADER_LEN + 3 * EXTENSION_HEADER_LEN + IN_REPLY_TO_LEN + MAX_ORIGIN + LATCHED_LEN;
+    MESSAGE_HEADER_LEN + 4 * EXTENSION_HEADER_LEN + IN_REPLY_TO_LEN + MAX_ORIGIN + LATCHED_LEN + SERVICE_LEN;
 
 /// A message as its writer signed it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,6 +37,8 @@ pub struct Message {
     pub origin: Bytes,
     /// Sent before, and again for readers that came later.
     pub latched: Option<Latched>,
+    /// The service that this is a request to; such a message is sent to one of its servers by that entity's own name.
+    pub service: Option<Name>,
     pub body: Bytes,
 }
 
@@ -61,13 +65,14 @@ pub struct Draft<'a> {
     /// At most [`MAX_ORIGIN`] bytes; empty for none.
     pub origin: &'a [u8],
     pub latched: Option<Latched>,
+    pub service: Option<Name>,
     pub body: &'a [u8],
 }
 
 impl<'a> Draft<'a> {
     /// Without extensions.
     pub fn new(encoding: Encoding, body: &'a [u8]) -> Self {
-        Self { encoding, in_reply_to: None, origin: &[], latched: None, body }
+        Self { encoding, in_reply_to: None, origin: &[], latched: None, service: None, body }
     }
 
     /// Bytes of what is in front of the body.
@@ -79,7 +84,8 @@ impl<'a> Draft<'a> {
         let in_reply_to = self.in_reply_to.map_or(0, |_| EXTENSION_HEADER_LEN + IN_REPLY_TO_LEN);
         let origin = if self.origin.is_empty() { 0 } else { EXTENSION_HEADER_LEN + self.origin.len() };
         let latched = self.latched.map_or(0, |_| EXTENSION_HEADER_LEN + LATCHED_LEN);
-        in_reply_to + origin + latched
+        let service = self.service.map_or(0, |_| EXTENSION_HEADER_LEN + SERVICE_LEN);
+        in_reply_to + origin + latched + service
     }
 
     /// What is in front of the body; the first [`Self::preamble_len`] bytes count. The origin has been checked.
@@ -111,6 +117,11 @@ impl<'a> Draft<'a> {
             put(&first.sequence.to_be_bytes());
             put(&first.timestamp_ns.to_be_bytes());
         }
+        if let Some(service) = &self.service {
+            put(&SERVICE.to_be_bytes());
+            put(&(SERVICE_LEN as u16).to_be_bytes());
+            put(service.as_bytes());
+        }
         bytes
     }
 }
@@ -123,6 +134,7 @@ pub struct Preamble {
     pub in_reply_to: Option<MessageId>,
     pub origin: std::ops::Range<usize>,
     pub latched: Option<Latched>,
+    pub service: Option<Name>,
     pub body_at: usize,
 }
 
@@ -141,6 +153,7 @@ impl Preamble {
             in_reply_to: None,
             origin: 0..0,
             latched: None,
+            service: None,
             body_at: MESSAGE_HEADER_LEN + extensions.len(),
         };
         let mut rest = extensions;
@@ -156,12 +169,13 @@ impl Preamble {
 
     /// The message again, given the plaintext that this was parsed from.
     pub fn draft<'a>(&self, plaintext: &'a [u8]) -> Draft<'a> {
-        let Self { encoding, in_reply_to, origin, latched, body_at, .. } = self;
+        let Self { encoding, in_reply_to, origin, latched, service, body_at, .. } = self;
         Draft {
             encoding: *encoding,
             in_reply_to: *in_reply_to,
             origin: &plaintext[origin.clone()],
             latched: *latched,
+            service: *service,
             body: &plaintext[*body_at..],
         }
     }
@@ -182,7 +196,10 @@ impl Preamble {
                 let timestamp_ns = u64::from_be_bytes(timestamp.try_into().ok()?);
                 self.latched = Some(Latched { sequence: u64::from_be_bytes(*sequence), timestamp_ns });
             }
-            IN_REPLY_TO | ORIGIN | LATCHED => return None,
+            SERVICE if self.service.is_none() && value.len() == SERVICE_LEN => {
+                self.service = Some(Name::from_bytes(value.try_into().ok()?));
+            }
+            IN_REPLY_TO | ORIGIN | LATCHED | SERVICE => return None,
             _ => {}
         }
         Some(())
@@ -235,10 +252,12 @@ mod tests {
     fn what_is_in_front_of_the_body_round_trips() {
         let latched = Some(Latched { sequence: 4, timestamp_ns: 2 });
         let plain = Draft::new(Encoding::Cdr, b"");
-        let full = Draft { in_reply_to: Some(REQUEST), origin: &[5; MAX_ORIGIN], latched, ..plain };
+        let service = Some(Name::from_bytes([6; 32]));
+        let full = Draft { in_reply_to: Some(REQUEST), origin: &[5; MAX_ORIGIN], latched, service, ..plain };
         for draft in [
             full,
             Draft { in_reply_to: None, ..full },
+            Draft { service: None, ..full },
             Draft { origin: b"", ..full },
             Draft { origin: b"x", latched: None, ..full },
         ] {
@@ -247,7 +266,8 @@ mod tests {
             let preamble = Preamble::parse(&plaintext).unwrap();
             assert_eq!((preamble.timestamp_ns, preamble.encoding), (3, Encoding::Cdr));
             assert_eq!((preamble.in_reply_to, &plaintext[preamble.origin]), (draft.in_reply_to, draft.origin));
-            assert_eq!((preamble.latched, &plaintext[preamble.body_at..]), (draft.latched, &b"body"[..]));
+            assert_eq!((preamble.latched, preamble.service), (draft.latched, draft.service));
+            assert_eq!(&plaintext[preamble.body_at..], b"body");
         }
         assert_eq!(full.preamble_len(), MAX_PREAMBLE);
     }
@@ -263,6 +283,8 @@ mod tests {
     fn extensions_that_make_no_sense_are_refused() {
         let reply = |len: usize| [&[0, 1, 0, len as u8][..], &[0; 24][..len.min(24)]].concat();
         let latched = |len: usize| [&[0, 3, 0, len as u8][..], &[0; 16][..len]].concat();
+        let service = |len: usize| [&[0, 4, 0, len as u8][..], &[0; 33][..len]].concat();
+        let (service, short_service, long_service) = (service(32), service(31), service(33));
         let (latched, short_latched) = (latched(16), latched(15));
         let (reply, short, origin) = (reply(24), reply(23), [0, 2, 0, 1, 9]);
         let long_origin = [&[0, 2, 0, 65][..], &[9; 65]].concat();
@@ -276,6 +298,9 @@ mod tests {
             ("two origins", vec![&origin, &origin]),
             ("half a first sending", vec![&short_latched]),
             ("two first sendings", vec![&latched, &latched]),
+            ("a short service", vec![&short_service]),
+            ("a long service", vec![&long_service]),
+            ("two services", vec![&service, &service]),
         ] {
             assert_eq!(Preamble::parse(&with_extensions(&extensions)), None, "{what}");
         }

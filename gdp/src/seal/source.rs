@@ -382,6 +382,7 @@ impl Source {
             in_reply_to: preamble.in_reply_to,
             origin,
             latched: preamble.latched,
+            service: preamble.service,
             body,
         });
         Ok(())

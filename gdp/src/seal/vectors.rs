@@ -60,8 +60,9 @@ fn vectors_of_segments() {
     let (epoch_key, session) = ([0x33; 32], [0x44; 16]);
     let key = SigningKey::for_test(1);
     let (epoch, request) = (1_700_000_000, MessageId { session: [0x66; 16], sequence: 7 });
+    let service = Name::from_bytes([0x77; 32]);
     let plain = |encoding, body| Draft::new(encoding, body);
-    let cases: [(&str, usize, &[Draft<'_>]); 5] = [
+    let cases: [(&str, usize, &[Draft<'_>]); 6] = [
         ("a message that shares one frame payload with its proof", 1400, &[plain(Encoding::Cdr, b"hello")]),
         ("an empty message", 1400, &[plain(Encoding::Bytes, b"")]),
         (
@@ -79,6 +80,7 @@ fn vectors_of_segments() {
             1400,
             &[Draft { in_reply_to: Some(request), origin: b"origin", ..plain(Encoding::Cdr, b"sum") }],
         ),
+        ("a request to a service", 1400, &[Draft { service: Some(service), ..plain(Encoding::Cdr, b"summands") }]),
     ];
     let new_writer = || {
         let mut writer = Writer::with_session(name, writer_name, &key, Backend::RustCrypto, session).unwrap();
@@ -115,6 +117,7 @@ fn vectors_of_segments() {
                     "sequence": request.sequence,
                 })),
                 "origin": hex::encode(message.origin),
+                "service": message.service.map(|service| service.to_string()),
                 "body": hex::encode(message.body),
             })).collect::<Vec<_>>(),
             "payloads": payloads(&segments),

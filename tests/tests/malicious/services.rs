@@ -1,6 +1,6 @@
 //! A client gone bad, beside another client of the same service, with a switch that copies to it whatever passes and a RIB that shows it every
 //! key box: requests are sealed under a key of the client that the server alone is given, replies under one of the server that the one
-//! client alone is given.
+//! client alone is given. A server gone bad beside another is no better off.
 
 use std::sync::{Arc, Mutex};
 
@@ -22,7 +22,7 @@ const SEGMENT: u8 = 2;
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn another_client_reads_neither_requests_nor_replies() -> Result<()> {
     let mut service = Service::start().await?;
-    let (name, client) = (service.owner.name(), service.client_node.name());
+    let client = service.client_node.name();
     let (reply, ()) = tokio::try_join!(
         async { Ok(timeout(SOON, service.client.call(Encoding::Bytes, b"where to?")).await??) },
         async {
@@ -33,7 +33,8 @@ async fn another_client_reads_neither_requests_nor_replies() -> Result<()> {
     )?;
     assert_eq!((&reply.body[..], reply.writer), (&b"home"[..], service.server_identity.name()));
 
-    let parties = [(name, &service.client_identity), (client, &service.server_identity)];
+    let (name, server) = (service.owner.name(), service.server_identity.name());
+    let parties = [(server, &service.client_identity), (client, &service.server_identity)];
     let other = &mut service.other;
     let mut seen = Vec::new();
     eventually("both to come to the other client as well", || {
@@ -44,6 +45,7 @@ async fn another_client_reads_neither_requests_nor_replies() -> Result<()> {
         assert!(other.read(to, from, &seen)?.is_empty());
         assert!(of(&seen, to, from.name()).all(|frame| !contains(frame, b"where to?") && !contains(frame, b"home")));
     }
+    assert!(seen.iter().all(|frame| frame.destination != name), "nothing goes to the service itself");
     for signed in other.boxes() {
         let claims = signed.claims_unverified()?;
         assert_eq!((claims.reader, claims.name), (other.name(), other.name()), "of what the server would reply to it");
@@ -68,7 +70,7 @@ async fn another_client_reads_neither_requests_nor_replies() -> Result<()> {
 async fn a_client_answers_no_other_client() -> Result<()> {
     let mut service = Service::start().await?;
     let (robot, to) = (service.server_identity.name(), service.client_node.name());
-    let Service { switch, owner, server, client_identity, client_node, client, other, .. } = &mut service;
+    let Service { switch, server, client_identity, client_node, client, other, .. } = &mut service;
     // It is no counterpart of the client, so the RIB takes no box of it for the client's inbox; nor one in the server's name.
     let key = EpochKey::generate()?;
     let own = keys::wrap(to, &other.identity, (to, &client_identity.box_public()), 1, &key)?;
@@ -89,7 +91,8 @@ async fn a_client_answers_no_other_client() -> Result<()> {
     let answered = async {
         let request = timeout(SOON, server.recv()).await?.context("a call")?;
         let asked = eventually("the request", || {
-            other.listen(switch).into_iter().find(|frame| frame.destination == owner.name())
+            let frames = other.listen(switch);
+            of(&frames, robot, to).next().cloned()
         })?;
         let in_reply_to = Some(message_id(&asked));
         for (source, reason) in [(other.name(), "seal_unknown_writer"), (robot, "seal_no_key")] {
@@ -108,12 +111,65 @@ async fn a_client_answers_no_other_client() -> Result<()> {
     Ok(())
 }
 
-/// A server and a client, and another that has the same right as the client.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn another_server_reads_no_request_and_cannot_have_it_carried_out_again() -> Result<()> {
+    let mut service = Service::beside(NameRole::Server).await?;
+    let (robot, from) = (service.server_identity.name(), service.client_node.name());
+    let Service { switch, owner, server, server_node, client_identity, client_node, client, other, boxes, .. } =
+        &mut service;
+    eventually("the client to know both servers", || (client.servers() == 2).then_some(()))?;
+    let (reply, ()) = tokio::try_join!(
+        async { Ok(timeout(SOON, client.call_at(robot, Encoding::Bytes, b"where to?")).await??) },
+        async {
+            let call = timeout(SOON, server.recv()).await?.context("a call")?;
+            anyhow::Ok(call.reply(Encoding::Bytes, b"home").await?)
+        },
+    )?;
+    assert_eq!(reply.writer, robot);
+    let mut seen = Vec::new();
+    eventually("the request to come to the other server as well", || {
+        seen.extend(other.listen(switch));
+        of(&seen, robot, from).next().is_some().then_some(())
+    })?;
+    assert!(seen.iter().all(|frame| frame.destination != owner.name()), "nothing goes to the service itself");
+    assert!(other.read(robot, client_identity, &seen)?.is_empty());
+    // It has a key for what the client would send to it; a RIB that gives it the others gives it nothing.
+    let key = client_identity.key().verify_key();
+    let stored = boxes.lock().unwrap().clone();
+    let of_client = stored.iter().filter_map(|signed| Some((signed, signed.claims_unverified().ok()?)));
+    let of_client: Vec<_> = of_client.filter(|(_, claims)| claims.writer == from && claims.name == robot).collect();
+    assert!(!of_client.is_empty());
+    for (signed, claims) in of_client {
+        assert_eq!(claims.reader, robot);
+        for reader in [robot, other.name()] {
+            let opened = keys::open(signed, robot, (from, &key), (reader, other.identity.box_key()));
+            assert!(opened.is_err());
+        }
+    }
+
+    // What it recorded is carried out once, whatever it sends again; and what it seals itself, not at all.
+    let recorded: Vec<Frame> = of(&seen, robot, from).cloned().collect();
+    let before = server_node.counters().messages_received;
+    switch.inject(&recorded);
+    drops(server_node, "seal_duplicate", 1)?;
+    let mut writer = Writer::new(robot, from, other.identity.key().clone(), Backend::default())?;
+    writer.set_epoch(1, &EpochKey::generate()?)?;
+    let (mut segments, draft) =
+        (Segments::new(), Draft { service: Some(owner.name()), ..Draft::new(Encoding::Bytes, b"elsewhere") });
+    writer.seal_batch(0, &[draft], 1000, &mut segments)?;
+    switch.inject(&frames(&segments, robot, from, robot));
+    drops(server_node, "seal_no_key", 1)?;
+    assert_eq!(server_node.counters().messages_received, before);
+    assert!(client_node.counters().messages_received > 0);
+    Ok(())
+}
+
+/// A server and a client, and another that has the same right as one of them.
 struct Service {
     client: Client,
     server: Server,
     client_node: Node,
-    _server_node: Node,
+    server_node: Node,
     client_identity: Identity,
     server_identity: Identity,
     other: Rogue,
@@ -125,6 +181,11 @@ struct Service {
 
 impl Service {
     async fn start() -> Result<Self> {
+        Self::beside(NameRole::Caller).await
+    }
+
+    /// The other is this to the service.
+    async fn beside(role: NameRole) -> Result<Self> {
         let (switch, owner) = (Switch::start()?, Owner::new("/plan")?);
         let (server_identity, client_identity) = (Identity::generate("proxy")?, Identity::generate("proxy")?);
         let boxes: Arc<Mutex<Vec<Signed<KeyBox>>>> = Arc::default();
@@ -143,14 +204,13 @@ impl Service {
         let proof = owner.card.proof();
         let server = server_node.serve(proof, owner.ad_cert(server_node.name())?).await?;
         let client = client_node.client(proof, owner.grant(client_node.name())?).await?;
-        let stated = other.state(&switch, &owner, NameRole::Caller)?;
+        let stated = other.state(&switch, &owner, role)?;
         assert!(matches!(stated, Response::Peers(_)), "{stated:?}");
-        let _server_node = server_node;
         Ok(Self {
             client,
             server,
             client_node,
-            _server_node,
+            server_node,
             client_identity,
             server_identity,
             other,

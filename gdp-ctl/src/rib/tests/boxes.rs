@@ -79,7 +79,7 @@ fn a_box_is_refused_of_another_writer_for_another_name_and_with_another_signatur
 }
 
 #[test]
-fn what_a_server_sends_to_its_caller_has_boxes_of_its_own() {
+fn what_a_server_and_its_caller_send_each_other_has_boxes_of_its_own() {
     let mut w = World::chain(2);
     let (server, caller, other) = (w.attached("server", 0), w.attached("caller", 1), w.attached("other", 1));
     w.state(&server, 0, 1, NameRole::Server);
@@ -99,10 +99,12 @@ fn what_a_server_sends_to_its_caller_has_boxes_of_its_own() {
         RefusalCode::NotEntitled,
         "",
     );
-    let name = w.card.name();
-    assert!(matches!(w.boxes(&caller, 1, name, 1, &[server.name()]), Response::Done));
+    assert!(matches!(w.boxes(&caller, 1, server.name(), 1, &[server.name()]), Response::Done));
     w.tell_all();
-    assert!(w.given.contains(&(name, caller.name(), server.name(), 1)), "and the other way round");
+    assert!(w.given.contains(&(server.name(), caller.name(), server.name(), 1)), "and the other way round");
+    let name = w.card.name();
+    let refused = w.boxes(&caller, 1, name, 1, &[server.name()]);
+    expect_refused(&refused, "nothing goes to the service itself", RefusalCode::NotEntitled, "publishes");
     let withdrawal = Parts::withdraw(&w, &caller, 1, 2);
     w.ask(&caller, 1, withdrawal);
     w.given.clear();

@@ -214,7 +214,7 @@ impl Federation {
             let known = &self.domains[*d].nodes[&(own, record.name, role)];
             let known: BTreeSet<Name> = known.known().map(|known| known.entity).collect();
             assert_eq!(known, met.iter().map(|(_, r)| entity(r)).collect(), "in domain {d}");
-            if role.sends() && !met.is_empty() {
+            if role == NameRole::Publisher && !met.is_empty() {
                 let sent = self.send((*d, record.switch), own, record.name);
                 let mut delivered = sent.delivered.clone();
                 delivered.sort();

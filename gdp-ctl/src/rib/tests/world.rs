@@ -475,9 +475,10 @@ impl World {
                     continue;
                 }
                 let empty = |name| Route { name, ..Route::default() };
-                if record.switch == switch {
+                // Of a service there are routes between the parties alone.
+                if record.switch == switch && !role.is_of_service() {
                     let route = model.entry(record.name).or_insert_with(|| empty(record.name));
-                    if role.sends() {
+                    if role == NameRole::Publisher {
                         route.egress_bits = others().fold(0, |all, other| all | bits(&other.switch));
                         route.writers.push(entity);
                     } else {
@@ -521,7 +522,7 @@ impl World {
             let reached = others.filter(|r| self.connected(&sender.switch, &r.switch));
             let reached: Vec<_> = reached.collect();
             let expected: BTreeSet<_> = reached.iter().map(|r| (r.switch, name(r))).collect();
-            if role.sends() {
+            if role == NameRole::Publisher {
                 let copies = self.deliver(sender.switch, sender.name);
                 assert_eq!(copies.len(), expected.len(), "a copy too many or too few");
                 assert_eq!(BTreeSet::from_iter(copies), expected);

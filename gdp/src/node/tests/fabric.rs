@@ -14,7 +14,8 @@ use zerocopy::{FromBytes, IntoBytes};
 use crate::card::NameCard;
 use crate::cert::{AdCert, Advert, Grantee, Issued, Mode, ReadGrant, Reading, Revocation, Signed, issue};
 use crate::control::{
-    Credential, EntityRequest, NameRole, Peers, PeersExtent, PeersPush, Record, Refusal, RefusalCode, Request, Response,
+    Credential, EntityRequest, NameRole, PathCosts, Peers, PeersExtent, PeersPush, Record, Refusal, RefusalCode,
+    Request, Response,
 };
 use crate::identity::{Identity, SigningKey};
 use crate::keys::KeyBox;
@@ -61,6 +62,9 @@ struct Rib {
     /// What an entity takes on each of its links, and the one on which it wants the rest.
     everywhere: HashSet<(Name, Name)>,
     preferred: HashMap<Name, u8>,
+    /// What paths cost, and the links on which that is told.
+    costs: PathCosts,
+    watchers: HashSet<u32>,
     /// Links that no frames pass, either way.
     cut: HashSet<(Name, u8)>,
     /// Links on which no request is answered.
@@ -260,6 +264,22 @@ impl Fabric {
         lock(&self.rib).silent = !push;
     }
 
+    /// Switches tell of other costs.
+    pub async fn set_costs(&self, costs: PathCosts) {
+        let watching: Vec<Link> = {
+            let mut rib = lock(&self.rib);
+            rib.costs = costs.clone();
+            rib.watchers.iter().filter_map(|id| rib.links.get(id)).cloned().collect()
+        };
+        for link in watching {
+            link.request(&Request::Costs(costs.clone())).await.unwrap();
+        }
+    }
+
+    pub fn switch(&self) -> Name {
+        self.identity.name()
+    }
+
     /// Claims that `node` may write `name`.
     pub fn lie(&self, name: Name, node: &Node, proof: NameProof, cert: Issued<AdCert>) {
         let mut rib = lock(&self.rib);
@@ -343,7 +363,7 @@ impl Owner {
         node.client(self.card.proof(), self.grant(node, 1)).await.unwrap()
     }
 
-    fn grant(&self, node: &Node, serial: u64) -> Reading {
+    pub fn grant(&self, node: &Node, serial: u64) -> Reading {
         self.grant_until(node, serial, unix_now() + 60)
     }
 
@@ -401,6 +421,10 @@ impl Rib {
         let entity = link.peer().name;
         let request = match request {
             Request::Entity(request) => request,
+            Request::WatchCosts => {
+                self.watchers.insert(link.local_id());
+                return (Response::Costs(self.costs.clone()), Vec::new());
+            }
             Request::Ready => {
                 self.preferred.insert(entity, link.peer().lane);
                 return (Response::Done, Vec::new());

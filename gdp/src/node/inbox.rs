@@ -1,0 +1,227 @@
+//! What comes to this node's own name: requests to what it serves, and replies to what it called. And the ways to those who send them: one
+//! publication to the own name of each party of a service, for requests to it and replies to it alike, whichever service they are about.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use gdp_wire::Name;
+
+use super::clock::unix_now;
+use super::desk::Tray;
+use super::ending::{Ended, Ending};
+use super::options::{PublishOptions, SubscribeOptions};
+use super::parties::{Instance, Parties, Place, joint_right};
+use super::publication::Publication;
+use super::state::{State, lock};
+use super::{NodeError, Stated};
+use crate::control::{NameRole, PathCosts};
+use crate::peers::{Counterpart, PeerEvent};
+use crate::seal::Message;
+
+/// A service that this node calls or serves.
+pub struct Service {
+    pub parties: Parties,
+    pub ending: Arc<Ending>,
+    /// For what it serves, as long as it may.
+    pub tray: Option<Tray>,
+}
+
+impl Service {
+    /// Nothing is called by this any more, and no more requests are taken.
+    pub fn end(&mut self, why: Ended) {
+        self.ending.end(why);
+        self.tray = None;
+    }
+}
+
+impl State {
+    /// Takes requests and replies from now on, as long as the node runs.
+    pub fn open_inbox(self: &Arc<Self>) {
+        let own = self.identity.name();
+        let mut opened = lock(&self.inbox_opened);
+        if std::mem::replace(&mut *opened, true) {
+            return;
+        }
+        let (mut queue, _) = self.listen(own, SubscribeOptions::reliable());
+        let state = self.clone();
+        tokio::spawn(async move {
+            while let Some(message) = queue.recv(&state).await {
+                match message.service {
+                    Some(service) => state.take_request(service, message),
+                    None => state.take_reply(message),
+                }
+            }
+            // Whoever waits still waits in vain.
+            lock(&state.calls).clear();
+        });
+    }
+
+    /// A request counts if its writer may call the service, as the service's owner has signed. It may come before the RIB has told of
+    /// that: keys that the two have because of another service open it.
+    fn take_request(&self, service: Name, request: Message) {
+        let now = self.outlet.clock.now();
+        let mut services = lock(&self.services);
+        let served = services.get_mut(&(service, NameRole::Server));
+        let Some(Service { parties, tray: Some(tray), .. }) = served else {
+            return self.counters.requests_refused.add(1);
+        };
+        if parties.right(&request.writer).is_none() {
+            let dropped = tray.hold(now, request);
+            self.counters.requests_refused.add(dropped as u64);
+        } else if !tray.put(request) {
+            self.counters.queue_full.add(1);
+        }
+    }
+
+    /// Only the server that was called may answer, and once.
+    fn take_reply(&self, reply: Message) {
+        let Some(id) = reply.in_reply_to else { return };
+        let mut calls = lock(&self.calls);
+        if calls.get(&id).is_some_and(|pending| pending.instance == reply.writer)
+            && let Some(pending) = calls.remove(&id)
+        {
+            let _ = pending.reply.send(reply);
+        }
+    }
+
+    /// Those who call or serve a service are now others. To be called with [`State::counterparts`] locked, as all that changes parties.
+    pub(super) fn take_parties(&self, name: Name, role: NameRole, events: &[PeerEvent]) {
+        let (concerned, returned) = {
+            let (now, mut services) = (self.outlet.clock.now(), lock(&self.services));
+            let joined = events.iter().filter_map(|event| match event {
+                PeerEvent::Joined(right) => Some(right.entity),
+                _ => None,
+            });
+            let is_here = |entity: &Name| services.values().any(|service| service.parties.is_attached(entity));
+            let returned: BTreeSet<Name> = joined.filter(|entity| !is_here(entity)).collect();
+            let Some(Service { parties, .. }) = services.get_mut(&(name, role)) else { return };
+            let mut concerned = parties.take(now, &name, events);
+            concerned.extend(parties.sweep(now, unix_now()));
+            (concerned, returned)
+        };
+        self.settle(concerned, &returned);
+        // Now that there is a way back.
+        self.release_requests();
+    }
+
+    /// Lets go of parties whose time is over. As [`Self::take_parties`].
+    pub(super) fn sweep_parties(&self) {
+        let (now, now_unix) = (self.outlet.clock.now(), unix_now());
+        let gone = lock(&self.services).values_mut().flat_map(|service| service.parties.sweep(now, now_unix)).collect();
+        self.settle(gone, &BTreeSet::new());
+        self.release_requests();
+    }
+
+    /// Nothing is called or served any more by this. As [`Self::take_parties`].
+    pub(super) fn end_service(&self, name: Name, stated: Stated, why: Ended) {
+        let ended = lock(&self.services).remove(&(name, stated.role()));
+        if let Some(mut service) = ended {
+            service.end(why);
+            self.settle(service.parties.clear(self.outlet.clock.now()), &BTreeSet::new());
+        }
+    }
+
+    /// Brings the way to each of these, and who is believed in the inbox, in line with the services that they are parties of. `returned`:
+    /// those that were attached for none of these before.
+    fn settle(&self, entities: BTreeSet<Name>, returned: &BTreeSet<Name>) {
+        if entities.is_empty() {
+            return;
+        }
+        for entity in entities {
+            let right = {
+                let services = lock(&self.services);
+                joint_right(services.values().filter_map(|service| service.parties.right(&entity)))
+            };
+            match right {
+                Some(right) => self.open_way(right, returned.contains(&entity)),
+                None => self.close_way(entity),
+            }
+        }
+        self.outlet.upkeep.notify_one();
+    }
+
+    fn open_way(&self, right: Counterpart, returned: bool) {
+        let (entity, own) = (right.entity, self.identity.name());
+        let joined = PeerEvent::Joined(right);
+        let known = lock(&self.publications).get(&entity).cloned();
+        let publication = match known {
+            Some(publication) => {
+                // The RIB has forgotten the boxes of a pair that had parted.
+                publication.store_again();
+                if returned {
+                    publication.returned(&self.outlet, &entity);
+                }
+                publication
+            }
+            None => match Publication::new(entity, &self.identity, &PublishOptions::reliable(), &self.outlet) {
+                Ok(publication) => {
+                    let publication = Arc::new(publication);
+                    self.register(publication.clone());
+                    publication
+                }
+                Err(error) => return tracing::error!(party = %entity, %error, "nothing can be sent to it"),
+            },
+        };
+        publication.take(&self.outlet, unix_now(), [joined.clone()]);
+        self.take_writers(own, vec![joined]);
+    }
+
+    fn close_way(&self, entity: Name) {
+        let own = self.identity.name();
+        let effects = lock(&self.readings).get_mut(&own).map(|reading| reading.forget(&entity));
+        self.carry_out(own, effects.unwrap_or_default());
+        if !self.is_stated(entity, Stated::Published) {
+            self.unregister(entity);
+        }
+    }
+
+    fn release_requests(&self) {
+        let now = self.outlet.clock.now();
+        for Service { parties, tray, .. } in lock(&self.services).values_mut() {
+            let Some(tray) = tray else { continue };
+            let (released, late) = tray.release(now, |caller| parties.right(caller).is_some());
+            self.counters.requests_refused.add(late as u64);
+            let full = released.into_iter().filter(|request| !tray.put(request.clone())).count();
+            self.counters.queue_full.add(full as u64);
+        }
+    }
+
+    /// A place at a server of the service: at `one`, or at the one to call next.
+    pub(super) fn choose(&self, service: Name, one: Option<&Name>) -> Option<Place> {
+        let costs = self.costs();
+        lock(&self.services).get(&(service, NameRole::Caller))?.parties.choose(one, |switch| costs.get(switch).copied())
+    }
+
+    pub(super) fn instances(&self, service: Name) -> Vec<Instance> {
+        let (costs, services) = (self.costs(), lock(&self.services));
+        let called = services.get(&(service, NameRole::Caller));
+        called.map_or_else(Vec::new, |called| called.parties.instances(|switch| costs.get(switch).copied()))
+    }
+
+    pub(super) fn servers(&self, service: Name) -> usize {
+        lock(&self.services).get(&(service, NameRole::Caller)).map_or(0, |called| called.parties.attached_count())
+    }
+
+    /// Has the keys of what is sent to the first that would be called stored, so that it has them before the first call.
+    pub(super) async fn store_first_boxes(&self, service: Name) -> Result<(), NodeError> {
+        let first = self.instances(service).first().map(|instance| instance.name);
+        let publication = first.and_then(|first| lock(&self.publications).get(&first).cloned());
+        if let Some(publication) = publication {
+            self.store_boxes(&*self.attached().await?, &publication).await;
+        }
+        Ok(())
+    }
+
+    /// What paths cost from the switch of the main link, as it last said.
+    fn costs(&self) -> Arc<PathCosts> {
+        let main = self.outlet.ways().borrow().main;
+        lock(&self.costs).get(main).cloned().unwrap_or_default()
+    }
+
+    /// What paths cost from the switch of a link is now this.
+    pub(super) fn set_costs(&self, lane: u8, costs: PathCosts) {
+        if let Some(held) = lock(&self.costs).get_mut(usize::from(lane)) {
+            *held = Arc::new(costs);
+        }
+    }
+}
