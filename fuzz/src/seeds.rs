@@ -243,6 +243,7 @@ impl Papers {
         let key = KeyBox { name, writer: entity, reader: entity, epoch: 5, sealed: vec![0; 113] };
         let peers = Peers {
             run: 1,
+            settling: true,
             generation: 7,
             extent: PeersExtent::Whole { part: 0, last: false },
             records: vec![record.clone()],

@@ -152,7 +152,8 @@ impl Counterparts {
         match (peers.extent, &mut self.whole) {
             (PeersExtent::Whole { last: true, .. }, whole) => {
                 let named = whole.take().map_or_else(BTreeSet::new, |(_, named)| named);
-                let gone: Vec<Name> = self.known.keys().filter(|entity| !named.contains(*entity)).copied().collect();
+                let unnamed = self.known.keys().filter(|entity| !peers.settling && !named.contains(*entity));
+                let gone: Vec<Name> = unnamed.copied().collect();
                 self.leave(&gone, &mut events);
             }
             (PeersExtent::Whole { last: false, .. }, Some((next, _))) => *next += 1,

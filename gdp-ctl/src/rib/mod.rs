@@ -345,6 +345,7 @@ impl Rib {
                     std::mem::take(&mut self.silent).iter().for_each(|switch| self.forget_switch(switch));
                     // So that they let go of what nobody has stated again.
                     self.switches.values_mut().for_each(|switch| switch.fib.restart());
+                    self.telling.settled();
                 }
             }
         }
@@ -372,7 +373,7 @@ impl Rib {
             effects.extend(switch.fib.next(now.clock, about).map(Effect::Fib));
         }
         let (names, boxes, revocations) = (&self.names, &self.boxes, &self.revocations);
-        let source = Source { run, now: now.clock, names, boxes, revocations };
+        let source = Source { run, settling, now: now.clock, names, boxes, revocations };
         effects.extend(self.telling.next(source).into_iter().map(Effect::Peers));
         effects
     }

@@ -159,7 +159,8 @@ impl Rib {
             others.into_iter().for_each(|switch| self.unregister(stake, switch));
         }
         let (run, names, boxes, revocations) = (self.run.id, &self.names, &self.boxes, &self.revocations);
-        let source = Source { run, now: now.clock, names, boxes, revocations };
+        let settling = now.clock < self.run.settling;
+        let source = Source { run, settling, now: now.clock, names, boxes, revocations };
         Ok(Response::Peers(match by_tool {
             true => self.telling.once(stake, speaker.switch, source),
             false => self.telling.begin(stake, speaker.switch, source),

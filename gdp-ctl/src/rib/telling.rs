@@ -55,6 +55,8 @@ impl Stake {
 #[derive(Clone, Copy)]
 pub(super) struct Source<'a> {
     pub run: u64,
+    /// There may be more than the RIB knows yet.
+    pub settling: bool,
     pub now: Duration,
     pub names: &'a Names,
     pub boxes: &'a Boxes,
@@ -82,6 +84,8 @@ struct Stream {
     /// That is not answered.
     is_out: bool,
     is_queued: bool,
+    /// The whole was told while the RIB settled: it is to be told again.
+    is_unsettled: bool,
     wait: Duration,
     /// From when on it may turn to another switch because of a failure: once in a [wait](Self::wait), so that an entity that takes
     /// nothing anywhere is not told without end.
@@ -266,6 +270,13 @@ impl Telling {
         stakes.into_iter().for_each(|stake| self.retry(stake, |_| true));
     }
 
+    /// The RIB knows by now all there are: who was told the whole before is told again.
+    pub fn settled(&mut self) {
+        let unsettled = self.streams.iter().filter(|(_, stream)| stream.is_unsettled).map(|(stake, _)| *stake);
+        let stakes: Vec<_> = unsettled.collect();
+        stakes.into_iter().for_each(|stake| self.retry(stake, |phase| phase != Phase::Farewell));
+    }
+
     fn retry(&mut self, stake: Stake, due: impl FnOnce(Phase) -> bool) {
         if let Some(stream) = self.streams.get_mut(&stake).filter(|stream| due(stream.phase)) {
             stream.phase = Phase::Whole { part: 0, after: None };
@@ -330,8 +341,9 @@ impl Turns {
 impl Stream {
     fn new(switch: Name, phase: Phase) -> Self {
         let (records, boxes) = Default::default();
-        let (revocation, held, is_out, is_queued, wait) = (false, 0, false, false, RETRY.0);
-        Self { switch, phase, records, boxes, revocation, held, is_out, is_queued, wait, turns_from: Duration::ZERO }
+        let (revocation, held, is_out, is_queued, is_unsettled) = (false, 0, false, false, false);
+        let (wait, turns_from) = (RETRY.0, Duration::ZERO);
+        Self { switch, phase, records, boxes, revocation, held, is_out, is_queued, is_unsettled, wait, turns_from }
     }
 
     fn has_more(&self) -> bool {
@@ -345,8 +357,9 @@ impl Stream {
     /// The next message; call if there [is more](Self::has_more).
     fn message(&mut self, stake: &Stake, generation: u64, source: Source) -> Peers {
         let extent = PeersExtent::Whole { part: 0, last: true };
-        let (run, records, gone, boxes) = (source.run, Vec::new(), Vec::new(), Vec::new());
-        let mut peers = Peers { run, generation, extent, records, gone, revocation: None, boxes };
+        let (records, gone, boxes) = (Vec::new(), Vec::new(), Vec::new());
+        let Source { run, settling, .. } = source;
+        let mut peers = Peers { run, settling, generation, extent, records, gone, revocation: None, boxes };
         let before = std::mem::replace(&mut self.held, generation);
         match self.phase {
             Phase::Whole { part, after } => {
@@ -358,7 +371,7 @@ impl Stream {
                 self.boxes.retain(|name| !settled(name));
                 peers.extent = PeersExtent::Whole { part, last: end.is_none() };
                 if part == 0 {
-                    self.revocation = true;
+                    (self.revocation, self.is_unsettled) = (true, settling);
                 }
                 self.phase = match end {
                     Some(_) => Phase::Whole { part: part + 1, after: end },

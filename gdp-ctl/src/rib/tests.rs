@@ -828,6 +828,23 @@ fn a_rib_that_has_started_has_entities_attach_again_and_says_when_it_knows_all()
 }
 
 #[test]
+fn who_was_told_while_the_rib_settled_is_told_the_whole_once_it_knows_all() {
+    let mut w = World::started(2, Limits::default(), Run { id: 7, settling: Duration::from_secs(1060) });
+    let (robot, cloud) = (w.attached("robot", 0), w.attached("cloud", 1));
+    w.publish(&robot, 0, 1);
+    let Response::Peers(peers) = w.subscribe(&cloud, 1, 1) else { panic!("refused") };
+    assert!(peers.settling);
+    assert!(w.tell().iter().all(|push| push.peers.settling));
+    w.tell_all();
+    w.pass(Duration::from_secs(60));
+    let told = w.tell();
+    let whole = PeersExtent::Whole { part: 0, last: true };
+    assert_eq!(told.len(), 2, "robot and cloud");
+    assert!(told.iter().all(|push| !push.peers.settling && push.peers.extent == whole));
+    assert_eq!(w.tell_all(), 0);
+}
+
+#[test]
 fn a_switch_nobody_reaches_is_forgotten_after_a_while() {
     let mut w = World::chain(3);
     let (robot, cloud) = (w.attached("robot", 0), w.attached("cloud", 2));

@@ -80,6 +80,9 @@ impl fmt::Display for NameRole {
 pub struct Peers {
     /// Which run of a RIB this is: another number after a restart.
     pub run: u64,
+    /// The RIB has started so recently that it may not know all there are: whom a whole does not name is not gone for that. Another whole
+    /// follows.
+    pub settling: bool,
     /// Rises with everything that this RIB tells anybody.
     pub generation: u64,
     pub extent: PeersExtent,

@@ -27,6 +27,22 @@ fn who_comes_and_goes_is_told_once() {
 }
 
 #[test]
+fn a_rib_that_has_just_started_takes_nobody_away_by_not_knowing_him() {
+    let mut w = World::new();
+    let [a, b] = [0, 1].map(|_| Identity::generate("proxy").unwrap());
+    w.whole(&[w.reader(&a, 1), w.reader(&b, 2)]);
+    let extent = PeersExtent::Whole { part: 0, last: true };
+    let records = vec![w.reader(&a, 1)];
+    let settling = Peers { run: 2, settling: true, extent, records, ..w.nothing() };
+    assert_eq!(w.take(settling), []);
+    assert!(w.held.get(&b.name()).is_some());
+    let gone = Peers { run: 2, settling: true, gone: vec![a.name()], ..w.nothing() };
+    assert_eq!(w.take(gone), [PeerEvent::Left(a.name())], "it says so");
+    let settled = Peers { run: 2, extent, ..w.nothing() };
+    assert_eq!(w.take(settled), [PeerEvent::Left(b.name())]);
+}
+
+#[test]
 fn what_is_lost_or_comes_late_is_noticed() {
     let mut w = World::new();
     let [a, b] = [0, 1].map(|_| Identity::generate("proxy").unwrap());
@@ -133,7 +149,7 @@ impl World {
     fn nothing(&self) -> Peers {
         let extent = PeersExtent::After(self.generation);
         let (run, generation, gone, boxes) = (1, self.generation + 1, vec![], vec![]);
-        Peers { run, generation, extent, records: vec![], gone, revocation: None, boxes }
+        Peers { run, settling: false, generation, extent, records: vec![], gone, revocation: None, boxes }
     }
 
     fn whole(&mut self, records: &[Record]) -> Vec<PeerEvent> {
