@@ -6,8 +6,9 @@ use gdp::cert::{
     ReadGrant, Reading, Revocation, RtCert, Signed, issue,
 };
 use gdp::control::{
-    Credential, EntityRequest, Extent, FibPush, Flooded, MAX_HOPS, NameRole, Peers, PeersExtent, PeersPush, Record,
-    Refusal, RefusalCode, Request, Response, Route, TierLeg, TierMessage, TierRequest, encode,
+    Credential, Crossing, EntityRequest, Extent, FibPush, Flooded, MAX_HOPS, NameRole, Peers, PeersExtent, PeersPush,
+    Record, Refusal, RefusalCode, Request, Response, Route, TierLeg, TierMessage, TierRequest, TraceLeg, TraceOn,
+    TracedDomain, TracedSwitch, encode,
 };
 use gdp::feedback_wire::{Feedback, Missing};
 use gdp::keys::KeyBox;
@@ -255,6 +256,10 @@ impl Papers {
         let from_entity = Request::Entity;
         let asked = TierRequest::Query { name, path: vec![switch, entity] };
         let tier = TierMessage { leg: TierLeg::In { from: entity }, request: asked };
+        let leg = TraceLeg::Out { domain: entity, peer: switch };
+        let hop = TracedSwitch { hop: 1, switch: Some(switch), rtt_us: Some(300) };
+        let crossing = Crossing::Traced { links: 1, time_us: Some(300), switches: Some(vec![hop]) };
+        let traced = TracedDomain { depth: 1, domain: entity, entry: switch, rtt_us: None, crossing };
         let onward = |request| Request::Onward { to: switch, hops: MAX_HOPS, request: Box::new(request) };
         let of_domains = Domain::new().messages();
         let of_domains = of_domains.iter().map(|(name, request)| seed(name, request));
@@ -285,6 +290,8 @@ impl Papers {
                 ),
                 seed("peerings", &onward(Request::Peerings { wanted: vec![(switch, ([192, 0, 2, 1], 31415).into())] })),
                 seed("tier query", &Request::Tier(Box::new(tier))),
+                seed("trace on", &Request::TraceOn(TraceOn { leg, name, path: vec![switch, entity], within_ms: 4000 })),
+                seed("traced on", &Response::TracedOn { domains: vec![traced] }),
                 seed(
                     "flood",
                     &Request::Flood {

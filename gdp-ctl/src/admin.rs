@@ -49,6 +49,13 @@ pub enum Request {
         switch: Name,
         hops: u8,
     },
+    /// The way of a name on, from the border switch of this domain that has a link to this one of another domain.
+    Beyond {
+        name: Name,
+        border: Name,
+        domain: Name,
+        peer: Name,
+    },
     /// From now on, what happens: the connection brings [`Event`](crate::serve::events::Event)s, until the client closes it.
     Monitor,
     /// What the switch knows of the domain's switches.

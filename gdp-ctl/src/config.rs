@@ -60,6 +60,18 @@ pub struct DomainConfig {
     pub files: PaperFiles,
     /// Whether endpoints without a membership get no link.
     pub members_only: bool,
+    pub trace: Inside,
+}
+
+/// What a border shows other domains that trace a name through this one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Inside {
+    /// That frames get through, and in what time.
+    #[default]
+    Masked,
+    /// Every switch.
+    Open,
 }
 
 /// Which data plane the user wants.
@@ -225,6 +237,8 @@ struct DomainEntry {
     peers: Vec<PathBuf>,
     #[serde(default)]
     members_only: bool,
+    #[serde(default)]
+    trace: Inside,
 }
 
 /// Absent is not the same as `null`, which turns UDP off.
@@ -357,6 +371,7 @@ impl File {
                     peers: entry.peers.into_iter().map(here).collect(),
                 },
                 members_only: entry.members_only,
+                trace: entry.trace,
             }),
             etcd,
             rekey: RekeySchedule::default(),
@@ -450,7 +465,9 @@ mod tests {
         assert_eq!(domain.files.card, Path::new("/etc/gdp/domain.card"));
         assert_eq!(domain.files.membership, Path::new("/m"));
         assert_eq!(domain.files.peers, [Path::new("/etc/gdp/away.peer")]);
-        assert!(domain.members_only);
+        assert!(domain.members_only && domain.trace == Inside::Masked);
+        let text = "domain: {card: c, membership: m, trace: open}";
+        assert_eq!(parse(text).unwrap().domain.unwrap().trace, Inside::Open);
         let config = parse(&format!("uplink: {{udp: '127.0.0.1:9', switch: {S}, dial: true}}")).unwrap();
         assert!(
             config.neighbours[0].dial
@@ -524,6 +541,7 @@ mod tests {
             ("fib_capacity: 0", "fib_capacity"),
             ("domain: {card: c}", "membership"),
             ("domain: {card: c, membership: m, members: true}", "members"),
+            ("domain: {card: c, membership: m, trace: all}", "all"),
             (&format!("domain: {{card: c, membership: m, peers: [{}x]}}", "x, ".repeat(16)), "at most 16"),
         ] {
             let error = parse(text).expect_err(text);

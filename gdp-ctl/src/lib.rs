@@ -4,6 +4,7 @@
 pub mod admin;
 pub mod cli;
 pub mod config;
+pub mod crossing;
 pub mod doctor;
 pub mod domain;
 mod feed;

@@ -11,6 +11,7 @@
 mod member;
 mod switch;
 
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use gdp::cert::{AdCert, Grantee, Mode, PeerCert, ReadGrant, Revocation, Signed, issue};
@@ -19,8 +20,10 @@ use gdp::node::{LinkTarget, PublishOptions, Publisher, SubscribeOptions, Subscri
 use gdp::seal::Encoding;
 use gdp::{Identity, Name, NameCard, Node, NodeConfig, SigningKey};
 use gdp_ctl::admin::{Client, Request};
+use gdp_ctl::config::Inside;
 use gdp_ctl::serve::Running;
 use member::{Domain, LONG, Place, Settings, now};
+use serde_json::{Value, json};
 use switch::wait;
 use tokio::time::timeout;
 
@@ -43,6 +46,15 @@ async fn a_reader_in_another_domain_hears_a_writer_through_a_third_that_may_not_
     exchange(&robot, &mut publisher, &mut subscription).await;
     assert!(f.carried().await >= 20);
     assert!(timeout(Duration::from_millis(300), nosy_subscription.recv()).await.is_err(), "it is out of scope");
+
+    // The third domain hides its inside, and that is all of the cloud's domain.
+    let (trace, text) = trace(&f.hub, topic.name()).await.expect("a whole trace");
+    let hops = trace["paths"][0]["hops"].as_array().unwrap();
+    let switches: Vec<_> = hops.iter().map(|hop| hop["switch"].as_str().unwrap().to_owned()).collect();
+    assert_eq!(switches, [f.hub.name.to_string(), f.edge.name.to_string()], "{trace}");
+    assert_eq!(crossed(&trace), [entry(1, &f.top_domain, &f.top, 0), entry(2, &f.away, &f.far, 1)], "{trace}");
+    let masked = |domain: &Domain| format!("… inside of domain {:#} (masked)", domain.identity.name());
+    assert!(text.contains(&masked(&f.top_domain)) && text.contains(&masked(&f.away)), "{text}");
 
     // Nobody in the other domain takes this one: a query climbs.
     let other = Topic::new("/other");
@@ -85,6 +97,13 @@ async fn borders_peer_on_demand_and_the_third_domain_carries_nothing_until_they_
         assert!(Instant::now() < deadline, "the third domain goes on carrying it");
         before = after;
     }
+    // The border of the cloud's domain shows what is inside: nothing but itself.
+    wait("a trace straight into the cloud's domain", async || {
+        let Some((trace, text)) = trace(&f.hub, topic.name()).await else { return false };
+        let is_open = text.contains("  inside of domain") && !text.contains("masked");
+        is_open && crossed(&trace) == [entry(1, &f.away, &f.far, 1)]
+    })
+    .await;
 
     // They may not any more: back to the third one.
     revoke(&f.home, &f.edge, f.peering.as_ref().unwrap());
@@ -122,7 +141,7 @@ struct Federation {
 }
 
 impl Federation {
-    /// `may_peer`: the robot's domain and the cloud's know each other, and the cloud's can be reached.
+    /// `may_peer`: the robot's domain and the cloud's know each other, and the cloud's can be reached and shows its inside.
     async fn start(may_peer: bool) -> Self {
         let (top_domain, home, away) = (Domain::new(1), Domain::new(2), Domain::new(3));
         let [top, edge, hub, far] = ["top", "edge", "hub", "far"].map(Place::new);
@@ -142,6 +161,9 @@ impl Federation {
         let hub_running = settings.dials(&edge).rib().start().await;
         let mut settings = far.member(&away, "border", LONG).peers(&away_peers).dials(&top).below(&top).rib();
         settings.0.public = vec![far.addr];
+        if may_peer {
+            settings.0.domain.as_mut().unwrap().trace = Inside::Open;
+        }
         let far_running = settings.start().await;
         for (what, running) in [("hub", &hub_running), ("far", &far_running)] {
             wait(what, async || tier(running, &top_domain).await.is_some_and(|state| state == "up")).await;
@@ -227,6 +249,33 @@ fn entity() -> Identity {
 async fn attach(identity: &Identity, to: &Place) -> Node {
     let target: LinkTarget = format!("udp://{}", to.addr).parse().unwrap();
     Node::connect(NodeConfig::new(identity.clone(), target)).await.unwrap()
+}
+
+/// What `gdp-ctl trace` says at a daemon, for programs and for people; none: it does not get to the end.
+async fn trace(place: &Place, name: Name) -> Option<(Value, String)> {
+    let socket = place.file("switch.sock");
+    let run = move |for_programs: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_gdp-ctl"));
+        command.arg("--socket").arg(&socket).args(for_programs).args(["trace", &name.to_string()]);
+        let output = command.env_remove("RUST_LOG").output().unwrap();
+        output.status.success().then(|| String::from_utf8(output.stdout).unwrap())
+    };
+    let run = move || Some((serde_json::from_str(&run(&["-j"])?).unwrap(), run(&[])?));
+    tokio::task::spawn_blocking(run).await.unwrap()
+}
+
+/// The domains in a trace: how deep, which, where they are entered, and how many links take the name there.
+fn crossed(trace: &Value) -> Vec<Value> {
+    let domains = trace["paths"][0]["domains"].as_array().unwrap();
+    let in_time = |domain: &Value| domain["rtt_us"].as_u64() > Some(0) && domain["inside"]["rtt_us"].is_u64();
+    assert!(domains.iter().all(in_time), "{trace}");
+    let entry =
+        |domain: &Value| json!([domain["depth"], domain["domain"], domain["switch"], domain["inside"]["links"]]);
+    domains.iter().map(entry).collect()
+}
+
+fn entry(depth: u8, domain: &Domain, switch: &Place, links: u32) -> Value {
+    json!([depth, domain.identity.name(), switch.name, links])
 }
 
 /// How a daemon's RIB stands with a neighbouring domain, if that is one.

@@ -16,7 +16,10 @@ pub use tiers::{
     Abroad, MAX_ANCESTORS, MAX_PATH, Shown, TierEntry, TierHolds, TierKey, TierLeg, TierMessage, TierPush, TierRequest,
     TierResponse,
 };
-pub use traced::{MAX_BEYOND, Traced, TracedEnd};
+pub use traced::{
+    Crossing, MAX_BEYOND, MAX_TRACED_DOMAINS, MAX_TRACED_SWITCHES, TraceLeg, TraceOn, Traced, TracedDomain, TracedEnd,
+    TracedSwitch,
+};
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -96,6 +99,8 @@ pub enum Request {
     Admitted { switch: Name, entity: Name, membership: Box<Membership> },
     /// Switch → switch: a probe of yours ended here.
     Traced(Traced),
+    /// Switch → its border switch → the border switch of a neighbouring domain: trace a name on there.
+    TraceOn(TraceOn),
 }
 
 /// What an entity may ask of the RIB, through the switch it is attached to.
@@ -145,6 +150,10 @@ pub enum Response {
     Tier(Box<TierResponse>),
     /// What paths cost from the switch that answers.
     Costs(PathCosts),
+    /// Of a border: the domain behind its link, and those behind that one, each before those that are behind it.
+    TracedOn {
+        domains: Vec<TracedDomain>,
+    },
     Refused(Refusal),
 }
 

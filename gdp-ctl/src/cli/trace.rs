@@ -1,6 +1,7 @@
-//! `gdp-ctl trace`: every switch on the data path to a name, with the time to each.
+//! `gdp-ctl trace`: every switch and domain on the data path to a name, with the time to each.
 
 use clap::Args;
+use gdp::control::MAX_PATH;
 use gdp_wire::Name;
 use serde_json::{Value, json};
 
@@ -19,14 +20,15 @@ const SILENT: usize = 4;
 ///
 /// A probe goes the way of the name's frames in the data plane, first one switch far, then two, and so on; the switch where it ends answers
 /// through the switches' daemons. So a time is that of the way there in the data plane, and of the way back between daemons. The daemon's
-/// switch must know a way to the name: somebody who sends to it is attached there, or NAME is a switch. Where the name leaves
-/// for other domains, these are shown, and what is inside them is not.
+/// switch must know a way to the name: somebody who sends to it is attached there, or NAME is a switch. Where the name leaves for another
+/// domain, the borders on both sides measure how far it is from one to the other, and that domain says how the name goes on there, in what time, and
+/// into which domains; its switches only if it wants to (`trace: open` at its border). A domain answers for names that it takes from this one.
 #[derive(Debug, Args)]
 pub struct Options {
     /// A name, the first digits of one, or a name card.
     #[arg(value_name = "NAME|PREFIX|CARD")]
     what: String,
-    /// Look no further than so many switches.
+    /// Look no further than so many switches of this domain.
     #[arg(long, default_value_t = 64, value_name = "HOPS", value_parser = clap::value_parser!(u8).range(1..=64))]
     max_hops: u8,
 }
@@ -37,14 +39,18 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut paths = Vec::new();
     if place.egress.is_empty() {
         // An endpoint whose link is here, and to which nobody here may send.
-        paths.push(json!({"egress": place.own, "reached": true, "hops": [own(&place)]}));
+        paths.push(json!({"egress": place.own, "reached": true, "hops": [own(&place)], "domains": []}));
     }
     for egress in &place.egress {
         paths.push(follow(&place, *egress, options.max_hops, &mut client)?);
     }
     let reached = paths.iter().all(|path| path["reached"] == true);
     context.output.print(json!({"name": place.name, "paths": paths}), || describe(&place.name, &paths))?;
-    if reached { Ok(()) } else { anyhow::bail!("the probes did not get to every switch where {:#} is", place.name) }
+    if reached {
+        Ok(())
+    } else {
+        anyhow::bail!("the probes did not get to every switch where {:#} is, or a domain does not tell", place.name)
+    }
 }
 
 /// The path to one egress switch.
@@ -62,7 +68,21 @@ fn follow(place: &Place, egress: Name, max_hops: u8, client: &mut Client) -> any
             "hop": hop, "switch": answer["switch"], "rtt_us": answer["rtt_us"], "end": answer["end"],
         }));
     }
-    Ok(json!({"egress": egress, "reached": reached, "hops": hops}))
+    let domains = beyond(place.name, egress, hops.last(), client)?;
+    reached &= domains.iter().all(|domain| domain["outcome"] == "traced" && domain["inside"]["rtt_us"].is_u64());
+    Ok(json!({"egress": egress, "reached": reached, "hops": hops, "domains": domains}))
+}
+
+/// The domains that the name leaves for at the last switch of a path, and those behind them.
+fn beyond(name: Name, border: Name, last: Option<&Value>, client: &mut Client) -> anyhow::Result<Vec<Value>> {
+    let mut domains = Vec::new();
+    for beyond in last.and_then(|last| last["end"]["beyond"].as_array()).into_iter().flatten() {
+        let (domain, peer) = (serde_json::from_value(beyond["domain"].clone())?, &beyond["switch"]);
+        let peer = serde_json::from_value(peer.clone())?;
+        let answer = client.ask_value(&Request::Beyond { name, border, domain, peer })?;
+        domains.extend(answer["domains"].as_array().into_iter().flatten().cloned());
+    }
+    Ok(domains)
 }
 
 fn ask(probe: &Request, client: &mut Client) -> anyhow::Result<Value> {
@@ -98,14 +118,52 @@ fn describe(name: &Name, paths: &[Value]) -> String {
             };
             lines.push(format!("{number:2}  {who:11}  {time}{}", end(&hop["end"])));
         }
-        if path["reached"] != true {
+        if path["hops"].as_array().and_then(|hops| hops.last()).is_none_or(|last| last["end"].is_null()) {
             lines.push("    nothing further on answers".into());
         }
+        path["domains"].as_array().into_iter().flatten().for_each(|domain| cross(domain, &mut lines));
     }
     lines.join("\n")
 }
 
-/// What the last switch delivers to.
+/// A domain: where it is entered, and what is inside.
+fn cross(domain: &Value, lines: &mut Vec<String>) {
+    let indent = " ".repeat(4 * domain["depth"].as_u64().unwrap_or(1).min(MAX_PATH as u64) as usize);
+    let name = short(&domain["domain"]);
+    let time = domain["rtt_us"].as_u64().map_or_else(|| "no answer to echoes".into(), millis);
+    lines.push(format!("{indent}domain {name}  by its switch {}  {time}", short(&domain["switch"])));
+    let why_not = match domain["outcome"].as_str().unwrap_or_default() {
+        "traced" => None,
+        "refused" => Some(format!("not traced: {}", printable(domain["reason"].as_str().unwrap_or_default()))),
+        "loop" => Some("not traced: the name has crossed this domain before".into()),
+        "too_far" => Some(format!("not traced: the name has crossed {MAX_PATH} domains already")),
+        _ => Some("its border does not say what is behind it: no answer in time".into()),
+    };
+    if let Some(why_not) = why_not {
+        lines.push(format!("{indent}  {why_not}"));
+        return;
+    }
+    let inside = &domain["inside"];
+    let time = inside["rtt_us"].as_u64().map_or_else(|| "no answer from all of it".into(), millis);
+    match inside["hops"].as_array() {
+        Some(hops) => {
+            for hop in hops {
+                let time = hop["rtt_us"].as_u64().map_or_else(|| "no answer".into(), millis);
+                let who = if hop["switch"].is_null() { "*".into() } else { short(&hop["switch"]) };
+                lines.push(format!("{indent}  {:2}  {who:11}  {time}", hop["hop"].as_u64().unwrap_or_default()));
+            }
+            lines.push(format!("{indent}  inside of domain {name}  {time}{}", end(inside)));
+        }
+        None => lines.push(format!("{indent}  … inside of domain {name} (masked)  {time}{}", end(inside))),
+    }
+}
+
+/// What another domain says, without what a terminal would act on.
+fn printable(said: &str) -> String {
+    said.chars().filter(|c| !c.is_control()).collect()
+}
+
+/// What the last switch, or a domain, delivers to.
 fn end(end: &Value) -> String {
     let mut text = match end["links"].as_u64() {
         None => return String::new(),
@@ -126,11 +184,27 @@ mod tests {
     fn a_path_is_told_hop_by_hop() {
         let name = |i: u8| Name::from_bytes([i; 32]);
         let beyond = json!([{"domain": name(8), "switch": name(9)}]);
+        let domain = |depth, outcome, inside| {
+            let reason = "it says\x1b so";
+            json!({
+                "depth": depth, "domain": name(8), "switch": name(9), "rtt_us": if depth == 1 { Some(300) } else { None },
+                "outcome": outcome, "reason": reason, "inside": inside,
+            })
+        };
+        let hops = json!([{"hop": 1, "switch": name(5), "rtt_us": 700}, {"hop": 2, "switch": null, "rtt_us": null}]);
+        let domains = [
+            domain(1, "traced", json!({"links": 0, "rtt_us": 500, "hops": null})),
+            domain(2, "traced", json!({"links": 2, "rtt_us": null, "hops": hops})),
+            domain(3, "unanswered", Value::Null),
+            domain(3, "refused", Value::Null),
+            domain(3, "loop", Value::Null),
+            domain(3, "too_far", Value::Null),
+        ];
         let paths = [json!({"egress": name(3), "reached": true, "hops": [
             {"hop": 0, "switch": name(1), "rtt_us": 0, "end": null},
             {"hop": 1, "switch": null, "rtt_us": null, "end": null},
             {"hop": 2, "switch": name(3), "rtt_us": 1234, "end": {"links": 1, "beyond": beyond}},
-        ]})];
+        ], "domains": domains})];
         let text = describe(&name(7), &paths);
         let lines: Vec<_> = text.lines().map(|line| line.split_whitespace().collect::<Vec<_>>().join(" ")).collect();
         assert_eq!(lines[1], format!("0 {:#} this switch", name(1)));
@@ -138,6 +212,22 @@ mod tests {
         assert_eq!(
             lines[3],
             format!("2 {:#} 1.234 ms → 1 local link, domain {:#} by its switch {:#}", name(3), name(8), name(9))
+        );
+        let entered = |time| format!("domain {:#} by its switch {:#} {time}", name(8), name(9));
+        let masked = format!("… inside of domain {:#} (masked) 0.500 ms → 0 local links", name(8));
+        assert_eq!(lines[4..6], [entered("0.300 ms"), masked]);
+        let no_echo = entered("no answer to echoes");
+        let open = format!("inside of domain {:#} no answer from all of it → 2 local links", name(8));
+        assert_eq!(lines[6..10], [&no_echo, &format!("1 {:#} 0.700 ms", name(5)), "2 * no answer", &open]);
+        let why_not: Vec<_> = lines[10..].iter().filter(|line| **line != no_echo).collect();
+        assert_eq!(
+            why_not,
+            [
+                "its border does not say what is behind it: no answer in time",
+                "not traced: it says so",
+                "not traced: the name has crossed this domain before",
+                "not traced: the name has crossed 16 domains already",
+            ]
         );
     }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::control::{Response, TracedEnd};
+use gdp::control::{Crossing, Response, TracedDomain, TracedEnd, TracedSwitch};
 use serde_json::{Value, json};
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
@@ -167,6 +167,10 @@ async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
             }
             None => json!({"switch": null, "rtt_us": null, "end": null}),
         })),
+        Request::Beyond { name, border, domain, peer } => {
+            let domains = daemon.trace_beyond(name, border, (domain, peer)).await;
+            Reply::Ok(json!({"domains": domains.iter().map(crossed).collect::<Vec<_>>()}))
+        }
         Request::Status => Reply::Ok(status::status(daemon).await),
         Request::Links => Reply::Ok(json!({"links": status::links(&daemon.core())})),
         Request::Topology => Reply::Ok(status::topology(daemon)),
@@ -201,6 +205,26 @@ fn ended(end: &TracedEnd) -> Value {
     let beyond: Vec<_> =
         end.beyond.iter().map(|(domain, switch)| json!({"domain": domain, "switch": switch})).collect();
     json!({"links": end.links, "beyond": beyond})
+}
+
+/// A domain that a name crosses.
+fn crossed(TracedDomain { depth, domain, entry, rtt_us, crossing }: &TracedDomain) -> Value {
+    let (outcome, reason) = match crossing {
+        Crossing::Traced { .. } => ("traced", None),
+        Crossing::Unanswered => ("unanswered", None),
+        Crossing::Refused { reason } => ("refused", Some(reason)),
+        Crossing::Loop => ("loop", None),
+        Crossing::TooFar => ("too_far", None),
+    };
+    let mut value = json!({
+        "depth": depth, "domain": domain, "switch": entry, "rtt_us": rtt_us, "outcome": outcome, "reason": reason,
+    });
+    if let Crossing::Traced { links, time_us, switches } = crossing {
+        let hop = |at: &TracedSwitch| json!({"hop": at.hop, "switch": at.switch, "rtt_us": at.rtt_us});
+        let hops = switches.as_ref().map(|switches| switches.iter().map(hop).collect::<Vec<_>>());
+        value["inside"] = json!({"links": links, "rtt_us": time_us, "hops": hops});
+    }
+    value
 }
 
 fn micros(time: Duration) -> u64 {

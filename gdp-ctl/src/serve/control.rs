@@ -93,6 +93,7 @@ impl Core {
         let own = self.name();
         let request = match request {
             Request::Tier(message) => return self.tier_arrived(*message),
+            Request::TraceOn(request) => return self.trace_leaves(request),
             Request::Peerings { wanted } => {
                 self.set_peerings(wanted.into_iter().collect());
                 return Next::Answer(Response::Done);

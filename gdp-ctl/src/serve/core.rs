@@ -19,6 +19,7 @@ use gdp_wire::{LinkEntry, LinkRole, Name};
 use tokio::sync::{oneshot, watch};
 
 use super::control::{self, Report};
+use super::crossing::Tracing;
 use super::events::{Event, Events};
 use super::federation::Federation;
 use super::hold::{GRACE, HeldLink, Hold, Kept};
@@ -27,7 +28,8 @@ use super::refusals::Refusals;
 use super::replica::Term;
 use super::routes::{Change, Routes};
 use super::trace::Outstanding;
-use crate::config::{Neighbour, Via};
+use crate::config::{Inside, Neighbour, Via};
+use crate::crossing::Allowance;
 use crate::domain::{Admission, Domain, Papers, Standing};
 use crate::plane::{PlaneError, PlaneRoute, Planes};
 use crate::rib::fib::Pushed;
@@ -75,6 +77,8 @@ pub struct Core {
     pub federation: Option<Federation>,
     /// The addresses at which other domains reach this border.
     pub public: Vec<SocketAddr>,
+    /// What other domains see that trace names through this one.
+    pub shown_inside: Inside,
     /// What the RIB may show of this switch, as of the membership in it.
     pub(super) shown: Option<Shown>,
     /// The links into other domains that the RIB wants this switch to have.
@@ -104,6 +108,8 @@ pub struct LinkState {
     pub since: Instant,
     /// What the peer is to this switch's domain, and until when.
     pub admission: Admission,
+    /// Traces that the other end asks for, if it is of another domain.
+    pub traces: Allowance,
     entry: KeyedEntry,
     pub(super) to: LinkAddr,
 }
@@ -171,6 +177,8 @@ pub enum Next {
         waiting: oneshot::Receiver<TierResponse>,
         is_query: bool,
     },
+    /// The name is traced on.
+    Trace(Box<Tracing>),
     /// What the RIB here has taken in is to be stored before anything else.
     Store(Box<Next>),
     /// The RIB has asked this switch to report again.
@@ -205,6 +213,7 @@ impl Core {
             topology,
             federation: None,
             public: Vec::new(),
+            shown_inside: Inside::default(),
             shown: None,
             peerings: watch::Sender::default(),
             meters: BTreeMap::new(),
@@ -440,7 +449,8 @@ impl Core {
             via: via.to_string(),
             address: to.to_string(),
         });
-        self.links.insert(id, LinkState { link: link.clone(), via, since: Instant::now(), admission, entry, to });
+        let (since, traces) = (Instant::now(), Allowance::default());
+        self.links.insert(id, LinkState { link: link.clone(), via, since, admission, traces, entry, to });
         let changes = self.routes.link_up(role, peer, lane, id);
         self.carry_out(changes);
         self.meet(link);
@@ -599,6 +609,7 @@ impl Core {
             }
             Request::Onward { to, hops, request } => self.passed_on(from, to, hops, *request),
             Request::Tier(message) => self.tier_across(from, *message),
+            Request::TraceOn(request) => self.trace_enters(from, request),
             _ => refuse(RefusalCode::Malformed, "what is for the RIB or from it is passed on with whom it is for"),
         }
     }

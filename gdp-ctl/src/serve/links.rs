@@ -308,6 +308,7 @@ impl Daemon {
                 Ok(Ok(response)) => Response::Tier(Box::new(response)),
                 _ => Refusal::new(RefusalCode::Unreachable, "no RIB of another domain has answered").into(),
             },
+            Next::Trace(tracing) => self.trace_on(*tracing).await,
             Next::KeepInvitation { new } => self.keep_invitation(new).await,
             Next::Settle(response, statement) => match self.settled(&statement).await {
                 Ok(()) => response,

@@ -5,6 +5,7 @@ pub mod admin;
 mod control;
 pub mod core;
 mod costs;
+pub mod crossing;
 mod domain;
 mod ends;
 pub mod events;
@@ -150,6 +151,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         (domain, core.domain) = (Some(kept), Some(member));
         core.federate(unix_nanos());
         core.public = config.public.clone();
+        core.shown_inside = domain_config.trace;
     }
     let shown = port_config.papers.clone();
     let daemon = Arc::new(Daemon {

@@ -123,6 +123,7 @@ pub fn links(core: &Core) -> Vec<Value> {
                 "age_s": state.since.elapsed().as_secs(),
                 "errors_received": errors_received(core, link.local_id()),
                 "arrivals": arrivals(core, link.local_id()),
+                "traces_refused": state.traces.refused(),
                 "sent": core.planes.frames_sent(link.local_id()),
                 "carrier": !core.is_dark(state.to),
                 "plane": if core.planes.kernel_sends_on(link.local_id()) { "kernel" } else { "userspace" },

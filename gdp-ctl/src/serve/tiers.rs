@@ -166,13 +166,13 @@ impl Core {
     }
 
     /// The link to a border switch of another domain, while it is one.
-    fn border_link(&self, peer: &Name, domain: Name) -> Option<Link> {
+    pub(super) fn border_link(&self, peer: &Name, domain: Name) -> Option<Link> {
         let link = self.link_to(peer)?;
         (self.domain_of(&link) == Some(domain)).then_some(link)
     }
 
     /// The domain whose border is at the other end of a link.
-    fn domain_of(&self, link: &Link) -> Option<Name> {
+    pub(super) fn domain_of(&self, link: &Link) -> Option<Name> {
         match self.links.get(&link.local_id())?.admission.standing {
             Standing::Border { domain, .. } => Some(domain),
             _ => None,

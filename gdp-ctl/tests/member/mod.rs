@@ -8,7 +8,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use gdp::cert::{MemberCert, Membership, PeerCert, Signed, issue};
 use gdp::domain::PaperFiles;
 use gdp::{Identity, Name, NameCard};
-use gdp_ctl::config::{Config, DomainConfig, Neighbour, Place as At, Via};
+use gdp_ctl::config::{Config, DomainConfig, Inside, Neighbour, Place as At, Via};
 use gdp_ctl::serve::{Running, start};
 
 use crate::switch::config;
@@ -100,7 +100,7 @@ impl Place {
 
     pub fn settings_in_domain(&self) -> Settings {
         let files = PaperFiles { card: self.file("domain.card"), membership: self.file("membership"), peers: vec![] };
-        let domain = Some(DomainConfig { files, members_only: false });
+        let domain = Some(DomainConfig { files, members_only: false, trace: Inside::Masked });
         Settings(Config { udp: Some(self.addr), rib: false, domain, ..config(self.folder.path(), "switch") })
     }
 }
