@@ -407,7 +407,8 @@ fn default_bpffs() -> Option<PathBuf> {
     Some(BPFFS.into())
 }
 
-fn default_udp() -> SocketAddr {
+/// Where links over UDP are taken unless it is said.
+pub fn default_udp() -> SocketAddr {
     (Ipv4Addr::UNSPECIFIED, gdp_wire::UDP_PORT).into()
 }
 

@@ -3,6 +3,8 @@
 //!
 //! This is the file alone; [`crate::material`] reads the files it names.
 
+mod relay;
+
 use std::fs::File;
 use std::io::{self, Read};
 use std::num::NonZeroU64;
@@ -14,6 +16,7 @@ use gdp::link::MAX_LANES;
 use gdp::node::{LinkConfig, LinkTarget};
 use serde::{Deserialize, Deserializer, de};
 
+pub use self::relay::RelayConfig;
 use crate::ros2::{self, Qos, TopicName, TypeName};
 
 /// A longer file is no configuration.
@@ -35,6 +38,9 @@ pub struct Config {
     /// The trust domain that the proxy is a member of, if it is of one.
     #[serde(default)]
     pub domain: Option<DomainConfig>,
+    /// If it also carries others.
+    #[serde(default, deserialize_with = "relay::relay")]
+    pub relay: Option<RelayConfig>,
     /// ROS_DOMAIN_ID.
     #[serde(default)]
     pub domain_id: DomainId,
@@ -200,6 +206,12 @@ impl Config {
                 return Err((format!("links[{i}].to"), format!("{} is already links[{first}]; remove one", link.to)));
             }
         }
+        if self.domain.is_none() && self.relay.as_ref().is_some_and(|relay| relay.membership.is_some()) {
+            return Err((
+                "relay.membership".into(),
+                "there is no domain for it; say which in domain, or remove it".into(),
+            ));
+        }
         for (i, topic) in self.topics.iter().enumerate() {
             if topic.duplicate && self.links.len() < 2 {
                 let reason = "there is no second link for it; add one to links, or remove this".into();
@@ -222,6 +234,12 @@ impl Config {
         self.state.as_mut().map(resolve);
         if let Some(domain) = &mut self.domain {
             [&mut domain.card, &mut domain.membership].into_iter().chain(&mut domain.peers).for_each(resolve);
+        }
+        if let Some(relay) = &mut self.relay {
+            resolve(&mut relay.identity);
+            if self.domain.is_some() {
+                resolve(relay.membership.get_or_insert_with(|| "relay.member".into()));
+            }
         }
         for topic in &mut self.topics {
             resolve(&mut topic.card);
@@ -266,6 +284,19 @@ mod tests {
         assert_eq!((topic.direction, &topic.kind), (Direction::Out, &None));
         assert_eq!((topic.qos.reliability, topic.qos.durability), (Reliability::Reliable, Durability::Volatile));
         assert_eq!(topic.qos.depth.get(), 10);
+    }
+
+    #[test]
+    fn a_relay_is_said_in_a_word_or_with_what_differs() {
+        let relay = |says: &str| parse(&MINIMAL.replace("topics:", &format!("relay: {says}, topics:"))).unwrap().relay;
+        assert!(relay("false").is_none() && parse(MINIMAL).unwrap().relay.is_none());
+        let plain = relay("true").unwrap();
+        assert_eq!(plain.identity, Path::new("/etc/robot/relay.pem"));
+        assert_eq!((plain.membership, plain.udp), (None, "0.0.0.0:31415".parse().unwrap()));
+        let other = relay("{udp: '[::]:9', interfaces: [r1]}").unwrap();
+        assert_eq!((other.udp, other.interfaces), ("[::]:9".parse().unwrap(), vec!["r1".to_owned()]));
+        let member = relay("true, domain: {card: c, membership: m}").unwrap();
+        assert_eq!(member.membership.as_deref(), Some(Path::new("/etc/robot/relay.member")));
     }
 
     #[test]
@@ -342,6 +373,9 @@ mod tests {
             (&MINIMAL.replace("direction:", "qos: {reliability: maybe}, direction:"), "maybe"),
             (&MINIMAL.replace("direction:", "qos: {lifespan: 1}, direction:"), "lifespan"),
             (&MINIMAL.replace("topics:", "domain_id: 233, topics:"), "ROS_DOMAIN_ID"),
+            (&MINIMAL.replace("topics:", "relay: maybe, topics:"), "true, false, or a mapping"),
+            (&MINIMAL.replace("topics:", "relay: {upd: '[::]:1'}, topics:"), "upd"),
+            (&MINIMAL.replace("topics:", "relay: {membership: m}, topics:"), "relay.membership: there is no domain"),
             (&MINIMAL.replace("to:", "switch: 75e1, to:"), "64 hex digits"),
             (&MINIMAL.replace("links:", "identity: b.pem, links:"), "identity"),
             ("[", "robot.yaml"),

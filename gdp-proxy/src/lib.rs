@@ -1,7 +1,7 @@
 //! Carries ROS 2 topics over the Global Data Plane, with the applications unchanged.
 //!
 //! [`config`] says which topics; [`ros2`] is DDS; [`route`] joins one topic to one name, in one direction, as `delivery` says; [`proxy`] puts
-//! them together, [`stats`] counts. The fabric is the SDK's business (`gdp::node`): nothing here seals, signs or routes.
+//! them together, [`stats`] counts. [`relay`] runs a switch of `gdp-ctl` beside, for others. The fabric is the SDK's business (`gdp::node`): nothing here seals, signs or routes.
 #![deny(unsafe_code)]
 
 mod cert_file;
@@ -10,6 +10,7 @@ mod delivery;
 pub mod material;
 mod membership;
 pub mod proxy;
+pub mod relay;
 pub mod ros2;
 pub mod route;
 pub mod stats;

@@ -14,6 +14,7 @@ use gdp::{Identity, Name, NameCard, SigningKey};
 
 use crate::cert_file::CertFile;
 use crate::config::{Config, Direction, TopicConfig};
+use crate::relay::Relay;
 use crate::ros2::TypeName;
 
 /// Everything secret or signed that a proxy works with.
@@ -21,6 +22,7 @@ pub struct Material {
     pub identity: Identity,
     /// With what their files were like.
     pub papers: Option<(Papers, Stamps)>,
+    pub relay: Option<Relay>,
     /// In the order of the configuration's topics.
     pub topics: Vec<TopicMaterial>,
 }
@@ -63,13 +65,13 @@ impl Permission {
 #[error("{key}: {reason}")]
 pub struct MaterialError {
     /// `topics[0].cert`
-    key: String,
-    reason: String,
+    pub(crate) key: String,
+    pub(crate) reason: String,
 }
 
 impl Material {
     pub fn load(config: &Config) -> Result<Self, MaterialError> {
-        let identity = load_identity(&config.identity)
+        let identity = load_identity(&config.identity, "proxy")
             .map_err(|reason| MaterialError { key: "identity".into(), reason: with_path(reason, &config.identity) })?;
         let load = |(i, topic)| {
             load_topic(topic, identity.name())
@@ -77,7 +79,8 @@ impl Material {
         };
         let topics = config.topics.iter().enumerate().map(load).collect::<Result<Vec<_>, _>>()?;
         let papers = config.domain.as_ref().map(|domain| load_papers(&domain.into(), identity.name())).transpose()?;
-        let material = Self { identity, papers, topics };
+        let relay = Relay::load(config)?;
+        let material = Self { identity, papers, relay, topics };
         material.check_names(config)?;
         Ok(material)
     }
@@ -99,11 +102,12 @@ impl Material {
     }
 }
 
-fn load_identity(path: &Path) -> Result<Identity, String> {
+/// Of an entity of this kind.
+pub(crate) fn load_identity(path: &Path, kind: &str) -> Result<Identity, String> {
     match SigningKey::load(path) {
-        Ok(key) => Ok(Identity::new(key, "proxy")),
+        Ok(key) => Ok(Identity::new(key, kind)),
         Err(error) if error.is_not_found() => {
-            Err(format!("{error}; make one with `gdp-ctl key generate {} --kind proxy`", path.display()))
+            Err(format!("{error}; make one with `gdp-ctl key generate {} --kind {kind}`", path.display()))
         }
         Err(error) => Err(error.to_string()),
     }
@@ -147,8 +151,12 @@ pub(crate) fn load_permission(topic: &TopicConfig, card: &NameCard, entity: Name
     let mut text = String::new();
     let file = File::open(&topic.cert).map_err(|error| error.to_string())?;
     file.take(MAX_CERT_FILE as u64 + 1).read_to_string(&mut text).map_err(|error| error.to_string())?;
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_secs());
-    check_permission(topic.direction, &text, card, entity, now).map_err(|error| error.to_string())
+    check_permission(topic.direction, &text, card, entity, unix_now()).map_err(|error| error.to_string())
+}
+
+/// Seconds since 1970; 0 of a clock that is before that.
+pub(crate) fn unix_now() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_secs())
 }
 
 fn check_permission(
@@ -176,7 +184,7 @@ fn check_permission(
 }
 
 /// The reason with the file in front, unless it names the file already.
-fn with_path(reason: impl Display, path: &Path) -> String {
+pub(crate) fn with_path(reason: impl Display, path: &Path) -> String {
     let (reason, path) = (reason.to_string(), path.display().to_string());
     if reason.contains(&path) { reason } else { format!("{path}: {reason}") }
 }
@@ -229,6 +237,17 @@ pub(crate) mod tests {
             let refusal = files.refusal("");
             assert!(refusal.starts_with("topics[0].cert") && refusal.contains(expected), "{refusal}");
         }
+    }
+
+    /// As one without a battery-backed clock is, until somebody tells it the time.
+    #[test]
+    fn a_machine_in_1970_is_told_to_look_at_its_clock() {
+        let files = Files::new();
+        let ad = issue(&files.owner, &AdCert { not_before: unix_now(), ..files.claims() }).unwrap().to_pem();
+        let refusal = |now| check_permission(Direction::Out, &ad, &files.card, files.entity, now).err();
+        assert!(refusal(unix_now()).is_none());
+        let said = refusal(0).unwrap().to_string();
+        assert!(said.contains("not yet valid") && said.contains("check the clock"), "{said}");
     }
 
     /// From a delegate, and for a role: the file holds what the certificate rests on.

@@ -29,6 +29,25 @@ const CONNECT_PATIENCE: Duration = Duration::from_secs(10);
 /// Runs until `stop` ends, or something fails that only a new start can mend.
 pub async fn run(
     config: Config,
+    mut material: Material,
+    stats: Option<StatsFile>,
+    stop: impl Future<Output = ()>,
+) -> Result<()> {
+    // First, and to the end: others need it whether or not this proxy reaches a switch itself.
+    let relay = match material.relay.take() {
+        Some(relay) => Some(relay.start().await.context("relay")?),
+        None => None,
+    };
+    let ended = carry(config, material, stats, stop).await;
+    if let Some(relay) = relay {
+        relay.stop().await;
+    }
+    ended
+}
+
+/// The topics.
+async fn carry(
+    config: Config,
     material: Material,
     stats: Option<StatsFile>,
     stop: impl Future<Output = ()>,

@@ -509,7 +509,7 @@ mod tests {
         for record in [&writer, &reader] {
             let verified = record.verify(None, 150).unwrap();
             assert_eq!((verified.entity, verified.not_after), (entity, 200));
-            assert!(matches!(record.verify(None, 99), Err(CertError::NotYetValid { .. })));
+            assert!(matches!(record.verify(None, 39), Err(CertError::NotYetValid { .. })));
             assert!(matches!(record.verify(None, 201), Err(CertError::Expired { .. })));
             let revoked = |floor| record.verify(Some(&Revocation { name, number: 1, floor, revoked: vec![] }), 150);
             assert!(revoked(5).is_ok());

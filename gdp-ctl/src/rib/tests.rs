@@ -58,7 +58,12 @@ fn every_bad_advertisement_is_refused_with_its_reason() {
             RefusalCode::Expired,
             "expired at Unix time",
         ),
-        ("a certificate of tomorrow", Box::new(|p| p.cert.not_before = UNIX + 60), RefusalCode::NotYetValid, "not yet"),
+        (
+            "a certificate of tomorrow",
+            Box::new(|p| p.cert.not_before = UNIX + 3600),
+            RefusalCode::NotYetValid,
+            "not yet",
+        ),
         (
             "a certificate for another entity",
             Box::new(|p| p.cert.entity = stranger.name()),

@@ -3,6 +3,10 @@
 use super::CertError;
 use serde::{Serialize, de::DeserializeOwned};
 
+/// Seconds by which the clock of who issues something may be ahead of that of who verifies it. Nothing is taken so much longer: a clock that is behind
+/// already errs that way.
+pub const CLOCKS_DIFFER: u64 = 60;
+
 /// When something holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Validity {
@@ -14,8 +18,9 @@ impl Validity {
     /// For what is bounded in another way, as a statement is by its serial and its attachment.
     pub const ALWAYS: Self = Self { not_before: 0, not_after: u64::MAX };
 
+    /// Whether it is so at `now`, give or take [`CLOCKS_DIFFER`] at the beginning.
     pub fn check(&self, now: u64) -> Result<(), CertError> {
-        if now < self.not_before {
+        if now.saturating_add(CLOCKS_DIFFER) < self.not_before {
             return Err(CertError::NotYetValid { from: self.not_before, now });
         }
         if now > self.not_after {

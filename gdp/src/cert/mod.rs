@@ -19,7 +19,7 @@ mod signed;
 mod statements;
 
 pub use border::{Border, BorderStatement, Locator, MAX_ADDRESSES, MAX_LOCATED, MAX_LOCATOR};
-pub use claims::{Claims, Validity};
+pub use claims::{CLOCKS_DIFFER, Claims, Validity};
 pub use domain::{Invite, MemberCert, Membership, PeerCert, PeerRights};
 pub use issued::{Issued, MAX_CERT_FILE, Reading};
 pub use link_state::{Adjoining, LinkState, MAX_BORDERS, MAX_NEIGHBOURS};

@@ -43,8 +43,9 @@ fn each_way_to_be_wrong_has_its_error() {
 
     let expired = f.ad_cert(|c| c.not_after = NOW - 1);
     assert_eq!(publish(&expired, &advert), CertError::Expired { at: NOW - 1, now: NOW });
-    let early = f.ad_cert(|c| c.not_before = NOW + 1);
-    assert_eq!(publish(&early, &advert), CertError::NotYetValid { from: NOW + 1, now: NOW });
+    let from = NOW + CLOCKS_DIFFER + 1;
+    let early = f.ad_cert(|c| (c.not_before, c.not_after) = (from, from));
+    assert_eq!(publish(&early, &advert), CertError::NotYetValid { from, now: NOW });
     let edge = f.ad_cert(|c| (c.not_before, c.not_after) = (NOW, NOW));
     authorise_advertise(&f.speaker, &f.proof, &edge.into(), &advert, None).unwrap();
 
@@ -163,6 +164,33 @@ fn what_makes_no_sense_is_neither_issued_nor_believed() {
     let mut claims = f.advert_claims();
     claims.box_key = [0xff; 33];
     assert!(issue(f.entity.key(), &claims).is_err());
+}
+
+/// Of the issuer's clock, a minute; at the end there is no allowance.
+#[test]
+fn a_clock_that_is_ahead_by_a_minute_issues_what_holds_at_once_and_longer_is_not_taken() {
+    let validity = Validity { not_before: NOW, not_after: NOW + 1000 };
+    assert_eq!(validity.check(NOW - CLOCKS_DIFFER), Ok(()));
+    let now = NOW - CLOCKS_DIFFER - 1;
+    assert_eq!(validity.check(now), Err(CertError::NotYetValid { from: NOW, now }));
+    assert_eq!(validity.check(NOW + 1000), Ok(()));
+    assert_eq!(validity.check(NOW + 1001), Err(CertError::Expired { at: NOW + 1000, now: NOW + 1001 }));
+    assert_eq!(Validity::ALWAYS.check(u64::MAX), Ok(()));
+}
+
+/// It starts in 1970: what it signs for a day has ended, and what others have signed has not begun. Both errors name the clock.
+#[test]
+fn a_machine_that_does_not_know_the_time_is_told_to_look_at_its_clock() {
+    let f = Fixture::new();
+    let key = f.entity.key();
+    let claims = RtCert { entity: f.entity.name(), switch: f.speaker.switch, not_after: 86400 };
+    let at_the_rib = issue(key, &claims).unwrap().verify(&key.verify_key(), NOW).unwrap_err();
+    assert_eq!(at_the_rib, CertError::Expired { at: 86400, now: NOW });
+    let on_the_robot = f.ad_cert(|_| ()).verify(&f.owner.verify_key(), 0).unwrap_err();
+    assert_eq!(on_the_robot, CertError::NotYetValid { from: NOW - 5, now: 0 });
+    for error in [at_the_rib, on_the_robot] {
+        assert!(error.to_string().contains("check the clock"), "{error}");
+    }
 }
 
 struct Fixture {

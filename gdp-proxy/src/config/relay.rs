@@ -1,0 +1,53 @@
+//! What the file says about the relay: `relay: true`, or a mapping with what differs from that.
+
+use std::fmt;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use gdp_ctl::config::default_udp;
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{Error, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+
+/// A switch beside the proxy, for endpoints that reach nothing else.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RelayConfig {
+    /// The relay's private key (`gdp-ctl key generate FILE --kind switch`). Its admin socket and what it remembers are in files beside it.
+    pub identity: PathBuf,
+    /// What makes the relay a switch of the proxy's domain; `relay.member` if that has one.
+    pub membership: Option<PathBuf>,
+    /// Where it takes links, and whence it makes its own.
+    pub udp: SocketAddr,
+    /// Ethernet interfaces on which it takes links besides; needs CAP_NET_RAW.
+    pub interfaces: Vec<String>,
+}
+
+impl Default for RelayConfig {
+    fn default() -> Self {
+        Self { identity: "relay.pem".into(), membership: None, udp: default_udp(), interfaces: Vec::new() }
+    }
+}
+
+/// `true`, `false` or a mapping. An untagged enum would not name a misspelt key.
+pub(super) fn relay<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<RelayConfig>, D::Error> {
+    deserializer.deserialize_any(RelayVisitor)
+}
+
+struct RelayVisitor;
+
+impl<'de> Visitor<'de> for RelayVisitor {
+    type Value = Option<RelayConfig>;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("true, false, or a mapping such as {udp: \"0.0.0.0:31415\"}")
+    }
+
+    fn visit_bool<E: Error>(self, wanted: bool) -> Result<Self::Value, E> {
+        Ok(wanted.then(RelayConfig::default))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
+        RelayConfig::deserialize(MapAccessDeserializer::new(map)).map(Some)
+    }
+}
