@@ -10,6 +10,7 @@ mod control;
 mod data;
 mod discover;
 mod ethernet;
+mod handshakes;
 mod host;
 mod send;
 mod strays;
@@ -18,9 +19,8 @@ mod udp;
 #[cfg(test)]
 mod udp_tests;
 
-use std::collections::HashMap;
-use std::net::{IpAddr, SocketAddr};
-use std::sync::{Arc, Mutex as StdMutex, MutexGuard};
+use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_wire::{ControlHeader, Header, Name};
@@ -40,6 +40,8 @@ pub use addr::{DisplayMac, LinkAddr, parse_mac};
 pub use batch::{BATCH, InFrame, OutFrame, RecvBatch, Sent};
 pub use data::DataSocket;
 pub use ethernet::{Interface, Vlan, index_of as interface_index};
+pub use handshakes::{HandshakeCounters, HandshakeCounts};
+use handshakes::{Handshakes, MAX_HANDSHAKES, Verdict};
 pub(crate) use host::CurrentPair;
 pub use host::HostPair;
 
@@ -55,12 +57,6 @@ const MAX_ETHERNET_QUIC: u32 = 1472;
 
 /// What QUIC needs.
 const MIN_ETHERNET_MTU: u32 = SMALLEST_PATH as u32 + ControlHeader::LEN as u32;
-
-/// Handshakes of peers that dialled, at once. Beyond half of them, a UDP peer has to prove its address first.
-const MAX_HANDSHAKES: usize = 64;
-
-/// Of these, from one address: a peer that never finishes its handshakes leaves room for others.
-const MAX_HANDSHAKES_OF_ONE: usize = 16;
 
 /// Switches on one segment that are told of.
 const MAX_ANSWERS: usize = 64;
@@ -91,6 +87,8 @@ pub struct PortConfig {
     pub rekey: RekeySchedule,
     /// What is shown of a domain, to peers of links that are made from now on. Shared by all ports of an entity.
     pub papers: CurrentPapers,
+    /// Of peers that dial in. Shared by all ports of an entity.
+    pub handshakes: HandshakeCounters,
 }
 
 impl PortConfig {
@@ -106,8 +104,8 @@ impl PortConfig {
 
     fn new(identity: Identity, role: Role, link_ids: LinkIds) -> Self {
         let (ethertype, rekey) = (gdp_wire::ETHERTYPE, RekeySchedule::default());
-        let papers = CurrentPapers::default();
-        Self { identity, role, lane: 0, through: None, link_ids, listen: false, ethertype, rekey, papers }
+        let (papers, handshakes) = (CurrentPapers::default(), HandshakeCounters::default());
+        Self { identity, role, lane: 0, through: None, link_ids, listen: false, ethertype, rekey, papers, handshakes }
     }
 }
 
@@ -199,8 +197,9 @@ impl Port {
             papers: config.papers.clone(),
         };
         let (sender, accepted) = mpsc::channel(MAX_HANDSHAKES);
-        let acceptor =
-            config.listen.then(|| tokio::spawn(accept_all(endpoint.clone(), hello.clone(), medium.clone(), sender)));
+        let accepting =
+            || accept_all(endpoint.clone(), hello.clone(), medium.clone(), config.handshakes.clone(), sender);
+        let acceptor = config.listen.then(|| tokio::spawn(accepting()));
         Ok(Self { endpoint, client, hello, medium, data: Arc::new(data), accepted: Mutex::new(accepted), acceptor })
     }
 
@@ -344,68 +343,38 @@ async fn accept_all(
     endpoint: Endpoint,
     hello: HelloConfig,
     medium: Medium,
+    counters: HandshakeCounters,
     sender: mpsc::Sender<Result<Link, LinkError>>,
 ) {
-    let running = Running::default();
+    let handshakes = Handshakes::new(counters.clone());
     while let Some(incoming) = endpoint.accept().await {
         let from = incoming.remote_address();
-        let (total, of_one) = running.count(from.ip());
-        if total >= MAX_HANDSHAKES || of_one >= MAX_HANDSHAKES_OF_ONE {
-            incoming.ignore();
-            continue;
-        }
-        if total >= MAX_HANDSHAKES / 2 && medium.is_udp() && incoming.may_retry() {
-            let _ = incoming.retry();
-            continue;
-        }
-        let started = running.start(from.ip());
-        let (hello, medium, sender) = (hello.clone(), medium.clone(), sender.clone());
-        tokio::spawn(async move {
+        let started = match handshakes.judge(Instant::now(), from.ip(), medium.is_udp() && incoming.may_retry()) {
+            Verdict::Ignore => {
+                incoming.ignore();
+                continue;
+            }
+            Verdict::Challenge => {
+                let _ = incoming.retry();
+                continue;
+            }
+            Verdict::Start(started) => Arc::new(started),
+        };
+        let (hello, medium, sender, counters) = (hello.clone(), medium.clone(), sender.clone(), counters.clone());
+        let counted = started.clone();
+        let task = tokio::spawn(async move {
             let link = timeout(HANDSHAKE_TIMEOUT, accept_one(incoming, &hello, &medium))
                 .await
                 .unwrap_or(Err(LinkError::Timeout { what: "the handshake of a peer", after: HANDSHAKE_TIMEOUT }));
             if let Err(error) = &link {
+                counters.count_failed();
                 tracing::debug!(%from, %error, "a handshake failed");
             }
             let _ = sender.send(link).await;
             // Not before somebody took it: links that nobody takes are bounded as well.
-            drop(started);
+            drop(counted);
         });
-    }
-}
-
-/// How many handshakes are under way, by the peer's address.
-#[derive(Clone, Default)]
-struct Running(Arc<StdMutex<HashMap<IpAddr, usize>>>);
-
-impl Running {
-    fn count(&self, from: IpAddr) -> (usize, usize) {
-        let counts = self.lock();
-        (counts.values().sum(), counts.get(&from).copied().unwrap_or(0))
-    }
-
-    fn start(&self, from: IpAddr) -> Started {
-        *self.lock().entry(from).or_default() += 1;
-        Started(self.clone(), from)
-    }
-
-    fn lock(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
-        self.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
-    }
-}
-
-/// A handshake that is counted as long as this lives.
-struct Started(Running, IpAddr);
-
-impl Drop for Started {
-    fn drop(&mut self) {
-        let mut counts = self.0.lock();
-        if let Some(count) = counts.get_mut(&self.1) {
-            *count -= 1;
-            if *count == 0 {
-                counts.remove(&self.1);
-            }
-        }
+        started.runs_as(task.abort_handle());
     }
 }
 

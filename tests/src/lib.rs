@@ -3,7 +3,7 @@
 //! - [`netns`]: network namespaces, veth pairs, entering one and leaving it again
 //! - [`chain`]: robot – switches – cloud; [`packet`]: what an eavesdropper or attacker does on its cables;
 //!   [`wire`]: a cable that is bad
-//! - [`ring`]: five daemons in a ring
+//! - [`ring`]: five daemons in a ring; [`replicas`]: three that are replicas of the RIB, on [`etcd`]
 //! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its ends
 //! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
 //! - [`measure`]: benchmarks: in turn, figures, tables, plots
@@ -14,6 +14,7 @@
 //! Everything made here is removed when its guard is dropped, also by a panic or Ctrl-C.
 
 pub mod chain;
+pub mod etcd;
 pub mod fabric;
 pub mod frames;
 pub mod measure;
@@ -21,6 +22,7 @@ pub mod netns;
 pub mod packet;
 pub mod peers;
 pub mod process;
+pub mod replicas;
 pub mod ring;
 pub mod tools;
 pub mod wait;

@@ -1,6 +1,10 @@
 //! An attacker on a cable replays, cuts, flips and invents frames, or has a key and a link of its own and sends what it may
 //! not. None of it reaches ROS, and every frame is counted under a reason.
 
+#[path = "hostile/half_open.rs"]
+mod half_open;
+mod inside;
+
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
@@ -367,7 +371,12 @@ fn a_flood_of_unknown_names_draws_few_errors_and_stops_nobody() -> Result<()> {
 
 /// KiB of memory that the daemon of s1 uses.
 fn resident(fabric: &Fabric) -> Result<u64> {
-    let status = std::fs::read_to_string(format!("/proc/{}/status", fabric.switches[S1].process.pid()))?;
+    resident_of(fabric.switches[S1].process.pid())
+}
+
+/// KiB of memory that a process uses.
+fn resident_of(pid: u32) -> Result<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status"))?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).context("VmRSS")?;
     Ok(line.trim().trim_end_matches(" kB").parse()?)
 }

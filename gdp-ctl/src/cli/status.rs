@@ -63,6 +63,13 @@ fn describe(status: &Value) -> String {
             out += &format!("{} refused frames of this switch: {count} × {code}\n", short(&link["peer"]));
         }
     }
+    let handshakes = &status["handshakes"];
+    if handshakes.as_object().into_iter().flatten().any(|(_, count)| *count != 0) {
+        out += &format!(
+            "handshakes of peers: {} had to prove an address, {} refused, {} gave way to newer ones, {} failed\n",
+            handshakes["challenged"], handshakes["refused"], handshakes["displaced"], handshakes["failed"]
+        );
+    }
     let counted = status["counters_by_plane"].as_object().into_iter().flatten();
     let counters: Vec<_> = counted
         .filter(|(_, planes)| planes["kernel"] != 0 || planes["userspace"] != 0)

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use gdp::cert::{Adjoining, LinkState};
 use gdp::control::RecordPlace;
 use gdp::link::Role;
+use gdp::port::HandshakeCounts;
 use gdp_wire::{Counter, ErrorCode, FibEntry, Name};
 use serde_json::{Map, Value, json};
 
@@ -69,6 +70,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "interfaces": used,
         "links": links(&core),
         "links_held": links_held(&core),
+        "handshakes": handshakes(daemon.port_config.handshakes.read()),
         "counters": counters,
         "counters_by_plane": by_plane,
         "busiest": busiest.iter().map(|(name, frames)| json!({"name": name, "frames": frames})).collect::<Vec<_>>(),
@@ -81,6 +83,12 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "warnings": warnings::warnings(&core),
         "errors": errors,
     })
+}
+
+/// Of peers that dialled and got no link.
+fn handshakes(counts: HandshakeCounts) -> Value {
+    let HandshakeCounts { challenged, refused, displaced, failed } = counts;
+    json!({"challenged": challenged, "refused": refused, "displaced": displaced, "failed": failed})
 }
 
 /// Where the RIB is, which neighbour leads there, and whether it is to be asked; if not, why.
