@@ -8,7 +8,7 @@ use gdp::domain::{PaperFiles, Trust};
 use gdp::link::RekeySchedule;
 use gdp::node::LinkTarget;
 use gdp::{Identity, Name};
-use gdp_ctl::config::{Config as SwitchConfig, DataPlane, DomainConfig, Neighbour, Place, Via};
+use gdp_ctl::config::{Config as SwitchConfig, DataPlane, DomainConfig, Inside, Neighbour, Place, Via};
 use gdp_ctl::plane::FIB_CAPACITY;
 use gdp_ctl::serve::{self, Running};
 use tokio::runtime::{Builder, Runtime};
@@ -57,7 +57,7 @@ impl Relay {
         let domain = domain.map(|(domain, membership)| {
             let files = PaperFiles { membership: membership.clone(), ..domain.into() };
             check_membership(&files, &identity).map_err(|reason| wrong("relay.membership", reason))?;
-            Ok(DomainConfig { files, members_only: true })
+            Ok(DomainConfig { files, members_only: true, trace: Inside::Masked })
         });
         let switch = switch(relay, neighbours, domain.transpose()?);
         Ok(Some(Self { switch, name: identity.name() }))

@@ -198,7 +198,7 @@ fn hub_config(folder: &Path) -> Config {
         ebpf_object: None,
         fib_capacity: 1024,
         bpffs: None,
-        domain: Some(DomainConfig { files, members_only: true }),
+        domain: Some(DomainConfig { files, members_only: true, trace: Default::default() }),
         public: Vec::new(),
         etcd: None,
         rekey: RekeySchedule::default(),

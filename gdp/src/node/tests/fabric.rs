@@ -537,7 +537,16 @@ impl Rib {
             NameRole::Subscriber | NameRole::Server => self.boxes.get(&(name, entity)).cloned().unwrap_or_default(),
             _ => Vec::new(),
         };
-        Peers { run, settling: false, generation, extent, records, gone, revocation: self.revocations.get(&name).cloned(), boxes }
+        Peers {
+            run,
+            settling: false,
+            generation,
+            extent,
+            records,
+            gone,
+            revocation: self.revocations.get(&name).cloned(),
+            boxes,
+        }
     }
 
     fn pushes(&mut self, name: Name) -> Pushes {
