@@ -3,7 +3,7 @@
 //! - [`netns`]: network namespaces, veth pairs, entering one and leaving it again
 //! - [`chain`]: robot – switches – cloud; [`packet`]: what an eavesdropper or attacker does on its cables;
 //!   [`wire`]: a cable that is bad
-//! - [`ring`]: five daemons in a ring
+//! - [`ring`]: five daemons in a ring; [`federation`]: three trust domains, and a robot that roams between two of them
 //! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its ends
 //! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
 //! - [`measure`]: benchmarks: in turn, figures, tables, plots
@@ -15,6 +15,7 @@
 
 pub mod chain;
 pub mod fabric;
+pub mod federation;
 pub mod frames;
 pub mod measure;
 pub mod netns;
