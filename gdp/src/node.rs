@@ -25,6 +25,7 @@ mod home;
 mod intake;
 mod lane;
 mod latched;
+mod network;
 mod options;
 mod outlet;
 mod pairs;
