@@ -27,6 +27,7 @@ mod inbox;
 mod intake;
 mod lane;
 mod latched;
+mod network;
 mod options;
 mod outlet;
 mod pairs;

@@ -112,6 +112,8 @@ impl PortConfig {
 /// An open port. Dropping it closes its links.
 pub struct Port {
     endpoint: Endpoint,
+    /// Of the endpoint.
+    socket: Arc<dyn AsyncUdpSocket>,
     client: ClientConfig,
     hello: HelloConfig,
     medium: Medium,
@@ -182,8 +184,9 @@ impl Port {
         // The bit that tells QUIC from data frames on a shared port.
         endpoint_config.grease_quic_bit(false);
         let server = config.listen.then_some(server);
-        let endpoint = Endpoint::new_with_abstract_socket(endpoint_config, server, socket, Arc::new(TokioRuntime))
-            .map_err(|source| LinkError::Io { what: "QUIC endpoint".into(), source })?;
+        let endpoint =
+            Endpoint::new_with_abstract_socket(endpoint_config, server, socket.clone(), Arc::new(TokioRuntime))
+                .map_err(|source| LinkError::Io { what: "QUIC endpoint".into(), source })?;
         let hello = HelloConfig {
             identity: config.identity.clone(),
             role: config.role,
@@ -200,7 +203,16 @@ impl Port {
         let accepting =
             || accept_all(endpoint.clone(), hello.clone(), medium.clone(), config.handshakes.clone(), sender);
         let acceptor = config.listen.then(|| tokio::spawn(accepting()));
-        Ok(Self { endpoint, client, hello, medium, data: Arc::new(data), accepted: Mutex::new(accepted), acceptor })
+        Ok(Self {
+            endpoint,
+            socket,
+            client,
+            hello,
+            medium,
+            data: Arc::new(data),
+            accepted: Mutex::new(accepted),
+            acceptor,
+        })
     }
 
     /// Makes a link to the peer at `to`; refuses any other than `expected`, if that is given.
@@ -272,6 +284,13 @@ impl Port {
                 until = end.min(Instant::now() + ANSWERS_SETTLE);
             }
         }
+    }
+
+    /// The addresses of this machine have changed: all links show their peers at once where they come from now, without which those would
+    /// go on sending to where it was until something else is said.
+    pub fn show_address(&self) -> Result<(), LinkError> {
+        let rebound = self.endpoint.rebind_abstract(self.socket.clone());
+        rebound.map_err(|source| LinkError::Io { what: "QUIC endpoint".into(), source })
     }
 
     /// Where data frames of this port's links arrive and leave.

@@ -333,7 +333,17 @@ pub struct Authority<'a> {
 impl Authority<'_> {
     /// The names of switches `s1`, `s2`, …
     pub fn switches(&self, count: usize) -> Result<Vec<String>> {
-        (1..=count).map(|i| self.key("", &format!("s{i}.pem"), "switch")).collect()
+        (1..=count).map(|i| self.switch(&format!("s{i}"))).collect()
+    }
+
+    /// A switch makes its key, `LABEL.pem`; its name.
+    pub fn switch(&self, label: &str) -> Result<String> {
+        self.key("", &format!("{label}.pem"), "switch")
+    }
+
+    /// A proxy makes its key, `key.pem` in a folder of its own; its name.
+    pub fn proxy(&self, label: &str) -> Result<String> {
+        self.key(label, "key.pem", "proxy")
     }
 
     /// The topic's name, made by its owner.
@@ -345,7 +355,7 @@ impl Authority<'_> {
 
     /// A proxy makes its key and tells the owner its name; the owner hands it the card and a certificate.
     pub fn admit(&self, label: &str, right: &str) -> Result<()> {
-        let entity = self.key(label, "key.pem", "proxy")?;
+        let entity = self.proxy(label)?;
         let (of, file) = (["--key", "owner.pem", right], format!("{label}.cert"));
         let whom = ["--entity", &entity, "-o", &file];
         self.ctl(OWNER, &[&["grant", "add", "chatter.card"], &of[..], &whom[..]].concat())?;
@@ -362,7 +372,8 @@ impl Authority<'_> {
         field(&self.ctl(whose, &["key", "generate", file, "--kind", kind])?, "name")
     }
 
-    fn ctl(&self, whose: &str, arguments: &[&str]) -> Result<Value> {
+    /// A `gdp-ctl` command in the folder of a party, as JSON.
+    pub(crate) fn ctl(&self, whose: &str, arguments: &[&str]) -> Result<Value> {
         let mut command = Command::new(self.tools.gdp_ctl()?);
         parse(&execute(command.args(arguments).arg("-j").current_dir(self.folder.join(whose)))?)
     }

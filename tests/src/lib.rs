@@ -4,6 +4,7 @@
 //! - [`chain`]: robot – switches – cloud; [`packet`]: what an eavesdropper or attacker does on its cables;
 //!   [`wire`]: a cable that is bad
 //! - [`ring`]: five daemons in a ring; [`replicas`]: three that are replicas of the RIB, on [`etcd`]
+//! - [`federation`]: three trust domains, and a robot that roams between two of them
 //! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its ends
 //! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
 //! - [`measure`]: benchmarks: in turn, figures, tables, plots
@@ -16,6 +17,7 @@
 pub mod chain;
 pub mod etcd;
 pub mod fabric;
+pub mod federation;
 pub mod frames;
 pub mod measure;
 pub mod netns;

@@ -9,17 +9,11 @@
 use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp::identity::Identity;
-use gdp::node::{LinkState, LinkStatus, PublishOptions, Publisher, SubscribeOptions, Subscription};
-use gdp::seal::Encoding;
-use gdp::transport::InboundCounters;
-use gdp::{NameCard, Node, NodeConfig, SigningKey};
+use gdp::node::{LinkState, PublishOptions, SubscribeOptions};
 use gdp_faults::Faults;
 use gdp_tests::Tools;
 use gdp_tests::netns::{End, Namespace, execute, veth};
@@ -27,14 +21,11 @@ use gdp_tests::process::Process;
 use gdp_tests::wait::wait_for;
 use gdp_tests::wire::Wire;
 use serde_json::{Value, json};
-use tokio::sync::watch;
-use tokio::task::JoinHandle;
 
-use inside::{Inside, ROOT};
+use flows::{Flow, Heard, Party, SOON, Topic};
 
+mod flows;
 mod inside;
-
-const SOON: Duration = Duration::from_secs(20);
 
 const MS: u64 = 1_000_000;
 
@@ -71,18 +62,19 @@ fn loses_nothing(switches: usize) -> Result<()> {
     robot.wait_for_links(|links| links[0].main && links.iter().all(|link| link.state == LinkState::Up))?;
     let twice = |options| PublishOptions { duplicate: true, ..options };
     let from_robot = [
-        Topic::open(&robot, &cloud, twice(PublishOptions::reliable()), SubscribeOptions::reliable())?,
-        Topic::open(&robot, &cloud, twice(PublishOptions::best_effort()), SubscribeOptions::best_effort())?,
-        Topic::open(&robot, &cloud, PublishOptions::reliable(), SubscribeOptions::reliable())?,
+        Topic::open(&robot, &cloud, &[], twice(PublishOptions::reliable()), SubscribeOptions::reliable())?,
+        Topic::open(&robot, &cloud, &[], twice(PublishOptions::best_effort()), SubscribeOptions::best_effort())?,
+        Topic::open(&robot, &cloud, &[], PublishOptions::reliable(), SubscribeOptions::reliable())?,
     ];
     let by_each = SubscribeOptions { duplicate: true, ..SubscribeOptions::reliable() };
     let to_robot = [
-        Topic::open(&cloud, &robot, PublishOptions::reliable(), by_each)?,
-        Topic::open(&cloud, &robot, PublishOptions::reliable(), SubscribeOptions::reliable())?,
+        Topic::open(&cloud, &robot, &[], PublishOptions::reliable(), by_each)?,
+        Topic::open(&cloud, &robot, &[], PublishOptions::reliable(), SubscribeOptions::reliable())?,
     ];
     let topics: Vec<Topic> = from_robot.into_iter().chain(to_robot).collect();
     let sizes = [SIZE, SIZE, SIZE, SMALL, SIZE];
-    let flows: Vec<Flow> = topics.into_iter().zip(sizes).map(|(topic, size)| Flow::start(topic, size)).collect();
+    let flows: Vec<Flow> =
+        topics.into_iter().zip(sizes).map(|(topic, size)| Flow::start(topic, size, PERIOD)).collect();
     let heard = |flows: &[Flow]| flows.iter().map(Flow::heard).min().unwrap_or(0);
     let until = |what: &str, count: usize| {
         wait_for(what, SOON, || Ok((heard(&flows) >= count).then_some(()))).with_context(|| site.report())
@@ -101,7 +93,8 @@ fn loses_nothing(switches: usize) -> Result<()> {
     }
     let results = flows.into_iter().map(Flow::finish).collect::<Result<Vec<_>>>()?;
     for (i, result) in results.iter().enumerate() {
-        let Heard { sequences, slowest, counters, .. } = result;
+        let Heard { slowest, counters, .. } = result;
+        let sequences: Vec<u64> = result.messages.iter().map(|(sequence, _)| *sequence).collect();
         let all = sequences.iter().copied().eq(1..=sequences.len() as u64);
         ensure!(all, "topic {i}: not each once and in order: {sequences:?}, {counters:?}");
         ensure!(sequences.len() as u64 == result.sent, "topic {i}: {} of {}", sequences.len(), result.sent);
@@ -125,10 +118,10 @@ fn what_comes_twice_is_counted_and_dropped() -> Result<()> {
         let out = PublishOptions { duplicate: true, ..PublishOptions::reliable() };
         let by_each = SubscribeOptions { duplicate: true, ..SubscribeOptions::reliable() };
         let mut topics = [
-            Topic::open(&robot, &cloud, out, SubscribeOptions::reliable())?,
-            Topic::open(&robot, &cloud, PublishOptions::reliable(), SubscribeOptions::reliable())?,
-            Topic::open(&cloud, &robot, PublishOptions::reliable(), by_each)?,
-            Topic::open(&cloud, &robot, PublishOptions::reliable(), SubscribeOptions::reliable())?,
+            Topic::open(&robot, &cloud, &[], out, SubscribeOptions::reliable())?,
+            Topic::open(&robot, &cloud, &[], PublishOptions::reliable(), SubscribeOptions::reliable())?,
+            Topic::open(&cloud, &robot, &[], PublishOptions::reliable(), by_each)?,
+            Topic::open(&cloud, &robot, &[], PublishOptions::reliable(), SubscribeOptions::reliable())?,
         ];
         const COUNT: u64 = 100;
         for i in 1..=COUNT {
@@ -261,11 +254,11 @@ impl Site {
     }
 
     fn robot(&self) -> Result<Party> {
-        Party::connect(&self.places[0], &["eth://wlan0", "udp://10.8.0.1:31415%wwan0"])
+        connect(&self.places[0], &["eth://wlan0", "udp://10.8.0.1:31415%wwan0"])
     }
 
     fn cloud(&self) -> Result<Party> {
-        Party::connect(&self.places[1], &["eth://e0"])
+        connect(&self.places[1], &["eth://e0"])
     }
 
     /// For three seconds from now on nothing passes.
@@ -285,133 +278,6 @@ impl Site {
     }
 }
 
-/// A node.
-struct Party {
-    node: Node,
-    identity: Identity,
-    inside: Inside,
-}
-
-impl Party {
-    fn connect(at: &Namespace, to: &[&str]) -> Result<Self> {
-        let (inside, identity) = (Inside::new(at, ROOT)?, Identity::generate("proxy")?);
-        let mut config = NodeConfig::new(identity.clone(), to[0].parse()?);
-        for link in &to[1..] {
-            config.links.push(link.parse::<gdp::node::LinkTarget>()?.into());
-        }
-        config.connect_timeout = SOON;
-        let node = inside.run(Node::connect(config))??;
-        Ok(Self { node, identity, inside })
-    }
-
-    fn wait_for_links(&self, condition: impl Fn(&[LinkStatus]) -> bool) -> Result<()> {
-        let links = || self.node.links();
-        wait_for("links", SOON, || Ok(condition(&links()).then_some(()))).with_context(|| format!("{:#?}", links()))
-    }
-}
-
-/// A name with one writer and one reader.
-struct Topic<'a> {
-    from: &'a Party,
-    to: &'a Party,
-    publisher: Publisher,
-    subscription: Subscription,
-}
-
-impl<'a> Topic<'a> {
-    fn open(from: &'a Party, to: &'a Party, out: PublishOptions, taken: SubscribeOptions) -> Result<Self> {
-        let owner = SigningKey::generate()?;
-        let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None)?;
-        let (name, entity, not_after) = (card.name(), from.identity.name(), 4_000_000_000);
-        let grant = Grantee::Entity(to.identity.name());
-        let grant = ReadGrant { name, to: grant, serial: 1, not_before: 0, not_after };
-        let cert = AdCert { name, entity, mode: Mode::Multicast, scope: vec![], serial: 1, not_before: 0, not_after };
-        let subscribe = to.node.subscribe(card.proof(), issue(&owner, &grant)?.into(), taken);
-        let subscription = to.inside.runtime.block_on(subscribe)?;
-        let publish = from.node.publish(card.proof(), issue(&owner, &cert)?.into(), out);
-        let publisher = from.inside.runtime.block_on(publish)?;
-        wait_for("the reader to be known", SOON, || Ok((publisher.readers() == 1).then_some(())))?;
-        Ok(Self { from, to, publisher, subscription })
-    }
-
-    fn send(&mut self) -> Result<()> {
-        self.from.inside.runtime.block_on(self.publisher.send(Encoding::Bytes, &[1; 500]))?;
-        Ok(())
-    }
-
-    /// The sequence of the next message.
-    fn hear(&mut self) -> Result<u64> {
-        let next = async { tokio::time::timeout(SOON, self.subscription.recv()).await };
-        let message = self.to.inside.runtime.block_on(next).context("no message in time")?;
-        Ok(message.context("the subscription ended")?.sequence)
-    }
-}
-
-/// A topic on which a message goes every [`PERIOD`].
-struct Flow<'a> {
-    to: &'a Party,
-    from: &'a Party,
-    sending: JoinHandle<Result<u64>>,
-    hearing: JoinHandle<Result<Heard>>,
-    stop: watch::Sender<bool>,
-    last: watch::Sender<u64>,
-    heard: Arc<AtomicUsize>,
-}
-
-struct Heard {
-    sequences: Vec<u64>,
-    /// From the sealing of a message to the application.
-    slowest: Duration,
-    counters: InboundCounters,
-    sent: u64,
-}
-
-impl<'a> Flow<'a> {
-    fn start(topic: Topic<'a>, size: usize) -> Self {
-        let Topic { from, to, mut publisher, mut subscription } = topic;
-        let (stop, last) = (watch::Sender::new(false), watch::Sender::new(u64::MAX));
-        let (stopped, mut end, heard) = (stop.subscribe(), last.subscribe(), Arc::<AtomicUsize>::default());
-        let sending = from.inside.runtime.spawn(async move {
-            let (mut ticks, mut count, body) = (tokio::time::interval(PERIOD), 0, vec![1; size]);
-            while !*stopped.borrow() {
-                ticks.tick().await;
-                count = publisher.send(Encoding::Bytes, &body).await?;
-            }
-            // What is on its way still arrives.
-            tokio::spawn(async move {
-                let _publisher = publisher;
-                std::future::pending::<()>().await
-            });
-            Ok(count)
-        });
-        let counted = heard.clone();
-        let hearing = to.inside.runtime.spawn(async move {
-            let (mut sequences, mut slowest) = (Vec::new(), Duration::ZERO);
-            while sequences.last().is_none_or(|sequence| sequence < &*end.borrow()) {
-                let message = tokio::select! {
-                    message = subscription.recv() => message.context("the subscription ended")?,
-                    _ = end.changed() => continue,
-                };
-                let now = SystemTime::now().duration_since(UNIX_EPOCH)?;
-                slowest = slowest.max(now.saturating_sub(Duration::from_nanos(message.timestamp_ns)));
-                sequences.push(message.sequence);
-                counted.fetch_add(1, Ordering::Relaxed);
-            }
-            Ok(Heard { sequences, slowest, counters: subscription.counters().inbound, sent: 0 })
-        });
-        Self { to, from, sending, hearing, stop, last, heard }
-    }
-
-    fn heard(&self) -> usize {
-        self.heard.load(Ordering::Relaxed)
-    }
-
-    fn finish(self) -> Result<Heard> {
-        self.stop.send_replace(true);
-        let sent = self.from.inside.runtime.block_on(self.sending)??;
-        self.last.send_replace(sent);
-        let heard = async { tokio::time::timeout(SOON, self.hearing).await };
-        let heard = self.to.inside.runtime.block_on(heard).context("the last message did not come")???;
-        Ok(Heard { sent, ..heard })
-    }
+fn connect(at: &Namespace, to: &[&str]) -> Result<Party> {
+    Party::connect(at, Identity::generate("proxy")?, to, None)
 }

@@ -131,11 +131,11 @@ const STEPS: &[Step] = &[
     },
     Step {
         part: Part::Namespaces,
-        what: "iproute2 and ethtool",
-        why: "tests, demo and benchmarks build networks of namespaces and veth pairs",
-        present: || shell::which("ip").is_some() && shell::which("ethtool").is_some(),
-        debian: &["apt-get install -y --no-install-recommends iproute2 ethtool"],
-        elsewhere: "install iproute2 and ethtool",
+        what: "iproute2, ethtool and nftables",
+        why: "tests, demo and benchmarks build networks of namespaces and veth pairs, some of them behind NAT",
+        present: || ["ip", "ethtool", "nft"].iter().all(|program| shell::which(program).is_some()),
+        debian: &["apt-get install -y --no-install-recommends iproute2 ethtool nftables"],
+        elsewhere: "install iproute2, ethtool and nftables",
     },
     Step {
         part: Part::Etcd,

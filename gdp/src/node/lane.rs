@@ -47,6 +47,8 @@ pub struct Lane {
     status: Mutex<Status>,
     /// Echoes are not answered at the moment, though the link is up.
     silent: AtomicBool,
+    /// This machine is in another network since the switch last answered.
+    moved: AtomicBool,
     /// What goes by this link besides the main one.
     copies: Mutex<Uplink>,
     copies_sent: Count,
@@ -93,6 +95,7 @@ impl Lane {
             target: config.target.clone(),
             status: Mutex::new(Status::Down("connecting".into())),
             silent: AtomicBool::new(false),
+            moved: AtomicBool::new(false),
             copies: Mutex::new(Uplink::new(0, UplinkOptions { max_payload, budget: config.budget })),
             copies_sent: Count::default(),
         }
@@ -115,8 +118,13 @@ impl Lane {
         self.silent.store(silent, Ordering::Relaxed);
     }
 
+    /// Whether this machine has changed networks and the switch has not answered since; of a link that is up.
+    pub fn set_moved(&self, moved: bool) {
+        self.moved.store(moved, Ordering::Relaxed);
+    }
+
     pub fn is_silent(&self) -> bool {
-        self.silent.load(Ordering::Relaxed)
+        self.silent.load(Ordering::Relaxed) || self.moved.load(Ordering::Relaxed)
     }
 
     pub fn fitness(&self) -> Fitness {

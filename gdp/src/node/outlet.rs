@@ -173,6 +173,7 @@ impl Outlet {
     /// A link is up, or is not any more.
     pub fn set_status(&self, lane: &Lane, status: Status) {
         lane.set_silent(false);
+        lane.set_moved(false);
         self.change_status(lane, |of_lane| *of_lane = status);
     }
 

@@ -1,5 +1,5 @@
 //! Keeps one link of the node: makes it, attaches, states again what the application wants stated, answers the
-//! switch, and begins anew when the link is lost. The application's handles never notice but for what was lost.
+//! switch, and begins anew when the link is lost, or at once when this machine is in another network. The application's handles never notice but for what was lost.
 //! [`run`] keeps all links of a node.
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -17,6 +17,7 @@ use zerocopy::IntoBytes;
 use super::choice::Pulse;
 use super::frame_size::FrameSize;
 use super::lane::{Lane, Status};
+use super::network::{Network, Way};
 use super::outlet::Ways;
 use super::receiver::Command;
 use super::shared_entry::SharedEntry;
@@ -39,8 +40,18 @@ const MAX_CANDIDATES: usize = 8;
 /// Between attempts to get the link back, and to state what was refused: doubled from the first to the second.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
-/// How long a switch on the same host may take to answer the first frame.
+/// How long a switch on the same host may take to answer the first frame; any, over UDP, once this machine is in another network, and
+/// four round trips.
 const ANSWER: Duration = Duration::from_millis(500);
+
+/// The same of a switch on a cable.
+const ANSWER_ON_CABLE: Duration = Duration::from_millis(100);
+
+/// Between two echoes that are waited for.
+const ECHOES: Duration = Duration::from_millis(10);
+
+/// What the kernel says of a network that has changed comes in parts.
+const NEWS_SETTLE: Duration = Duration::from_millis(2);
 
 /// How long the node tries to attach again over the link it has; the switch waits a little longer for its answer.
 const REATTACH: Duration = Duration::from_secs(4);
@@ -75,6 +86,8 @@ pub struct Attachment {
     pub largest: usize,
     /// What links further on take, as far as it is known.
     pub frame_size: FrameSize,
+    /// How the switch was reached when the link was made.
+    way: Option<Way>,
     since: Instant,
     count: AtomicU64,
     /// Cookie of the latest answer to an echo.
@@ -84,11 +97,11 @@ pub struct Attachment {
 }
 
 impl Attachment {
-    fn new(lane: u8, link: Link, port: &Port) -> Self {
+    fn new(lane: u8, link: Link, way: Option<Way>, port: &Port) -> Self {
         let (entry, data, largest) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data(), port.mtu() as usize);
         let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
         let costs_told = AtomicBool::new(false);
-        Self { lane, entry, link, data, largest, frame_size, since: Instant::now(), count, answer, costs_told }
+        Self { lane, entry, link, data, largest, frame_size, way, since: Instant::now(), count, answer, costs_told }
     }
 
     /// The count for the next frame: 1 for the first.
@@ -122,13 +135,13 @@ impl Attachment {
 
     /// Whether the data plane of the switch answers where frames are sent to. On the host itself that takes microseconds, but the
     /// daemon may not have taken the link into service yet.
-    async fn is_answered(&self) -> bool {
-        let (mut asked, until) = (Vec::new(), Instant::now() + ANSWER);
+    async fn is_answered(&self, within: Duration) -> bool {
+        let (mut asked, until) = (Vec::new(), Instant::now() + within);
         while Instant::now() < until {
             let cookie = crypto::random().map_or(0, u64::from_le_bytes);
             asked.push(cookie);
             self.send(Header::echo(cookie));
-            sleep(ANSWER / 50).await;
+            sleep(ECHOES).await;
             if asked.contains(&self.answer.load(Ordering::Relaxed)) {
                 return true;
             }
@@ -198,8 +211,12 @@ pub async fn run(
     mut stop: watch::Receiver<bool>,
 ) {
     let (ending, mut supervisors) = (watch::Sender::new(false), JoinSet::new());
+    let network = Network::open().inspect_err(|error| {
+        tracing::warn!(%error, "the kernel does not say when the network changes; links that are lost by that are made anew after seconds");
+    });
+    let network = network.ok().map(Arc::new);
     for (lane, config) in (0..).zip(links) {
-        let supervisor = Supervisor::new(state.clone(), lane, config, rekey);
+        let supervisor = Supervisor::new(state.clone(), lane, config, rekey, network.clone());
         supervisors.spawn(supervisor.run(patience, first.clone(), ending.subscribe()));
     }
     drop(first);
@@ -227,15 +244,25 @@ struct Supervisor {
     port: Option<Arc<Port>>,
     /// Index of the interface that a UDP port is bound to.
     through: Option<u32>,
+    network: Option<Arc<Network>>,
+    /// Of the network, since the last attempt began.
+    changes: Option<watch::Receiver<()>>,
 }
 
 impl Supervisor {
-    fn new(state: Arc<State>, lane: u8, config: LinkConfig, rekey: RekeySchedule) -> Self {
+    fn new(
+        state: Arc<State>,
+        lane: u8,
+        config: LinkConfig,
+        rekey: RekeySchedule,
+        network: Option<Arc<Network>>,
+    ) -> Self {
         let LinkConfig { target, switch: pinned, .. } = config;
         let through = if let LinkTarget::Udp { interface, .. } = &target { interface.clone() } else { None };
         let papers = state.home.shown.clone();
         let port_config = PortConfig { rekey, lane, through, papers, ..PortConfig::endpoint(state.identity.clone()) };
-        Self { state, lane, target, pinned, port_config, port: None, through: None }
+        let changes = network.as_ref().map(|network| network.changes());
+        Self { state, lane, target, pinned, port_config, port: None, through: None, network, changes }
     }
 
     fn lane(&self) -> &Lane {
@@ -250,7 +277,7 @@ impl Supervisor {
                 match self.attempt(None).await {
                     Err(error) if error.may_pass() => {
                         self.state.still_lost(self.lane(), error.to_string());
-                        backoff.wait().await;
+                        self.pause(&mut backoff).await;
                     }
                     result => return result,
                 }
@@ -327,7 +354,7 @@ impl Supervisor {
     async fn reconnect(&mut self, held: Option<&Held>) -> Arc<Attachment> {
         let mut backoff = Backoff::new();
         loop {
-            backoff.wait().await;
+            self.pause(&mut backoff).await;
             match self.attempt(held).await {
                 Ok(attachment) => return attachment,
                 Err(error) => {
@@ -338,12 +365,37 @@ impl Supervisor {
         }
     }
 
+    /// Waits before the next attempt; not if the network has changed since the last one began.
+    async fn pause(&mut self, backoff: &mut Backoff) {
+        let changes = self.changes.as_mut();
+        let changed = async {
+            let told = match changes {
+                Some(changes) => changes.changed().await.is_ok(),
+                None => false,
+            };
+            match told {
+                true => sleep(NEWS_SETTLE).await,
+                false => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            () = backoff.wait() => return,
+            () = changed => {}
+        }
+        *backoff = Backoff::new();
+    }
+
     /// One link's life; returns why it ended.
     async fn serve(&self, attachment: Arc<Attachment>) -> String {
         let others = self.state.outlet.lanes().len() > 1;
         let _watch = others.then(|| AbortOnDrop(tokio::spawn(watch_silence(self.state.clone(), attachment.clone()))));
         let _upkeep = AbortOnDrop(tokio::spawn(keep_stated(self.state.clone(), attachment.clone())));
         let _keys = AbortOnDrop(tokio::spawn(attachment.clone().keep_keys()));
+        let moves =
+            self.network.clone().zip(self.port.clone()).map(|(network, port)| {
+                watch_moves(self.state.clone(), network, port, self.through, attachment.clone())
+            });
+        let _moves = moves.map(|moves| AbortOnDrop(tokio::spawn(moves)));
         let (watched, state) = (attachment.link.clone(), self.state.clone());
         let _home = AbortOnDrop(tokio::spawn(async move { state.home.watch(&watched).await }));
         let link = &attachment.link;
@@ -360,14 +412,15 @@ impl Supervisor {
     /// Makes a link and attaches: from then on the switch may send on it, so frames are taken on it before. Those on the link
     /// that is held are taken for as long as the switch may send them.
     async fn attempt(&mut self, held: Option<&Held>) -> Result<Arc<Attachment>, NodeError> {
+        self.changes.as_mut().into_iter().for_each(watch::Receiver::mark_unchanged);
         let (port, candidates) = self.locate().await?;
         let held = held.map(|held| (held.attachment.clone(), held.until.into_std()));
         let mut apart = false;
         let attachment = loop {
-            let link = self.dial_first(&port, &candidates, apart).await?;
-            let attachment = Arc::new(Attachment::new(self.lane, link, &port));
+            let (link, way) = self.dial_first(&port, &candidates, apart).await?;
+            let attachment = Arc::new(Attachment::new(self.lane, link, way, &port));
             self.state.command(Command::Attach { attachment: attachment.clone(), held: held.clone() });
-            if !attachment.link.is_by_pair() || attachment.is_answered().await {
+            if !attachment.link.is_by_pair() || attachment.is_answered(ANSWER).await {
                 break attachment;
             }
             tracing::warn!(
@@ -390,16 +443,32 @@ impl Supervisor {
         port: &Port,
         candidates: &[(LinkAddr, Option<Name>)],
         apart: bool,
-    ) -> Result<Link, NodeError> {
+    ) -> Result<(Link, Option<Way>), NodeError> {
         let mut failure = None;
         for (to, expected) in candidates.iter().take(MAX_CANDIDATES) {
-            let dialled = match apart {
-                false => port.dial(*to, *expected).await,
-                true => port.dial_apart(*to, *expected).await,
+            let dialling = async {
+                match apart {
+                    false => port.dial(*to, *expected).await,
+                    true => port.dial_apart(*to, *expected).await,
+                }
+            };
+            let (dialled, way) = match &self.network {
+                Some(network) => {
+                    let way = network.way(*to, self.through).await;
+                    let dialled = tokio::select! {
+                        dialled = dialling => dialled,
+                        // What went to the old network is not answered: better begun anew than said again later.
+                        _ = network.until_other(*to, self.through, &way) => {
+                            return Err(NodeError::Detached("the network of this machine has changed".into()));
+                        }
+                    };
+                    (dialled, way)
+                }
+                None => (dialling.await, None),
             };
             match dialled {
                 Ok(link) if link.peer().role == Role::Switch => match self.state.home.judge(&link) {
-                    Ok(_) => return Ok(link),
+                    Ok(_) => return Ok((link, way)),
                     Err(error) => {
                         link.close(&error.to_string());
                         failure = Some(error.into());
@@ -530,6 +599,49 @@ async fn watch_silence(state: Arc<State>, attachment: Arc<Attachment>) {
     }
 }
 
+/// Has other links used once the switch is reached in another way than when the link was made, until it answers again. If it is reached but
+/// does not answer, the link ends.
+async fn watch_moves(
+    state: Arc<State>,
+    network: Arc<Network>,
+    port: Arc<Port>,
+    through: Option<u32>,
+    attachment: Arc<Attachment>,
+) {
+    let (lane, link) = (state.outlet.lane(&attachment), &attachment.link);
+    let patience = match link.addr() {
+        LinkAddr::Udp(_) => ANSWER,
+        LinkAddr::Ethernet { .. } => ANSWER_ON_CABLE,
+    };
+    let mut way = attachment.way.clone();
+    loop {
+        way = network.until_other(link.addr(), through, &way).await;
+        lane.set_moved(true);
+        state.outlet.choose(false);
+        let answered = async {
+            if way.is_none() {
+                // Wi-Fi may be back in a moment.
+                std::future::pending::<()>().await;
+            }
+            if let Err(error) = port.show_address() {
+                tracing::debug!(%error, "the switch is not shown the new address");
+            }
+            attachment.is_answered(patience + 4 * link.rtt()).await
+        };
+        tokio::select! {
+            answered = answered => {
+                if !answered {
+                    return link.close("this machine is in another network, from which the switch does not answer");
+                }
+                lane.set_moved(false);
+                state.outlet.choose(false);
+            }
+            // From the top, with what is true by then.
+            _ = network.until_other(link.addr(), through, &way) => {}
+        }
+    }
+}
+
 /// Answers what the switch asks.
 async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request, responder: Responder) {
     let response = match request {
@@ -636,7 +748,7 @@ impl Backoff {
     }
 }
 
-struct AbortOnDrop(JoinHandle<()>);
+pub struct AbortOnDrop(pub JoinHandle<()>);
 
 impl Drop for AbortOnDrop {
     fn drop(&mut self) {
