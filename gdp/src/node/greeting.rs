@@ -5,9 +5,11 @@ use crate::crypto::{self, CryptoError};
 
 const MS: u64 = 1_000_000;
 
-/// A Hello that is not answered is said again so many times, this far apart; from then on only if there is reason to.
+/// A Hello that is not answered is said so many times, this far apart. From then on each waits twice as long as the one before, up to the
+/// longest pause: the writer may hear of this reader much later than the reverse, as between domains; or so long if there is reason to ask.
 const TRIES: u32 = 5;
 const EAGER: u64 = 100 * MS;
+const LONGEST: u64 = 30_000 * MS;
 const PATIENT: u64 = 2_000 * MS;
 
 #[derive(Debug, Default)]
@@ -24,10 +26,9 @@ impl Greeting {
         if self.challenge.is_none() {
             (self.challenge, self.tries) = (Some(crypto::random()?), 0);
         }
-        if self.due.is_none() {
-            let pause = if self.tries < TRIES { EAGER } else { PATIENT };
-            self.due = Some(self.said_at.map_or(now, |said| (said + pause).max(now)));
-        }
+        let pause = if self.tries < TRIES { EAGER } else { PATIENT };
+        let at = self.said_at.map_or(now, |said| (said + pause).max(now));
+        self.due = Some(self.due.map_or(at, |due| due.min(at)));
         Ok(())
     }
 
@@ -41,10 +42,9 @@ impl Greeting {
     pub fn poll(&mut self, now: u64) -> Option<[u8; 16]> {
         self.due.take_if(|due| *due <= now)?;
         self.said_at = Some(now);
-        self.tries += 1;
-        if self.tries < TRIES {
-            self.due = Some(now + EAGER);
-        }
+        let pause = EAGER << self.tries.saturating_sub(TRIES - 1).min(10);
+        self.due = Some(now + pause.min(LONGEST));
+        self.tries = self.tries.saturating_add(1);
         self.challenge
     }
 
@@ -66,14 +66,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_is_said_a_few_times_and_then_only_when_there_is_reason() {
+    fn it_is_said_a_few_times_soon_then_ever_more_rarely_and_again_when_there_is_reason() {
         let mut greeting = Greeting::default();
         greeting.ask(0).unwrap();
         let mut said = Vec::new();
         for at in 0..10_000 {
             said.extend(greeting.poll(at * MS).map(|challenge| (at, challenge)));
         }
-        assert_eq!(said.iter().map(|(at, _)| *at).collect::<Vec<_>>(), [0, 100, 200, 300, 400]);
+        let at: Vec<u64> = said.iter().map(|(at, _)| *at).collect();
+        assert_eq!(at, [0, 100, 200, 300, 400, 500, 700, 1100, 1900, 3500, 6700]);
         assert!(said.iter().all(|(_, challenge)| *challenge == said[0].1));
         // A stranger's frames come all the time.
         let mut said = 0;
