@@ -186,8 +186,9 @@ impl Port {
         // The bit that tells QUIC from data frames on a shared port.
         endpoint_config.grease_quic_bit(false);
         let server = config.listen.then_some(server);
-        let endpoint = Endpoint::new_with_abstract_socket(endpoint_config, server, socket.clone(), Arc::new(TokioRuntime))
-            .map_err(|source| LinkError::Io { what: "QUIC endpoint".into(), source })?;
+        let endpoint =
+            Endpoint::new_with_abstract_socket(endpoint_config, server, socket.clone(), Arc::new(TokioRuntime))
+                .map_err(|source| LinkError::Io { what: "QUIC endpoint".into(), source })?;
         let hello = HelloConfig {
             identity: config.identity.clone(),
             role: config.role,
@@ -203,7 +204,16 @@ impl Port {
         let (sender, accepted) = mpsc::channel(MAX_HANDSHAKES);
         let acceptor =
             config.listen.then(|| tokio::spawn(accept_all(endpoint.clone(), hello.clone(), medium.clone(), sender)));
-        Ok(Self { endpoint, socket, client, hello, medium, data: Arc::new(data), accepted: Mutex::new(accepted), acceptor })
+        Ok(Self {
+            endpoint,
+            socket,
+            client,
+            hello,
+            medium,
+            data: Arc::new(data),
+            accepted: Mutex::new(accepted),
+            acceptor,
+        })
     }
 
     /// Makes a link to the peer at `to`; refuses any other than `expected`, if that is given.

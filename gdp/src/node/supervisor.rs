@@ -371,9 +371,10 @@ impl Supervisor {
         let _watch = others.then(|| AbortOnDrop(tokio::spawn(watch_silence(self.state.clone(), attachment.clone()))));
         let _upkeep = AbortOnDrop(tokio::spawn(keep_stated(self.state.clone(), attachment.clone())));
         let _keys = AbortOnDrop(tokio::spawn(attachment.clone().keep_keys()));
-        let moves = self.network.clone().zip(self.port.clone()).map(|(network, port)| {
-            watch_moves(self.state.clone(), network, port, self.through, attachment.clone())
-        });
+        let moves =
+            self.network.clone().zip(self.port.clone()).map(|(network, port)| {
+                watch_moves(self.state.clone(), network, port, self.through, attachment.clone())
+            });
         let _moves = moves.map(|moves| AbortOnDrop(tokio::spawn(moves)));
         let (watched, state) = (attachment.link.clone(), self.state.clone());
         let _home = AbortOnDrop(tokio::spawn(async move { state.home.watch(&watched).await }));
