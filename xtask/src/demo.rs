@@ -1,0 +1,63 @@
+//! `cargo xtask demo`: a robot that roams between two trust domains while its ROS 2 topic flows to the cloud, as in the paper's Figure 4;
+//! with `--chain` the simplest network there is.
+//!
+//! Everything runs in network namespaces of its own, with real programs; nothing stays behind, Ctrl-C included.
+
+mod chain;
+mod federation;
+mod route;
+mod story;
+
+use anyhow::{Result, bail, ensure};
+use gdp_tests::{netns, wait};
+use serde::Serialize;
+
+use self::story::Story;
+use crate::setup::{self, Part};
+use crate::workspace::{self, Profile};
+use crate::{build, peers as peer_programs};
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// Robot, three switches and cloud in a row, instead of the paper's Figure 4
+    #[arg(long)]
+    chain: bool,
+    /// How long messages flow
+    #[arg(long, default_value_t = 15)]
+    seconds: u64,
+    /// One JSON object on stdout instead of a story
+    #[arg(long)]
+    json: bool,
+    /// Messages per second
+    #[arg(long, default_value_t = 20.0)]
+    rate: f64,
+    /// Bytes of a message
+    #[arg(long, default_value_t = 64)]
+    size: usize,
+}
+
+const TEXT: &str = "hello from the robot";
+
+pub fn run(options: Options) -> Result<()> {
+    ensure!(options.seconds > 0 && options.rate > 0.0, "--seconds and --rate must be above zero");
+    if !workspace::is_root() {
+        bail!("the demo builds network namespaces and loads XDP programs, which needs root");
+    }
+    setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces, Part::Dds])?;
+    build::all(Profile::Release)?;
+    peer_programs::build()?;
+    wait::catch_interrupts();
+    netns::sweep()?;
+    let story = Story { silent: options.json };
+    match options.chain {
+        true => print(&options, &chain::play(&options, &story)?),
+        false => print(&options, &federation::play(&options, &story)?),
+    }
+}
+
+fn print(options: &Options, outcome: &impl Serialize) -> Result<()> {
+    if options.json {
+        println!("{}", serde_json::to_string(outcome)?);
+    }
+    Ok(())
+}
