@@ -29,7 +29,7 @@ pub struct Options {
     #[arg(long)]
     json: bool,
     /// Messages per second
-    #[arg(long, default_value_t = 20.0)]
+    #[arg(long, default_value_t = 50.0)]
     rate: f64,
     /// Bytes of a message
     #[arg(long, default_value_t = 64)]

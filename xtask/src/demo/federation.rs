@@ -85,19 +85,19 @@ pub fn play(options: &Options, story: &Story) -> Result<Outcome> {
     let frame = air.receive(Duration::from_secs(10), is_data).context("between the robot and the NAT")?;
     let part = Duration::from_secs(options.seconds) / 3;
     let mut chapters = Vec::new();
-    let mut watch = |federation: &Federation, what, at, conversation: &mut Conversation| {
-        let chapter = chapter(federation, story, what, at, part, conversation)?;
-        chapters.push(chapter);
+    let mut watch = |federation: &Federation, what, before, at, conversation: &mut Conversation| {
+        chapters.push(chapter(federation, story, what, before, at, part, conversation)?);
         Ok::<_, anyhow::Error>(())
     };
-    watch(&federation, "The robot is at the enterprise", "a1", &mut conversation)?;
+    watch(&federation, "The robot is at the enterprise", 0, "a1", &mut conversation)?;
+    let before = heard(&conversation);
     federation.roam(Site::University)?;
     let at = serving(&federation)?;
-    watch(&federation, "The robot has moved to the university", at, &mut conversation)?;
-    let at = serving(&federation)?;
+    watch(&federation, "The robot has moved to the university", before, at, &mut conversation)?;
+    let (before, at) = (heard(&conversation), serving(&federation)?);
     federation.kill(at)?;
     let other = if at == "u1" { "u2" } else { "u1" };
-    watch(&federation, "Its switch has died, and another has taken over", other, &mut conversation)?;
+    watch(&federation, "Its switch has died, and another has taken over", before, other, &mut conversation)?;
 
     let received = conversation.finish(Duration::from_secs(5), Duration::from_secs(10))?;
     let count = arrived(&received);
@@ -116,16 +116,22 @@ pub fn play(options: &Options, story: &Story) -> Result<Outcome> {
     Ok(outcome)
 }
 
-/// Tells of messages for a while, and of what the switches say meanwhile. `at`: the robot's switch.
+fn heard(conversation: &Conversation) -> usize {
+    peers::received(&conversation.listener).len()
+}
+
+/// Tells of messages for a while, and of what the switches say meanwhile. `before`: messages that had come when it began. `at`: the robot's
+/// switch.
 fn chapter(
     federation: &Federation,
     story: &Story,
     what: &'static str,
+    before: usize,
     at: &str,
     length: Duration,
     conversation: &mut Conversation,
 ) -> Result<Chapter> {
-    let (begun, before) = (Instant::now(), peers::received(&conversation.listener).len());
+    let begun = Instant::now();
     story.say(&format!("\n{what}: {}", federation.robot_address()));
     let (mut next, mut told) = (Duration::ZERO, None);
     while begun.elapsed() < length {
@@ -177,7 +183,7 @@ fn serving(federation: &Federation) -> Result<&'static str> {
 fn seen_as(federation: &Federation, at: &str) -> Result<String> {
     let links = federation.ctl(at, &["link", "list"])?;
     let of_robot = links["links"].as_array().into_iter().flatten().find(|link| link["role"] == "endpoint");
-    Ok(text(&of_robot.with_context(|| format!("{at} has no link of the robot"))?["addr"]))
+    Ok(text(&of_robot.with_context(|| format!("{at} has no link of the robot"))?["address"]))
 }
 
 /// The switches that `gdp-ctl trace` finds from here on: to the border, and on from the one behind it.
