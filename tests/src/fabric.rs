@@ -356,9 +356,14 @@ impl Authority<'_> {
     /// A proxy makes its key and tells the owner its name; the owner hands it the card and a certificate.
     pub fn admit(&self, label: &str, right: &str) -> Result<()> {
         let entity = self.proxy(label)?;
-        let (of, file) = (["--key", "owner.pem", right], format!("{label}.cert"));
-        let whom = ["--entity", &entity, "-o", &file];
-        self.ctl(OWNER, &[&["grant", "add", "chatter.card"], &of[..], &whom[..]].concat())?;
+        self.grant(label, &entity, &[right])
+    }
+
+    /// The owner hands an entity the card and a certificate.
+    pub fn grant(&self, label: &str, entity: &str, rights: &[&str]) -> Result<()> {
+        let file = format!("{label}.cert");
+        let (add, whom) = (["grant", "add", "chatter.card", "--key", "owner.pem"], ["--entity", entity, "-o", &file]);
+        self.ctl(OWNER, &[&add, rights, &whom].concat())?;
         for (from, to) in [("chatter.card", "chatter.card"), (&file, "chatter.cert")] {
             let (from, to) = (self.folder.join(OWNER).join(from), self.folder.join(label).join(to));
             fs::copy(&from, &to).with_context(|| format!("cannot copy {}", from.display()))?;
@@ -380,7 +385,7 @@ impl Authority<'_> {
 }
 
 /// JSON is YAML.
-fn write_yaml(path: &Path, config: &Value) -> Result<()> {
+pub(crate) fn write_yaml(path: &Path, config: &Value) -> Result<()> {
     fs::write(path, format!("{config:#}\n")).with_context(|| format!("cannot write {}", path.display()))
 }
 

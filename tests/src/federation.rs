@@ -26,8 +26,9 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
-use crate::fabric::{Authority, Switch};
+use crate::fabric::{Authority, Switch, TOPIC, TYPE, write_yaml};
 use crate::netns::{End, Namespace, execute, veth};
+use crate::packet::PacketSocket;
 use crate::process::Process;
 use crate::tools::Tools;
 use crate::wait::wait_for;
@@ -80,6 +81,8 @@ pub struct Federation {
     // Order is the order of the end: proxies, daemons, network, files.
     pub robot_proxy: Option<Process>,
     pub cloud_proxy: Option<Process>,
+    /// Of the topic that the proxies exchange, once there is one.
+    pub name: Option<String>,
     switches: Vec<(&'static str, Switch)>,
     pub robot: Namespace,
     pub cloud: Namespace,
@@ -138,6 +141,7 @@ impl Federation {
         let mut this = Self {
             robot_proxy: None,
             cloud_proxy: None,
+            name: None,
             switches: Vec::new(),
             robot,
             cloud,
@@ -277,8 +281,8 @@ impl Federation {
     }
 
     /// Makes an entity with a key of its own a member: the robot (`robot`) of the enterprise, others of the university. Its folder has
-    /// `key.pem`, `domain.card`, `membership`, and for the robot `visit.peer`.
-    pub fn admit(&self, label: &str) -> Result<PathBuf> {
+    /// `key.pem`, `domain.card`, `membership`, and for the robot `visit.peer`. Returns its name.
+    pub fn admit(&self, label: &str) -> Result<String> {
         let folder = self.folder_of(label);
         let authority = Authority { tools: &self.tools, folder: self.files.path() };
         let name = authority.proxy(label)?;
@@ -291,7 +295,70 @@ impl Federation {
         if label == "robot" {
             copy("enterprise-university.peer", "visit.peer")?;
         }
-        Ok(folder)
+        Ok(name)
+    }
+
+    /// A topic that the robot publishes and the cloud reads, in either domain, and a proxy at each of them. The switches on the way hold
+    /// its name.
+    pub fn start_proxies(&mut self) -> Result<()> {
+        for end in [&self.robot, &self.cloud] {
+            end.enable_loopback_multicast()?;
+        }
+        let authority = Authority { tools: &self.tools, folder: self.files.path() };
+        let name = authority.topic()?;
+        let Domains { enterprise, university, .. } = &self.domains;
+        let publish = ["--publish", "--mode", "multicast", "--scope", enterprise, "--scope", university];
+        authority.grant("robot", &self.admit("robot")?, &publish)?;
+        authority.grant("cloud", &self.admit("cloud")?, &["--read"])?;
+        self.cloud_proxy = Some(self.start_proxy("cloud", "in", &self.cloud, &[CLOUD_LINK], &[])?);
+        self.robot_proxy = Some(self.start_proxy("robot", "out", &self.robot, &ROBOT_LINKS, &["visit.peer"])?);
+        for switch in ["a1", "b2"] {
+            self.wait(&format!("{switch} to hold {name}"), |it| {
+                Ok(it.ctl(switch, &["fib", "dump"])?.to_string().contains(&name))
+            })?;
+        }
+        self.name = Some(name);
+        Ok(())
+    }
+
+    fn start_proxy(
+        &self,
+        label: &str,
+        direction: &str,
+        at: &Namespace,
+        links: &[&str],
+        peers: &[&str],
+    ) -> Result<Process> {
+        let config = json!({
+            "identity": "key.pem",
+            "links": links.iter().map(|to| json!({"to": to})).collect::<Vec<_>>(),
+            "domain": {"card": "domain.card", "membership": "membership", "peers": peers},
+            "domain_id": 0,
+            "topics": [{
+                "topic": TOPIC, "type": TYPE, "direction": direction, "card": "chatter.card", "cert": "chatter.cert",
+                "qos": {"reliability": "reliable", "durability": "volatile", "depth": 100},
+            }],
+        });
+        let path = self.folder_of(label).join("proxy.yaml");
+        write_yaml(&path, &config)?;
+        let mut command = at.command(self.tools.gdp_proxy()?)?;
+        command.arg("--config").arg(path);
+        Process::spawn(&format!("{label}-proxy"), command, self.files.path())
+    }
+
+    /// Everything the robot sends, before the NAT of the network that it is in.
+    pub fn on_the_air(&self) -> Result<PacketSocket> {
+        PacketSocket::open(self.nat_of(self.at), INSIDE)
+    }
+
+    /// The robot's own address, as it is in the network that it is in.
+    pub fn robot_address(&self) -> &'static str {
+        self.at.addresses().0
+    }
+
+    /// Where the logs are.
+    pub fn folder(&self) -> &Path {
+        self.files.path()
     }
 
     /// A `gdp-ctl` command against the daemon of a switch, as JSON.

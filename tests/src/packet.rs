@@ -130,10 +130,22 @@ impl AsRawFd for PacketSocket {
     }
 }
 
+/// First byte of a data frame.
+const DATA: u8 = 0x10;
+
 /// Whether this Ethernet frame is a GDP data frame.
 pub fn is_gdp_data(frame: &[u8]) -> bool {
-    const DATA: u8 = 0x10;
     frame.len() > ETHERNET && frame[12..14] == GDP_ETHERTYPE.to_be_bytes() && frame[ETHERNET] == DATA
+}
+
+/// Where the GDP frame begins in this Ethernet frame, if it holds a data frame in UDP over IPv4.
+pub fn gdp_data_in_udp(frame: &[u8]) -> Option<usize> {
+    const IPV4: [u8; 2] = [8, 0];
+    const UDP_HEADER: usize = 8;
+    let words = usize::from(frame.get(ETHERNET)? & 0xf);
+    let is_udp = frame[12..14] == IPV4 && i32::from(*frame.get(ETHERNET + 9)?) == libc::IPPROTO_UDP;
+    let start = ETHERNET + 4 * words + UDP_HEADER;
+    (is_udp && *frame.get(start)? == DATA).then_some(start)
 }
 
 fn set_option<T>(socket: &OwnedFd, option: libc::c_int, value: &T) -> std::io::Result<()> {

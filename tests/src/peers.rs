@@ -35,7 +35,13 @@ pub struct Traffic {
     pub depth: u32,
     /// Find this address by unicast instead of anybody by multicast.
     pub peer: Option<String>,
+    /// Over `lo` alone, as on a robot whose other interfaces come and go; of Cyclone DDS.
+    pub on_loopback: bool,
 }
+
+/// What keeps Cyclone DDS on `lo`.
+const ON_LOOPBACK: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" multicast=\"true\"/></Interfaces>\
+                           </General></Domain></CycloneDDS>";
 
 impl Default for Traffic {
     fn default() -> Self {
@@ -48,6 +54,7 @@ impl Default for Traffic {
             transient_local: false,
             depth: 10,
             peer: None,
+            on_loopback: false,
         }
     }
 }
@@ -158,6 +165,9 @@ fn program(tools: &Tools, at: &Namespace, vendor: Vendor, verb: &str, traffic: &
         Vendor::Cyclone => {
             let mut python = at.command(tools.python()?)?;
             python.arg(tools.cyclone());
+            if traffic.on_loopback {
+                python.env("CYCLONEDDS_URI", ON_LOOPBACK);
+            }
             python
         }
     };

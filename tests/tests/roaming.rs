@@ -9,8 +9,11 @@ use gdp::identity::Identity;
 use gdp::node::{LinkState, PublishOptions, SubscribeOptions};
 use gdp::{Name, SigningKey};
 use gdp_tests::Tools;
+use gdp_tests::fabric::{TOPIC, TYPE};
 use gdp_tests::federation::{CLOUD_LINK, Federation, PATIENCE, ROBOT_LINKS, Site};
 use gdp_tests::netns::Namespace;
+use gdp_tests::packet::gdp_data_in_udp;
+use gdp_tests::peers::{self, Conversation, Side, Traffic, Vendor};
 use gdp_tests::wait::wait_for;
 
 use flows::{Flow, Heard, Party, Topic};
@@ -76,6 +79,42 @@ fn a_robot_roams_between_domains_and_back_and_nothing_reliable_is_lost() -> Resu
     Ok(())
 }
 
+/// What ROS programs see of it: a wait, once for each move.
+#[test]
+fn ros_programs_on_a_robot_that_roams_notice_a_gap_and_nothing_else() -> Result<()> {
+    let mut federation = Federation::start(Tools::beside_this_test()?)?;
+    federation.start_proxies()?;
+    let traffic = Traffic { count: 600, rate: 50.0, depth: 100, on_loopback: true, ..Default::default() };
+    let talks = Side { at: &federation.robot, vendor: Vendor::Cyclone, traffic: &traffic };
+    let hears = Side { at: &federation.cloud, vendor: Vendor::FastDds, traffic: &traffic };
+    let mut both = Conversation::start(&federation.tools, talks, hears, federation.folder())
+        .with_context(|| federation.report())?;
+    let air = federation.on_the_air()?;
+    both.open()?;
+    let frame = air.receive(PATIENCE, |frame| gdp_data_in_udp(frame).is_some())?;
+    for word in [TOPIC, TYPE, &traffic.text, "chatter", "String", "hello"] {
+        let seen = frame.windows(word.len()).any(|window| window.eq_ignore_ascii_case(word.as_bytes()));
+        ensure!(!seen, "{word} can be read in the air");
+    }
+    let heard = |federation: &Federation, both: &Conversation| {
+        let so_far = peers::received(&both.listener).len();
+        let enough = || Ok((peers::received(&both.listener).len() >= so_far + 100).then_some(()));
+        wait_for("messages", PATIENCE, enough).with_context(|| federation.report())
+    };
+    heard(&federation, &both)?;
+    for site in [Site::University, Site::Enterprise] {
+        federation.roam(site)?;
+        heard(&federation, &both)?;
+    }
+    let messages = both.finish(PATIENCE, PATIENCE).with_context(|| federation.report())?;
+    ensure!(messages.iter().all(|message| message.intact));
+    let sequences: Vec<i64> = messages.iter().map(|message| message.sequence).collect();
+    ensure!(sequences.iter().copied().eq(0..600), "each once and in order: {sequences:?}");
+    let slowest = messages.iter().map(|message| message.latency).max();
+    eprintln!("the longest that a message took: {slowest:?}");
+    Ok(())
+}
+
 /// Waits until each flow has got on.
 fn flow_on(federation: &Federation, flows: &[(&str, Flow)]) -> Result<()> {
     for (what, flow) in flows {
@@ -87,7 +126,8 @@ fn flow_on(federation: &Federation, flows: &[(&str, Flow)]) -> Result<()> {
 }
 
 fn party(federation: &Federation, label: &str, at: &Namespace, links: &[&str]) -> Result<Party> {
-    let folder = federation.admit(label)?;
+    federation.admit(label)?;
+    let folder = federation.folder_of(label);
     let visit = folder.join("visit.peer");
     let files = PaperFiles {
         card: folder.join("domain.card"),

@@ -138,6 +138,7 @@ impl Rib {
             self.abroad.put_spare(place, next, (record.proof, new));
         }
         self.settle_place(now, place)?;
+        self.forget_here(stake, advert.serial);
         boxes.iter().try_for_each(|signed| self.foreign_box(now, stake, &record.entity, signed))
     }
 
@@ -190,6 +191,15 @@ impl Rib {
         for switch in switches {
             self.unregister(stake, switch);
         }
+    }
+
+    /// What an entity has stated abroad counts, and not what it had stated here before: it has moved, though the link that it had here may
+    /// not be missed yet.
+    fn forget_here(&mut self, stake: Stake, serial: u64) {
+        let earlier = self.names.all_of(&stake.name, &stake.entity, stake.role);
+        let earlier = earlier.filter(|it| it.abroad.is_none() && !it.everywhere && it.serial < serial);
+        let switches: Vec<Name> = earlier.map(|earlier| earlier.switch).collect();
+        switches.into_iter().for_each(|switch| self.unregister(stake, switch));
     }
 
     /// A registration is over. What another neighbour says of it counts then, if it came from abroad.

@@ -458,12 +458,16 @@ impl State {
         let mut serial = self.serial.lock().await;
         let several = self.outlet.lanes().len() > 1;
         let (statement, everywhere) = {
-            let statements = lock(&self.statements);
-            let Some(standing) = statements.get(&(name, stated)) else { return Ok(()) };
+            let mut statements = lock(&self.statements);
+            let Some(standing) = statements.get_mut(&(name, stated)) else { return Ok(()) };
             let everywhere = several && (stated.sends() || standing.duplicate);
             let belongs = everywhere || self.outlet.ways().borrow().main == usize::from(attachment.lane);
             if !belongs || standing.over || standing.done & bit(attachment) != 0 {
                 return Ok(());
+            }
+            if !everywhere {
+                // From here on it may stand by this link alone, whether or not the answer comes.
+                standing.done = 0;
             }
             (standing.statement.clone(), everywhere)
         };

@@ -75,6 +75,33 @@ fn writers_and_readers_in_both_get_one_copy_each() {
     f.check_anew();
 }
 
+/// Its first switch does not miss it yet.
+#[test]
+fn who_moves_to_another_domain_is_no_longer_reached_where_it_was() {
+    let mut f = pair();
+    let (writer, reader) = (f.domains[0].attached("writer", 0), f.domains[0].attached("reader", 0));
+    f.domains[0].publish(&writer, 0, 1);
+    f.domains[0].subscribe(&reader, 0, 1);
+    f.settle();
+    f.domains[1].attach(&reader, 1);
+    f.domains[1].subscribe(&reader, 1, 2);
+    f.settle();
+    let name = f.domains[0].card.name();
+    let places = |f: &Federation, of: usize| -> Vec<Name> {
+        f.domains[of].rib.names.all_of(name.as_bytes(), &reader.name(), Subscriber).map(|part| part.switch).collect()
+    };
+    let far = f.switch((1, 1));
+    assert_eq!((places(&f, 0), places(&f, 1)), (vec![far], vec![far]));
+    assert_eq!(f.domains[0].held[&f.switch((0, 1))].routes[&name].locals, [f.switch((1, 0))]);
+    f.check_delivery();
+
+    f.domains[0].subscribe(&reader, 0, 3);
+    f.settle();
+    let home = f.switch((0, 0));
+    assert_eq!(places(&f, 0), [home]);
+    f.check_delivery();
+}
+
 #[test]
 fn a_service_is_called_from_abroad_and_answers_into_the_inbox() {
     let mut f = pair();
