@@ -144,7 +144,9 @@ impl Table {
 
     /// Whether a push is the one to take in now; if so, it is under way from here on.
     pub fn begin(&mut self, push: TierHolds, extent: Extent) -> bool {
-        let follows = self.holds.is_some_and(|held| held.run == push.run && held.generation + 1 == push.generation);
+        let follows = self
+            .holds
+            .is_some_and(|held| held.run == push.run && held.generation.checked_add(1) == Some(push.generation));
         let is_replayed = self.holds.is_some_and(|held| held.run == push.run && held.generation >= push.generation);
         match (extent, &self.whole) {
             (Extent::Full { part: 0, .. }, _) if !is_replayed => {

@@ -146,9 +146,9 @@ impl State {
         let known = lock(&self.publications).get(&entity).cloned();
         let publication = match known {
             Some(publication) => {
-                // The RIB has forgotten the boxes of a pair that had parted.
-                publication.store_again();
                 if returned {
+                    // The RIB has forgotten the boxes of a pair that had parted.
+                    publication.store_again();
                     publication.returned(&self.outlet, &entity);
                 }
                 publication

@@ -158,7 +158,9 @@ impl Client {
     async fn call_there(&self, place: Place, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
         let (state, service, instance) = (&self.node.state, self.name, place.instance);
         let left = || NodeError::InstanceLeft { service, instance };
-        let publication = lock(&state.publications).get(&instance).cloned().ok_or_else(left)?;
+        // There is no way to one that has only just come, and none any more to one that has left.
+        let absent = || if place.has_left() { left() } else { NodeError::NoInstance { service, instance } };
+        let publication = lock(&state.publications).get(&instance).cloned().ok_or_else(absent)?;
         let waiting = lock(&state.calls).len();
         if waiting >= MAX_CALLS {
             return Err(NodeError::TooManyCalls(waiting));
