@@ -253,6 +253,14 @@ impl Credential {
         }
     }
 
+    /// Domains that a writer may be known in besides its own; a reader's credential names none. Believe it once the credential is verified.
+    pub fn scope(&self) -> Result<Vec<Name>, CertError> {
+        match self {
+            Self::Writer(cert) => Ok(cert.cert.claims_unverified()?.scope),
+            Self::Reader(_) => Ok(Vec::new()),
+        }
+    }
+
     /// Of what a revocation can take back: what it is, and its serial. Believe it once the credential is verified.
     pub fn serials(&self) -> Result<Vec<(&'static str, u64)>, CertError> {
         match self {

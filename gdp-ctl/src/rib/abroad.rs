@@ -5,7 +5,7 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use gdp::cert::{CertError, Revocation, Signed};
-use gdp::control::{Credential, NameRole, Record, RecordPlace, Refusal, RefusalCode};
+use gdp::control::{NameRole, Record, RecordPlace, Refusal, RefusalCode};
 use gdp::keys::KeyBox;
 use gdp::name::NameProof;
 use gdp_wire::Name;
@@ -112,10 +112,7 @@ impl Rib {
         let stake = Stake { name: key, entity, role };
         self.check_foreign(stake, &place.switch, &next, advert.serial)?;
         let seconds = u32::try_from(record.expires_in).unwrap_or(u32::MAX).min(advert.lifetime);
-        let scope = match &record.credential {
-            Credential::Writer(cert) => cert.cert.claims_unverified().map_err(refusal)?.scope,
-            Credential::Reader(_) => Vec::new(),
-        };
+        let scope = record.credential.scope().map_err(refusal)?;
         let serials = record.credential.serials().map_err(refusal)?;
         let new = Registration {
             entity: record.entity,

@@ -443,6 +443,11 @@ impl Rib {
             .filter_map(|(name, state)| Some((*name, self.bits.of(name)?, state.attached.iter().copied().collect())))
     }
 
+    /// How many there are.
+    pub fn switch_count(&self) -> usize {
+        self.switches.keys().filter(|switch| self.bits.of(switch).is_some()).count()
+    }
+
     /// At most `limit` records behind `after`, and whether there are more.
     pub fn records(&self, now: Now, after: Option<RecordPlace>, limit: usize) -> (Vec<Record>, bool) {
         self.names.records(now.clock, after.as_ref(), limit)

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use gdp::cbor::{self, CborError};
 use gdp::cert::{CertError, Signed, Speaker};
-use gdp::control::{Credential, NameRole, Record, RecordPlace, Refusal};
+use gdp::control::{NameRole, Record, RecordPlace, Refusal};
 use gdp::keys::KeyBox;
 use gdp::link::MAX_LANES;
 use gdp::name::NameProof;
@@ -235,10 +235,7 @@ impl Rib {
         let spent = verified.advert.serial.max(self.entities.floor(&entity));
         self.entities.restore(now, entity, spent, switch);
         let serials = record.credential.serials()?;
-        let scope = match &record.credential {
-            Credential::Writer(cert) => cert.cert.claims_unverified()?.scope,
-            Credential::Reader(_) => Vec::new(),
-        };
+        let scope = record.credential.scope()?;
         let Record { proof, entity: shown, credential, advert, .. } = record;
         let registration = Registration {
             entity: shown,

@@ -650,7 +650,7 @@ impl Core {
             let now = self.now();
             outgoing.extend(self.federation_effects());
             let Some(rib) = &mut self.rib else { return outgoing };
-            let (names, switches) = (rib.name_count(), rib.switches().count());
+            let (names, switches) = (rib.name_count(), rib.switch_count());
             if std::mem::replace(&mut self.told_of_rib, (names, switches)) != (names, switches) {
                 self.events.tell(Event::Rib { names, switches });
             }

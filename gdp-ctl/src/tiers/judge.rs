@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use gdp::cert::domain::roles;
 use gdp::cert::{BorderStatement, CertError, Membership, Revocation};
-use gdp::control::{Abroad, Credential, MAX_PATH, Record, TierEntry, TierKey};
+use gdp::control::{Abroad, MAX_PATH, Record, TierEntry, TierKey};
 use gdp_wire::Name;
 
 use super::table::{Held, Item, Table};
@@ -150,13 +150,8 @@ impl<R: Revoked> Judge<'_, R> {
             return Ok(Held { path: abroad.path, ends: held.ends.min(said), ..(**held).clone() });
         }
         let (lifetime, until) = self.verify(&abroad.record, &abroad.host, origin)?;
-        let scope = match &abroad.record.credential {
-            Credential::Writer(cert) => {
-                let claims = cert.cert.claims_unverified();
-                claims.map_err(|source: CertError| TierRefusal::Record { name, source: source.into() })?.scope
-            }
-            Credential::Reader(_) => Vec::new(),
-        };
+        let scope = abroad.record.credential.scope();
+        let scope = scope.map_err(|source: CertError| TierRefusal::Record { name, source: source.into() })?;
         let stated = self.now.clock + Duration::from_secs(lifetime.into());
         let ends = said.min(stated).min(self.clock_at(until));
         if ends <= self.now.clock {

@@ -24,7 +24,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::cert::{CertError, Locator, Membership, Signed};
-use gdp::control::{Credential, Record, RecordPlace, TierKey, TierRequest, TierResponse};
+use gdp::control::{Record, RecordPlace, TierKey, TierRequest, TierResponse};
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
@@ -216,10 +216,7 @@ impl Tiers {
     /// this domain alone nothing is kept.
     pub fn set_own(&mut self, now: Now, record: Record, host: Membership) -> Result<(), CertError> {
         let place = record.place()?;
-        let scope = match &record.credential {
-            Credential::Writer(cert) => cert.cert.claims_unverified()?.scope,
-            Credential::Reader(_) => Vec::new(),
-        };
+        let scope = record.credential.scope()?;
         if record.is_writer() && scope.iter().all(|domain| *domain == self.home) {
             self.remove_own(place);
             return Ok(());

@@ -1,7 +1,6 @@
 //! A cluster of real etcd members on the loopback interface, each a process with its data in a temporary folder.
 
-// Each test uses some of it.
-#![allow(dead_code)]
+#![allow(dead_code, reason = "each program that includes this uses a part of it")]
 
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::process::{Child, Command, Stdio};

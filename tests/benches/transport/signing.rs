@@ -32,12 +32,7 @@ const SEALED: &str = "sealed and signed";
 const OPENED: &str = "opened and verified";
 
 pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
-    // On a thread of its own, which is pinned for as long as it lives.
-    let pinned = || cpu::pin(cpu::SENDER).and_then(|()| measure(bench));
-    match std::thread::scope(|scope| scope.spawn(pinned).join()) {
-        Ok(figures) => figures,
-        Err(panic) => std::panic::resume_unwind(panic),
-    }
+    cpu::on(cpu::SENDER, || measure(bench))
 }
 
 fn measure(bench: &Bench) -> Result<Vec<Figure>> {

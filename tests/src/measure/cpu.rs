@@ -8,6 +8,14 @@ pub const SENDER: usize = 0;
 /// Of what is beside it.
 pub const OTHER: usize = 1;
 
+/// Runs something on a thread of its own, which stays on a CPU for as long as it lives.
+pub fn on<T: Send>(cpu: usize, work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
+    match std::thread::scope(|scope| scope.spawn(|| pin(cpu).and_then(|()| work())).join()) {
+        Ok(done) => done,
+        Err(panic) => std::panic::resume_unwind(panic),
+    }
+}
+
 /// Keeps the calling thread on a CPU.
 pub fn pin(cpu: usize) -> Result<()> {
     // SAFETY: all zeros are an empty set.

@@ -15,12 +15,7 @@ use crate::rib::{HOLD, Item, Run};
 
 #[test]
 fn a_replica_goes_on_where_another_ended() {
-    let mut w = World::chain(2);
-    let (writer, reader) = (w.attached("robot", 0), w.attached("cloud", 1));
-    w.publish(&writer, 0, 5);
-    w.subscribe(&reader, 1, 3);
-    let name = w.card.name();
-    w.boxes(&writer, 0, name, 1, &[reader.name()]);
+    let (mut w, [writer, reader], name) = talking();
     let gone = w.attached("gone", 0);
     w.publish(&gone, 0, 9);
     w.detach(&gone, 0);
@@ -84,12 +79,7 @@ fn what_has_ended_meanwhile_is_left_out() {
 
 #[test]
 fn what_is_stored_is_believed_no_more_than_a_stranger() {
-    let mut w = World::chain(2);
-    let (writer, reader) = (w.attached("robot", 0), w.attached("cloud", 1));
-    w.publish(&writer, 0, 5);
-    w.subscribe(&reader, 1, 3);
-    let name = w.card.name();
-    w.boxes(&writer, 0, name, 1, &[reader.name()]);
+    let (mut w, [writer, _], name) = talking();
     w.revoke(1, 0, &[12345]);
     w.store();
     let honest = w.stored.clone();
@@ -143,6 +133,17 @@ fn what_is_stored_is_believed_no_more_than_a_stranger() {
     take_over(&mut w, 2);
     w.attach(&writer, 0);
     assert_eq!(listed(&w), 1, "what was bound to its attachment is gone");
+}
+
+/// A writer at the first of two switches and a reader at the second, of the name, with a key for the reader.
+fn talking() -> (World, [Identity; 2], Name) {
+    let mut w = World::chain(2);
+    let (writer, reader) = (w.attached("robot", 0), w.attached("cloud", 1));
+    w.publish(&writer, 0, 5);
+    w.subscribe(&reader, 1, 3);
+    let name = w.card.name();
+    w.boxes(&writer, 0, name, 1, &[reader.name()]);
+    (w, [writer, reader], name)
 }
 
 fn take_over(w: &mut World, id: u64) -> Vec<(Item, String)> {
