@@ -369,7 +369,7 @@ impl Core {
     fn is_only_way_to_rib(&self, neighbour: &Name) -> bool {
         let paths = self.topology.paths();
         let is_listed = self.neighbours.iter().any(|n| n.place.switch == *neighbour);
-        let other_way = |rib: &Name| paths.next.get(rib).is_some_and(|next| next != neighbour);
+        let other_way = |(rib, _): &(Name, u64)| paths.next.get(rib).is_some_and(|next| next != neighbour);
         self.rib.is_none() && is_listed && !paths.rib.as_ref().is_some_and(other_way)
     }
 

@@ -228,8 +228,8 @@ impl Core {
         self.topology.set_silent(silent);
         self.topology.set_borders(borders.into_values());
         self.topology.set_bit(self.routes.own_bit());
-        let (rib, paths_changed) = (self.topology.rib(), self.topology.tick(now.clock));
-        if paths_changed {
+        let changed = self.topology.tick(now.clock);
+        if changed {
             let changes = self.routes.set_paths(self.topology.paths(), &own);
             tracing::debug!(changes = changes.len(), "other paths");
             let (switches, reached) = (self.topology.states().count(), self.topology.paths().costs.len());
@@ -241,6 +241,6 @@ impl Core {
         }
         let batches = self.topology.batches(now.clock).into_iter();
         let batches = batches.filter_map(|batch| Some((self.links.get(&batch.id.link)?.link.clone(), batch)));
-        (batches.collect(), paths_changed || self.topology.rib() != rib)
+        (batches.collect(), changed)
     }
 }

@@ -193,7 +193,7 @@ impl Topology {
     }
 
     /// Brings everything up to date: states what this switch has to state, lets end what is over, computes paths. Returns whether
-    /// there are other paths than before.
+    /// there are other paths than before, or another RIB.
     pub fn tick(&mut self, now: Duration) -> bool {
         self.is_stale |= self.database.expire(now);
         if self.own.next(now).is_some_and(|at| at <= now) {
@@ -237,11 +237,9 @@ impl Topology {
         &self.paths
     }
 
-    /// The nearest RIB that control reaches: its switch, and which run of it.
+    /// The nearest RIB that control reaches: its switch, and which run of it; as of the last [`Self::tick`].
     pub fn rib(&self) -> Option<(Name, u64)> {
-        let rib = self.paths.rib?;
-        let state = self.states().find(|state| state.switch == rib)?;
-        Some((rib, state.run))
+        self.paths.rib
     }
 
     /// The links of all switches that are reached into other domains, this one's among them, each with its switch; as of the last

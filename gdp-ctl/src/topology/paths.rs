@@ -22,8 +22,9 @@ pub struct Paths {
     pub bits: BTreeMap<u8, Name>,
     /// The neighbour by which control gets to each other switch: no switch whose daemon does not answer is on the way, or its end.
     pub next: BTreeMap<Name, Name>,
-    /// The nearest switch with the domain's RIB that control gets to, the lower name of two; this one, if it is here.
-    pub rib: Option<Name>,
+    /// The nearest switch with the domain's RIB that control gets to, the lower name of two; this one, if it is here. And which run
+    /// of that switch: a RIB that has started anew is another.
+    pub rib: Option<(Name, u64)>,
 }
 
 impl Paths {
@@ -43,8 +44,8 @@ impl Paths {
         let to_daemons = costs_from(&of_control, own);
         let next = next_hops(&of_control, own, &to_daemons);
         let ribs = states.values().filter(|state| state.rib);
-        let rib = ribs.filter_map(|state| Some((to_daemons.get(&state.switch)?, state.switch))).min();
-        Self { reach, rib: rib.map(|(_, switch)| switch), costs, bits, next }
+        let rib = ribs.filter_map(|state| Some((to_daemons.get(&state.switch)?, state.switch, state.run))).min();
+        Self { reach, rib: rib.map(|(_, switch, run)| (switch, run)), costs, bits, next }
     }
 
     /// Whether there is a path to a switch.
@@ -171,15 +172,18 @@ mod tests {
         assert_eq!(next(&states, 3), [(1, 2), (2, 2), (4, 2)]);
         assert_eq!(paths(&states, 1).rib, None);
         states[2].rib = true;
-        assert_eq!(paths(&states, 1).rib, Some(name(3)));
+        assert_eq!(paths(&states, 1).rib, Some((name(3), 1)));
         states[3].rib = true;
-        assert_eq!([1, 2, 3, 4].map(|own| paths(&states, own).rib.unwrap().as_bytes()[0]), [4, 3, 3, 4]);
+        assert_eq!([1, 2, 3, 4].map(|own| paths(&states, own).rib.unwrap().0.as_bytes()[0]), [4, 3, 3, 4]);
         states[1].rib = true;
-        assert_eq!(paths(&states, 1).rib, Some(name(2)), "the lower name of two as near");
+        assert_eq!(paths(&states, 1).rib, Some((name(2), 1)), "the lower name of two as near");
+        let before = paths(&states, 1);
+        states[1].run = 2;
+        assert_eq!(paths(&states, 1), Paths { rib: Some((name(2), 2)), ..before }, "only its RIB is another");
         // The daemon of 2 is dead, as 1 has noticed; 3 has not yet.
         states[0].silent = 1 << 0;
         let control = paths(&states, 1);
-        assert_eq!((control.rib, next(&states, 1)), (Some(name(4)), vec![(2, 4), (3, 4), (4, 4)]));
+        assert_eq!((control.rib, next(&states, 1)), (Some((name(4), 1)), vec![(2, 4), (3, 4), (4, 4)]));
         assert_eq!(control.reach[&name(2)], 1 << 3, "frames go on by it");
         states[2].silent = 1 << 0;
         assert_eq!(next(&states, 1), [(3, 4), (4, 4)]);
