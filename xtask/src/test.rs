@@ -1,6 +1,6 @@
 //! `cargo xtask test`: unit tests, then the tests that need root: real XDP, namespaces, DDS.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 
 use crate::setup::{self, Part};
 use crate::workspace::{self, Profile};
@@ -35,24 +35,11 @@ pub fn run(options: Options) -> Result<()> {
     build::ebpf_rebuilt(Profile::Checked)?;
     peers::build()?;
     let mut command = tests(&options);
-    // Named one by one over the whole workspace, and not with `-p gdp-tests`: Cargo would choose other features for the
-    // dependencies, and compile them all again.
-    command.args(["--no-fail-fast", "--workspace"]);
-    for name in names_of_root_tests()? {
-        command.args(["--test", &name]);
-    }
+    // Of the whole workspace, and not with `-p gdp-tests`: Cargo would choose other features for the dependencies, and compile
+    // them all again.
+    command.args(["--workspace", "--test", "networks"]);
     // Two cores: one network at a time, so that a deadline says something.
     shell::say_and_run(command.args(["--", "--test-threads", "1"]))
-}
-
-/// The files of `tests/tests`.
-fn names_of_root_tests() -> Result<Vec<String>> {
-    let folder = workspace::root().join("tests/tests");
-    let files = std::fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))?;
-    let mut names: Vec<String> =
-        files.filter_map(|file| file.ok()?.file_name().to_str()?.strip_suffix(".rs").map(str::to_owned)).collect();
-    names.sort();
-    Ok(names)
 }
 
 fn tests(options: &Options) -> std::process::Command {

@@ -1,4 +1,4 @@
-//! Links over UDP on loopback, with honest peers and others. No root. Ethernet: `tests/tests/link.rs`.
+//! Links over UDP on loopback, with honest peers and others. No root. Ethernet: `tests/tests/networks/link.rs`.
 
 use std::collections::HashSet;
 use std::net::SocketAddr;

@@ -18,7 +18,8 @@ mod queries;
 mod ring;
 mod scale;
 mod statements;
-#[path = "../../tests/traffic/mod.rs"]
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../../tests/networks/traffic/mod.rs"]
 mod traffic;
 
 use std::path::PathBuf;

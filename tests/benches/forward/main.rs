@@ -27,7 +27,8 @@ mod replication;
 mod rings;
 mod senders;
 mod series;
-#[path = "../../tests/star/mod.rs"]
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../../tests/networks/star/mod.rs"]
 mod star;
 mod switch;
 mod traffic;

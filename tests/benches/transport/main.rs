@@ -18,7 +18,7 @@
 //! [`site`].
 
 mod flood;
-#[path = "../../tests/inside/mod.rs"]
+#[path = "../../tests/networks/inside/mod.rs"]
 mod inside;
 mod lane;
 mod latency;

@@ -1,0 +1,231 @@
+//! The command line as a user or a script meets it: output, files, exit statuses, and messages that name the remedy.
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::user::User;
+
+const PATIENCE: Duration = Duration::from_secs(20);
+
+#[test]
+fn keys_cards_and_certificates_are_made_without_a_daemon() {
+    let user = User::new();
+    let owner = user.json(&["key", "generate", "owner.pem", "--kind", "owner"]);
+    let robot = user.json(&["key", "generate", "robot.pem", "--kind", "proxy"]);
+    assert_eq!(owner["v"], 1);
+    assert_eq!(user.json(&["key", "show", "robot.pem", "--kind", "proxy"])["name"], robot["name"]);
+    assert_eq!(user.json(&["key", "show", "robot.pem"])["names"]["proxy"], robot["name"]);
+
+    let card = user.card("/chatter");
+    let name = card["name"].as_str().unwrap();
+    assert_eq!(user.text(&["name", "derive", "chatter.card"]).trim(), name);
+    assert_eq!(user.json(&["name", "show", "chatter.card"])["metadata"]["topic"], "/chatter");
+    let mut derive =
+        vec!["name".to_owned(), "derive".into(), "--owner".into(), owner["public_key"].as_str().unwrap().into()];
+    for (key, value) in card["metadata"].as_object().unwrap() {
+        derive.extend(["--meta".into(), format!("{key}={}", value.as_str().unwrap())]);
+    }
+    assert_eq!(user.text(&derive.iter().map(String::as_str).collect::<Vec<_>>()).trim(), name);
+
+    let entity = robot["name"].as_str().unwrap();
+    let add = ["grant", "add", "chatter.card", "--key", "owner.pem", "--entity", entity];
+    user.json(&[&add[..], &["--publish", "-o", "chatter.ad"]].concat());
+    user.json(&[&add[..], &["--read", "-o", "chatter.grant", "--for", "7d"]].concat());
+    let shown = user.json(&["cert", "show", "chatter.ad", "--card", "chatter.card"]);
+    assert_eq!((&shown["claims"]["entity"], &shown["verified"]), (&robot["name"], &true.into()));
+    assert_eq!(user.json(&["cert", "show", "chatter.grant"])["verified"], false);
+}
+
+#[test]
+fn what_goes_wrong_is_named_with_its_remedy() {
+    let user = User::new();
+    user.json(&["key", "generate", "owner.pem", "--kind", "owner"]);
+    user.json(&["key", "generate", "robot.pem", "--kind", "proxy"]);
+    user.card("/chatter");
+    user.run(&["key", "generate", "open.pem", "--kind", "proxy"]);
+    let open = std::os::unix::fs::PermissionsExt::from_mode(0o644);
+    std::fs::set_permissions(user.file("open.pem"), open).unwrap();
+    std::fs::write(user.file("junk"), "junk").unwrap();
+    let zero = "0".repeat(64);
+    let add = ["grant", "add", "chatter.card", "--entity", &zero, "-o", "x"];
+    for (arguments, status, needles) in [
+        (&["key", "generate", "owner.pem", "--kind", "owner"][..], 1, &["owner.pem"][..]),
+        (&["key", "show", "none.pem"], 1, &["none.pem"]),
+        (&["key", "show", "open.pem"], 1, &["chmod 600"]),
+        (&["key", "show", "junk"], 1, &["junk"]),
+        (&["name", "show", "junk"], 1, &["junk", "not a name card"]),
+        (&["cert", "show", "junk"], 1, &["BEGIN GDP AD CERT"]),
+        (
+            &[&add[..], &["--publish", "--key", "robot.pem"]].concat(),
+            1,
+            &["robot.pem is not the owner", "--delegation"],
+        ),
+        (&[&add[..], &["--publish", "--read", "--key", "owner.pem"]].concat(), 1, &["make two"]),
+        (&[&add[..], &["--key", "owner.pem"]].concat(), 2, &["--publish"]),
+        (&[&add[..], &["--read", "--key", "owner.pem", "--delegate", &zero]].concat(), 2, &["--delegate"]),
+        (&[&add[..], &["--read", "--key", "owner.pem", "--scope", &zero]].concat(), 2, &["--publish"]),
+        (&["grant", "add", "chatter.card", "--read", "--key", "owner.pem", "-o", "x"], 2, &["--entity"]),
+        (
+            &["grant", "add", "chatter.card", "--read", "--key", "owner.pem", "-o", "x", "--role", "operator"],
+            2,
+            &["--domain"],
+        ),
+        (&["grant", "list", "none.card"], 1, &["none.card"]),
+        (&["grant", "revoke", "chatter.card"], 1, &["nothing of", "is revoked yet"]),
+        (&["grant", "revoke", "chatter.card", "7"], 1, &["only the owner revokes", "--key"]),
+        (&["grant", "revoke", "chatter.card", "7", "--key", "robot.pem"], 1, &["robot.pem is not the owner"]),
+        (&["grant", "revoke", "chatter.card", "junk", "--key", "owner.pem"], 1, &["junk", "not a certificate"]),
+        (&["grant", "revoke", "chatter.card", "--entity", &zero, "--key", "owner.pem"], 1, &["nothing was granted to"]),
+        (&["advertise", "chatter.card", "--key", "robot.pem"], 1, &["needs the owner's certificate", "grant add"]),
+        (&["query", "not-hex"], 1, &["neither a file nor the beginning of a name"]),
+        (&["status"], 3, &["no daemon answers", "gdp-ctl serve"]),
+        (&["query", "75e"], 3, &["no daemon answers"]),
+        (&["trace", "75e"], 3, &["no daemon answers"]),
+        (&["ping", "75e", "-c", "1"], 3, &["no daemon answers"]),
+        (&["ping", "75e", "-i", "0"], 2, &["is not a number of seconds from 0.02 to 3600"]),
+        (&["peer", "list"], 3, &["no daemon answers"]),
+        (&["monitor"], 3, &["no daemon answers"]),
+        (&["topology", "--names"], 2, &["--svg"]),
+        (&["advertise", "chatter.card", "--key", "owner.pem"], 3, &["no daemon answers"]),
+        (&["fib", "dump"], 3, &["no daemon answers"]),
+        (&["frobnicate"], 2, &["frobnicate"]),
+        (
+            &["grant", "add", "chatter.card", "--read", "--key", "owner.pem", "--entity", "75e", "-o", "x"],
+            2,
+            &["64 hex digits"],
+        ),
+        (&["advertise", "chatter.card", "--key", "owner.pem", "--for", "soon"], 2, &["is not a time"]),
+        (&["serve", "--config", "none.yaml"], 1, &["none.yaml"]),
+        (&["serve", "--config", "junk"], 1, &["junk"]),
+    ] {
+        let error = user.refusal(status, arguments);
+        for needle in needles {
+            assert!(error.contains(needle), "{arguments:?}: {error}");
+        }
+        assert!(error.matches("os error").count() <= 1, "{arguments:?}: says it twice: {error}");
+    }
+}
+
+#[test]
+fn a_name_is_advertised_queried_dumped_and_withdrawn() {
+    let user = User::new();
+    let daemon = Daemon::start(&user);
+    user.json(&["key", "generate", "owner.pem", "--kind", "owner"]);
+    let robot = user.json(&["key", "generate", "robot.pem", "--kind", "proxy"]);
+    let card = user.card("/chatter");
+    let name = card["name"].as_str().unwrap();
+    let switch = user.json(&["status"])["name"].clone();
+
+    let nobody = user.run(&["query", "chatter.card"]);
+    assert_eq!(nobody.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&nobody.stderr).contains("nobody publishes"));
+
+    let done = user.json(&["advertise", "chatter.card", "--key", "owner.pem", "--kind", "owner", "--for", "5m"]);
+    assert_eq!((&done["name"], &done["switch"]), (&card["name"], &switch));
+    for what in ["chatter.card", name, &name[..5]] {
+        let found = user.json(&["query", what]);
+        assert_eq!(found["records"][0]["name"], card["name"], "{what}");
+        assert_eq!(found["records"][0]["verified"], true);
+    }
+    let add = ["grant", "add", "chatter.card", "--key", "owner.pem", "--entity", robot["name"].as_str().unwrap()];
+    user.json(&[&add[..], &["--publish", "-o", "chatter.ad"]].concat());
+    user.json(&["advertise", "chatter.card", "--key", "robot.pem", "--cert", "chatter.ad"]);
+    assert_eq!(user.json(&["rib", "dump"])["records"].as_array().unwrap().len(), 2);
+    assert_eq!(user.json(&["rib", "dump", "--", &name[..8]])["records"].as_array().unwrap().len(), 2);
+    assert_eq!(user.json(&["fib", "dump"])["routes"].as_array().unwrap().len(), 0, "nobody reads it");
+    for command in [&["query", &name[..6]][..], &["rib", "dump"], &["fib", "dump"], &["status"]] {
+        let text = user.text(command);
+        assert!(!text.trim().is_empty() && !text.contains('{'), "{command:?}: {text}");
+    }
+
+    let foreign = user.run(&["advertise", "chatter.card", "--key", "owner.pem", "--cert", "chatter.ad"]);
+    assert_eq!(foreign.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&foreign.stderr).contains("wrong entity"), "{foreign:?}");
+
+    let other =
+        user.run(&["advertise", "chatter.card", "--key", "robot.pem", "--kind", "tool", "--cert", "chatter.ad"]);
+    assert!(String::from_utf8_lossy(&other.stderr).contains("add --kind proxy"), "{other:?}");
+
+    user.json(&["withdraw", "chatter.card", "--key", "robot.pem"]);
+    let again = user.run(&["withdraw", "chatter.card", "--key", "robot.pem"]);
+    assert_eq!(again.status.code(), Some(1), "{again:?}");
+    assert_eq!(user.json(&["query", "chatter.card"])["records"].as_array().unwrap().len(), 1);
+
+    let second = user.run(&["serve", "--config", "daemon.yaml"]);
+    assert!(String::from_utf8_lossy(&second.stderr).contains("another daemon already answers"), "{second:?}");
+    assert!(daemon.stop().success());
+    assert!(!user.file("ctl.sock").exists(), "the socket is removed");
+}
+
+#[test]
+fn a_socket_left_by_a_crash_is_replaced_and_is_for_its_user_only() {
+    use std::os::unix::fs::PermissionsExt;
+    let user = User::new();
+    drop(std::os::unix::net::UnixListener::bind(user.file("ctl.sock")).unwrap());
+    let _daemon = Daemon::start(&user);
+    assert_eq!(std::fs::metadata(user.file("ctl.sock")).unwrap().permissions().mode() & 0o777, 0o600);
+}
+
+#[test]
+fn hostile_admin_clients_get_an_error_and_others_are_served() {
+    use std::io::{BufRead, BufReader, Write};
+    use std::os::unix::net::UnixStream;
+    let user = User::new();
+    let _daemon = Daemon::start(&user);
+    let mut silent = Vec::new();
+    for line in [
+        "\n".to_owned(),
+        "{}\n".into(),
+        "[[[[\n".into(),
+        "x".repeat(100_000) + "\n",
+        "{\"v\":1,\"op\":\"entity\"}\n".into(),
+    ] {
+        let mut stream = UnixStream::connect(user.file("ctl.sock")).unwrap();
+        // The daemon may hang up in the middle of an endless line.
+        let _ = stream.write_all(line.as_bytes());
+        let mut reply = String::new();
+        let _ = BufReader::new(&stream).read_line(&mut reply);
+        if line.len() < 1000 {
+            assert!(reply.contains("\"error\""), "{line:?}: {reply:?}");
+        }
+        silent.push(stream);
+    }
+    user.json(&["status"]);
+}
+
+/// A daemon in a user's folder, on loopback UDP.
+struct Daemon(Child);
+
+impl Daemon {
+    fn start(user: &User) -> Self {
+        let config =
+            "identity: switch.pem\nsocket: ctl.sock\ninterfaces: []\nudp: 127.0.0.1:0\ndata_plane: userspace\n";
+        std::fs::write(user.file("daemon.yaml"), config).unwrap();
+        let mut command = user.command(&["serve", "--config", "daemon.yaml"]);
+        let daemon = Self(command.env_remove("GDP_SOCKET").stderr(Stdio::null()).spawn().unwrap());
+        let deadline = Instant::now() + PATIENCE;
+        while !answers(&user.file("ctl.sock")) {
+            assert!(Instant::now() < deadline, "the daemon does not answer");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        daemon
+    }
+
+    /// As a service manager would.
+    fn stop(mut self) -> std::process::ExitStatus {
+        Command::new("kill").arg(self.0.id().to_string()).status().unwrap();
+        self.0.wait().unwrap()
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn answers(socket: &Path) -> bool {
+    std::os::unix::net::UnixStream::connect(socket).is_ok()
+}

@@ -1,0 +1,141 @@
+//! A cluster of real etcd members on the loopback interface, each a process with its data in a temporary folder.
+
+use std::net::{Ipv4Addr, TcpListener, TcpStream};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use gdp_ctl::store::Endpoint;
+use tempfile::TempDir;
+
+/// How long a member may take until it answers.
+const START: Duration = Duration::from_secs(30);
+
+pub struct Cluster {
+    members: Vec<Member>,
+    folder: TempDir,
+}
+
+struct Member {
+    client: u16,
+    peer: u16,
+    process: Option<Child>,
+}
+
+impl Cluster {
+    /// Starts so many members, and waits until they are one cluster.
+    pub fn start(count: usize) -> Self {
+        // Held until all are chosen, so that they differ.
+        let ports: Vec<TcpListener> =
+            (0..2 * count).map(|_| TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap()).collect();
+        let port = |i: usize| ports[i].local_addr().unwrap().port();
+        let members =
+            (0..count).map(|i| Member { client: port(2 * i), peer: port(2 * i + 1), process: None }).collect();
+        drop(ports);
+        let mut cluster = Self { members, folder: tempfile::tempdir().unwrap() };
+        (0..count).for_each(|i| cluster.spawn(i));
+        cluster.await_health();
+        cluster
+    }
+
+    pub fn endpoints(&self) -> Vec<Endpoint> {
+        self.members.iter().map(|m| Endpoint { host: "127.0.0.1".into(), port: m.client }).collect()
+    }
+
+    /// Ends a member at once, as if its machine had.
+    pub fn kill(&mut self, index: usize) {
+        if let Some(mut process) = self.members[index].process.take() {
+            process.kill().unwrap();
+            process.wait().unwrap();
+        }
+    }
+
+    /// Starts a member again that was killed, with the data that it had.
+    pub fn restart(&mut self, index: usize) {
+        self.spawn(index);
+        self.await_health();
+    }
+
+    /// All that were killed.
+    pub fn restart_all(&mut self) {
+        let gone: Vec<usize> = (0..self.members.len()).filter(|i| self.members[*i].process.is_none()).collect();
+        gone.into_iter().for_each(|i| self.restart(i));
+    }
+
+    /// Which member leads the others.
+    pub fn leader(&self) -> usize {
+        let is_leader = |i: &usize| {
+            let answer = self.etcdctl(&[*i], &["endpoint", "status", "-w", "fields"]);
+            let field = |name: &str| {
+                let line = answer.lines().find(|line| line.starts_with(&format!("\"{name}\"")));
+                line.and_then(|line| line.rsplit(' ').next()).map(str::to_owned)
+            };
+            field("MemberID").is_some_and(|own| field("Leader") == Some(own))
+        };
+        (0..self.members.len()).find(is_leader).expect("a cluster has a leader")
+    }
+
+    /// What `etcdctl` says of these arguments, at members that run.
+    pub fn etcdctl(&self, members: &[usize], arguments: &[&str]) -> String {
+        let urls: Vec<_> = members.iter().map(|i| format!("http://127.0.0.1:{}", self.members[*i].client)).collect();
+        let output = Command::new("etcdctl")
+            .env("ETCDCTL_API", "3")
+            .arg(format!("--endpoints={}", urls.join(",")))
+            .args(arguments)
+            .output()
+            .expect("etcdctl runs: `cargo xtask setup` installs it");
+        assert!(output.status.success(), "etcdctl {arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    fn spawn(&mut self, index: usize) {
+        let url = |port: u16| format!("http://127.0.0.1:{port}");
+        let all = self.members.iter().enumerate().map(|(i, member)| format!("m{i}={}", url(member.peer)));
+        let all = all.collect::<Vec<_>>().join(",");
+        let folder = self.folder.path();
+        let log =
+            std::fs::File::options().create(true).append(true).open(folder.join(format!("m{index}.log"))).unwrap();
+        let member = &self.members[index];
+        let process = Command::new("etcd")
+            .arg(format!("--name=m{index}"))
+            .arg(format!("--data-dir={}", folder.join(format!("m{index}")).display()))
+            .arg(format!("--listen-client-urls={}", url(member.client)))
+            .arg(format!("--advertise-client-urls={}", url(member.client)))
+            .arg(format!("--listen-peer-urls={}", url(member.peer)))
+            .arg(format!("--initial-advertise-peer-urls={}", url(member.peer)))
+            .arg(format!("--initial-cluster={all}"))
+            .arg("--logger=zap")
+            .stdin(Stdio::null())
+            .stdout(log.try_clone().unwrap())
+            .stderr(log)
+            .spawn()
+            .expect("etcd runs: `cargo xtask setup` installs it");
+        self.members[index].process = Some(process);
+    }
+
+    /// Until those that run answer.
+    fn await_health(&self) {
+        let until = Instant::now() + START;
+        let running = |member: &&Member| member.process.is_some();
+        for member in self.members.iter().filter(running) {
+            while !is_healthy(member.client) {
+                assert!(Instant::now() < until, "etcd does not start: see {}", self.folder.path().display());
+                std::thread::sleep(Duration::from_millis(50));
+            }
+        }
+    }
+}
+
+impl Drop for Cluster {
+    fn drop(&mut self) {
+        (0..self.members.len()).for_each(|i| self.kill(i));
+    }
+}
+
+/// As a member says of itself, which it does if it has a leader.
+fn is_healthy(port: u16) -> bool {
+    use std::io::{Read, Write};
+    let Ok(mut stream) = TcpStream::connect((Ipv4Addr::LOCALHOST, port)) else { return false };
+    let mut answer = String::new();
+    let asked = stream.write_all(b"GET /health HTTP/1.0\r\nHost: localhost\r\n\r\n");
+    asked.is_ok() && stream.read_to_string(&mut answer).is_ok() && answer.contains("\"health\":\"true\"")
+}

@@ -1,0 +1,20 @@
+//! The library and the program as others use them. One program of all these tests: each would contain the whole daemon.
+
+mod cli;
+mod cluster;
+mod daemon;
+mod domain_links;
+mod domains;
+mod etcd;
+mod federation;
+mod grants;
+mod inboxes;
+mod member;
+mod owner;
+mod probes;
+mod replicas;
+mod revocations;
+mod services;
+mod switch;
+mod traces;
+mod user;

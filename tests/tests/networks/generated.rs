@@ -1,0 +1,193 @@
+//! A million generated frames through `decide` over plain tables, the XDP switch under `BPF_PROG_TEST_RUN` and the userspace plane:
+//! the same verdict, the same bytes, the same counters, frame by frame.
+//!
+//! All keep what they know of links from frame to frame, so replays, late frames and counts beyond 2³² are among the cases.
+
+#[path = "../../../gdp-wire/tests/tables/mod.rs"]
+mod tables;
+
+use crate::frames;
+use anyhow::{Context, Result, ensure};
+use gdp_ctl::plane::kernel::{Buffers, KernelPlane};
+use gdp_ctl::plane::link_memory::LinkMemory;
+use gdp_ctl::plane::userspace::UserTables;
+use gdp_wire::Counter;
+
+use crate::planes::{Site, counted, is_for_no_data_socket, run_uncounted, run_userspace, user_tables};
+use frames::fixtures::{self, Fate, Switch, Verdict};
+use frames::generate::Generator;
+use tables::PlainTables;
+
+const SEED: u64 = 20_261_120;
+
+const FRAMES: usize = 1_000_000;
+
+/// Reading the kernel's counters costs as much as twenty frames, so they are read after so many.
+const CHUNK: usize = 2000;
+
+/// Of each counter that a plane can reach, at least.
+const OF_EACH: u64 = 100;
+
+#[test]
+fn the_kernel_does_what_decide_says_with_a_million_frames() -> Result<()> {
+    let switch = plain_switch();
+    let mut site = Kernel::new(&switch)?;
+    let mut generator = Generator::new(SEED, &switch);
+    let mut seen = [0; Counter::COUNT];
+    for chunk in 0..FRAMES / CHUNK {
+        let before = site.plane.counters()?;
+        let mut expected = before;
+        for i in 0..CHUNK {
+            let frame = generator.frame();
+            let fate = site.compare(&frame).with_context(|| describe(chunk * CHUNK + i, &frame))?;
+            expected[fate.counter as usize] += 1;
+            seen[fate.counter as usize] += 1;
+        }
+        if site.plane.counters()? != expected {
+            return Err(find_miscounted(&switch, chunk * CHUNK)?);
+        }
+    }
+    // The userspace plane's, which the kernel leaves them to; what a redirect loses is known only after it; rates need time.
+    reached(seen, &[Counter::Notice, Counter::RedirectLost, Counter::PuntLimit])
+}
+
+#[test]
+fn the_userspace_plane_does_what_decide_says_with_a_million_frames() -> Result<()> {
+    let switch = plain_switch();
+    let site = Userspace::new(&switch);
+    let mut generator = Generator::new(SEED, &switch);
+    let mut seen = [0; Counter::COUNT];
+    for i in 0..FRAMES {
+        let frame = generator.frame();
+        let fate = site.compare(&frame).with_context(|| describe(i, &frame))?;
+        seen[fate.counter as usize] += 1;
+        fate.copies.iter().for_each(|(_, counter)| seen[*counter as usize] += 1);
+    }
+    reached(seen, &[Counter::Slow, Counter::RedirectFailed, Counter::RedirectLost, Counter::PuntLimit])
+}
+
+struct Kernel {
+    // Order is the order of the end.
+    plane: KernelPlane,
+    _site: Site,
+    tables: PlainTables<true>,
+    memory: LinkMemory,
+    links: Vec<u32>,
+    /// For the next frame: in turn.
+    buffers: Buffers,
+}
+
+impl Kernel {
+    fn new(switch: &Switch) -> Result<Self> {
+        let site = Site::build()?;
+        let plane = site.kernel_plane(switch)?;
+        let (tables, memory) = (PlainTables::new(switch).without_copies(), plane.link_memory().clone());
+        let memory = begin(memory, switch);
+        Ok(Self { plane, _site: site, tables, memory, links: ids(switch), buffers: Buffers::One })
+    }
+
+    /// What decide says, if the kernel does the same; but for how it counts that.
+    fn compare(&mut self, frame: &[u8]) -> Result<Fate> {
+        forgive(&self.memory, &self.links);
+        let (expected, mut got) = (self.tables.run(frame), run_uncounted(&mut self.plane, self.buffers, frame)?);
+        self.buffers = match self.buffers {
+            Buffers::One => Buffers::Several,
+            Buffers::Several => Buffers::One,
+        };
+        if (expected.verdict, got.verdict) == (Verdict::Copy, Verdict::Send) {
+            // What the kernel would copy is not yet a frame.
+            got = Fate::copied(vec![]);
+        }
+        same(&expected, &Fate { counter: expected.counter, ..got })?;
+        Ok(expected)
+    }
+}
+
+struct Userspace<'s> {
+    switch: &'s Switch,
+    plane: UserTables,
+    tables: PlainTables<false>,
+    memory: LinkMemory,
+    links: Vec<u32>,
+}
+
+impl<'s> Userspace<'s> {
+    fn new(switch: &'s Switch) -> Self {
+        let (plane, memory) = user_tables(switch);
+        Self { switch, plane, tables: PlainTables::new(switch), memory: begin(memory, switch), links: ids(switch) }
+    }
+
+    fn compare(&self, frame: &[u8]) -> Result<Fate> {
+        let expected = self.tables.run(frame);
+        if !is_for_no_data_socket(self.switch, frame) {
+            forgive(&self.memory, &self.links);
+            same(&expected, &run_userspace(&self.plane, self.switch, frame))?;
+        }
+        Ok(expected)
+    }
+}
+
+fn same(expected: &Fate, got: &Fate) -> Result<()> {
+    ensure!(expected == got, "     got {}\nexpected {}", shown(got), shown(expected));
+    Ok(())
+}
+
+/// All counters that a plane can reach were reached.
+fn reached(seen: [u64; Counter::COUNT], others: &[Counter]) -> Result<()> {
+    let reachable = Counter::ALL.iter().zip(seen).filter(|(counter, _)| !others.contains(counter));
+    let rare: Vec<_> = reachable.filter(|(_, seen)| *seen < OF_EACH).collect();
+    ensure!(rare.is_empty(), "the generated frames hardly reached {rare:?}");
+    Ok(())
+}
+
+/// Runs everything again up to the frames from `start` on that were not counted as they should, and looks at each.
+fn find_miscounted(switch: &Switch, start: usize) -> Result<anyhow::Error> {
+    let mut site = Kernel::new(switch)?;
+    let mut generator = Generator::new(SEED, switch);
+    for _ in 0..start {
+        site.compare(&generator.frame())?;
+    }
+    for i in start..start + CHUNK {
+        let (frame, before) = (generator.frame(), site.plane.counters()?);
+        let expected = site.compare(&frame)?.counter;
+        let got = counted(before, site.plane.counters()?);
+        if !matches!(got, Ok(got) if got == expected) {
+            return Ok(anyhow::anyhow!("counted {got:?}, expected {expected:?}").context(describe(i, &frame)));
+        }
+    }
+    Ok(anyhow::anyhow!("frames from {start} on were miscounted, but not when they were run again"))
+}
+
+fn describe(index: usize, frame: &[u8]) -> String {
+    format!("frame {index} of seed {SEED}: {}", fixtures::hex(frame))
+}
+
+fn shown(fate: &Fate) -> String {
+    let bytes = |frame: &Option<Vec<u8>>| frame.as_deref().map(|frame| fixtures::hex(&frame[..frame.len().min(128)]));
+    let copies: Vec<_> = fate.copies.iter().map(|(copy, counter)| (bytes(copy), counter)).collect();
+    format!("{:?} {:?} {:?} {copies:?}", fate.verdict, fate.counter, bytes(&fate.frame))
+}
+
+/// The switch of the fixtures, on whose links nothing has come in yet.
+fn plain_switch() -> Switch {
+    let mut switch = fixtures::read().switch;
+    switch.links.iter_mut().for_each(|link| link.taken.clear());
+    switch
+}
+
+fn begin(memory: LinkMemory, switch: &Switch) -> LinkMemory {
+    for link in &switch.links {
+        memory.begin(link.id);
+        memory.set_count(link.id, link.tx_counter);
+    }
+    memory
+}
+
+/// Nobody was sent an error lately, and the daemon no probe: plain tables know no time.
+fn forgive(memory: &LinkMemory, links: &[u32]) {
+    links.iter().for_each(|link| memory.forgive(*link));
+}
+
+fn ids(switch: &Switch) -> Vec<u32> {
+    switch.links.iter().map(|link| link.id).collect()
+}

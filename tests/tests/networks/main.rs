@@ -1,0 +1,40 @@
+//! What needs root: real XDP, network namespaces, foreign programs. One program of all these tests: each would contain the whole daemon.
+
+mod doctor;
+mod domains;
+mod ecn;
+mod end_to_end;
+mod evil;
+mod flows;
+mod generated;
+mod harness;
+mod hostile;
+mod inside;
+mod kernel;
+mod kernel_fib;
+mod kernel_planes;
+mod link;
+mod links;
+mod liveness;
+mod losses;
+mod malicious;
+mod planes;
+mod rekey;
+mod replicas;
+mod replication;
+mod replication_udp;
+mod restart;
+mod ring;
+mod roaming;
+mod same_host;
+mod selfheal;
+mod star;
+mod trace;
+mod traffic;
+mod udp;
+mod udp_fabric;
+mod udp_runs;
+mod wire;
+
+// By this path the tables of gdp-wire's tests know it, which `generated` uses.
+use gdp_tests::frames;

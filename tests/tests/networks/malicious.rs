@@ -1,0 +1,77 @@
+//! What a switch, a RIB, a reader or a stolen robot can do that is against everybody else: each test lets one of them do it,
+//! and says what was delivered and what was counted under which reason. `docs/security.md` refers to the tests by their names.
+//! No root: see [`crate::evil`].
+
+mod flood;
+mod reader;
+mod rib;
+mod services;
+mod switch;
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use anyhow::Result;
+use gdp::Identity;
+use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp::seal::Encoding;
+
+use crate::evil::{Owner, SOON, Switch, node};
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nothing_is_refused_while_everybody_is_honest() -> Result<()> {
+    let (switch, owner) = (Switch::start()?, Owner::new("/chatter")?);
+    let (robot, cloud) = (Identity::generate("proxy")?, Identity::generate("proxy")?);
+    let (robot, cloud) = (node(&switch, &robot).await?, node(&switch, &cloud).await?);
+    let mut subscription = owner.subscribe(&cloud, SubscribeOptions::best_effort()).await?;
+    let mut publisher = owner.publish(&robot, PublishOptions::best_effort()).await?;
+    for body in [vec![], vec![1; 100], vec![2; 100_000]] {
+        publisher.send(Encoding::Bytes, &body).await?;
+        let message = tokio::time::timeout(SOON, subscription.recv()).await?.unwrap();
+        assert_eq!((&message.body[..], message.writer), (&body[..], robot.name()));
+    }
+    // But for what was asked for again, and then came late.
+    let drops = cloud.counters().drops;
+    assert!(drops.keys().all(|reason| *reason == "seal_duplicate"), "{drops:?}");
+    Ok(())
+}
+
+/// The security model is worth what its tests are: those it names are there.
+#[test]
+fn every_test_that_the_security_model_names_exists() -> Result<()> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let mut functions = BTreeSet::new();
+    for folder in ["gdp", "gdp-ctl", "tests"] {
+        collect_functions(&root.join(folder), &mut functions)?;
+    }
+    let model = std::fs::read_to_string(root.join("docs/security.md"))?;
+    let quoted = model.split('`').skip(1).step_by(2);
+    // Not paths, commands or types.
+    let names = quoted.filter(|name| name.contains('_') && !name.contains(['/', '.', ' ']));
+    let mut count = 0;
+    for name in names {
+        let exists = match name.strip_suffix('…') {
+            Some(beginning) => functions.iter().any(|function| function.starts_with(beginning)),
+            None => functions.contains(name),
+        };
+        assert!(exists, "docs/security.md names {name}, which is no test");
+        count += 1;
+    }
+    assert!(count > 50, "{count} names");
+    Ok(())
+}
+
+fn collect_functions(folder: &Path, functions: &mut BTreeSet<String>) -> Result<()> {
+    for entry in std::fs::read_dir(folder)? {
+        let path = entry?.path();
+        if path.is_dir() {
+            collect_functions(&path, functions)?;
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            let text = std::fs::read_to_string(&path)?;
+            let names =
+                text.lines().filter_map(|line| line.trim_start().trim_start_matches("async ").strip_prefix("fn "));
+            functions.extend(names.filter_map(|name| name.split(['(', '<']).next()).map(str::to_owned));
+        }
+    }
+    Ok(())
+}

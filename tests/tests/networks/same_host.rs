@@ -1,0 +1,352 @@
+//! Nodes without privileges beside a switch, on the same host, and one on another host:
+//!
+//! ```text
+//!  near ─┐        ┌ gdp…h ═ gdp…s ┐
+//!        ├─ IP ───┤                ├─ XDP ─ l0 ──── e0 remote
+//!  next ─┘        └ lo ── daemon ──┘
+//! ```
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::Command;
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp::identity::Identity;
+use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::seal::Encoding;
+use gdp::{NameCard, Node, NodeConfig, SigningKey};
+use gdp_tests::Tools;
+use gdp_tests::fabric::Mounted;
+use gdp_tests::netns::{End, Namespace, execute, veth};
+use gdp_tests::process::Process;
+use gdp_tests::wait::wait_for;
+use serde_json::{Value, json};
+
+use crate::inside::{Inside, ROOT};
+
+const SOON: Duration = Duration::from_secs(20);
+
+/// Who owns nothing.
+const NOBODY: libc::uid_t = 65534;
+
+#[test]
+fn frames_of_nodes_beside_their_switch_do_not_meet_its_daemon() -> Result<()> {
+    let site = Site::build("xdp")?;
+    let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
+    let next = Party::connect(&site.host, NOBODY, "udp://10.9.0.1:31415")?;
+    let remote = Party::connect(&site.remote, ROOT, "eth://e0")?;
+    let mut ways = [Way::open(&near, &next)?, Way::open(&next, &remote)?, Way::open(&remote, &near)?];
+    for way in &mut ways {
+        // The first of such size may be lost: what the path takes is learnt from that.
+        wait_for("a first message", SOON, || Ok(way.carries(&vec![7; 1 << 16])?.then_some(())))?;
+    }
+    let before = site.status()?;
+    for i in 0..100u32 {
+        for way in &mut ways {
+            ensure!(way.carries(&i.to_be_bytes())?, "message {i} was lost");
+        }
+    }
+    for way in &mut ways {
+        ensure!(way.carries(&vec![8; 1 << 16])?, "a large message was lost");
+    }
+    let after = site.status()?;
+    let more = |plane: &str, counter: &str| {
+        let count = |status: &Value| status["counters_by_plane"][counter][plane].as_u64().unwrap_or(0);
+        count(&after) - count(&before)
+    };
+    ensure!(more("kernel", "delivered") > 3 * 100 + 3 * 40, "{}", after["counters_by_plane"]);
+    for counter in ["delivered", "forwarded", "replicated", "redirect_failed"] {
+        ensure!(more("userspace", counter) == 0, "{counter}: {}", after["counters_by_plane"]);
+    }
+    let addresses = after["links"].to_string();
+    ensure!(addresses.matches("udp:169.254.31.").count() == 2, "{addresses}");
+    Ok(())
+}
+
+/// Here what is for an interface that takes no redirected frames.
+#[test]
+fn what_the_kernel_leaves_to_the_daemon_arrives_there() -> Result<()> {
+    let site = Site::build("xdp")?;
+    execute(site.remote.command("ethtool")?.args(["-K", "e0", "gro", "off"]))?;
+    let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
+    let remote = Party::connect(&site.remote, ROOT, "eth://e0")?;
+    let mut way = Way::open(&near, &remote)?;
+    wait_for("a message by the slow path", SOON, || {
+        let carried = way.carries(b"slowly")?;
+        let counters = site.status()?["counters_by_plane"].take();
+        let count = |counter: &str, plane: &str| counters[counter][plane].as_u64().unwrap_or(0);
+        Ok((carried && count("slow", "kernel") > 0 && count("delivered", "userspace") > 0).then_some(()))
+    })
+    .with_context(|| site.report())
+}
+
+#[test]
+fn copies_for_readers_beside_the_switch_and_elsewhere_are_made_in_the_kernel() -> Result<()> {
+    let site = Site::build("xdp")?;
+    let writer = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
+    let readers = [
+        Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?,
+        Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?,
+        Party::connect(&site.remote, ROOT, "eth://e0")?,
+    ];
+    let topic = Topic::new()?;
+    let mut subscriptions = [topic.read(&readers[0])?, topic.read(&readers[1])?, topic.read(&readers[2])?];
+    let mut publisher = topic.write(&writer)?;
+    let mut all_hear = |message: &[u8]| -> Result<bool> {
+        writer.inside.runtime.block_on(publisher.send(Encoding::Bytes, message))?;
+        let heard = readers.iter().zip(&mut subscriptions).map(|(reader, subscription)| reader.hear(subscription));
+        // Each is to be asked, so that none keeps a message for the next time.
+        Ok(heard.filter(|body| body.as_deref() == Some(message)).count() == readers.len())
+    };
+    wait_for("all readers to hear", SOON, || Ok(all_hear(b"first")?.then_some(()))).with_context(|| site.report())?;
+    let replicated = |plane: &str| -> Result<u64> {
+        Ok(site.status()?["counters_by_plane"]["replicated"][plane].as_u64().unwrap_or(0))
+    };
+    let before = (replicated("kernel")?, replicated("userspace")?);
+    for i in 0..100u32 {
+        ensure!(all_hear(&i.to_be_bytes())?, "message {i} was lost; {}", site.report());
+    }
+    let after = (replicated("kernel")?, replicated("userspace")?);
+    ensure!(after.0 >= before.0 + 100 && after.1 == before.1, "{before:?}, then {after:?}: {}", site.report());
+    Ok(())
+}
+
+#[test]
+fn a_daemon_that_is_killed_and_replaced_loses_no_message_of_nodes_beside_it() -> Result<()> {
+    let mut site = Site::build("xdp")?;
+    let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
+    let next = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
+    let mut way = Way::open(&near, &next)?;
+    wait_for("a first message", SOON, || Ok(way.carries(b"first")?.then_some(())))?;
+    let ends = site.ends()?;
+    ensure!(ends.len() == 2, "{ends:?}");
+    site.daemon.kill()?;
+    ensure!(site.ends()? == ends, "a crash leaves the pair");
+    for i in 0..200u32 {
+        ensure!(way.carries(&i.to_be_bytes())?, "message {i} was lost without a daemon");
+    }
+    site.start()?;
+    let mut i = 0u32;
+    let back = |party: &Party| party.node.counters().links == 2 && party.node.switch().is_ok();
+    wait_for("both nodes to have made their links anew", 2 * SOON, || {
+        for _ in 0..20 {
+            i += 1;
+            ensure!(way.carries(&i.to_be_bytes())?, "message {i} was lost with the new daemon");
+        }
+        Ok((back(&near) && back(&next)).then_some(()))
+    })
+    .with_context(|| site.report())?;
+    for i in 0..200u32 {
+        ensure!(way.carries(&i.to_be_bytes())?, "message {i} was lost on the new links");
+    }
+    ensure!(site.ends()? == ends, "the pair is the one that was there");
+    let status = site.status()?;
+    ensure!(status["links"].to_string().matches("udp:169.254.31.").count() == 2, "{}", status["links"]);
+    Ok(())
+}
+
+#[test]
+fn the_pair_goes_with_the_daemon_that_is_stopped_or_cleared_away() -> Result<()> {
+    let mut site = Site::build("xdp")?;
+    ensure!(site.ends()?.len() == 2);
+    site.daemon.stop(SOON)?;
+    ensure!(site.ends()?.is_empty(), "a stop removes it");
+    site.start()?;
+    site.daemon.kill()?;
+    ensure!(site.ends()?.len() == 2, "a crash does not");
+    let mut detach = site.host.command(site.tools.gdp_ctl()?)?;
+    let detached = execute(detach.args(["xdp", "detach", "-j", "--bpffs"]).arg(site.bpffs()))?;
+    ensure!(site.ends()?.is_empty(), "{detached}");
+    Ok(())
+}
+
+#[test]
+fn without_xdp_or_the_pair_frames_go_through_the_daemon() -> Result<()> {
+    for plane in ["userspace", "xdp"] {
+        let site = Site::build(plane)?;
+        let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
+        let next = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
+        let mut way = Way::open(&near, &next)?;
+        wait_for("a first message", SOON, || Ok(way.carries(b"first")?.then_some(())))?;
+        match site.ends()?.first() {
+            None => ensure!(plane == "userspace"),
+            Some(end) => drop(site.host.ip(&["link", "del", end])?),
+        }
+        let delivered = |status: Value| status["counters_by_plane"]["delivered"]["userspace"].as_u64().unwrap_or(0);
+        let before = delivered(site.status()?);
+        wait_for("messages through the daemon", SOON, || {
+            let carried = way.carries(b"again")?;
+            Ok((carried && delivered(site.status()?) > before).then_some(()))
+        })
+        .with_context(|| site.report())?;
+    }
+    Ok(())
+}
+
+/// As by a packet filter.
+#[test]
+fn a_pair_that_is_blocked_is_not_used() -> Result<()> {
+    let site = Site::build("xdp")?;
+    let neighbours: Value = serde_json::from_str(&site.host.ip(&["-j", "neigh", "show", "nud", "permanent"])?)?;
+    let switch = neighbours[0]["dst"].as_str().context("the switch's address on the pair")?;
+    site.host.ip(&["route", "replace", "blackhole", switch])?;
+    let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
+    let next = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
+    let mut way = Way::open(&near, &next)?;
+    wait_for("a message", SOON, || Ok(way.carries(b"by the daemon")?.then_some(())))?;
+    let links = site.status()?["links"].to_string();
+    ensure!(links.matches("udp:127.0.0.1:").count() == 2, "{links}");
+    Ok(())
+}
+
+/// A daemon with all that a fabric needs, its host, and another one.
+struct Site {
+    daemon: Process,
+    host: Namespace,
+    remote: Namespace,
+    tools: Tools,
+    _bpffs: Mounted,
+    folder: tempfile::TempDir,
+}
+
+impl Site {
+    fn build(data_plane: &str) -> Result<Self> {
+        let (host, remote) = (Namespace::create("host")?, Namespace::create("remote")?);
+        let end = |namespace, interface, number| End { namespace, interface, mac: [2, 0, 0, 0, 0, number] };
+        veth(&end(&host, "l0", 1), &end(&remote, "e0", 2), 1500)?;
+        host.ip(&["addr", "add", "10.9.0.1/24", "dev", "l0"])?;
+        let folder = tempfile::Builder::new().prefix("gdp-same-host-").tempdir()?;
+        let bpffs = folder.path().join("bpf");
+        let config = json!({
+            "identity": folder.path().join("switch.pem"),
+            "socket": folder.path().join("switch.sock"),
+            "interfaces": ["l0"],
+            "udp": "0.0.0.0:31415",
+            "data_plane": data_plane,
+            "bpffs": bpffs,
+            "rib": true,
+        });
+        fs::write(folder.path().join("switch.yaml"), config.to_string())?;
+        let tools = Tools::beside_this_test()?;
+        let daemon = serve(&tools, &host, folder.path().to_owned())?;
+        let site = Self { daemon, host, remote, tools, _bpffs: Mounted(bpffs), folder };
+        site.wait_until_up()?;
+        Ok(site)
+    }
+
+    /// Another daemon in place of one that has ended.
+    fn start(&mut self) -> Result<()> {
+        self.daemon = serve(&self.tools, &self.host, self.folder.path().to_owned())?;
+        self.wait_until_up()
+    }
+
+    fn wait_until_up(&self) -> Result<()> {
+        // What it says last of its ports.
+        let up = || self.daemon.stderr().contains("udp 0.0.0.0:31415");
+        wait_for("the daemon to take links", SOON, || Ok(up().then_some(()))).with_context(|| self.report())
+    }
+
+    fn status(&self) -> Result<Value> {
+        let mut command = Command::new(self.tools.gdp_ctl()?);
+        command.args(["status", "-j", "--socket"]).arg(self.folder.path().join("switch.sock"));
+        Ok(serde_json::from_str(&execute(&mut command)?)?)
+    }
+
+    /// Interfaces that are ends of a pair.
+    fn ends(&self) -> Result<Vec<String>> {
+        let links: Value = serde_json::from_str(&self.host.ip(&["-j", "link", "show"])?)?;
+        let names = links.as_array().into_iter().flatten().filter_map(|link| link["ifname"].as_str());
+        Ok(names.filter(|name| name.starts_with("gdp")).map(str::to_owned).collect())
+    }
+
+    fn bpffs(&self) -> PathBuf {
+        self.folder.path().join("bpf")
+    }
+
+    fn report(&self) -> String {
+        let shown = [["addr", "show"], ["neigh", "show"], ["route", "show"]].map(|show| self.host.ip(&show));
+        let status = self.status().map(|status| status.to_string());
+        format!("{}\n{status:?}\n{}", self.daemon.report(), shown.into_iter().flatten().collect::<String>())
+    }
+}
+
+fn serve(tools: &Tools, host: &Namespace, folder: PathBuf) -> Result<Process> {
+    let mut command = host.command(tools.gdp_ctl()?)?;
+    command.args(["serve", "--config"]).arg(folder.join("switch.yaml")).env("GDP_EBPF_OBJECT", tools.ebpf_object()?);
+    Process::spawn("switch", command, &folder)
+}
+
+/// A node.
+struct Party {
+    node: Node,
+    identity: Identity,
+    inside: Inside,
+}
+
+impl Party {
+    fn connect(at: &Namespace, user: libc::uid_t, to: &str) -> Result<Self> {
+        let (inside, identity) = (Inside::new(at, user)?, Identity::generate("proxy")?);
+        let node = inside.run(Node::connect(NodeConfig::new(identity.clone(), to.parse()?)))??;
+        Ok(Self { node, identity, inside })
+    }
+
+    fn hear(&self, subscription: &mut Subscription) -> Option<Vec<u8>> {
+        let next = async { tokio::time::timeout(Duration::from_secs(1), subscription.recv()).await };
+        Some(self.inside.runtime.block_on(next).ok()??.body.to_vec())
+    }
+}
+
+struct Topic {
+    owner: SigningKey,
+    card: NameCard,
+}
+
+impl Topic {
+    fn new() -> Result<Self> {
+        let owner = SigningKey::generate()?;
+        let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None)?;
+        Ok(Self { owner, card })
+    }
+
+    fn read(&self, party: &Party) -> Result<Subscription> {
+        let (name, to) = (self.card.name(), Grantee::Entity(party.identity.name()));
+        let grant = ReadGrant { name, to, serial: 1, not_before: 0, not_after: 4_000_000_000 };
+        let grant = issue(&self.owner, &grant)?.into();
+        let subscribe = party.node.subscribe(self.card.proof(), grant, SubscribeOptions::best_effort());
+        Ok(party.inside.runtime.block_on(subscribe)?)
+    }
+
+    fn write(&self, party: &Party) -> Result<Publisher> {
+        let (name, entity) = (self.card.name(), party.identity.name());
+        let (mode, scope, serial, not_before, not_after) = (Mode::Multicast, vec![], 1, 0, 4_000_000_000);
+        let cert = issue(&self.owner, &AdCert { name, entity, mode, scope, serial, not_before, not_after })?.into();
+        let publish = party.node.publish(self.card.proof(), cert, PublishOptions::best_effort());
+        Ok(party.inside.runtime.block_on(publish)?)
+    }
+}
+
+/// A topic with one writer and one reader.
+struct Way<'a> {
+    from: &'a Party,
+    to: &'a Party,
+    publisher: Publisher,
+    subscription: Subscription,
+}
+
+impl<'a> Way<'a> {
+    fn open(from: &'a Party, to: &'a Party) -> Result<Self> {
+        let topic = Topic::new()?;
+        let subscription = topic.read(to)?;
+        Ok(Self { from, to, publisher: topic.write(from)?, subscription })
+    }
+
+    /// Whether a message arrives.
+    fn carries(&mut self, body: &[u8]) -> Result<bool> {
+        if self.from.inside.runtime.block_on(self.publisher.send(Encoding::Bytes, body)).is_err() {
+            return Ok(false);
+        }
+        Ok(self.to.hear(&mut self.subscription).is_some_and(|heard| heard == body))
+    }
+}
