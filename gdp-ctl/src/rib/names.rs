@@ -2,7 +2,6 @@
 //! for it.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Bound;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -133,7 +132,7 @@ pub(super) fn meets(role: NameRole, kind: &Kind, other: &Kind) -> bool {
 }
 
 #[derive(Debug, Default)]
-pub(super) struct Names(BTreeMap<Key, Topic>);
+pub(super) struct Names(BTreeMap<Key, Box<Topic>>);
 
 impl Names {
     pub fn len(&self) -> usize {
@@ -185,17 +184,16 @@ impl Names {
 
     /// Stores what [`Self::check_room`] allowed. Returns what it replaces.
     pub fn insert(&mut self, name: Name, proof: NameProof, entity: Name, new: Registration) -> Option<Registration> {
-        let topic = self.0.entry(name.to_bytes()).or_insert_with(|| Topic::new(proof));
-        topic.part_mut(new.role).insert(entity, new)
+        self.0.entry(name.to_bytes()).or_insert_with(|| Topic::new(proof).into()).insert(entity, new)
     }
 
     pub fn remove(&mut self, name: &Key, entity: &Name, role: NameRole, switch: &Name) -> Option<Registration> {
-        self.0.get_mut(name)?.part_mut(role).remove(entity, switch)
+        self.0.get_mut(name)?.remove(entity, role, switch)
     }
 
     /// Drops a name that nobody has any part in; whether it did.
     pub fn sweep(&mut self, name: &Key) -> bool {
-        let unused = self.0.get(name).is_some_and(|topic| topic.parts().all(Registrations::is_empty));
+        let unused = self.0.get(name).is_some_and(|topic| topic.parts().next().is_none());
         if unused {
             self.0.remove(name);
         }
@@ -265,7 +263,7 @@ impl Names {
     /// Those with this role in a name that can be reached, with what they stated; an entity as often as it has stated it.
     pub fn bound(&self, name: &Key, role: NameRole) -> impl Iterator<Item = (Name, &Registration)> {
         let all = self.0.get(name).into_iter().flat_map(move |topic| topic.part(role).iter());
-        all.filter(|(_, registration)| registration.bound).map(|((entity, _), registration)| (*entity, registration))
+        all.filter(|(_, registration)| registration.bound).map(|((entity, _), registration)| (entity, registration))
     }
 
     /// The switches of this domain at which one entity is so.
@@ -291,8 +289,8 @@ impl Names {
 
     /// Those with this role behind `after`.
     pub fn behind_entity(&self, name: &Key, role: NameRole, after: Option<Name>) -> impl Iterator<Item = Name> {
-        let first = after.map_or(Bound::Unbounded, |after| Bound::Excluded((after, LAST)));
-        let all = self.0.get(name).into_iter().flat_map(move |topic| topic.part(role).behind(first));
+        let after = after.map(|after| (after, LAST));
+        let all = self.0.get(name).into_iter().flat_map(move |topic| topic.part(role).behind(after));
         distinct(all.map(|(place, _)| place))
     }
 
@@ -307,7 +305,7 @@ impl Names {
         let mut found = Vec::new();
         for (name, topic) in &self.0 {
             for role in NameRole::ALL {
-                found.extend(topic.part(role).at(switch).map(|(entity, _)| (*name, entity, role)));
+                found.extend(topic.part(role).at(&At::Here(*switch)).map(|(entity, _)| (*name, entity, role)));
             }
         }
         found
@@ -317,7 +315,7 @@ impl Names {
     pub fn revoked(&self, name: &Key, revocation: &Revocation) -> Vec<(Name, NameRole, Name)> {
         let all = self.0.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::iter));
         let holds = |r: &Registration| r.serials.iter().all(|(what, serial)| revocation.check(what, *serial).is_ok());
-        all.filter(|(_, r)| !holds(r)).map(|((entity, switch), r)| (*entity, r.role, *switch)).collect()
+        all.filter(|(_, r)| !holds(r)).map(|((entity, switch), r)| (entity, r.role, switch)).collect()
     }
 
     /// The switches whose route changes because registrations of the name `at` these switches did, or ways over them.
@@ -374,11 +372,11 @@ impl Names {
             NameRole::ALL.into_iter().flat_map(move |role| {
                 let first = match after {
                     Some(after) if role < after.role => None,
-                    Some(after) if role == after.role => Some(Bound::Excluded((after.entity, after.switch))),
-                    _ => Some(Bound::Unbounded),
+                    Some(after) if role == after.role => Some(Some((after.entity, after.switch))),
+                    _ => Some(None),
                 };
                 let listed = first.map(|first| topic.part(role).behind(first));
-                listed.into_iter().flatten().map(move |(_, registration)| (name, topic, registration))
+                listed.into_iter().flatten().map(move |(_, registration)| (name, &**topic, registration))
             })
         })
     }

@@ -65,7 +65,7 @@ pub(super) struct Source<'a> {
 
 #[derive(Debug, Default)]
 pub(super) struct Telling {
-    streams: BTreeMap<Stake, Stream>,
+    streams: BTreeMap<Stake, Box<Stream>>,
     switches: BTreeMap<Name, Turns>,
     retries: BTreeSet<(Duration, Stake)>,
     generation: u64,
@@ -132,7 +132,7 @@ impl Telling {
         // What is out no longer counts; what is queued still stands in its place.
         let old = self.streams.get(&stake);
         stream.is_queued = old.is_some_and(|old| old.is_queued && old.switch == switch);
-        self.streams.insert(stake, stream);
+        self.streams.insert(stake, stream.into());
         self.queue(stake);
         peers
     }
@@ -145,7 +145,7 @@ impl Telling {
 
     /// Tells of all counterparts once more, as a RIB that takes the place of another.
     pub fn resume(&mut self, stake: Stake, switch: Name) {
-        self.streams.entry(stake).or_insert_with(|| Stream::new(switch, Phase::Whole { part: 0, after: None }));
+        self.streams.entry(stake).or_insert_with(|| Stream::new(switch, Phase::Whole { part: 0, after: None }).into());
         self.queue(stake);
     }
 
@@ -154,17 +154,17 @@ impl Telling {
         if self.streams.get(stake).is_none_or(|stream| stream.switch != *switch) {
             return;
         }
-        let ended = self.streams.remove(stake);
+        let ended = self.streams.remove(stake).map(|stream| *stream);
         if let (Some(Stream { wait, turns_from, .. }), Some(other)) = (ended, other) {
             let stream = Stream::new(other, Phase::Whole { part: 0, after: None });
-            self.streams.insert(*stake, Stream { wait, turns_from, ..stream });
+            self.streams.insert(*stake, Stream { wait, turns_from, ..stream }.into());
             self.queue(*stake);
         }
     }
 
     /// Has an entity told that its credential is revoked. Once: one that does not hear it is refused next time.
     pub fn farewell(&mut self, stake: Stake, switch: Name) {
-        self.streams.insert(stake, Stream::new(switch, Phase::Farewell));
+        self.streams.insert(stake, Stream::new(switch, Phase::Farewell).into());
         self.queue(stake);
     }
 

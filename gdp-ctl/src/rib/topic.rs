@@ -2,20 +2,19 @@
 //! out. Called by [`super::names`].
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Bound;
 
 use gdp::control::{NameRole, RecordPlace, Route};
 use gdp::name::NameProof;
 use gdp_wire::Name;
 
-use super::names::{Key, Kind, LAST, Registration, meets};
+use super::names::{Key, Kind, Registration, meets};
 use super::ways::{At, Map, Realm};
 
 #[derive(Debug)]
 pub(super) struct Topic {
     pub proof: NameProof,
-    /// By role.
-    parts: [Registrations; NameRole::ALL.len()],
+    /// By role; of most nobody has any.
+    parts: [Option<Box<Registrations>>; NameRole::ALL.len()],
     /// As of the last [`Topic::reroute`].
     spread: Spread,
 }
@@ -26,18 +25,18 @@ struct Spread {
     /// By the switches at which they come in: all that send, or where what is sent abroad may come in.
     egress: BTreeMap<Name, u64>,
     /// Those who send and those who take what is sent, if the name concerns other domains; within one all send to all.
-    met: Option<[BTreeSet<Kind>; 2]>,
+    met: Option<Box<[BTreeSet<Kind>; 2]>>,
 }
 
 impl Spread {
     /// Whether those of this kind send to anybody.
     fn has_sender(&self, kind: impl FnOnce() -> Kind) -> bool {
-        self.met.as_ref().is_none_or(|[senders, _]| senders.contains(&kind()))
+        self.met.as_deref().is_none_or(|[senders, _]| senders.contains(&kind()))
     }
 
     /// Whether anybody sends to those of this kind.
     fn has_taker(&self, kind: impl FnOnce() -> Kind) -> bool {
-        self.met.as_ref().is_none_or(|[_, takers]| takers.contains(&kind()))
+        self.met.as_deref().is_none_or(|[_, takers]| takers.contains(&kind()))
     }
 }
 
@@ -47,19 +46,27 @@ impl Topic {
     }
 
     pub fn part(&self, role: NameRole) -> &Registrations {
-        &self.parts[role as usize]
+        static NONE: Registrations = Registrations { all: Vec::new(), by_place: Vec::new() };
+        self.parts[role as usize].as_deref().unwrap_or(&NONE)
     }
 
-    pub fn part_mut(&mut self, role: NameRole) -> &mut Registrations {
-        &mut self.parts[role as usize]
+    pub fn insert(&mut self, entity: Name, new: Registration) -> Option<Registration> {
+        self.parts[new.role as usize].get_or_insert_default().insert(entity, new)
+    }
+
+    pub fn remove(&mut self, entity: &Name, role: NameRole, switch: &Name) -> Option<Registration> {
+        let part = &mut self.parts[role as usize];
+        let removed = part.as_mut()?.remove(entity, switch);
+        part.take_if(|part| part.is_empty());
+        removed
     }
 
     pub fn parts(&self) -> impl Iterator<Item = &Registrations> {
-        self.parts.iter()
+        self.parts.iter().flatten().map(Box::as_ref)
     }
 
     pub fn places(&self, name: Name) -> impl Iterator<Item = RecordPlace> {
-        let of = move |role| self.part(role).iter().map(move |((entity, switch), _)| (role, *entity, *switch));
+        let of = move |role| self.part(role).iter().map(move |((entity, switch), _)| (role, entity, switch));
         let all = NameRole::ALL.into_iter().flat_map(of);
         all.map(move |(role, entity, switch)| RecordPlace { name, role, entity, switch })
     }
@@ -72,8 +79,8 @@ impl Topic {
 
     /// Where anybody has a part in the name, or is reached by.
     pub fn switches(&self, map: Map) -> BTreeSet<Name> {
-        let here = self.parts.iter().flat_map(|part| part.by_switch.keys().copied());
-        let borders = self.parts.iter().flat_map(|part| part.by_realm.keys()).flat_map(|realm| map.ways.borders(realm));
+        let here = self.parts().flat_map(Registrations::switches);
+        let borders = self.parts().flat_map(Registrations::realms).flat_map(|realm| map.ways.borders(&realm));
         here.chain(borders).collect()
     }
 
@@ -97,10 +104,10 @@ impl Topic {
 
     fn spread(&self, name: &Key, map: Map) -> Spread {
         let (senders, takers) = (self.part(NameRole::Publisher), self.part(NameRole::Subscriber));
-        if senders.by_realm.is_empty() && takers.by_realm.is_empty() {
-            let bits = takers.by_switch.keys().fold(0, |bits, switch| bits | map.bits_to(name, &At::Here(*switch)));
-            let switches = senders.by_switch.keys().filter(|_| bits != 0);
-            return Spread { egress: switches.map(|switch| (*switch, bits)).collect(), met: None };
+        if !senders.reach_abroad() && !takers.reach_abroad() {
+            let bits = takers.places().fold(0, |bits, at| bits | map.bits_to(name, &at));
+            let switches = senders.switches().filter(|_| bits != 0);
+            return Spread { egress: switches.map(|switch| (switch, bits)).collect(), met: None };
         }
         let mut bits: BTreeMap<Kind, u64> = BTreeMap::new();
         takers.kinds().for_each(|(at, kind)| *bits.entry(kind).or_default() |= map.bits_to(name, &at));
@@ -115,7 +122,7 @@ impl Topic {
                 met[1].insert(taker.clone());
             }
         }
-        Spread { egress, met: Some(met) }
+        Spread { egress, met: Some(Box::new(met)) }
     }
 
     pub fn route(&self, name: &Key, switch: &Name, map: Map) -> Option<Route> {
@@ -125,16 +132,18 @@ impl Topic {
         let (senders, takers) = (self.part(NameRole::Publisher), self.part(NameRole::Subscriber));
         let is_sender = |(_, registration): &(Name, &Registration)| self.spread.has_sender(|| registration.kind());
         let is_taker = |(_, registration): &(Name, &Registration)| self.spread.has_taker(|| registration.kind());
-        let sent_from = |realm| senders.in_realm(realm).any(|registration| is_sender(&registration));
-        let taken_in = |realm| takers.in_realm(realm).any(|registration| is_taker(&registration));
-        let mut writers: BTreeSet<Name> = senders.at(switch).filter(is_sender).map(|(entity, _)| entity).collect();
-        let from_abroad = senders.by_realm.keys().filter(|realm| sent_from(realm));
-        writers.extend(from_abroad.flat_map(|realm| map.arrives_from(realm, switch)));
-        let here: BTreeMap<Name, &Registration> = takers.at(switch).filter(is_taker).collect();
+        let sent_from = |realm: &Realm| senders.at(&At::Abroad(*realm)).any(|registration| is_sender(&registration));
+        let taken_in = |realm: &Realm| takers.at(&At::Abroad(*realm)).any(|registration| is_taker(&registration));
+        let here = At::Here(*switch);
+        let mut writers: BTreeSet<Name> = senders.at(&here).filter(is_sender).map(|(entity, _)| entity).collect();
+        for realm in senders.realms().filter(sent_from) {
+            writers.extend(map.arrives_from(&realm, switch));
+        }
+        let here: BTreeMap<Name, &Registration> = takers.at(&here).filter(is_taker).collect();
         let everywhere = here.iter().filter(|(_, taker)| taker.everywhere).map(|(entity, _)| *entity).collect();
         let mut locals: BTreeSet<Name> = here.into_keys().collect();
-        let to_abroad = takers.by_realm.keys().filter(|realm| taken_in(realm));
-        locals.extend(to_abroad.filter_map(|realm| map.leaves_to(name, realm, switch)));
+        let to_abroad = takers.realms().filter(taken_in);
+        locals.extend(to_abroad.filter_map(|realm| map.leaves_to(name, &realm, switch)));
         if writers.is_empty() && locals.is_empty() {
             return None;
         }
@@ -144,102 +153,134 @@ impl Topic {
     }
 }
 
-/// Those who have one role in a name; an entity as often as it has stated it at different switches.
+/// Those who have one role in a name; an entity as often as it has stated it at different switches. Of most names there is one, of some
+/// there are thousands: of neither is more kept than is needed to find them.
 #[derive(Debug, Default)]
 pub(super) struct Registrations {
-    /// And by switch.
-    by_entity: BTreeMap<(Name, Name), Registration>,
-    /// Entities of this domain.
-    by_switch: BTreeMap<Name, BTreeSet<Name>>,
-    /// Entities of others, with their switches.
-    by_realm: BTreeMap<Realm, BTreeSet<(Name, Name)>>,
+    /// By entity and switch, in that order.
+    all: Vec<((Name, Name), Box<Registration>)>,
+    /// Indices of those, in the order of where they are, and then of entities.
+    by_place: Vec<u32>,
 }
 
 impl Registrations {
     pub fn is_empty(&self) -> bool {
-        self.by_entity.is_empty()
+        self.all.is_empty()
     }
 
-    pub fn insert(&mut self, entity: Name, new: Registration) -> Option<Registration> {
+    fn insert(&mut self, entity: Name, new: Registration) -> Option<Registration> {
         let old = self.remove(&entity, &new.switch);
-        match new.at() {
-            At::Here(switch) => self.by_switch.entry(switch).or_default().insert(entity),
-            At::Abroad(realm) => self.by_realm.entry(realm).or_default().insert((entity, new.switch)),
-        };
-        self.by_entity.insert((entity, new.switch), new);
+        let (place, at) = ((entity, new.switch), new.at());
+        let index = self.all.partition_point(|(held, _)| *held < place);
+        insert(&mut self.all, index, (place, Box::new(new)));
+        let index = index as u32;
+        self.by_place.iter_mut().filter(|held| **held >= index).for_each(|held| *held += 1);
+        let rank = self.by_place.partition_point(|held| (self.place(*held), *held) < (at, index));
+        insert(&mut self.by_place, rank, index);
         old
     }
 
-    pub fn remove(&mut self, entity: &Name, switch: &Name) -> Option<Registration> {
-        let old = self.by_entity.remove(&(*entity, *switch))?;
-        match old.at() {
-            At::Here(switch) => take_out(&mut self.by_switch, &switch, entity),
-            At::Abroad(realm) => take_out(&mut self.by_realm, &realm, &(*entity, *switch)),
-        }
-        Some(old)
+    fn remove(&mut self, entity: &Name, switch: &Name) -> Option<Registration> {
+        let index = self.find(entity, switch)?;
+        let removed = index as u32;
+        self.by_place.retain(|held| *held != removed);
+        self.by_place.iter_mut().filter(|held| **held > removed).for_each(|held| *held -= 1);
+        Some(*self.all.remove(index).1)
+    }
+
+    fn find(&self, entity: &Name, switch: &Name) -> Option<usize> {
+        self.all.binary_search_by(|(held, _)| held.cmp(&(*entity, *switch))).ok()
+    }
+
+    fn place(&self, index: u32) -> At {
+        self.all[index as usize].1.at()
     }
 
     pub fn get(&self, entity: &Name, switch: &Name) -> Option<&Registration> {
-        self.by_entity.get(&(*entity, *switch))
+        self.find(entity, switch).map(|index| &*self.all[index].1)
     }
 
     /// By entity and switch.
-    pub fn iter(&self) -> impl Iterator<Item = (&(Name, Name), &Registration)> {
-        self.by_entity.iter()
+    pub fn iter(&self) -> impl Iterator<Item = ((Name, Name), &Registration)> {
+        self.all.iter().map(|(place, registration)| (*place, &**registration))
     }
 
-    /// Those from this place on.
-    pub fn behind(&self, first: Bound<(Name, Name)>) -> impl Iterator<Item = (&(Name, Name), &Registration)> {
-        self.by_entity.range((first, Bound::Unbounded))
+    /// Those behind a place, or all.
+    pub fn behind(&self, after: Option<(Name, Name)>) -> impl Iterator<Item = ((Name, Name), &Registration)> {
+        let first = after.map_or(0, |after| self.all.partition_point(|(place, _)| *place <= after));
+        self.all[first..].iter().map(|(place, registration)| (*place, &**registration))
     }
 
     pub fn entities(&self) -> impl Iterator<Item = Name> {
-        distinct(self.by_entity.keys())
+        distinct(self.iter().map(|(place, _)| place))
     }
 
     /// What an entity has stated, at each of its switches.
     pub fn of(&self, entity: &Name) -> impl Iterator<Item = &Registration> {
-        let places = (*entity, Name::default())..=(*entity, LAST);
-        self.by_entity.range(places).map(|(_, registration)| registration)
+        let (first, entity) = (self.all.partition_point(|((held, _), _)| held < entity), *entity);
+        let its = self.all[first..].iter().take_while(move |((held, _), _)| *held == entity);
+        its.map(|(_, registration)| &**registration)
     }
 
-    /// The entities at a switch of this domain.
-    pub fn at(&self, switch: &Name) -> impl Iterator<Item = (Name, &Registration)> {
-        let entities = self.by_switch.get(switch).into_iter().flatten();
-        let switch = *switch;
-        entities.filter_map(move |entity| Some((*entity, self.by_entity.get(&(*entity, switch))?)))
+    /// The entities at a place.
+    pub fn at(&self, at: &At) -> impl Iterator<Item = (Name, &Registration)> {
+        self.indices_at(at).iter().map(|index| {
+            let ((entity, _), registration) = &self.all[*index as usize];
+            (*entity, &**registration)
+        })
     }
 
     pub fn count_at(&self, at: &At) -> usize {
-        match at {
-            At::Here(switch) => self.by_switch.get(switch).map_or(0, BTreeSet::len),
-            At::Abroad(realm) => self.by_realm.get(realm).map_or(0, BTreeSet::len),
-        }
+        self.indices_at(at).len()
     }
 
-    fn in_realm(&self, realm: &Realm) -> impl Iterator<Item = (Name, &Registration)> {
-        let places = self.by_realm.get(realm).into_iter().flatten();
-        places.filter_map(|place| Some((place.0, self.by_entity.get(place)?)))
+    fn indices_at(&self, at: &At) -> &[u32] {
+        let first = self.by_place.partition_point(|held| self.place(*held) < *at);
+        let rest = &self.by_place[first..];
+        &rest[..rest.partition_point(|held| self.place(*held) == *at)]
+    }
+
+    /// Where they are, each place once: those of this domain first.
+    fn places(&self) -> impl Iterator<Item = At> {
+        let mut rest = &self.by_place[..];
+        std::iter::from_fn(move || {
+            let at = self.place(*rest.first()?);
+            rest = &rest[rest.partition_point(|held| self.place(*held) == at)..];
+            Some(at)
+        })
+    }
+
+    fn switches(&self) -> impl Iterator<Item = Name> {
+        self.places().map_while(|at| if let At::Here(switch) = at { Some(switch) } else { None })
+    }
+
+    fn realms(&self) -> impl Iterator<Item = Realm> {
+        let abroad = self.reach_abroad();
+        let places = abroad.then(|| self.places()).into_iter().flatten();
+        places.filter_map(|at| if let At::Abroad(realm) = at { Some(realm) } else { None })
+    }
+
+    fn reach_abroad(&self) -> bool {
+        self.by_place.last().is_some_and(|last| matches!(self.place(*last), At::Abroad(_)))
     }
 
     /// Each kind there is at a place, once.
     fn kinds(&self) -> impl Iterator<Item = (At, Kind)> {
-        let all: BTreeSet<(At, Kind)> = self.by_entity.values().map(|r| (r.at(), r.kind())).collect();
+        let all: BTreeSet<(At, Kind)> = self.all.iter().map(|(_, r)| (r.at(), r.kind())).collect();
         all.into_iter()
     }
 }
 
-fn take_out<K: Ord, V: Ord>(sets: &mut BTreeMap<K, BTreeSet<V>>, key: &K, value: &V) {
-    if let Some(set) = sets.get_mut(key) {
-        set.remove(value);
-        if set.is_empty() {
-            sets.remove(key);
-        }
+/// As [`Vec::insert`], which makes room for four where there is none.
+fn insert<T>(all: &mut Vec<T>, index: usize, new: T) {
+    if all.is_empty() {
+        all.reserve_exact(1);
     }
+    all.insert(index, new);
 }
 
 /// Each entity once, of places in order.
-pub(super) fn distinct<'a>(places: impl Iterator<Item = &'a (Name, Name)>) -> impl Iterator<Item = Name> {
+pub(super) fn distinct(places: impl Iterator<Item = (Name, Name)>) -> impl Iterator<Item = Name> {
     let mut before = None;
-    places.filter_map(move |(entity, _)| (before.replace(*entity) != Some(*entity)).then_some(*entity))
+    places.filter_map(move |(entity, _)| (before.replace(entity) != Some(entity)).then_some(entity))
 }

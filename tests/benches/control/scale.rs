@@ -16,6 +16,7 @@ use gdp::control::{self, EntityRequest, RecordPlace, Response, TierRequest, Tier
 use gdp::{Identity, Name};
 use gdp_ctl::rib::{Limits, Now, Rib, Run};
 use gdp_ctl::tiers::{self, Change, Effect, Item, Reply, Revoked, Sent, Tiers};
+use gdp_ctl::topology::Paths;
 use gdp_tests::measure::figure::{Figure, Measure, Unit};
 
 use crate::Bench;
@@ -357,6 +358,8 @@ impl Domain {
         let hosts: Vec<_> = (0..SWITCHES).map(host).collect::<Result<_>>()?;
         let limits = Limits { names_per_entity: usize::MAX, ..Limits::default() };
         let mut rib = Rib::new(hosts[0].0.name(), Run { id: 1, settling: Duration::ZERO }, limits);
+        let costs = hosts.iter().map(|(switch, _)| (switch.name(), 1)).collect();
+        rib.set_paths(now, Paths { costs, ..Paths::default() });
         for (switch, _) in &hosts {
             ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Done));
         }
