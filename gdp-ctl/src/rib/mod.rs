@@ -458,8 +458,8 @@ impl Rib {
         self.names.len()
     }
 
-    /// Names that somebody reads or calls, and nobody publishes or serves. Looks at all names.
-    pub fn unserved(&self) -> impl Iterator<Item = Name> {
+    /// How many names there are that somebody reads or calls, and nobody publishes or serves; and those.
+    pub fn unserved(&self) -> (usize, impl Iterator<Item = Name>) {
         self.names.unserved()
     }
 

@@ -54,6 +54,12 @@ impl Topic {
         &mut self.parts[role as usize]
     }
 
+    /// Whether somebody takes the name, and nobody sends to it.
+    pub fn is_unserved(&self) -> bool {
+        let has = |roles: [NameRole; 2]| roles.iter().any(|role| !self.part(*role).is_empty());
+        has([NameRole::Subscriber, NameRole::Caller]) && !has([NameRole::Publisher, NameRole::Server])
+    }
+
     pub fn parts(&self) -> impl Iterator<Item = &Registrations> {
         self.parts.iter()
     }
