@@ -25,8 +25,8 @@ use super::federation::Federation;
 use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::peering::Wanted;
 use super::refusals::Refusals;
-use super::replica::Term;
 use super::routes::{Change, Routes};
+use super::term::{Term, Ticket};
 use super::trace::Outstanding;
 use crate::config::{Inside, Neighbour, Via};
 use crate::crossing::Allowance;
@@ -180,7 +180,7 @@ pub enum Next {
     /// The name is traced on.
     Trace(Box<Tracing>),
     /// What the RIB here has taken in is to be stored before anything else.
-    Store(Box<Next>),
+    Store(Ticket, Box<Next>),
     /// The RIB has asked this switch to report again.
     Report,
     /// Ask over this link, and pass the response on.

@@ -301,7 +301,7 @@ impl Daemon {
         self.send_effects();
         match next {
             Next::Answer(response) => response,
-            Next::Store(next) => self.store(*next).await,
+            Next::Store(ticket, next) => self.store(ticket, *next).await,
             Next::Keep => self.keep_revocations().await.map_or_else(Response::from, |()| Response::Done),
             Next::Await { waiting, is_query } => match timeout(tiers::PATIENCE, waiting).await {
                 Ok(Ok(response)) if is_query => tiers::records(response),

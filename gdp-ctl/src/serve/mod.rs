@@ -23,6 +23,7 @@ mod replica;
 mod report;
 pub mod routes;
 mod status;
+mod term;
 mod tiers;
 mod trace;
 mod warnings;

@@ -7,23 +7,22 @@
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use gdp::control::{Refusal, RefusalCode, Response};
+use gdp::control::Response;
 use gdp::link::HOLD;
 use gdp_wire::Name;
-use tokio::sync::{Notify, watch};
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
+use super::Daemon;
 use super::core::{Core, Next, run_id};
-use super::{Daemon, lock};
+use super::term::{Term, Ticket};
 use crate::config::EtcdConfig;
 use crate::domain::Used;
 use crate::rib::{Item, Limits, RestoreError, Rib, Run, decode_item, encode_item};
 use crate::store::StoreError;
 use crate::store::gateway::Gateway;
-use crate::store::items::{Copy, Place, Writer};
+use crate::store::items::{Change, Copy, Place, Writer};
 use crate::unix_time::unix_nanos;
 
 /// Seconds of a leader's lease.
@@ -38,9 +37,6 @@ const BEAT: Duration = Duration::from_millis(800);
 /// How long after a failure the next attempt is made.
 const RETRY: Duration = Duration::from_millis(300);
 
-/// How long what is stated waits to be stored.
-const PATIENCE: Duration = Duration::from_secs(4);
-
 /// What ends by itself is stored within this.
 const SWEEP: Duration = Duration::from_millis(250);
 
@@ -48,31 +44,6 @@ const SWEEP: Duration = Duration::from_millis(250);
 pub struct Replica {
     config: EtcdConfig,
     place: Place,
-    /// How many have asked to have stored what had changed until then.
-    wanted: AtomicU64,
-    wake: Notify,
-    progress: watch::Sender<Progress>,
-}
-
-/// Of those that asked.
-#[derive(Clone, Debug, Default)]
-struct Progress {
-    done: u64,
-    failed: u64,
-    why: String,
-}
-
-/// A leader's term of office.
-pub struct Term {
-    ends: std::sync::Mutex<Instant>,
-    /// Something is on its way to etcd.
-    is_writing: AtomicBool,
-}
-
-impl Term {
-    fn is_over(&self) -> bool {
-        Instant::now() >= *lock(&self.ends)
-    }
 }
 
 /// What made this replica the leader.
@@ -84,34 +55,11 @@ struct Elected {
 
 impl Replica {
     pub fn new(config: EtcdConfig) -> Self {
-        let (progress, _) = watch::channel(Progress::default());
-        Self { place: Place::new(&config.prefix), config, wanted: 0.into(), wake: Notify::new(), progress }
+        Self { place: Place::new(&config.prefix), config }
     }
 
     fn gateway(&self) -> Gateway {
         Gateway::new(&self.config.endpoints)
-    }
-
-    fn done(&self, until: u64) {
-        self.progress.send_modify(|progress| progress.done = progress.done.max(until));
-    }
-
-    fn failed(&self, until: u64, why: &StoreError) {
-        self.progress.send_modify(|progress| (progress.failed, progress.why) = (until, why.to_string()));
-    }
-
-    /// Returns once what has changed by now is stored.
-    async fn stored(&self) -> Result<(), Refusal> {
-        let mut progress = self.progress.subscribe();
-        let own = self.wanted.fetch_add(1, Ordering::AcqRel) + 1;
-        self.wake.notify_one();
-        let settled = progress.wait_for(|progress| progress.done >= own || progress.failed >= own);
-        let why = match timeout(PATIENCE, settled).await {
-            Ok(Ok(progress)) if progress.done >= own => return Ok(()),
-            Ok(Ok(progress)) => progress.why.clone(),
-            Ok(Err(_)) | Err(_) => "etcd takes too long".into(),
-        };
-        Err(Refusal::new(RefusalCode::Unreachable, format!("taken in, but not kept: {why}; try again in a moment")))
     }
 }
 
@@ -124,42 +72,45 @@ impl Core {
         }
     }
 
-    /// What follows from a request: if the RIB here has changed with it, that is to be stored before anybody is told.
+    /// This replica leads no more; what is not stored of its term never is.
+    fn put_down(&mut self, term: &Term, why: &str) {
+        term.end(why);
+        self.end_term();
+    }
+
+    /// What follows from a request: if the RIB here has changed with it, that is to be stored before anybody is told. To be called under
+    /// the lock under which the request was taken in.
     pub(super) fn store_first(&mut self, next: Next) -> Next {
         let (Some(term), Some(rib)) = (&self.term, &mut self.rib) else { return next };
         if let Next::KeepInvitation { new: Some(serial) } = &next {
             self.unstored_invitations.insert(*serial);
         }
         let is_positive = !matches!(next, Next::Answer(Response::Refused(_) | Response::Records { .. }));
-        let is_stored =
-            !rib.has_changed() && self.unstored_invitations.is_empty() && !term.is_writing.load(Ordering::Acquire);
-        if is_positive && !is_stored { Next::Store(Box::new(next)) } else { next }
+        let is_stored = !rib.has_changed() && self.unstored_invitations.is_empty() && !term.is_writing();
+        if is_positive && !is_stored { Next::Store(term.ticket(), Box::new(next)) } else { next }
     }
 
-    /// Moves what has changed and is not stored to `changed`, and says how it is to be stored. None without a RIB.
-    fn unstored(&mut self, changed: &mut BTreeSet<Item>) -> Option<Vec<(Item, Option<Vec<u8>>)>> {
+    /// Moves what has changed and is not stored to `changed`, and says how it is to be stored, and for which tickets. None without
+    /// a RIB.
+    fn unstored(&mut self, changed: &mut BTreeSet<Item>) -> Option<(u64, Vec<Change>)> {
         let now = self.now();
         let (rib, term) = (self.rib.as_mut()?, self.term.as_ref()?);
         changed.append(&mut rib.take_changed());
         changed.extend(std::mem::take(&mut self.unstored_invitations).into_iter().map(Item::Invitation));
-        term.is_writing.store(!changed.is_empty(), Ordering::Release);
+        term.set_writing(!changed.is_empty());
         let domain = self.domain.as_ref();
         let value = |item: &Item| match item {
             Item::Invitation(serial) => encode_item(domain?.invitations.get(*serial)?).ok(),
             item => rib.stored(now, item),
         };
-        Some(changed.iter().map(|item| (*item, value(item))).collect())
+        Some((term.last_ticket(), changed.iter().map(|item| (*item, value(item))).collect()))
     }
 }
 
 impl Daemon {
     /// Stores what a request has changed, and then does what it needs besides.
-    pub(super) async fn store(self: &Arc<Self>, next: Next) -> Response {
-        let stored = match &self.replica {
-            Some(replica) => replica.stored().await,
-            None => Ok(()),
-        };
-        match (stored, next) {
+    pub(super) async fn store(self: &Arc<Self>, ticket: Ticket, next: Next) -> Response {
+        match (ticket.stored().await, next) {
             (Ok(()), next) => Box::pin(self.complete(next)).await,
             (Err(refusal), Next::KeepInvitation { new: Some(serial) }) => {
                 if let Some(domain) = &mut self.core().domain {
@@ -230,8 +181,7 @@ impl Elected {
     async fn stand(place: &Place, gateway: &mut Gateway, own: &Name) -> Result<Option<Self>, StoreError> {
         let asked = Instant::now();
         let lease = gateway.grant(TTL).await?;
-        let ends = std::sync::Mutex::new(asked + Duration::from_secs(TTL) - MARGIN);
-        let term = Arc::new(Term { ends, is_writing: false.into() });
+        let term = Arc::new(Term::new(asked + Duration::from_secs(TTL) - MARGIN));
         match place.stand(gateway, own, lease).await? {
             Some(revision) => Ok(Some(Self { lease, revision, term })),
             None => {
@@ -263,12 +213,9 @@ impl Elected {
                     continue;
                 }
             }
-            let mut ends = lock(&self.term.ends);
-            // It may be over in the meantime, and has then been noticed.
-            if *ends <= Instant::now() {
+            if !self.term.extend(asked + Duration::from_secs(TTL) - MARGIN) {
                 return StoreError::Fenced;
             }
-            *ends = asked + Duration::from_secs(TTL) - MARGIN;
         }
     }
 }
@@ -280,9 +227,7 @@ async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elec
         error = elected.hold(&mut gateway) => error,
         error = serve_term(daemon, replica, copy, &elected) => error,
     };
-    *lock(&elected.term.ends) = Instant::now();
-    daemon.core().end_term();
-    replica.failed(replica.wanted.load(Ordering::Acquire), &error);
+    daemon.core().put_down(&elected.term, &error.to_string());
     daemon.topology_changed();
     elected.resign(&mut gateway).await;
     error
@@ -293,7 +238,7 @@ async fn serve_term(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected
         Ok(taken) => taken,
         Err(error) => return error,
     };
-    write(daemon, replica, writer, changed).await
+    write(daemon, &elected.term, writer, changed).await
 }
 
 /// Makes the copy the RIB of this daemon. Returns who writes what changes in it, and what of it is of no use.
@@ -374,24 +319,24 @@ impl Core {
 }
 
 /// Writes what changes, all that have asked meanwhile at once. Returns why it cannot.
-async fn write(daemon: &Daemon, replica: &Replica, mut writer: Writer, mut changed: BTreeSet<Item>) -> StoreError {
+async fn write(daemon: &Daemon, term: &Term, mut writer: Writer, mut changed: BTreeSet<Item>) -> StoreError {
     loop {
-        let until = replica.wanted.load(Ordering::Acquire);
         let batch = daemon.core().unstored(&mut changed);
-        let Some(batch) = batch else { return StoreError::Fenced };
+        let Some((last, batch)) = batch else { return StoreError::Fenced };
+        if batch.is_empty() && !term.is_awaited(last) {
+            term.awaited(SWEEP).await;
+            continue;
+        }
         match writer.write(&batch).await {
             Ok(()) => {
                 changed.clear();
-                if let Some(term) = &daemon.core().term {
-                    term.is_writing.store(false, Ordering::Release);
-                }
-                replica.done(until);
-                let _ = timeout(SWEEP, replica.wake.notified()).await;
+                term.set_writing(false);
+                term.done(last);
             }
             Err(error @ (StoreError::Fenced | StoreError::Contended)) => return error,
             Err(error) => {
                 tracing::warn!(%error, "what has changed in the RIB is not stored");
-                replica.failed(until, &error);
+                term.failed(last, &error.to_string());
                 sleep(RETRY).await;
             }
         }

@@ -151,6 +151,9 @@ impl Copy {
     }
 }
 
+/// What an item is to be; none: it is to be gone.
+pub type Change = (Item, Option<Vec<u8>>);
+
 /// Writes for the leader of one term.
 pub struct Writer {
     place: Place,
