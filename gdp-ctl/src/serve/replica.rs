@@ -16,7 +16,7 @@ use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use super::Daemon;
 use super::core::{Core, Next, run_id};
-use super::term::{Term, Ticket};
+use super::term::{Term, Ticket, within};
 use crate::config::EtcdConfig;
 use crate::domain::Used;
 use crate::rib::{Item, Limits, RestoreError, Rib, Run, decode_item, encode_item};
@@ -223,10 +223,13 @@ impl Elected {
 /// Is the RIB for a term. Returns why no longer.
 async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elected) -> StoreError {
     let mut gateway = replica.gateway();
-    let error = tokio::select! {
-        error = elected.hold(&mut gateway) => error,
-        error = serve_term(daemon, replica, copy, &elected) => error,
+    let work = async {
+        tokio::select! {
+            error = elected.hold(&mut gateway) => error,
+            error = serve_term(daemon, replica, copy, &elected) => error,
+        }
     };
+    let error = within(&elected.term, work).await;
     daemon.core().put_down(&elected.term, &error.to_string());
     daemon.topology_changed();
     elected.resign(&mut gateway).await;

@@ -7,9 +7,10 @@ use std::time::Duration;
 
 use gdp::control::{Refusal, RefusalCode};
 use tokio::sync::{Notify, watch};
-use tokio::time::{Instant, timeout};
+use tokio::time::{Instant, sleep_until, timeout};
 
 use super::lock;
+use crate::store::StoreError;
 
 /// How long what is stated waits to be stored.
 const PATIENCE: Duration = Duration::from_secs(4);
@@ -46,6 +47,14 @@ impl Term {
 
     pub fn is_over(&self) -> bool {
         Instant::now() >= *lock(&self.ends)
+    }
+
+    /// Returns once it is over, whatever else is waited for.
+    pub async fn over(&self) {
+        while !self.is_over() {
+            let ends = *lock(&self.ends);
+            sleep_until(ends).await;
+        }
     }
 
     /// Has it last longer; not if it is over, as that may have been noticed. Whether it does.
@@ -123,12 +132,38 @@ impl Ticket {
     }
 }
 
+/// What comes of the work of a term, at its end at the latest.
+pub async fn within(term: &Term, work: impl Future<Output = StoreError>) -> StoreError {
+    tokio::select! {
+        error = work => error,
+        () = term.over() => StoreError::Fenced,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     /// Long, where something must happen; nothing here waits for its end.
     const LONG: Duration = Duration::from_secs(60);
+
+    #[tokio::test]
+    async fn a_term_ends_when_its_lease_does_though_etcd_answers_nothing() {
+        let start = Instant::now();
+        let (first, last) = (start + Duration::from_millis(20), start + Duration::from_millis(200));
+        let term = Term::new(first);
+        assert!(term.extend(last), "it was renewed");
+        let ended = timeout(LONG, within(&term, std::future::pending())).await.expect("it ends");
+        assert!(matches!(ended, StoreError::Fenced) && Instant::now() >= last);
+        assert!(term.is_over() && !term.extend(start + LONG), "what may have been noticed is not taken back");
+    }
+
+    #[tokio::test]
+    async fn the_work_of_a_term_may_end_before_it() {
+        let term = Term::new(Instant::now() + LONG);
+        let ended = within(&term, async { StoreError::Contended }).await;
+        assert!(matches!(ended, StoreError::Contended) && !term.is_over());
+    }
 
     #[tokio::test]
     async fn who_waits_is_told_whether_it_is_stored() {
