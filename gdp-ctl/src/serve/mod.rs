@@ -10,6 +10,7 @@ mod domain;
 mod ends;
 pub mod events;
 mod federation;
+mod fence;
 mod flooding;
 mod hold;
 pub mod interfaces;

@@ -87,7 +87,9 @@ impl Core {
         }
         let is_positive = !matches!(next, Next::Answer(Response::Refused(_) | Response::Records { .. }));
         let is_stored = !rib.has_changed() && self.unstored_invitations.is_empty() && !term.is_writing();
-        if is_positive && !is_stored { Next::Store(term.ticket(), Box::new(next)) } else { next }
+        // A switch that reports follows this RIB: etcd is to say that it leads.
+        let is_report = matches!(next, Next::Answer(Response::Reported { .. }));
+        if is_positive && (is_report || !is_stored) { Next::Store(term.ticket(), Box::new(next)) } else { next }
     }
 
     /// Moves what has changed and is not stored to `changed`, and says how it is to be stored, and for which tickets. None without
@@ -256,7 +258,7 @@ async fn take_over(
         Vec::new()
     });
     let (now, root) = (daemon.core().now(), daemon.name);
-    let run = Run { id: run_id(), settling: now.clock + HOLD };
+    let run = Run { id: run_id(elected.revision.unsigned_abs()), settling: now.clock + HOLD };
     // Signatures are verified, perhaps many.
     let restoring = move || {
         let mut rib = Rib::new(root, run, Limits::default());

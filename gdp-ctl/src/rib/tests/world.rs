@@ -97,7 +97,7 @@ impl World {
 
     pub fn report(&mut self, index: usize, attached: &[Name]) {
         let response = self.rib.report(self.now, &self.switches[index].proof(), attached, None);
-        assert!(matches!(response, Response::Done), "{response:?}");
+        assert!(matches!(response, Response::Reported { .. }), "{response:?}");
         self.rewire();
     }
 
