@@ -12,6 +12,7 @@ use std::time::Duration;
 use gdp::control::Response;
 use gdp::link::HOLD;
 use gdp_wire::Name;
+use tokio::sync::watch;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use super::Daemon;
@@ -40,10 +41,24 @@ const RETRY: Duration = Duration::from_millis(300);
 /// What ends by itself is stored within this.
 const SWEEP: Duration = Duration::from_millis(250);
 
+/// How long the end of a daemon waits for etcd to take note that it leads no more.
+const RESIGNATION: Duration = Duration::from_secs(2);
+
 /// A replica's part in what is kept together.
 pub struct Replica {
     config: EtcdConfig,
     place: Place,
+    stage: watch::Sender<Stage>,
+}
+
+/// How far a replica is with its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    Standing,
+    /// It is to lead no more.
+    Resigning,
+    /// It does not lead, and never will.
+    Gone,
 }
 
 /// What made this replica the leader.
@@ -55,7 +70,26 @@ struct Elected {
 
 impl Replica {
     pub fn new(config: EtcdConfig) -> Self {
-        Self { place: Place::new(&config.prefix), config }
+        Self { place: Place::new(&config.prefix), config, stage: watch::Sender::new(Stage::Standing) }
+    }
+
+    /// Returns once it leads no more, and does not stand again; if etcd does not answer, a while later.
+    pub async fn resign(&self) {
+        self.stage.send_if_modified(|stage| {
+            let stands = *stage == Stage::Standing;
+            if stands {
+                *stage = Stage::Resigning;
+            }
+            stands
+        });
+        if timeout(RESIGNATION, self.until(Stage::Gone)).await.is_err() {
+            tracing::warn!("etcd was not told that this replica leads no more: others wait until its lease is over");
+        }
+    }
+
+    async fn until(&self, awaited: Stage) {
+        // It ends no earlier than this does.
+        let _ = self.stage.subscribe().wait_for(|stage| *stage == awaited).await;
     }
 
     fn gateway(&self) -> Gateway {
@@ -125,12 +159,25 @@ impl Daemon {
     }
 }
 
-/// Follows what is stored and leads when it is this replica's turn, until the daemon ends.
+/// Follows what is stored and leads when it is this replica's turn, until the daemon ends, or it is to [resign](Replica::resign).
 pub async fn run(daemon: Arc<Daemon>) {
-    let Some(replica) = &daemon.replica else { return };
+    if let Some(replica) = &daemon.replica {
+        follow_and_lead(&daemon, replica).await;
+        replica.stage.send_replace(Stage::Gone);
+    }
+}
+
+async fn follow_and_lead(daemon: &Arc<Daemon>, replica: &Replica) {
     loop {
-        let error = match stand_by(&daemon, replica).await {
-            Ok((copy, elected)) => lead(&daemon, replica, copy, elected).await,
+        let elected = tokio::select! {
+            elected = stand_by(daemon, replica) => elected,
+            () = replica.until(Stage::Resigning) => return,
+        };
+        let error = match elected {
+            Ok((copy, elected)) => match lead(daemon, replica, copy, elected).await {
+                Some(error) => error,
+                None => return,
+            },
             Err(error) => error,
         };
         if !matches!(error, StoreError::Compacted) {
@@ -222,8 +269,8 @@ impl Elected {
     }
 }
 
-/// Is the RIB for a term. Returns why no longer.
-async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elected) -> StoreError {
+/// Is the RIB for a term. Returns why no longer; none: it is to resign.
+async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elected) -> Option<StoreError> {
     let mut gateway = replica.gateway();
     let work = async {
         tokio::select! {
@@ -231,8 +278,12 @@ async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elec
             error = serve_term(daemon, replica, copy, &elected) => error,
         }
     };
-    let error = within(&elected.term, work).await;
-    daemon.core().put_down(&elected.term, &error.to_string());
+    let error = tokio::select! {
+        error = within(&elected.term, work) => Some(error),
+        () = replica.until(Stage::Resigning) => None,
+    };
+    let why = error.as_ref().map_or_else(|| "this replica resigns".into(), ToString::to_string);
+    daemon.core().put_down(&elected.term, &why);
     daemon.topology_changed();
     elected.resign(&mut gateway).await;
     error
