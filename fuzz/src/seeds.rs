@@ -310,6 +310,7 @@ impl Papers {
                 seed("ratcheted", &Request::Ratcheted { generation: u64::MAX }),
                 seed("done", &Response::Done),
                 seed("attached", &Response::Attached { serial: 9 }),
+                seed("reported", &Response::Reported { run: 9 }),
                 seed("records", &Response::Records { records: vec![record], truncated: true }),
                 seed("refused", &Response::from(Refusal::new(RefusalCode::Limit, "full"))),
             ])

@@ -138,6 +138,10 @@ pub enum Response {
     Attached {
         serial: u64,
     },
+    /// Taken, by this [run](FibPush::run) of the RIB: it is the one to follow now, also if an earlier one had a higher number.
+    Reported {
+        run: u64,
+    },
     /// In the order of their [places](RecordPlace). `truncated`: there are more than fit an answer; ask for those behind
     /// the last one.
     Records {
@@ -218,6 +222,8 @@ pub enum RefusalCode {
     Unreachable,
     /// Something that this release does not do.
     Unsupported,
+    /// It comes from a RIB that another one has taken the place of.
+    Fenced,
 }
 
 /// One verified advertisement or subscription, with all that is needed to verify it again.
@@ -336,7 +342,7 @@ impl Record {
 pub struct FibPush {
     /// Whose FIB.
     pub switch: Name,
-    /// Which run of a RIB this is: another number after a restart.
+    /// Which run of a RIB this is: after a restart, or of another replica, a higher number. A switch that follows a higher one refuses.
     pub run: u64,
     /// The RIB has started so recently that it may not know all there is: what an earlier one said counts besides, unless
     /// [`Self::remove`] takes it back.

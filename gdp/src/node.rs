@@ -32,6 +32,7 @@ mod options;
 mod outlet;
 mod pairs;
 mod parties;
+mod pause;
 mod publication;
 mod publisher;
 mod reading;

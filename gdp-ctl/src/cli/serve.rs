@@ -64,6 +64,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
             _ = interrupt.recv() => tracing::info!("SIGINT: shutting down"),
         }
         if options.keep && running.outlives() {
+            running.resign().await;
             tracing::info!("the kernel forwards on; start the next daemon soon, or run `gdp-ctl xdp detach`");
             std::process::exit(0);
         }

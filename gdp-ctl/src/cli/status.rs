@@ -26,6 +26,9 @@ fn describe(status: &Value) -> String {
         (_, None) => format!("RIB         at {}, through {}\n", short(&control["rib"]), short(&control["next"])),
         (_, Some(reason)) => format!("RIB         not reached: {reason}\n"),
     };
+    if control["fenced"] != 0 {
+        out += &format!("            {} pushes refused of a RIB whose term was over\n", control["fenced"]);
+    }
     for tier in items(&status["tiers"]) {
         let refused: u64 =
             tier["refused"].as_object().into_iter().flatten().filter_map(|(_, count)| count.as_u64()).sum();

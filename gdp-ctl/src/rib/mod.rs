@@ -188,7 +188,7 @@ pub struct Rib {
 /// One life of a RIB.
 #[derive(Clone, Copy, Debug)]
 pub struct Run {
-    /// Another number each time.
+    /// Higher than that of the RIB before, as far as that can be known; and another number each time.
     pub id: u64,
     /// Until this time (as [`Now::clock`]) what an earlier RIB had the switches hold counts besides: entities are still to
     /// state again what they had stated to that one.
@@ -305,7 +305,8 @@ impl Rib {
     /// Takes a switch's report of all entities attached to it, with the egress bit it has had so far.
     pub fn report(&mut self, now: Now, switch: &NameProof, attached: &[Name], own_bit: Option<u8>) -> Response {
         self.tick(now);
-        self.try_report(now, switch, attached, own_bit).map_or_else(Response::from, |()| Response::Done)
+        let taken = self.try_report(now, switch, attached, own_bit);
+        taken.map_or_else(Response::from, |()| Response::Reported { run: self.run.id })
     }
 
     /// The paths from the RIB's own switch are now these.
@@ -458,8 +459,8 @@ impl Rib {
         self.names.len()
     }
 
-    /// Names that somebody reads or calls, and nobody publishes or serves. Looks at all names.
-    pub fn unserved(&self) -> impl Iterator<Item = Name> {
+    /// How many names there are that somebody reads or calls, and nobody publishes or serves; and those.
+    pub fn unserved(&self) -> (usize, impl Iterator<Item = Name>) {
         self.names.unserved()
     }
 

@@ -132,29 +132,29 @@ pub(super) fn meets(role: NameRole, kind: &Kind, other: &Kind) -> bool {
 }
 
 #[derive(Debug, Default)]
-pub(super) struct Names(BTreeMap<Key, Box<Topic>>);
+pub(super) struct Names {
+    all: BTreeMap<Key, Box<Topic>>,
+    /// Those of them that are [unserved](Topic::is_unserved).
+    unserved: BTreeSet<Key>,
+}
 
 impl Names {
     pub fn len(&self) -> usize {
-        self.0.len()
+        self.all.len()
     }
 
-    /// Those that somebody takes and nobody sends to. Looks at all.
-    pub fn unserved(&self) -> impl Iterator<Item = Name> {
-        let has = |topic: &Topic, roles: [NameRole; 2]| roles.iter().any(|role| !topic.part(*role).is_empty());
-        let unserved = move |topic: &Topic| {
-            has(topic, [NameRole::Subscriber, NameRole::Caller]) && !has(topic, [NameRole::Publisher, NameRole::Server])
-        };
-        self.0.iter().filter(move |(_, topic)| unserved(topic)).map(|(name, _)| Name::from_bytes(*name))
+    /// How many there are that somebody takes and nobody sends to, and those; none of the others is looked at.
+    pub fn unserved(&self) -> (usize, impl Iterator<Item = Name>) {
+        (self.unserved.len(), self.unserved.iter().copied().map(Name::from_bytes))
     }
 
     /// Whether one more registration is allowed.
     ///
     /// A name is published or served, not both: it is of a topic or of a service.
     pub fn check_room(&self, name: &Name, entity: &Name, new: &Registration, limits: &Limits) -> Result<(), Refusal> {
-        let Some(topic) = self.0.get(name.as_bytes()) else {
+        let Some(topic) = self.all.get(name.as_bytes()) else {
             let limit = limits.names;
-            return if self.0.len() < limit { Ok(()) } else { Err(limit_reached(format!("{limit} names are known"))) };
+            return if self.all.len() < limit { Ok(()) } else { Err(limit_reached(format!("{limit} names are known"))) };
         };
         let part = topic.part(new.role);
         if !new.role.is_writer() {
@@ -184,38 +184,44 @@ impl Names {
 
     /// Stores what [`Self::check_room`] allowed. Returns what it replaces.
     pub fn insert(&mut self, name: Name, proof: NameProof, entity: Name, new: Registration) -> Option<Registration> {
-        self.0.entry(name.to_bytes()).or_insert_with(|| Topic::new(proof).into()).insert(entity, new)
+        let topic = self.all.entry(name.to_bytes()).or_insert_with(|| Topic::new(proof).into());
+        let replaced = topic.insert(entity, new);
+        note_unserved(&mut self.unserved, name.to_bytes(), topic);
+        replaced
     }
 
     pub fn remove(&mut self, name: &Key, entity: &Name, role: NameRole, switch: &Name) -> Option<Registration> {
-        self.0.get_mut(name)?.remove(entity, role, switch)
+        let topic = self.all.get_mut(name)?;
+        let removed = topic.remove(entity, role, switch);
+        note_unserved(&mut self.unserved, *name, topic);
+        removed
     }
 
     /// Drops a name that nobody has any part in; whether it did.
     pub fn sweep(&mut self, name: &Key) -> bool {
-        let unused = self.0.get(name).is_some_and(|topic| topic.parts().next().is_none());
+        let unused = self.all.get(name).is_some_and(|topic| topic.parts().next().is_none());
         if unused {
-            self.0.remove(name);
+            self.all.remove(name);
         }
         unused
     }
 
     pub fn contains(&self, name: &Key) -> bool {
-        self.0.contains_key(name)
+        self.all.contains_key(name)
     }
 
     /// What an entity has stated, wherever: what its counterparts are told of.
     pub fn get(&self, name: &Key, entity: &Name, role: NameRole) -> Option<&Registration> {
-        self.0.get(name)?.part(role).of(entity).max_by_key(|registration| registration.ends)
+        self.all.get(name)?.part(role).of(entity).max_by_key(|registration| registration.ends)
     }
 
     pub fn get_at(&self, name: &Key, entity: &Name, role: NameRole, switch: &Name) -> Option<&Registration> {
-        self.0.get(name)?.part(role).get(entity, switch)
+        self.all.get(name)?.part(role).get(entity, switch)
     }
 
     /// All that an entity has stated of this, here and abroad.
     pub fn all_of(&self, name: &Key, entity: &Name, role: NameRole) -> impl Iterator<Item = &Registration> {
-        self.0.get(name).into_iter().flat_map(move |topic| topic.part(role).of(entity))
+        self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).of(entity))
     }
 
     /// Whether all that an entity has stated of this says the same as `other`, and it has stated any.
@@ -226,7 +232,7 @@ impl Names {
 
     /// How the name is derived.
     pub fn proof(&self, name: &Key) -> Option<NameProof> {
-        self.0.get(name).map(|topic| topic.proof)
+        self.all.get(name).map(|topic| topic.proof)
     }
 
     /// The switches of this domain at which an entity has stated this.
@@ -238,31 +244,31 @@ impl Names {
     /// What there is to tell one who has this part in a name of a counterpart there, if it is any.
     pub fn record_for(&self, now: Duration, stake: &Stake, counterpart: &Name) -> Option<Record> {
         let Stake { name, entity, role } = stake;
-        let topic = self.0.get(name)?;
+        let topic = self.all.get(name)?;
         let own = topic.part(*role).of(entity).filter(|own| own.abroad.is_none()).max_by_key(|own| own.ends)?;
         let of = self.all_of(name, counterpart, role.counterpart()).filter(|other| own.meets(other));
         Some(of.max_by_key(|other| other.ends)?.record(now, Name::from_bytes(*name), topic.proof))
     }
 
     pub fn record_at(&self, now: Duration, place: &RecordPlace) -> Option<(Record, &Registration)> {
-        let topic = self.0.get(place.name.as_bytes())?;
+        let topic = self.all.get(place.name.as_bytes())?;
         let registration = topic.part(place.role).get(&place.entity, &place.switch)?;
         Some((registration.record(now, place.name, topic.proof), registration))
     }
 
     pub fn has(&self, name: &Key, entity: &Name) -> bool {
-        self.0.get(name).is_some_and(|topic| topic.parts().any(|part| part.of(entity).next().is_some()))
+        self.all.get(name).is_some_and(|topic| topic.parts().any(|part| part.of(entity).next().is_some()))
     }
 
     /// Switches that a route for the name is for.
     pub fn routed(&self, name: &Key, map: Map) -> BTreeSet<Name> {
-        let topic = self.0.get(name).filter(|topic| topic.is_routed());
+        let topic = self.all.get(name).filter(|topic| topic.is_routed());
         topic.map_or_else(BTreeSet::new, |topic| topic.switches(map))
     }
 
     /// Those with this role in a name that can be reached, with what they stated; an entity as often as it has stated it.
     pub fn bound(&self, name: &Key, role: NameRole) -> impl Iterator<Item = (Name, &Registration)> {
-        let all = self.0.get(name).into_iter().flat_map(move |topic| topic.part(role).iter());
+        let all = self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).iter());
         all.filter(|(_, registration)| registration.bound).map(|((entity, _), registration)| (entity, registration))
     }
 
@@ -274,23 +280,23 @@ impl Names {
 
     /// All that have a part in the name, each once for each of its roles.
     pub fn entities(&self, name: &Key) -> impl Iterator<Item = Name> {
-        self.0.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::entities))
+        self.all.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::entities))
     }
 
     /// The places of all parts in a name.
     pub fn places(&self, name: Name) -> impl Iterator<Item = RecordPlace> {
-        self.0.get(name.as_bytes()).into_iter().flat_map(move |topic| topic.places(name))
+        self.all.get(name.as_bytes()).into_iter().flat_map(move |topic| topic.places(name))
     }
 
     /// The places of all parts in all names.
     pub fn all_places(&self) -> impl Iterator<Item = RecordPlace> {
-        self.0.iter().flat_map(|(key, topic)| topic.places(Name::from_bytes(*key)))
+        self.all.iter().flat_map(|(key, topic)| topic.places(Name::from_bytes(*key)))
     }
 
     /// Those with this role behind `after`.
     pub fn behind_entity(&self, name: &Key, role: NameRole, after: Option<Name>) -> impl Iterator<Item = Name> {
         let after = after.map(|after| (after, LAST));
-        let all = self.0.get(name).into_iter().flat_map(move |topic| topic.part(role).behind(after));
+        let all = self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).behind(after));
         distinct(all.map(|(place, _)| place))
     }
 
@@ -303,7 +309,7 @@ impl Names {
     /// All registrations through one switch of this domain.
     pub fn registered_at(&self, switch: &Name) -> Vec<(Key, Name, NameRole)> {
         let mut found = Vec::new();
-        for (name, topic) in &self.0 {
+        for (name, topic) in &self.all {
             for role in NameRole::ALL {
                 found.extend(topic.part(role).at(&At::Here(*switch)).map(|(entity, _)| (*name, entity, role)));
             }
@@ -313,14 +319,14 @@ impl Names {
 
     /// The registrations of a name that do not hold any more: of whom, as what, at which switch.
     pub fn revoked(&self, name: &Key, revocation: &Revocation) -> Vec<(Name, NameRole, Name)> {
-        let all = self.0.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::iter));
+        let all = self.all.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::iter));
         let holds = |r: &Registration| r.serials.iter().all(|(what, serial)| revocation.check(what, *serial).is_ok());
         all.filter(|(_, r)| !holds(r)).map(|((entity, switch), r)| (entity, r.role, switch)).collect()
     }
 
     /// The switches whose route changes because registrations of the name `at` these switches did, or ways over them.
     pub fn reroute(&mut self, name: &Key, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
-        match self.0.get_mut(name) {
+        match self.all.get_mut(name) {
             Some(topic) => topic.reroute(name, at, map),
             None => at,
         }
@@ -328,7 +334,7 @@ impl Names {
 
     /// The route of a name at one switch, if it needs any.
     pub fn route(&self, name: &Key, switch: &Name, map: Map) -> Option<Route> {
-        self.0.get(name)?.route(name, switch, map)
+        self.all.get(name)?.route(name, switch, map)
     }
 
     /// The records of the names that begin so and lie behind `after`, as far as one message holds them, and entities of this domain may
@@ -366,7 +372,7 @@ impl Names {
     ) -> impl Iterator<Item = (Name, &'a Topic, &'a Registration)> {
         let after = after.copied();
         let from = after.map_or(begin, |after| after.name.max(begin)).to_bytes();
-        self.0.range(from..).flat_map(move |(key, topic)| {
+        self.all.range(from..).flat_map(move |(key, topic)| {
             let name = Name::from_bytes(*key);
             let after = after.filter(|after| after.name == name);
             NameRole::ALL.into_iter().flat_map(move |role| {
@@ -380,4 +386,11 @@ impl Names {
             })
         })
     }
+}
+
+fn note_unserved(unserved: &mut BTreeSet<Key>, name: Key, topic: &Topic) {
+    match topic.is_unserved() {
+        true => unserved.insert(name),
+        false => unserved.remove(&name),
+    };
 }

@@ -61,6 +61,12 @@ impl Topic {
         removed
     }
 
+    /// Whether somebody takes the name, and nobody sends to it.
+    pub fn is_unserved(&self) -> bool {
+        let has = |roles: [NameRole; 2]| roles.iter().any(|role| !self.part(*role).is_empty());
+        has([NameRole::Subscriber, NameRole::Caller]) && !has([NameRole::Publisher, NameRole::Server])
+    }
+
     pub fn parts(&self) -> impl Iterator<Item = &Registrations> {
         self.parts.iter().flatten().map(Box::as_ref)
     }

@@ -20,6 +20,16 @@ pub enum Report {
     Taken { by: Name, run: u64 },
 }
 
+/// A report that is to be sent to the RIB beside the switch `by`, in this run of its daemon.
+pub(super) struct Reporting {
+    pub by: Name,
+    pub run: u64,
+    /// The run of the RIB that was followed then.
+    pub follows: Option<u64>,
+    pub link: Link,
+    pub request: Request,
+}
+
 impl Core {
     /// The RIB, and that it has taken this switch's report; or why there is none to ask.
     pub fn rib_at(&self) -> Result<Name, Refusal> {
@@ -103,9 +113,10 @@ impl Core {
         let origin = match &request {
             Request::Fib(push) if push.switch == own => return Next::Answer(self.push(push)),
             Request::Peers(push) if push.switch == own => {
-                return match self.link_to(&push.entity) {
-                    Some(link) => Next::Forward(link, request),
-                    None => refuse(RefusalCode::Unreachable, format!("{} has no link here", push.entity)),
+                return match (self.heed(push.peers.run), self.link_to(&push.entity)) {
+                    (Err(refusal), _) => Next::Answer(refusal.into()),
+                    (Ok(()), Some(link)) => Next::Forward(link, request),
+                    (Ok(()), None) => refuse(RefusalCode::Unreachable, format!("{} has no link here", push.entity)),
                 };
             }
             Request::Detach { switch, entity } if *switch == own => return self.told_to_detach(*entity),
@@ -172,8 +183,18 @@ impl Core {
         Next::Reattach(self.links_of_endpoint(&entity), Request::Detach { switch: self.name(), entity })
     }
 
+    /// Refuses what a RIB of this run says if another has taken its place.
+    pub(super) fn heed(&mut self, run: u64) -> Result<(), Refusal> {
+        let Err(fenced) = self.fence.admit(run) else { return Ok(()) };
+        tracing::warn!(%fenced, "refused what a RIB says");
+        if fenced.is_doubtful {
+            self.report = Report::Due;
+        }
+        Err(Refusal::new(RefusalCode::Fenced, fenced.to_string()))
+    }
+
     /// What is to be reported, and over which link; none if it is not due, or there is no way.
-    pub(super) fn report_to_send(&mut self) -> Option<(Name, u64, Link, Request)> {
+    pub(super) fn report_to_send(&mut self) -> Option<Reporting> {
         let (by, run) = self.topology.rib()?;
         if self.report == (Report::Taken { by, run }) {
             return None;
@@ -184,14 +205,15 @@ impl Core {
         let shown = self.shown().map(Box::new);
         let (switch, own_bit) = (self.identity.proof(), self.routes.own_bit());
         let report = Request::Report { switch, attached, own_bit, shown };
-        Some((by, run, link, onward(by, report)))
+        Some(Reporting { by, run, follows: self.fence.follows(), link, request: onward(by, report) })
     }
 
-    /// The RIB has taken a report. Whether there is nothing new to report since.
-    pub(super) fn report_taken(&mut self, by: Name, run: u64) -> bool {
+    /// This run of the RIB has taken a report that was sent when `follows` was followed. Whether there is nothing new to report since.
+    pub(super) fn report_taken(&mut self, taken: Report, run: u64, follows: Option<u64>) -> bool {
+        self.fence.reported(run, follows);
         let is_last = self.report == Report::Sent;
         if is_last {
-            self.report = Report::Taken { by, run };
+            self.report = taken;
         }
         is_last
     }

@@ -22,11 +22,12 @@ use super::control::{self, Report};
 use super::crossing::Tracing;
 use super::events::{Event, Events};
 use super::federation::Federation;
+use super::fence::Fence;
 use super::hold::{GRACE, HeldLink, Hold, Kept};
 use super::peering::Wanted;
 use super::refusals::Refusals;
-use super::replica::Term;
 use super::routes::{Change, Routes};
+use super::term::{Term, Ticket};
 use super::trace::Outstanding;
 use crate::config::{Inside, Neighbour, Via};
 use crate::crossing::Allowance;
@@ -41,6 +42,9 @@ use crate::unix_time::{unix_nanos, unix_now};
 
 /// Routes that are tried in vain whenever there may be room: one may need what another does not.
 const MAX_REFUSALS: usize = 16;
+
+/// Those of a run's number that are random. The others hold the revisions of etcd for a lifetime, and the time in units of 17 ms.
+const RUN_BITS: u32 = 24;
 
 /// Links of endpoints. Anybody can make one, so some are left for switches.
 const MAX_ENDPOINTS: usize = (MAX_LINKS - EGRESS_SET_SIZE) as usize;
@@ -72,6 +76,8 @@ pub struct Core {
     pub attached: HashSet<Name>,
     /// Whether the RIB knows.
     pub report: Report,
+    /// Of several that say they are the RIB, whose word counts.
+    pub fence: Fence,
     pub topology: Topology,
     /// If the RIB is here, and this is a member of a domain.
     pub federation: Option<Federation>,
@@ -180,7 +186,7 @@ pub enum Next {
     /// The name is traced on.
     Trace(Box<Tracing>),
     /// What the RIB here has taken in is to be stored before anything else.
-    Store(Box<Next>),
+    Store(Ticket, Box<Next>),
     /// The RIB has asked this switch to report again.
     Report,
     /// Ask over this link, and pass the response on.
@@ -191,9 +197,10 @@ pub enum Next {
 
 impl Core {
     pub fn new(identity: Identity, neighbours: Vec<Neighbour>, rib: bool, planes: Planes) -> Self {
-        let run = Run { id: run_id(), settling: HOLD };
+        let start = unix_nanos();
+        let run = Run { id: run_id(start >> RUN_BITS), settling: HOLD };
         let rib = rib.then(|| Rib::new(identity.name(), run, Limits::default()));
-        let mut topology = Topology::new(identity.clone(), unix_nanos());
+        let mut topology = Topology::new(identity.clone(), start);
         topology.set_rib(rib.is_some());
         Self {
             identity,
@@ -210,6 +217,7 @@ impl Core {
             peers: BTreeMap::new(),
             attached: HashSet::new(),
             report: Report::default(),
+            fence: Fence::default(),
             topology,
             federation: None,
             public: Vec::new(),
@@ -621,6 +629,9 @@ impl Core {
     }
 
     pub(super) fn push(&mut self, push: &FibPush) -> Response {
+        if let Err(refusal) = self.heed(push.run) {
+            return refusal.into();
+        }
         match self.routes.push(push) {
             Ok(changes) => {
                 let (generation, changes_made) = (push.generation, changes.len());
@@ -687,7 +698,10 @@ impl Core {
                     Effect::Detach { switch, entity } => (switch, Request::Detach { switch, entity }, Expects::Nothing),
                 };
                 let (link, request) = match request {
-                    Request::Peers(push) if target == own => (self.link_to(&push.entity), Request::Peers(push)),
+                    Request::Peers(push) if target == own => {
+                        let link = self.heed(push.peers.run).ok().and_then(|()| self.link_to(&push.entity));
+                        (link, Request::Peers(push))
+                    }
                     request => (self.link_toward(&target).ok(), control::onward(target, request)),
                 };
                 outgoing.push(Outgoing { link, request, expects });
@@ -806,9 +820,10 @@ pub fn link_role(role: u32) -> &'static str {
     }
 }
 
-/// Of a life of a RIB. Should there be no random number: any that a RIB before this one did not have.
-pub(super) fn run_id() -> u64 {
-    crypto::random::<8>().map_or_else(|_| unix_now(), u64::from_ne_bytes)
+/// Of a life of a RIB: higher than that of one with a lower `term`; and another one, should terms be counted anew.
+pub(super) fn run_id(term: u64) -> u64 {
+    let random = crypto::random::<8>().map_or_else(|_| unix_nanos(), u64::from_ne_bytes);
+    term << RUN_BITS | random & ((1 << RUN_BITS) - 1)
 }
 
 /// Puts an entity's request to the RIB.

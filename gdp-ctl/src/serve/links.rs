@@ -9,6 +9,7 @@ use gdp::link::{Link, LinkKeys, Responder, Role};
 use gdp_wire::Name;
 use tokio::time::timeout;
 
+use super::control::Report;
 use super::core::{Expects, Next, Statement};
 use super::events::Event;
 use super::{Daemon, Place, control, costs, domain, flooding, liveness, tiers};
@@ -239,6 +240,7 @@ async fn switch_request(daemon: &Arc<Daemon>, link: &Link, request: Request) -> 
         core.store_first(next)
     };
     daemon.notice_bit();
+    daemon.notice_report();
     daemon.complete(next).await
 }
 
@@ -296,12 +298,20 @@ impl Daemon {
         }
     }
 
+    /// A push may have been refused, so that this switch is to find out who is the RIB.
+    fn notice_report(&self) {
+        let is_due = self.core().report == Report::Due;
+        if is_due {
+            self.report.notify_one();
+        }
+    }
+
     /// Does what a request needs before it can be answered, and what follows from it.
     pub(super) async fn complete(self: &Arc<Self>, next: Next) -> Response {
         self.send_effects();
         match next {
             Next::Answer(response) => response,
-            Next::Store(next) => self.store(*next).await,
+            Next::Store(ticket, next) => self.store(ticket, *next).await,
             Next::Keep => self.keep_revocations().await.map_or_else(Response::from, |()| Response::Done),
             Next::Await { waiting, is_query } => match timeout(tiers::PATIENCE, waiting).await {
                 Ok(Ok(response)) if is_query => tiers::records(response),
@@ -370,6 +380,7 @@ impl Daemon {
     pub(super) fn dispatch_effects(self: &Arc<Self>) {
         let outgoing = self.core().rib_effects();
         self.notice_bit();
+        self.notice_report();
         self.answered.notify_waiters();
         for message in outgoing {
             let daemon = self.clone();

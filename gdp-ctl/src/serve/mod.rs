@@ -10,6 +10,7 @@ mod domain;
 mod ends;
 pub mod events;
 mod federation;
+mod fence;
 mod flooding;
 mod hold;
 pub mod interfaces;
@@ -23,6 +24,7 @@ mod replica;
 mod report;
 pub mod routes;
 mod status;
+mod term;
 mod tiers;
 mod trace;
 mod warnings;
@@ -238,8 +240,16 @@ impl Running {
         self.daemon.core().planes.outlives()
     }
 
+    /// If this is the leader of several replicas of the RIB, it is no more when this returns, so that another one leads at once.
+    pub async fn resign(&self) {
+        if let Some(replica) = &self.daemon.replica {
+            replica.resign().await;
+        }
+    }
+
     /// Tells peers, closes everything and takes the XDP programs off.
     pub async fn stop(self) {
+        self.resign().await;
         self.daemon.stopping.store(true, Ordering::Relaxed);
         // First, so that nobody opens again what is closed here.
         let mut tasks = std::mem::take(&mut *lock(&self.daemon.tasks));

@@ -7,23 +7,23 @@
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use gdp::control::{Refusal, RefusalCode, Response};
+use gdp::control::Response;
 use gdp::link::HOLD;
 use gdp_wire::Name;
-use tokio::sync::{Notify, watch};
+use tokio::sync::watch;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
+use super::Daemon;
 use super::core::{Core, Next, run_id};
-use super::{Daemon, lock};
+use super::term::{Term, Ticket, within};
 use crate::config::EtcdConfig;
 use crate::domain::Used;
 use crate::rib::{Item, Limits, RestoreError, Rib, Run, decode_item, encode_item};
 use crate::store::StoreError;
 use crate::store::gateway::Gateway;
-use crate::store::items::{Copy, Place, Writer};
+use crate::store::items::{Change, Copy, Place, Writer};
 use crate::unix_time::unix_nanos;
 
 /// Seconds of a leader's lease.
@@ -38,41 +38,27 @@ const BEAT: Duration = Duration::from_millis(800);
 /// How long after a failure the next attempt is made.
 const RETRY: Duration = Duration::from_millis(300);
 
-/// How long what is stated waits to be stored.
-const PATIENCE: Duration = Duration::from_secs(4);
-
 /// What ends by itself is stored within this.
 const SWEEP: Duration = Duration::from_millis(250);
+
+/// How long the end of a daemon waits for etcd to take note that it leads no more.
+const RESIGNATION: Duration = Duration::from_secs(2);
 
 /// A replica's part in what is kept together.
 pub struct Replica {
     config: EtcdConfig,
     place: Place,
-    /// How many have asked to have stored what had changed until then.
-    wanted: AtomicU64,
-    wake: Notify,
-    progress: watch::Sender<Progress>,
+    stage: watch::Sender<Stage>,
 }
 
-/// Of those that asked.
-#[derive(Clone, Debug, Default)]
-struct Progress {
-    done: u64,
-    failed: u64,
-    why: String,
-}
-
-/// A leader's term of office.
-pub struct Term {
-    ends: std::sync::Mutex<Instant>,
-    /// Something is on its way to etcd.
-    is_writing: AtomicBool,
-}
-
-impl Term {
-    fn is_over(&self) -> bool {
-        Instant::now() >= *lock(&self.ends)
-    }
+/// How far a replica is with its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    Standing,
+    /// It is to lead no more.
+    Resigning,
+    /// It does not lead, and never will.
+    Gone,
 }
 
 /// What made this replica the leader.
@@ -84,34 +70,30 @@ struct Elected {
 
 impl Replica {
     pub fn new(config: EtcdConfig) -> Self {
-        let (progress, _) = watch::channel(Progress::default());
-        Self { place: Place::new(&config.prefix), config, wanted: 0.into(), wake: Notify::new(), progress }
+        Self { place: Place::new(&config.prefix), config, stage: watch::Sender::new(Stage::Standing) }
+    }
+
+    /// Returns once it leads no more, and does not stand again; if etcd does not answer, a while later.
+    pub async fn resign(&self) {
+        self.stage.send_if_modified(|stage| {
+            let stands = *stage == Stage::Standing;
+            if stands {
+                *stage = Stage::Resigning;
+            }
+            stands
+        });
+        if timeout(RESIGNATION, self.until(Stage::Gone)).await.is_err() {
+            tracing::warn!("etcd was not told that this replica leads no more: others wait until its lease is over");
+        }
+    }
+
+    async fn until(&self, awaited: Stage) {
+        // It ends no earlier than this does.
+        let _ = self.stage.subscribe().wait_for(|stage| *stage == awaited).await;
     }
 
     fn gateway(&self) -> Gateway {
         Gateway::new(&self.config.endpoints)
-    }
-
-    fn done(&self, until: u64) {
-        self.progress.send_modify(|progress| progress.done = progress.done.max(until));
-    }
-
-    fn failed(&self, until: u64, why: &StoreError) {
-        self.progress.send_modify(|progress| (progress.failed, progress.why) = (until, why.to_string()));
-    }
-
-    /// Returns once what has changed by now is stored.
-    async fn stored(&self) -> Result<(), Refusal> {
-        let mut progress = self.progress.subscribe();
-        let own = self.wanted.fetch_add(1, Ordering::AcqRel) + 1;
-        self.wake.notify_one();
-        let settled = progress.wait_for(|progress| progress.done >= own || progress.failed >= own);
-        let why = match timeout(PATIENCE, settled).await {
-            Ok(Ok(progress)) if progress.done >= own => return Ok(()),
-            Ok(Ok(progress)) => progress.why.clone(),
-            Ok(Err(_)) | Err(_) => "etcd takes too long".into(),
-        };
-        Err(Refusal::new(RefusalCode::Unreachable, format!("taken in, but not kept: {why}; try again in a moment")))
     }
 }
 
@@ -124,42 +106,47 @@ impl Core {
         }
     }
 
-    /// What follows from a request: if the RIB here has changed with it, that is to be stored before anybody is told.
+    /// This replica leads no more; what is not stored of its term never is.
+    fn put_down(&mut self, term: &Term, why: &str) {
+        term.end(why);
+        self.end_term();
+    }
+
+    /// What follows from a request: if the RIB here has changed with it, that is to be stored before anybody is told. To be called under
+    /// the lock under which the request was taken in.
     pub(super) fn store_first(&mut self, next: Next) -> Next {
         let (Some(term), Some(rib)) = (&self.term, &mut self.rib) else { return next };
         if let Next::KeepInvitation { new: Some(serial) } = &next {
             self.unstored_invitations.insert(*serial);
         }
         let is_positive = !matches!(next, Next::Answer(Response::Refused(_) | Response::Records { .. }));
-        let is_stored =
-            !rib.has_changed() && self.unstored_invitations.is_empty() && !term.is_writing.load(Ordering::Acquire);
-        if is_positive && !is_stored { Next::Store(Box::new(next)) } else { next }
+        let is_stored = !rib.has_changed() && self.unstored_invitations.is_empty() && !term.is_writing();
+        // A switch that reports follows this RIB: etcd is to say that it leads.
+        let is_report = matches!(next, Next::Answer(Response::Reported { .. }));
+        if is_positive && (is_report || !is_stored) { Next::Store(term.ticket(), Box::new(next)) } else { next }
     }
 
-    /// Moves what has changed and is not stored to `changed`, and says how it is to be stored. None without a RIB.
-    fn unstored(&mut self, changed: &mut BTreeSet<Item>) -> Option<Vec<(Item, Option<Vec<u8>>)>> {
+    /// Moves what has changed and is not stored to `changed`, and says how it is to be stored, and for which tickets. None without
+    /// a RIB.
+    fn unstored(&mut self, changed: &mut BTreeSet<Item>) -> Option<(u64, Vec<Change>)> {
         let now = self.now();
         let (rib, term) = (self.rib.as_mut()?, self.term.as_ref()?);
         changed.append(&mut rib.take_changed());
         changed.extend(std::mem::take(&mut self.unstored_invitations).into_iter().map(Item::Invitation));
-        term.is_writing.store(!changed.is_empty(), Ordering::Release);
+        term.set_writing(!changed.is_empty());
         let domain = self.domain.as_ref();
         let value = |item: &Item| match item {
             Item::Invitation(serial) => encode_item(domain?.invitations.get(*serial)?).ok(),
             item => rib.stored(now, item),
         };
-        Some(changed.iter().map(|item| (*item, value(item))).collect())
+        Some((term.last_ticket(), changed.iter().map(|item| (*item, value(item))).collect()))
     }
 }
 
 impl Daemon {
     /// Stores what a request has changed, and then does what it needs besides.
-    pub(super) async fn store(self: &Arc<Self>, next: Next) -> Response {
-        let stored = match &self.replica {
-            Some(replica) => replica.stored().await,
-            None => Ok(()),
-        };
-        match (stored, next) {
+    pub(super) async fn store(self: &Arc<Self>, ticket: Ticket, next: Next) -> Response {
+        match (ticket.stored().await, next) {
             (Ok(()), next) => Box::pin(self.complete(next)).await,
             (Err(refusal), Next::KeepInvitation { new: Some(serial) }) => {
                 if let Some(domain) = &mut self.core().domain {
@@ -172,12 +159,25 @@ impl Daemon {
     }
 }
 
-/// Follows what is stored and leads when it is this replica's turn, until the daemon ends.
+/// Follows what is stored and leads when it is this replica's turn, until the daemon ends, or it is to [resign](Replica::resign).
 pub async fn run(daemon: Arc<Daemon>) {
-    let Some(replica) = &daemon.replica else { return };
+    if let Some(replica) = &daemon.replica {
+        follow_and_lead(&daemon, replica).await;
+        replica.stage.send_replace(Stage::Gone);
+    }
+}
+
+async fn follow_and_lead(daemon: &Arc<Daemon>, replica: &Replica) {
     loop {
-        let error = match stand_by(&daemon, replica).await {
-            Ok((copy, elected)) => lead(&daemon, replica, copy, elected).await,
+        let elected = tokio::select! {
+            elected = stand_by(daemon, replica) => elected,
+            () = replica.until(Stage::Resigning) => return,
+        };
+        let error = match elected {
+            Ok((copy, elected)) => match lead(daemon, replica, copy, elected).await {
+                Some(error) => error,
+                None => return,
+            },
             Err(error) => error,
         };
         if !matches!(error, StoreError::Compacted) {
@@ -230,8 +230,7 @@ impl Elected {
     async fn stand(place: &Place, gateway: &mut Gateway, own: &Name) -> Result<Option<Self>, StoreError> {
         let asked = Instant::now();
         let lease = gateway.grant(TTL).await?;
-        let ends = std::sync::Mutex::new(asked + Duration::from_secs(TTL) - MARGIN);
-        let term = Arc::new(Term { ends, is_writing: false.into() });
+        let term = Arc::new(Term::new(asked + Duration::from_secs(TTL) - MARGIN));
         match place.stand(gateway, own, lease).await? {
             Some(revision) => Ok(Some(Self { lease, revision, term })),
             None => {
@@ -263,26 +262,28 @@ impl Elected {
                     continue;
                 }
             }
-            let mut ends = lock(&self.term.ends);
-            // It may be over in the meantime, and has then been noticed.
-            if *ends <= Instant::now() {
+            if !self.term.extend(asked + Duration::from_secs(TTL) - MARGIN) {
                 return StoreError::Fenced;
             }
-            *ends = asked + Duration::from_secs(TTL) - MARGIN;
         }
     }
 }
 
-/// Is the RIB for a term. Returns why no longer.
-async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elected) -> StoreError {
+/// Is the RIB for a term. Returns why no longer; none: it is to resign.
+async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elected) -> Option<StoreError> {
     let mut gateway = replica.gateway();
-    let error = tokio::select! {
-        error = elected.hold(&mut gateway) => error,
-        error = serve_term(daemon, replica, copy, &elected) => error,
+    let work = async {
+        tokio::select! {
+            error = elected.hold(&mut gateway) => error,
+            error = serve_term(daemon, replica, copy, &elected) => error,
+        }
     };
-    *lock(&elected.term.ends) = Instant::now();
-    daemon.core().end_term();
-    replica.failed(replica.wanted.load(Ordering::Acquire), &error);
+    let error = tokio::select! {
+        error = within(&elected.term, work) => Some(error),
+        () = replica.until(Stage::Resigning) => None,
+    };
+    let why = error.as_ref().map_or_else(|| "this replica resigns".into(), ToString::to_string);
+    daemon.core().put_down(&elected.term, &why);
     daemon.topology_changed();
     elected.resign(&mut gateway).await;
     error
@@ -293,7 +294,7 @@ async fn serve_term(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected
         Ok(taken) => taken,
         Err(error) => return error,
     };
-    write(daemon, replica, writer, changed).await
+    write(daemon, &elected.term, writer, changed).await
 }
 
 /// Makes the copy the RIB of this daemon. Returns who writes what changes in it, and what of it is of no use.
@@ -308,7 +309,7 @@ async fn take_over(
         Vec::new()
     });
     let (now, root) = (daemon.core().now(), daemon.name);
-    let run = Run { id: run_id(), settling: now.clock + HOLD };
+    let run = Run { id: run_id(elected.revision.unsigned_abs()), settling: now.clock + HOLD };
     // Signatures are verified, perhaps many.
     let restoring = move || {
         let mut rib = Rib::new(root, run, Limits::default());
@@ -374,24 +375,24 @@ impl Core {
 }
 
 /// Writes what changes, all that have asked meanwhile at once. Returns why it cannot.
-async fn write(daemon: &Daemon, replica: &Replica, mut writer: Writer, mut changed: BTreeSet<Item>) -> StoreError {
+async fn write(daemon: &Daemon, term: &Term, mut writer: Writer, mut changed: BTreeSet<Item>) -> StoreError {
     loop {
-        let until = replica.wanted.load(Ordering::Acquire);
         let batch = daemon.core().unstored(&mut changed);
-        let Some(batch) = batch else { return StoreError::Fenced };
+        let Some((last, batch)) = batch else { return StoreError::Fenced };
+        if batch.is_empty() && !term.is_awaited(last) {
+            term.awaited(SWEEP).await;
+            continue;
+        }
         match writer.write(&batch).await {
             Ok(()) => {
                 changed.clear();
-                if let Some(term) = &daemon.core().term {
-                    term.is_writing.store(false, Ordering::Release);
-                }
-                replica.done(until);
-                let _ = timeout(SWEEP, replica.wake.notified()).await;
+                term.set_writing(false);
+                term.done(last);
             }
             Err(error @ (StoreError::Fenced | StoreError::Contended)) => return error,
             Err(error) => {
                 tracing::warn!(%error, "what has changed in the RIB is not stored");
-                replica.failed(until, &error);
+                term.failed(last, &error.to_string());
                 sleep(RETRY).await;
             }
         }

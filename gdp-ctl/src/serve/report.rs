@@ -8,7 +8,8 @@ use gdp::control::{RefusalCode, Response};
 use tokio::time::{Instant, sleep_until, timeout};
 
 use super::Daemon;
-use super::control::Report;
+use super::control::{Report, Reporting};
+use super::core::Next;
 use super::federation::Federation;
 
 /// Between attempts to report: doubled from the first to the second.
@@ -35,10 +36,10 @@ pub async fn report(daemon: Arc<Daemon>) {
 
 /// Whether there is nothing to report for now, or no way: then news of the topology brings the next attempt.
 async fn report_once(daemon: &Arc<Daemon>) -> bool {
-    if let Some(taken) = report_here(daemon) {
+    if let Some(taken) = report_here(daemon).await {
         return taken;
     }
-    let Some((by, run, link, request)) = daemon.core().report_to_send() else { return true };
+    let Some(Reporting { by, run, follows, link, request }) = daemon.core().report_to_send() else { return true };
     match link.request(&request).await {
         // As long as the map is being drawn.
         Ok(Response::Refused(refusal)) if refusal.code == RefusalCode::Unreachable => {
@@ -53,31 +54,42 @@ async fn report_once(daemon: &Arc<Daemon>) -> bool {
             tracing::debug!(%error, "the report to the RIB was not answered");
             false
         }
-        Ok(_) => {
+        Ok(Response::Reported { run: of_rib }) => {
             tracing::info!(at = %format_args!("{by:#}"), "the RIB has taken this switch's report");
-            daemon.core().report_taken(by, run)
+            daemon.core().report_taken(Report::Taken { by, run }, of_rib, follows)
+        }
+        Ok(other) => {
+            tracing::warn!(?other, "the report to the RIB was answered with something else");
+            false
         }
     }
 }
 
-/// Reports to the RIB here. None: it is elsewhere.
-fn report_here(daemon: &Arc<Daemon>) -> Option<bool> {
-    {
+/// Reports to the RIB here, as other switches do. None: it is elsewhere.
+async fn report_here(daemon: &Arc<Daemon>) -> Option<bool> {
+    let (by, follows, next) = {
         let mut core = daemon.core();
         let (switch, now, own_bit) = (core.identity.proof(), core.now(), core.routes.own_bit());
         let (attached, was): (Vec<_>, _) = (core.attached.iter().copied().collect(), core.report);
-        let (by, rib) = (core.name(), core.rib.as_mut()?);
-        if was != Report::Due {
+        let rib = core.rib.as_mut()?;
+        if matches!(was, Report::Taken { .. }) {
             return Some(true);
         }
-        if let Response::Refused(refusal) = rib.report(now, &switch, &attached, own_bit) {
-            tracing::error!(%refusal, "the RIB does not take its own switch's report");
-        }
+        let response = rib.report(now, &switch, &attached, own_bit);
+        core.report = Report::Sent;
+        let next = core.store_first(Next::Answer(response));
+        (core.name(), core.fence.follows(), next)
+    };
+    let response = daemon.complete(next).await;
+    let mut core = daemon.core();
+    Some(match response {
         // The RIB here runs as long as this daemon: whatever its number, there is no other.
-        core.report = Report::Taken { by, run: 0 };
-    }
-    daemon.send_effects();
-    Some(true)
+        Response::Reported { run } => core.report_taken(Report::Taken { by, run: 0 }, run, follows),
+        other => {
+            tracing::warn!(?other, "the RIB does not take its own switch's report");
+            false
+        }
+    })
 }
 
 /// Lets end in the RIB what ends by itself, and retries what is to be retried.

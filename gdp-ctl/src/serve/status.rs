@@ -91,13 +91,15 @@ fn handshakes(counts: HandshakeCounts) -> Value {
     json!({"challenged": challenged, "refused": refused, "displaced": displaced, "failed": failed})
 }
 
-/// Where the RIB is, which neighbour leads there, and whether it is to be asked; if not, why.
+/// Where the RIB is, which neighbour leads there, and whether it is to be asked; if not, why. `fenced`: how often something was refused
+/// that a RIB said whose term was over.
 fn control(core: &Core) -> Value {
     let rib = core.topology.rib().map(|(rib, _)| rib);
     let problem = core.rib_at().err().filter(|_| core.rib.is_none());
     json!({
         "rib": rib,
         "next": rib.and_then(|rib| core.topology.paths().next.get(&rib)),
+        "fenced": core.fence.refused(),
         "ready": problem.is_none(),
         "reason": problem.map(|refusal| refusal.reason),
     })

@@ -46,8 +46,6 @@ fn silent(core: &Core) -> Vec<Value> {
 
 /// Names that are read or called, and nobody publishes or serves; as far as the RIB here knows.
 fn unserved(core: &Core) -> Option<Value> {
-    let mut names: Vec<Name> = core.rib.as_ref()?.unserved().collect();
-    let count = names.len();
-    names.truncate(NAMES);
-    (count > 0).then(|| json!({"kind": "unserved", "count": count, "names": names}))
+    let (count, names) = core.rib.as_ref()?.unserved();
+    (count > 0).then(|| json!({"kind": "unserved", "count": count, "names": names.take(NAMES).collect::<Vec<_>>()}))
 }

@@ -151,6 +151,9 @@ impl Copy {
     }
 }
 
+/// What an item is to be; none: it is to be gone.
+pub type Change = (Item, Option<Vec<u8>>);
+
 /// Writes for the leader of one term.
 pub struct Writer {
     place: Place,
@@ -161,27 +164,29 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Brings items to these values, or has them gone, in as few transactions as they fit. After an error nobody knows which of
-    /// them are.
-    pub async fn write(&mut self, changes: &[(Item, Option<Vec<u8>>)]) -> Result<(), StoreError> {
+    /// Brings items to these values, or has them gone, in as few transactions as they fit: at least one, so that it is certain that this
+    /// replica leads. After an error nobody knows which of them are.
+    pub async fn write(&mut self, changes: &[Change]) -> Result<(), StoreError> {
         let size = |value: &Option<Vec<u8>>| value.as_ref().map_or(0, Vec::len);
         let mut rest = changes;
-        while !rest.is_empty() {
+        loop {
             let mut room = MAX_TRANSACTION;
-            let fits = |(_, value): &&(Item, Option<Vec<u8>>)| {
+            let fits = |(_, value): &&Change| {
                 let rest = room.checked_sub(size(value));
                 room = rest.unwrap_or_default();
                 rest.is_some()
             };
-            let count = rest.iter().take(MAX_OPS).take_while(fits).count().max(1);
+            let count = rest.iter().take(MAX_OPS).take_while(fits).count().max(1).min(rest.len());
             let (batch, behind) = rest.split_at(count);
             self.transact(batch).await?;
             rest = behind;
+            if rest.is_empty() {
+                return Ok(());
+            }
         }
-        Ok(())
     }
 
-    async fn transact(&mut self, batch: &[(Item, Option<Vec<u8>>)]) -> Result<(), StoreError> {
+    async fn transact(&mut self, batch: &[Change]) -> Result<(), StoreError> {
         let leader = self.place.leader();
         let keys: Vec<Vec<u8>> = batch.iter().map(|(item, _)| self.place.key(item)).collect();
         for _ in 0..ATTEMPTS {

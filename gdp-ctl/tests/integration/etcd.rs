@@ -33,6 +33,9 @@ async fn an_old_leader_changes_nothing_and_a_new_one_has_everything() {
     let mut second = two.elected().await.expect("the other has resigned");
     let fenced = first.write(&[put(1, b"late")]).await;
     assert!(matches!(fenced, Err(StoreError::Fenced)), "{fenced:?}");
+    let asked = first.write(&[]).await;
+    assert!(matches!(asked, Err(StoreError::Fenced)), "nor does it say that it leads: {asked:?}");
+    second.write(&[]).await.unwrap();
     second.write(&[put(1, b"a3")]).await.unwrap();
     one.list().await;
     assert_eq!(one.items(), [(item(1), b"a3".to_vec()), (item(3), b"c".to_vec())]);

@@ -7,6 +7,7 @@ mod domain_links;
 mod domains;
 mod etcd;
 mod federation;
+mod fenced;
 mod grants;
 mod inboxes;
 mod member;

@@ -132,6 +132,25 @@ async fn nothing_is_lost_when_the_leading_rib_and_a_member_of_etcd_are_killed() 
     assert_eq!(timeout(RECOVERY, switches.leader()).await.expect("a leader"), survivor);
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_leader_that_is_told_to_stop_resigns_first() {
+    let (cluster, folder) = (Cluster::start(1), tempfile::tempdir().unwrap());
+    let mut switches = Switches::start(folder.path(), &cluster);
+    let leader = timeout(RECOVERY, switches.leader()).await.expect("a replica leads");
+    let of = switches.names[leader].to_string();
+    let led_by = || cluster.etcdctl(&[0], &["get", "--print-value-only", "test/rib/leader"]).trim().to_owned();
+    assert_eq!(led_by(), of);
+    switches.terminate(leader);
+    // Its lease would last for seconds.
+    assert_ne!(led_by(), of, "others may stand");
+    let next = timeout(RECOVERY, switches.leader()).await.expect("another replica leads");
+    assert!(next != leader && led_by() == switches.names[next].to_string());
+    // Who only follows just ends.
+    let follower = 3 - leader - next;
+    switches.terminate(follower);
+    assert_eq!(led_by(), switches.names[next].to_string());
+}
+
 async fn wait(what: &str, condition: impl AsyncFn() -> bool) {
     let deadline = Instant::now() + RECOVERY;
     while !condition().await {
@@ -203,6 +222,14 @@ impl Switches {
         if let Some(mut daemon) = self.daemons[i].take() {
             daemon.kill().unwrap();
             daemon.wait().unwrap();
+        }
+    }
+
+    /// Waits until it has ended.
+    fn terminate(&mut self, i: usize) {
+        if let Some(mut daemon) = self.daemons[i].take() {
+            let told = Command::new("kill").args(["-TERM", &daemon.id().to_string()]).status().unwrap();
+            assert!(told.success() && daemon.wait().unwrap().success());
         }
     }
 

@@ -78,7 +78,7 @@ impl fmt::Display for NameRole {
 /// Those on the other side of a name, all of them or what changed; to be verified by the entity that is told.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Peers {
-    /// Which run of a RIB this is: another number after a restart.
+    /// Which run of a RIB this is, as in a [`FibPush`](super::FibPush).
     pub run: u64,
     /// The RIB has started so recently that it may not know all there are: whom a whole does not name is not gone for that. Another whole
     /// follows.

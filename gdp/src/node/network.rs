@@ -4,14 +4,16 @@
 use std::collections::HashMap;
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use futures::{StreamExt, TryStreamExt};
 use netlink_packet_core::NetlinkPayload;
 use netlink_packet_route::RouteNetlinkMessage;
 use netlink_packet_route::link::{LinkFlags, LinkMessage};
-use netlink_packet_route::route::{RouteAddress, RouteAttribute, RouteMessage};
+use netlink_packet_route::route::{RouteAddress, RouteAttribute, RouteMessage, RouteType};
 use rtnetlink::{Handle, MulticastGroup, RouteMessageBuilder};
 use tokio::sync::watch;
+use tokio::time::{sleep, timeout};
 
 use super::state::lock;
 use super::supervisor::AbortOnDrop;
@@ -26,10 +28,28 @@ const GROUPS: [MulticastGroup; 5] = [
     MulticastGroup::Ipv6Route,
 ];
 
-/// How what is sent to an address leaves this machine. The same address and router may be those of another network, if the carrier was
-/// lost meanwhile.
+/// How long the kernel may take to answer. It does at once, unless somebody reconfigures very much.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// When it is asked again if it has not answered, or with an error.
+const ASK_AGAIN: Duration = Duration::from_secs(1);
+
+/// Between two questions that news raise: they may come in a stream.
+const BETWEEN: Duration = Duration::from_millis(5);
+
+/// How what is sent to an address leaves this machine, as far as the kernel says.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Way {
+pub enum Way {
+    By(Exit),
+    /// Not at all.
+    Nowhere,
+    /// It could not be found out. Nothing follows from that: whoever wants to get there has to try.
+    Unknown,
+}
+
+/// The same address and router may be those of another network, if the carrier was lost meanwhile.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Exit {
     interface: u32,
     /// How often its carrier came and went.
     carrier: u64,
@@ -71,52 +91,127 @@ impl Network {
         self.changes.clone()
     }
 
-    /// How `to` is reached, if it is; `through` no other interface than that one.
-    pub async fn way(&self, to: LinkAddr, through: Option<u32>) -> Option<Way> {
+    /// How `to` is reached; `through` no other interface than that one.
+    pub async fn way(&self, to: LinkAddr, through: Option<u32>) -> Way {
         let (interface, source, router) = match to {
             LinkAddr::Ethernet { ifindex, .. } => (ifindex, None, None),
-            LinkAddr::Udp(to) => {
-                let route = self.route(to.ip().to_canonical(), through).await?;
-                let (mut interface, mut source, mut router) = (None, None, None);
-                for attribute in &route.attributes {
-                    match attribute {
-                        RouteAttribute::Oif(index) => interface = Some(*index),
-                        RouteAttribute::PrefSource(address) => source = ip(address),
-                        RouteAttribute::Gateway(address) => router = ip(address),
-                        _ => {}
-                    }
-                }
-                (interface?, source, router)
-            }
+            LinkAddr::Udp(to) => match self.route(to.ip().to_canonical(), through).await {
+                Answer::Route(route) => route,
+                Answer::NoRoute => return Way::Nowhere,
+                Answer::None => return Way::Unknown,
+            },
         };
-        let carrier = lock(&self.carriers).of(interface)?;
-        Some(Way { interface, carrier, source, router })
-    }
-
-    /// Returns how `to` is reached once that is otherwise than `before`.
-    pub async fn until_other(&self, to: LinkAddr, through: Option<u32>, before: &Option<Way>) -> Option<Way> {
-        let mut changes = self.changes();
-        loop {
-            changes.mark_unchanged();
-            let now = self.way(to, through).await;
-            if now != *before {
-                return now;
-            }
-            if changes.changed().await.is_err() {
-                return std::future::pending().await;
-            }
+        match lock(&self.carriers).of(interface) {
+            Some(carrier) => Way::By(Exit { interface, carrier, source, router }),
+            None => Way::Nowhere,
         }
     }
 
-    async fn route(&self, to: IpAddr, through: Option<u32>) -> Option<RouteMessage> {
+    /// Returns how `to` is reached once that is otherwise than `before`; see [`until_other`].
+    pub async fn until_other(&self, to: LinkAddr, through: Option<u32>, before: &Way) -> Way {
+        until_other(self.changes(), before.clone(), || self.way(to, through)).await
+    }
+
+    async fn route(&self, to: IpAddr, through: Option<u32>) -> Answer {
         let bits = if to.is_ipv4() { 32 } else { 128 };
-        let mut asked = RouteMessageBuilder::<IpAddr>::new().destination_prefix(to, bits).ok()?;
+        let Ok(mut asked) = RouteMessageBuilder::<IpAddr>::new().destination_prefix(to, bits) else {
+            return Answer::None;
+        };
         if let Some(interface) = through {
             asked = asked.output_interface(interface);
         }
-        // An error says that there is none.
-        self.handle.route().get(asked.build()).execute().try_next().await.ok().flatten()
+        let mut answers = std::pin::pin!(self.handle.route().get(asked.build()).execute());
+        Answer::of(answers.try_next()).await
     }
+}
+
+/// Returns what `look` finds once that is something else than `before`. What is not known is nothing else; if it was not known before,
+/// what is found first is what it was. `changes`: when it may be otherwise.
+pub async fn until_other<F: Future<Output = Way>>(
+    mut changes: watch::Receiver<()>,
+    mut before: Way,
+    look: impl Fn() -> F,
+) -> Way {
+    loop {
+        changes.mark_unchanged();
+        let now = look().await;
+        let changed = async {
+            sleep(BETWEEN).await;
+            if changes.changed().await.is_err() {
+                std::future::pending().await
+            }
+        };
+        match now {
+            Way::Unknown => _ = timeout(ASK_AGAIN, changed).await,
+            now if before == Way::Unknown || before == now => {
+                before = now;
+                changed.await;
+            }
+            now => return now,
+        }
+    }
+}
+
+/// As [`until_other`]; but once there is a way, and another one than the last that there was or none.
+pub async fn until_led<F: Future<Output = Way>>(changes: watch::Receiver<()>, before: Way, look: impl Fn() -> F) {
+    let mut way = before;
+    loop {
+        way = until_other(changes.clone(), way, &look).await;
+        if let Way::By(_) = way {
+            return;
+        }
+    }
+}
+
+/// What the kernel says of an address.
+#[derive(Debug, PartialEq, Eq)]
+enum Answer {
+    /// Interface, source and router.
+    Route((u32, Option<IpAddr>, Option<IpAddr>)),
+    NoRoute,
+    /// None in time, or that it cannot say.
+    None,
+}
+
+impl Answer {
+    async fn of(asked: impl Future<Output = Result<Option<RouteMessage>, rtnetlink::Error>>) -> Self {
+        match timeout(PATIENCE, asked).await {
+            Ok(Ok(Some(route))) => Self::from(&route),
+            Ok(Err(rtnetlink::Error::NetlinkError(error))) if is_no_route(-error.raw_code()) => Self::NoRoute,
+            Ok(Err(error)) => {
+                tracing::debug!(%error, "the kernel does not say how an address is reached");
+                Self::None
+            }
+            Ok(Ok(None)) | Err(_) => {
+                tracing::debug!("the kernel does not answer how an address is reached");
+                Self::None
+            }
+        }
+    }
+}
+
+impl From<&RouteMessage> for Answer {
+    fn from(route: &RouteMessage) -> Self {
+        if matches!(route.header.kind, RouteType::BlackHole | RouteType::Unreachable | RouteType::Prohibit) {
+            return Self::NoRoute;
+        }
+        let (mut interface, mut source, mut router) = (None, None, None);
+        for attribute in &route.attributes {
+            match attribute {
+                RouteAttribute::Oif(index) => interface = Some(*index),
+                RouteAttribute::PrefSource(address) => source = ip(address),
+                RouteAttribute::Gateway(address) => router = ip(address),
+                _ => {}
+            }
+        }
+        interface.map_or(Self::None, |interface| Self::Route((interface, source, router)))
+    }
+}
+
+/// Whether this error says that there is no route, now; others say that something else is wrong.
+fn is_no_route(errno: i32) -> bool {
+    // The last is of an interface that is gone.
+    matches!(errno, libc::ENETUNREACH | libc::EHOSTUNREACH | libc::EACCES | libc::ENODEV)
 }
 
 fn ip(address: &RouteAddress) -> Option<IpAddr> {
@@ -155,6 +250,8 @@ impl Carriers {
 
 #[cfg(test)]
 mod tests {
+    use netlink_packet_core::ErrorMessage;
+
     use super::*;
 
     #[test]
@@ -176,8 +273,79 @@ mod tests {
         let network = Network::open().unwrap();
         let to = LinkAddr::udp("127.0.0.1:9".parse().unwrap());
         let way = network.way(to, None).await;
-        assert!(way.as_ref().is_some_and(|way| way.source == Some("127.0.0.1".parse().unwrap())), "{way:?}");
+        let is_local = matches!(&way, Way::By(exit) if exit.source == Some("127.0.0.1".parse().unwrap()));
+        assert!(is_local, "{way:?}");
         assert_eq!(network.way(to, None).await, way);
-        assert_eq!(network.until_other(to, None, &None).await, way, "at once, as it is another");
+        assert_eq!(network.until_other(to, None, &Way::Nowhere).await, way, "at once, as it is another");
+        assert_eq!(network.way(to, Some(u32::MAX >> 1)).await, Way::Nowhere, "by an interface that is not there");
+    }
+
+    #[tokio::test]
+    async fn a_kernel_that_does_not_say_is_not_taken_to_say_no() {
+        let failed = |errno: i32| {
+            let mut message = ErrorMessage::default();
+            message.code = std::num::NonZeroI32::new(-errno);
+            std::future::ready(Err(rtnetlink::Error::NetlinkError(message)))
+        };
+        for errno in [libc::ENETUNREACH, libc::EHOSTUNREACH, libc::EACCES, libc::ENODEV] {
+            assert_eq!(Answer::of(failed(errno)).await, Answer::NoRoute, "{errno}");
+        }
+        for errno in [libc::EPERM, libc::ENOBUFS, libc::EINVAL, libc::EBUSY] {
+            assert_eq!(Answer::of(failed(errno)).await, Answer::None, "{errno}");
+        }
+        assert_eq!(Answer::of(std::future::ready(Err(rtnetlink::Error::RequestFailed))).await, Answer::None);
+        assert_eq!(Answer::of(std::future::ready(Ok(None))).await, Answer::None, "it says nothing");
+        let answer = timeout(LONG, Answer::of(std::future::pending())).await;
+        assert_eq!(answer, Ok(Answer::None), "nor ever will");
+    }
+
+    #[tokio::test]
+    async fn what_is_not_known_is_no_other_way() {
+        let (told, changes) = watch::channel(());
+        let found = Mutex::new(vec![by(2), Way::Unknown, by(1), Way::Unknown]);
+        let look = || {
+            told.send_replace(());
+            std::future::ready(lock(&found).pop().expect("not asked again"))
+        };
+        let way = timeout(LONG, until_other(changes.clone(), Way::Unknown, look)).await;
+        assert_eq!(
+            (way, found.lock().unwrap().len()),
+            (Ok(by(2)), 0),
+            "the one that was found first is the one that was"
+        );
+    }
+
+    #[tokio::test]
+    async fn only_news_of_another_way_to_the_switch_matter() {
+        let (told, changes) = watch::channel(());
+        let found = Mutex::new(vec![by(1), Way::Nowhere, by(1), by(1), by(1)]);
+        let look = || {
+            told.send_replace(());
+            std::future::ready(lock(&found).pop().expect("not asked again"))
+        };
+        timeout(LONG, until_led(changes.clone(), by(1), look)).await.expect("it was gone, and is back");
+        assert_eq!(found.lock().unwrap().len(), 0);
+        let gone = async || until_led(changes.clone(), by(1), || std::future::ready(Way::Nowhere)).await;
+        assert!(timeout(20 * BETWEEN, gone()).await.is_err(), "that there is no way any more is nothing to go by");
+    }
+
+    /// However many news there are, questions are apart.
+    #[tokio::test]
+    async fn a_stream_of_news_is_no_stream_of_questions() {
+        let (told, changes) = watch::channel(());
+        let asked = std::cell::Cell::new(0);
+        let look = || {
+            asked.set(asked.get() + 1);
+            told.send_replace(());
+            std::future::ready(by(1))
+        };
+        assert!(timeout(20 * BETWEEN, until_other(changes, by(1), look)).await.is_err());
+        assert!((2..=21).contains(&asked.get()), "{asked:?}");
+    }
+
+    const LONG: Duration = Duration::from_secs(60);
+
+    fn by(interface: u32) -> Way {
+        Way::By(Exit { interface, carrier: 0, source: None, router: None })
     }
 }

@@ -17,8 +17,9 @@ use zerocopy::IntoBytes;
 use super::choice::Pulse;
 use super::frame_size::FrameSize;
 use super::lane::{Lane, Status};
-use super::network::{Network, Way};
+use super::network::{Network, Way, until_led};
 use super::outlet::Ways;
+use super::pause::{Backoff, Hurry};
 use super::receiver::Command;
 use super::shared_entry::SharedEntry;
 use super::state::{self, State};
@@ -37,9 +38,6 @@ const DISCOVERY: Duration = Duration::from_secs(2);
 /// Answers to discovery that are tried before it is asked again.
 const MAX_CANDIDATES: usize = 8;
 
-/// Between attempts to get the link back, and to state what was refused: doubled from the first to the second.
-const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
-
 /// How long a switch on the same host may take to answer the first frame; any, over UDP, once this machine is in another network, and
 /// four round trips.
 const ANSWER: Duration = Duration::from_millis(500);
@@ -49,9 +47,6 @@ const ANSWER_ON_CABLE: Duration = Duration::from_millis(100);
 
 /// Between two echoes that are waited for.
 const ECHOES: Duration = Duration::from_millis(10);
-
-/// What the kernel says of a network that has changed comes in parts.
-const NEWS_SETTLE: Duration = Duration::from_millis(2);
 
 /// How long the node tries to attach again over the link it has; the switch waits a little longer for its answer.
 const REATTACH: Duration = Duration::from_secs(4);
@@ -87,7 +82,7 @@ pub struct Attachment {
     /// What links further on take, as far as it is known.
     pub frame_size: FrameSize,
     /// How the switch was reached when the link was made.
-    way: Option<Way>,
+    way: Way,
     since: Instant,
     count: AtomicU64,
     /// Cookie of the latest answer to an echo.
@@ -97,7 +92,7 @@ pub struct Attachment {
 }
 
 impl Attachment {
-    fn new(lane: u8, link: Link, way: Option<Way>, port: &Port) -> Self {
+    fn new(lane: u8, link: Link, way: Way, port: &Port) -> Self {
         let (entry, data, largest) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data(), port.mtu() as usize);
         let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
         let costs_told = AtomicBool::new(false);
@@ -247,6 +242,11 @@ struct Supervisor {
     network: Option<Arc<Network>>,
     /// Of the network, since the last attempt began.
     changes: Option<watch::Receiver<()>>,
+    /// What the host of a UDP target was resolved to last, unless it was not.
+    address: Option<SocketAddr>,
+    /// How the switch was reached when that was last looked at.
+    way: Way,
+    hurry: Hurry,
 }
 
 impl Supervisor {
@@ -262,7 +262,8 @@ impl Supervisor {
         let papers = state.home.shown.clone();
         let port_config = PortConfig { rekey, lane, through, papers, ..PortConfig::endpoint(state.identity.clone()) };
         let changes = network.as_ref().map(|network| network.changes());
-        Self { state, lane, target, pinned, port_config, port: None, through: None, network, changes }
+        let (port, through, address, way, hurry) = (None, None, None, Way::Unknown, Hurry::default());
+        Self { state, lane, target, pinned, port_config, port, through, network, changes, address, way, hurry }
     }
 
     fn lane(&self) -> &Lane {
@@ -365,24 +366,47 @@ impl Supervisor {
         }
     }
 
-    /// Waits before the next attempt; not if the network has changed since the last one began.
+    /// Waits before the next attempt; not if the switch is reached in another way than at the last one.
     async fn pause(&mut self, backoff: &mut Backoff) {
-        let changes = self.changes.as_mut();
-        let changed = async {
-            let told = match changes {
-                Some(changes) => changes.changed().await.is_ok(),
-                None => false,
-            };
-            match told {
-                true => sleep(NEWS_SETTLE).await,
-                false => std::future::pending().await,
-            }
+        let mut hurry = std::mem::take(&mut self.hurry);
+        hurry.pause(backoff, self.news(), self.is_blind()).await;
+        self.hurry = hurry;
+    }
+
+    /// Whether nobody knows to where there should be a way.
+    fn is_blind(&self) -> bool {
+        matches!(self.target, LinkTarget::Udp { .. }) && self.address.is_none()
+    }
+
+    /// Returns when the network is such that another attempt may do better than the last.
+    async fn news(&self) {
+        let (Some(network), Some(changes)) = (&self.network, &self.changes) else {
+            return std::future::pending().await;
         };
-        tokio::select! {
-            () = backoff.wait() => return,
-            () = changed => {}
+        if !self.is_blind() {
+            return until_led(changes.clone(), self.way.clone(), || self.look(network)).await;
         }
-        *backoff = Backoff::new();
+        // Whatever it is, it may be the way to who knows the address.
+        if changes.clone().changed().await.is_err() {
+            std::future::pending().await
+        }
+    }
+
+    /// How the switch would be reached now.
+    async fn look(&self, network: &Network) -> Way {
+        match &self.target {
+            LinkTarget::Ethernet { interface, .. } => match interface_index(interface) {
+                Ok(ifindex) => network.way(LinkAddr::Ethernet { ifindex, mac: [0; 6] }, None).await,
+                Err(_) => Way::Nowhere,
+            },
+            LinkTarget::Udp { interface, .. } => match interface.as_deref().map(interface_index).transpose() {
+                Ok(through) => match self.address {
+                    Some(to) => network.way(LinkAddr::udp(to), through).await,
+                    None => Way::Unknown,
+                },
+                Err(_) => Way::Nowhere,
+            },
+        }
     }
 
     /// One link's life; returns why it ended.
@@ -413,12 +437,15 @@ impl Supervisor {
     /// that is held are taken for as long as the switch may send them.
     async fn attempt(&mut self, held: Option<&Held>) -> Result<Arc<Attachment>, NodeError> {
         self.changes.as_mut().into_iter().for_each(watch::Receiver::mark_unchanged);
+        if let Some(network) = self.network.clone() {
+            self.way = self.look(&network).await;
+        }
         let (port, candidates) = self.locate().await?;
         let held = held.map(|held| (held.attachment.clone(), held.until.into_std()));
         let mut apart = false;
         let attachment = loop {
-            let (link, way) = self.dial_first(&port, &candidates, apart).await?;
-            let attachment = Arc::new(Attachment::new(self.lane, link, way, &port));
+            let link = self.dial_first(&port, &candidates, apart).await?;
+            let attachment = Arc::new(Attachment::new(self.lane, link, self.way.clone(), &port));
             self.state.command(Command::Attach { attachment: attachment.clone(), held: held.clone() });
             if !attachment.link.is_by_pair() || attachment.is_answered(ANSWER).await {
                 break attachment;
@@ -439,11 +466,11 @@ impl Supervisor {
     /// Anybody on the segment can answer discovery in the name of the switch: the first that proves to be it counts.
     /// `apart`: frames are to go through the daemon even of a switch on this host.
     async fn dial_first(
-        &self,
+        &mut self,
         port: &Port,
         candidates: &[(LinkAddr, Option<Name>)],
         apart: bool,
-    ) -> Result<(Link, Option<Way>), NodeError> {
+    ) -> Result<Link, NodeError> {
         let mut failure = None;
         for (to, expected) in candidates.iter().take(MAX_CANDIDATES) {
             let dialling = async {
@@ -452,23 +479,23 @@ impl Supervisor {
                     true => port.dial_apart(*to, *expected).await,
                 }
             };
-            let (dialled, way) = match &self.network {
+            let dialled = match self.network.clone() {
                 Some(network) => {
-                    let way = network.way(*to, self.through).await;
-                    let dialled = tokio::select! {
+                    self.way = network.way(*to, self.through).await;
+                    tokio::select! {
                         dialled = dialling => dialled,
                         // What went to the old network is not answered: better begun anew than said again later.
-                        _ = network.until_other(*to, self.through, &way) => {
+                        other = network.until_other(*to, self.through, &self.way) => {
+                            self.way = other;
                             return Err(NodeError::Detached("the network of this machine has changed".into()));
                         }
-                    };
-                    (dialled, way)
+                    }
                 }
-                None => (dialling.await, None),
+                None => dialling.await,
             };
             match dialled {
                 Ok(link) if link.peer().role == Role::Switch => match self.state.home.judge(&link) {
-                    Ok(_) => return Ok((link, way)),
+                    Ok(_) => return Ok(link),
                     Err(error) => {
                         link.close(&error.to_string());
                         failure = Some(error.into());
@@ -517,8 +544,10 @@ impl Supervisor {
                     None => None,
                 };
                 let no_address = |source| NodeError::NoAddress { host: host.clone(), source };
+                self.address = None;
                 let mut found = tokio::net::lookup_host((host.as_str(), *number)).await.map_err(no_address)?;
                 let to = found.next().ok_or_else(|| no_address(std::io::ErrorKind::AddrNotAvailable.into()))?;
+                self.address = Some(to);
                 let same = |port: &Arc<Port>| {
                     self.through == index && port.udp_addr().is_some_and(|open| open.is_ipv4() == to.is_ipv4())
                 };
@@ -619,7 +648,7 @@ async fn watch_moves(
         lane.set_moved(true);
         state.outlet.choose(false);
         let answered = async {
-            if way.is_none() {
+            if way == Way::Nowhere {
                 // Wi-Fi may be back in a moment.
                 std::future::pending::<()>().await;
             }
@@ -730,21 +759,6 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
                 tracing::warn!(%error, "the RIB does not know a revocation, and does not take it");
             }
         }
-    }
-}
-
-/// Growing pauses, each between half and the whole of its length, so that many nodes do not return at once.
-struct Backoff(Duration);
-
-impl Backoff {
-    fn new() -> Self {
-        Self(BACKOFF.0)
-    }
-
-    async fn wait(&mut self) {
-        let random = crypto::random::<1>().map_or(255, |[byte]| byte);
-        sleep(self.0 / 2 + self.0 / 512 * u32::from(random)).await;
-        self.0 = (self.0 * 2).min(BACKOFF.1);
     }
 }
 

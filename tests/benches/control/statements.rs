@@ -50,7 +50,7 @@ fn measure(bench: &Bench) -> Result<Vec<Figure>> {
     let mut rib = || {
         let run = Run { id: 1, settling: Duration::ZERO };
         let mut rib = Rib::new(switch.name(), run, Limits::default());
-        ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Done));
+        ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Reported { .. }));
         let mut ask =
             |request: &EntityRequest| match rib.request(now, switch.name(), Some(&robot.proof()), false, request) {
                 Response::Refused(refusal) => bail!("refused: {refusal}"),

@@ -97,7 +97,7 @@ impl World {
 
     pub fn report(&mut self, index: usize, attached: &[Name]) {
         let response = self.rib.report(self.now, &self.switches[index].proof(), attached, None);
-        assert!(matches!(response, Response::Done), "{response:?}");
+        assert!(matches!(response, Response::Reported { .. }), "{response:?}");
         self.rewire();
     }
 
@@ -508,6 +508,13 @@ impl World {
             }
             assert_eq!(self.held[&switch].routes, model);
         }
+        let has = |writes: bool| {
+            let of = records.iter().filter(move |record| record.is_writer() == writes);
+            of.map(|record| record.name).collect::<BTreeSet<_>>()
+        };
+        let (count, unserved) = self.rib.unserved();
+        let unserved: Vec<Name> = unserved.collect();
+        assert_eq!((count, &unserved), (unserved.len(), &has(false).difference(&has(true)).copied().collect()));
     }
 
     /// Sends a frame of everybody that may send through the switches' FIBs, as `gdp_wire::forward` would: each of those that
