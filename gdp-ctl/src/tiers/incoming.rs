@@ -8,11 +8,11 @@ use gdp::control::{
 };
 use gdp_wire::Name;
 
-use super::judge::{Judge, Revoked, TierRefusal, check_path};
+use super::judge::{Judge, Judged, Revoked, check_path};
 use super::queries::Climbing;
 use super::side::{Kind, Side, Standing};
 use super::table::{Held, Item};
-use super::{Limits, Reply, Tiers};
+use super::{Reply, Tiers};
 use crate::rib::Now;
 
 /// Bytes of the records in an answer.
@@ -90,19 +90,9 @@ impl Tiers {
         for entry in push.set {
             // What it said before about the same it says no more, even if what it says now is refused.
             let key = key_of(&entry);
-            let judged = judge.entry(from, &side.table, entry).and_then(|(key, item, ends)| {
-                let is_new = side.table.get(&key).is_none();
-                let Limits { entries, bytes, .. } = self.limits;
-                for (what, held, limit) in
-                    [("entries", side.table.len(), entries), ("bytes", side.table.bytes() + item.size(), bytes)]
-                {
-                    if is_new && held >= limit {
-                        return Err(TierRefusal::Full { what, limit });
-                    }
-                }
-                Ok((key, item, ends))
-            });
-            match judged {
+            let judged = judge.entry(from, &side.table, entry);
+            let fits = |judged: &Judged| side.table.check_room(&judged.0, &judged.1, &self.limits);
+            match judged.and_then(|judged| fits(&judged).map(|()| judged)) {
                 Ok((key, item, ends)) => {
                     self.endings.set(from, key, (ends != Duration::MAX).then_some(ends));
                     if side.table.insert(key, item) {

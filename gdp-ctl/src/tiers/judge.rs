@@ -43,6 +43,8 @@ pub enum TierRefusal {
     Box { writer: Name, source: Box<CertError> },
     #[error("the locator of domain {domain:#}: {source}")]
     Locator { domain: Name, source: Box<CertError> },
+    #[error("the locator of domain {0:#} names no border switch: who can be reached nowhere is to take its locator back")]
+    Nowhere(Name),
     #[error("{limit} {what} of one domain are kept: that is the limit of this RIB")]
     Full { what: &'static str, limit: usize },
 }
@@ -57,6 +59,7 @@ impl TierRefusal {
             Self::OutOfScope { .. } => "scope",
             Self::Ended(_) => "ended",
             Self::NoWriter(_) => "no_writer",
+            Self::Nowhere(_) => "nowhere",
             Self::Full { .. } => "limit",
             Self::Record { source, .. }
             | Self::Host { source, .. }
@@ -124,7 +127,7 @@ impl<R: Revoked> Judge<'_, R> {
                     }
                 }
                 let until = statements.iter().map(|statement| statement.not_after).min();
-                let ends = until.map_or(Duration::MAX, |until| self.clock_at(until));
+                let ends = self.clock_at(until.ok_or(TierRefusal::Nowhere(domain))?);
                 Ok((key, Item::Locator { domain, locator: Arc::new(locator) }, ends))
             }
         }

@@ -251,10 +251,14 @@ impl Tiers {
         Ok(())
     }
 
-    /// Where this domain can be reached.
+    /// Where this domain can be reached; nowhere, if no border is named.
     pub fn set_own_locator(&mut self, locator: Locator) {
         let (key, domain) = (TierKey::Locator(self.home), self.home);
-        if self.own.insert(key, Item::Locator { domain, locator: Arc::new(locator) }) {
+        let changed = match locator.borders.is_empty() {
+            true => self.own.remove(&key).is_some(),
+            false => self.own.insert(key, Item::Locator { domain, locator: Arc::new(locator) }),
+        };
+        if changed {
             self.changed(key);
         }
     }

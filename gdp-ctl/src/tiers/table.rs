@@ -10,6 +10,9 @@ use gdp::control::{Abroad, Extent, NameRole, Record, RecordPlace, TierEntry, Tie
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
+use super::Limits;
+use super::judge::TierRefusal;
+
 /// A verified part in a name.
 #[derive(Clone, Debug)]
 pub struct Held {
@@ -134,10 +137,6 @@ impl Table {
         self.items.len()
     }
 
-    pub fn bytes(&self) -> usize {
-        self.bytes
-    }
-
     pub fn holds(&self) -> Option<TierHolds> {
         self.holds
     }
@@ -172,6 +171,18 @@ impl Table {
 
     pub fn get(&self, key: &TierKey) -> Option<&Item> {
         self.items.get(key)
+    }
+
+    /// Whether a neighbour may say this, in place of what it said of the same before.
+    pub fn check_room(&self, key: &TierKey, item: &Item, limits: &Limits) -> Result<(), TierRefusal> {
+        let before = self.items.get(key);
+        let entries = self.items.len() + usize::from(before.is_none());
+        let bytes = self.bytes - before.map_or(0, Item::size) + item.size();
+        let needed = [("entries", entries, limits.entries), ("bytes", bytes, limits.bytes)];
+        match needed.into_iter().find(|(_, needed, limit)| needed > limit) {
+            Some((what, _, limit)) => Err(TierRefusal::Full { what, limit }),
+            None => Ok(()),
+        }
     }
 
     /// Whether it is another than before.

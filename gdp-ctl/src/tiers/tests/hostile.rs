@@ -9,7 +9,7 @@ use gdp::name::Name;
 
 use super::world::{UNIX, World, identity, owner};
 use crate::rib::Now;
-use crate::tiers::{Limits, Reply, Tiers};
+use crate::tiers::{Item, Limits, Reply, Tiers};
 
 use NameRole::{Publisher, Subscriber};
 
@@ -180,6 +180,35 @@ fn who_is_no_neighbour_is_told_so_and_limits_hold() {
     let (one, other) = (v.part(2, &[0]), v.part_in(2, 1, 101, &[0]));
     v.push([one, other].map(|part| TierEntry::Part(Box::new(part))).to_vec());
     assert_eq!((v.entries(), v.counted("limit")), (1, 1));
+}
+
+#[test]
+fn what_grows_counts_as_what_is_new() {
+    let mut v = Victim::new();
+    let [home, child] = [0, 2].map(|index| v.w.domains[index].identity.name());
+    let entry = |addresses: usize, serial| {
+        let border = identity("border", 2);
+        let addresses = vec!["192.0.2.1:31415".parse().unwrap(); addresses];
+        let claims =
+            BorderStatement { switch: border.name(), domain: child, addresses, serial, not_after: UNIX + 100 };
+        let mut locator = v.w.domains[2].locator.clone();
+        locator.borders[0].statement = issue(border.key(), &claims).unwrap();
+        locator
+    };
+    let (small, large, smaller) = (entry(4, 2), entry(8, 3), entry(3, 4));
+    let bytes = Item::Locator { domain: child, locator: small.clone().into() }.size();
+    v.w.domains[0].tiers = Tiers::new(home, 9, Limits { children: 1, entries: 10, bytes });
+    v.ask(2, TierRequest::Hello { run: 77, holds: None });
+    let mut push = |locator| {
+        v.push(vec![TierEntry::Locator { domain: child, locator }]);
+        (v.entries(), v.counted("limit"))
+    };
+    assert_eq!(push(small.clone()), (1, 0));
+    assert_eq!(push(large), (0, 1), "nor does it say any more what it said before");
+    assert_eq!(push(small), (1, 1));
+    assert_eq!(push(smaller), (1, 1));
+    assert_eq!(push(Locator::default()), (0, 1));
+    assert_eq!(v.counted("nowhere"), 1, "it would stay for ever");
 }
 
 #[test]
