@@ -47,6 +47,8 @@ pub enum TierRefusal {
     Nowhere(Name),
     #[error("{limit} {what} of one domain are kept: that is the limit of this RIB")]
     Full { what: &'static str, limit: usize },
+    #[error("{limit} parts in {name:#} of one domain are kept: that is the limit of this RIB")]
+    NameFull { name: Name, limit: usize },
 }
 
 impl TierRefusal {
@@ -61,6 +63,7 @@ impl TierRefusal {
             Self::NoWriter(_) => "no_writer",
             Self::Nowhere(_) => "nowhere",
             Self::Full { .. } => "limit",
+            Self::NameFull { .. } => "name_limit",
             Self::Record { source, .. }
             | Self::Host { source, .. }
             | Self::Box { source, .. }

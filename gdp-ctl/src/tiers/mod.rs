@@ -9,6 +9,7 @@
 //! What a neighbour that lies can do is to withhold, and to say what its own domain alone may say.
 
 mod incoming;
+mod interest;
 mod judge;
 mod outgoing;
 pub mod peering;
@@ -47,11 +48,14 @@ pub struct Limits {
     pub entries: usize,
     /// Of each neighbour.
     pub bytes: usize,
+    /// Of each neighbour: more than anybody here exchanges messages with in one name (`counterparts` of [`crate::rib::Limits`]), of
+    /// writers and readers each.
+    pub parts_per_name: usize,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { children: 1024, entries: 1 << 20, bytes: 1 << 30 }
+        Self { children: 1024, entries: 1 << 20, bytes: 1 << 30, parts_per_name: 8192 }
     }
 }
 

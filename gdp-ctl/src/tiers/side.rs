@@ -10,7 +10,7 @@ use gdp::control::{RecordPlace, TierHolds, TierKey};
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
-use super::table::{Held, Item, Table, first_box, first_place, is_box_of};
+use super::table::{Held, Item, Table, count_out, first_box, first_place, is_box_of};
 use crate::feed::Feed;
 
 /// How long what a neighbour said stays after it was heard last: a restart or a short partition must not cost the names.
@@ -186,13 +186,8 @@ impl Told {
                     self.entities.remove(&held.place.entity);
                 }
             }
-            if let Some(said_by) = self.origins.get_mut(&origin)
-                && let Some(count) = said_by.get_mut(&via)
-            {
-                *count -= 1;
-                if *count == 0 {
-                    said_by.remove(&via);
-                }
+            if let Some(said_by) = self.origins.get_mut(&origin) {
+                count_out(said_by, &via);
                 if said_by.is_empty() {
                     self.origins.remove(&origin);
                 }

@@ -125,6 +125,8 @@ const BOX_OVERHEAD: usize = 32;
 pub struct Table {
     items: BTreeMap<TierKey, Item>,
     entities: BTreeMap<Name, BTreeSet<RecordPlace>>,
+    /// How many parts there are in each name.
+    names: BTreeMap<Name, usize>,
     bytes: usize,
     /// The last push that was taken in.
     holds: Option<TierHolds>,
@@ -179,9 +181,16 @@ impl Table {
         let entries = self.items.len() + usize::from(before.is_none());
         let bytes = self.bytes - before.map_or(0, Item::size) + item.size();
         let needed = [("entries", entries, limits.entries), ("bytes", bytes, limits.bytes)];
-        match needed.into_iter().find(|(_, needed, limit)| needed > limit) {
-            Some((what, _, limit)) => Err(TierRefusal::Full { what, limit }),
-            None => Ok(()),
+        if let Some((what, _, limit)) = needed.into_iter().find(|(_, needed, limit)| needed > limit) {
+            return Err(TierRefusal::Full { what, limit });
+        }
+        match key {
+            TierKey::Part(RecordPlace { name, .. })
+                if before.is_none() && self.names.get(name).is_some_and(|parts| *parts >= limits.parts_per_name) =>
+            {
+                Err(TierRefusal::NameFull { name: *name, limit: limits.parts_per_name })
+            }
+            _ => Ok(()),
         }
     }
 
@@ -190,22 +199,15 @@ impl Table {
         if let Some((_, unnamed)) = &mut self.whole {
             unnamed.remove(&key);
         }
+        let before = self.remove(&key);
+        let changed = before.as_ref() != Some(&item);
         if let TierKey::Part(place) = key {
             self.entities.entry(place.entity).or_default().insert(place);
+            *self.names.entry(place.name).or_default() += 1;
         }
         self.bytes += item.size();
-        match self.items.get_mut(&key) {
-            Some(old) => {
-                self.bytes -= old.size();
-                let changed = *old != item;
-                *old = item;
-                changed
-            }
-            None => {
-                self.items.insert(key, item);
-                true
-            }
-        }
+        self.items.insert(key, item);
+        changed
     }
 
     pub fn remove(&mut self, key: &TierKey) -> Option<Item> {
@@ -218,6 +220,7 @@ impl Table {
             if places.is_empty() {
                 self.entities.remove(&place.entity);
             }
+            count_out(&mut self.names, &place.name);
         }
         Some(old)
     }
@@ -255,6 +258,16 @@ impl Table {
 
     pub fn has_entity(&self, entity: &Name) -> bool {
         self.entities.contains_key(entity)
+    }
+}
+
+/// There is one less.
+pub fn count_out(counts: &mut BTreeMap<Name, usize>, of: &Name) {
+    if let Some(count) = counts.get_mut(of) {
+        *count -= 1;
+        if *count == 0 {
+            counts.remove(of);
+        }
     }
 }
 

@@ -3,7 +3,9 @@
 use std::time::Duration;
 
 use gdp::cert::{BorderStatement, Locator, Signed, issue};
-use gdp::control::{Abroad, Extent, MAX_PATH, NameRole, RefusalCode, TierEntry, TierPush, TierRequest, TierResponse};
+use gdp::control::{
+    Abroad, Extent, MAX_PATH, NameRole, RefusalCode, TierEntry, TierKey, TierPush, TierRequest, TierResponse,
+};
 use gdp::keys::KeyBox;
 use gdp::name::Name;
 
@@ -14,8 +16,8 @@ use crate::tiers::{Item, Limits, Reply, Tiers};
 use NameRole::{Publisher, Subscriber};
 
 /// A domain with a parent, 1, and a child, 2, which is hostile; 3 is another domain.
-struct Victim {
-    w: World,
+pub struct Victim {
+    pub w: World,
     generation: u64,
 }
 
@@ -170,7 +172,7 @@ fn who_is_no_neighbour_is_told_so_and_limits_hold() {
     assert!(refusal.reason.contains("each have the other"), "{refusal}");
 
     let home = v.w.domains[0].identity.name();
-    let limits = Limits { children: 1, entries: 1, bytes: 1 << 20 };
+    let limits = Limits { children: 1, entries: 1, ..Limits::default() };
     let tiers = &mut v.w.domains[0].tiers;
     *tiers = Tiers::new(home, 9, limits);
     v.generation = 0;
@@ -189,15 +191,14 @@ fn what_grows_counts_as_what_is_new() {
     let entry = |addresses: usize, serial| {
         let border = identity("border", 2);
         let addresses = vec!["192.0.2.1:31415".parse().unwrap(); addresses];
-        let claims =
-            BorderStatement { switch: border.name(), domain: child, addresses, serial, not_after: UNIX + 100 };
+        let claims = BorderStatement { switch: border.name(), domain: child, addresses, serial, not_after: UNIX + 100 };
         let mut locator = v.w.domains[2].locator.clone();
         locator.borders[0].statement = issue(border.key(), &claims).unwrap();
         locator
     };
     let (small, large, smaller) = (entry(4, 2), entry(8, 3), entry(3, 4));
     let bytes = Item::Locator { domain: child, locator: small.clone().into() }.size();
-    v.w.domains[0].tiers = Tiers::new(home, 9, Limits { children: 1, entries: 10, bytes });
+    v.w.domains[0].tiers = Tiers::new(home, 9, Limits { bytes, ..Limits::default() });
     v.ask(2, TierRequest::Hello { run: 77, holds: None });
     let mut push = |locator| {
         v.push(vec![TierEntry::Locator { domain: child, locator }]);
@@ -254,7 +255,7 @@ fn queries_cannot_circle_and_what_is_remembered_of_them_is_bounded() {
 }
 
 impl Victim {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let mut w = World::new(1, &[&[1], &[], &[0], &[]]);
         w.state(0, 0, 1, Subscriber, &[]);
         w.run(Duration::from_secs(1));
@@ -268,7 +269,7 @@ impl Victim {
         self.part_in(at, 0, 100, scope)
     }
 
-    fn part_in(&mut self, at: usize, topic: usize, entity: usize, scope: &[usize]) -> Abroad {
+    pub fn part_in(&mut self, at: usize, topic: usize, entity: usize, scope: &[usize]) -> Abroad {
         let scope: Vec<Name> = scope.iter().map(|index| self.w.domains[*index].identity.name()).collect();
         let record = self.w.record(at, topic, entity, Publisher, &scope);
         let domain = &self.w.domains[at];
@@ -276,14 +277,22 @@ impl Victim {
     }
 
     /// Of the child: the first is the whole, the following change it.
-    fn push(&mut self, set: Vec<TierEntry>) -> TierResponse {
+    pub fn push(&mut self, set: Vec<TierEntry>) -> TierResponse {
+        self.change(set, vec![])
+    }
+
+    pub fn remove(&mut self, remove: Vec<TierKey>) -> TierResponse {
+        self.change(vec![], remove)
+    }
+
+    fn change(&mut self, set: Vec<TierEntry>, remove: Vec<TierKey>) -> TierResponse {
         self.generation += 1;
         let extent = if self.generation == 1 { Extent::Full { part: 0, last: true } } else { Extent::Delta };
-        let push = TierPush { run: 77, generation: self.generation, extent, set, remove: vec![] };
+        let push = TierPush { run: 77, generation: self.generation, extent, set, remove };
         self.ask(2, TierRequest::Push(Box::new(push)))
     }
 
-    fn ask(&mut self, from: usize, request: TierRequest) -> TierResponse {
+    pub fn ask(&mut self, from: usize, request: TierRequest) -> TierResponse {
         let from = self.w.domains[from].identity.name();
         let (now, tiers) = (self.w.now, &mut self.w.domains[0].tiers);
         match tiers.request(now, from, request, &self.w.revocations) {
@@ -292,11 +301,11 @@ impl Victim {
         }
     }
 
-    fn entries(&self) -> usize {
+    pub fn entries(&self) -> usize {
         self.child().entries_in
     }
 
-    fn counted(&self, what: &str) -> u64 {
+    pub fn counted(&self, what: &str) -> u64 {
         self.child().refused.get(what).copied().unwrap_or_default()
     }
 

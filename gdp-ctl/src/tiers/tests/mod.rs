@@ -2,6 +2,7 @@
 //! neighbour may try.
 
 mod hostile;
+mod many;
 mod world;
 
 use std::collections::BTreeSet;
