@@ -43,7 +43,9 @@ pub enum TierRefusal {
     Box { writer: Name, source: Box<CertError> },
     #[error("the locator of domain {domain:#}: {source}")]
     Locator { domain: Name, source: Box<CertError> },
-    #[error("the locator of domain {0:#} names no border switch: who can be reached nowhere is to take its locator back")]
+    #[error(
+        "the locator of domain {0:#} names no border switch: who can be reached nowhere is to take its locator back"
+    )]
     Nowhere(Name),
     #[error("{limit} {what} of one domain are kept: that is the limit of this RIB")]
     Full { what: &'static str, limit: usize },
@@ -136,9 +138,15 @@ impl<R: Revoked> Judge<'_, R> {
         }
     }
 
-    /// Whether something that is held would still be taken in.
+    /// Whether nothing that something rests on has been taken back since it was verified. When it ends is known besides.
     pub fn still_holds(&self, held: &Held) -> Result<(), TierRefusal> {
-        self.verify(&held.record, &held.host, held.origin(self.home)).map(drop)
+        let (name, switch, domain) = (held.place.name, held.place.switch, held.origin(self.home));
+        let wrong_host = |source: CertError| TierRefusal::Host { switch, domain, source: source.into() };
+        held.host.check_revoked(self.revoked.newest(&domain)).map_err(wrong_host)?;
+        let Some(revocation) = self.revoked.newest(&name) else { return Ok(()) };
+        let serials = held.record.credential.serials();
+        let check = |serials: Vec<_>| serials.into_iter().try_for_each(|(what, serial)| revocation.check(what, serial));
+        serials.and_then(check).map_err(|source| TierRefusal::Record { name, source: source.into() })
     }
 
     fn part(&self, from: Name, table: &Table, abroad: Abroad) -> Result<Held, TierRefusal> {

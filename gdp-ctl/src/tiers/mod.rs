@@ -324,8 +324,7 @@ impl Tiers {
         let judge = Judge { home: self.home, now, revoked };
         let mut gone = Vec::new();
         for (domain, side) in &self.sides {
-            let concerned = |held: &&Arc<Held>| held.place.name == about || held.origin(self.home) == about;
-            for held in side.table.parts().filter(concerned) {
+            for held in side.table.parts_about(about) {
                 if let Err(refusal) = judge.still_holds(held) {
                     gone.push((*domain, TierKey::Part(held.place), refusal));
                 }

@@ -121,10 +121,34 @@ const PART_OVERHEAD: usize = 640;
 const NAME_SIZE: usize = 34;
 const BOX_OVERHEAD: usize = 32;
 
+/// Where parts are, by something that many may have in common.
+#[derive(Debug, Default)]
+struct Places(BTreeMap<Name, BTreeSet<RecordPlace>>);
+
+impl Places {
+    fn insert(&mut self, of: Name, place: RecordPlace) {
+        self.0.entry(of).or_default().insert(place);
+    }
+
+    fn remove(&mut self, of: &Name, place: &RecordPlace) {
+        let Some(places) = self.0.get_mut(of) else { return };
+        places.remove(place);
+        if places.is_empty() {
+            self.0.remove(of);
+        }
+    }
+
+    fn of(&self, of: Name) -> impl Iterator<Item = &RecordPlace> {
+        self.0.get(&of).into_iter().flatten()
+    }
+}
+
 #[derive(Debug, Default)]
 pub struct Table {
     items: BTreeMap<TierKey, Item>,
-    entities: BTreeMap<Name, BTreeSet<RecordPlace>>,
+    entities: Places,
+    /// By the domain they were stated in, if it is another one.
+    origins: Places,
     /// How many parts there are in each name.
     names: BTreeMap<Name, usize>,
     bytes: usize,
@@ -201,8 +225,9 @@ impl Table {
         }
         let before = self.remove(&key);
         let changed = before.as_ref() != Some(&item);
-        if let TierKey::Part(place) = key {
-            self.entities.entry(place.entity).or_default().insert(place);
+        if let (TierKey::Part(place), Item::Part { held, .. }) = (key, &item) {
+            self.entities.insert(place.entity, place);
+            held.path.first().into_iter().for_each(|origin| self.origins.insert(*origin, place));
             *self.names.entry(place.name).or_default() += 1;
         }
         self.bytes += item.size();
@@ -213,13 +238,9 @@ impl Table {
     pub fn remove(&mut self, key: &TierKey) -> Option<Item> {
         let old = self.items.remove(key)?;
         self.bytes -= old.size();
-        if let TierKey::Part(place) = key
-            && let Some(places) = self.entities.get_mut(&place.entity)
-        {
-            places.remove(place);
-            if places.is_empty() {
-                self.entities.remove(&place.entity);
-            }
+        if let (TierKey::Part(place), Item::Part { held, .. }) = (key, &old) {
+            self.entities.remove(&place.entity, place);
+            held.path.first().into_iter().for_each(|origin| self.origins.remove(origin, place));
             count_out(&mut self.names, &place.name);
         }
         Some(old)
@@ -227,6 +248,12 @@ impl Table {
 
     pub fn keys(&self) -> impl Iterator<Item = &TierKey> {
         self.items.keys()
+    }
+
+    /// The parts that rest on what the owner of a name, or a domain, has said.
+    pub fn parts_about(&self, about: Name) -> impl Iterator<Item = &Arc<Held>> {
+        let stated_there = self.origins.of(about).filter_map(|place| self.part_at(place));
+        self.parts_of(about).chain(stated_there)
     }
 
     /// All parts, in the order of their places.
@@ -249,7 +276,10 @@ impl Table {
 
     /// Some part that an entity has.
     pub fn part_by(&self, entity: &Name) -> Option<&Arc<Held>> {
-        let place = self.entities.get(entity)?.first()?;
+        self.part_at(self.entities.of(*entity).next()?)
+    }
+
+    fn part_at(&self, place: &RecordPlace) -> Option<&Arc<Held>> {
         match self.items.get(&TierKey::Part(*place)) {
             Some(Item::Part { held, .. }) => Some(held),
             _ => None,
@@ -257,7 +287,7 @@ impl Table {
     }
 
     pub fn has_entity(&self, entity: &Name) -> bool {
-        self.entities.contains_key(entity)
+        self.entities.of(*entity).next().is_some()
     }
 }
 

@@ -63,6 +63,25 @@ fn one_neighbour_fills_no_name() {
     assert_eq!((v.entries(), v.counted("name_limit")), (3, 2));
 }
 
+#[test]
+fn what_rests_on_a_domain_or_a_name_is_found_without_looking_at_the_rest() {
+    let (mut random, template, mut table) = (Random(2), template(), Table::default());
+    for _ in 0..400 {
+        let mut held = Held { path: vec![domain(10 + random.below(3)), domain(13)], ..template.clone() };
+        (held.place.name, held.place.entity) = (domain(random.below(4)), domain(20 + random.below(6)));
+        let key = TierKey::Part(held.place);
+        match random.below(3) {
+            0 => drop(table.remove(&key)),
+            _ => drop(table.insert(key, Item::part(Arc::new(held)))),
+        }
+        for about in 0..20 {
+            let is_concerned = |held: &&Arc<Held>| held.place.name == domain(about) || held.path[0] == domain(about);
+            let concerned: Vec<_> = table.parts().filter(is_concerned).collect();
+            assert_eq!(table.parts_about(domain(about)).collect::<Vec<_>>(), concerned);
+        }
+    }
+}
+
 fn template() -> Held {
     let mut w = World::new(1, &[&[]]);
     let record = w.record(0, 0, 0, Publisher, &[]);
