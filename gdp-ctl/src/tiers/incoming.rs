@@ -45,7 +45,8 @@ impl Tiers {
                 let reason = format!("domain {:#} has {limit} children, and that is the limit", self.home);
                 return Err(Refusal::new(RefusalCode::Limit, reason));
             }
-            self.sides.insert(from, Side::new(now.clock, Kind::Child));
+            self.run += 1;
+            self.sides.insert(from, Side::new(now.clock, Kind::Child, self.run));
             self.all_changed();
         }
         let mut above: BTreeSet<Name> = BTreeSet::new();
@@ -56,13 +57,13 @@ impl Tiers {
             }
         }
         let Some(side) = self.sides.get_mut(&from) else { return Err(not_a_neighbour(from)) };
-        side.hello(now.clock, self.run, run, holds);
+        side.hello(now.clock, run, holds);
         if above.len() > MAX_ANCESTORS {
             let reason = format!("more than {MAX_ANCESTORS} domains are above domain {:#}", self.home);
             return Err(Refusal::new(RefusalCode::Limit, reason));
         }
         let ancestors = above.into_iter().collect();
-        Ok(TierResponse::Hello { run: self.run, holds: side.table.holds(), ancestors })
+        Ok(TierResponse::Hello { run: side.run, holds: side.table.holds(), ancestors })
     }
 
     fn push(&mut self, now: Now, from: Name, push: TierPush, revoked: &impl Revoked) -> Result<TierResponse, Refusal> {

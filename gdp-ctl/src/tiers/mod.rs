@@ -25,7 +25,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::cert::{CertError, Locator, Membership, Signed};
-use gdp::control::{Record, RecordPlace, TierKey, TierRequest, TierResponse};
+use gdp::control::{Record, RecordPlace, TierHolds, TierKey, TierRequest, TierResponse};
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
@@ -71,8 +71,11 @@ pub enum Effect {
 /// Which message it was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sent {
-    Hello,
-    Push { generation: u64 },
+    /// `run`: as in the message, which may be of a side that is no more when the answer comes.
+    Hello {
+        run: u64,
+    },
+    Push(TierHolds),
     Query(Ticket),
 }
 
@@ -113,6 +116,7 @@ pub struct Neighbour {
 #[derive(Debug)]
 pub struct Tiers {
     home: Name,
+    /// Of the side that was made last.
     run: u64,
     limits: Limits,
     /// In the order in which they are asked.
@@ -164,7 +168,8 @@ impl Endings {
 
 /// What the own domain says of itself.
 impl Tiers {
-    /// Of domain `home`, in this run of its RIB: another number each time.
+    /// Of domain `home`. What it tells neighbours is of runs above `run`, one for each that comes: nanoseconds since any fixed time do, as
+    /// they are ahead of whatever an earlier RIB has come to.
     pub fn new(home: Name, run: u64, limits: Limits) -> Self {
         Self {
             home,
@@ -198,7 +203,11 @@ impl Tiers {
         }
         for (index, parent) in parents.iter().enumerate().filter(|(_, parent)| **parent != self.home) {
             let kind = Kind::Parent(index);
-            self.sides.entry(*parent).or_insert_with(|| Side::new(now.clock, kind)).kind = kind;
+            let new = || {
+                self.run += 1;
+                Side::new(now.clock, kind, self.run)
+            };
+            self.sides.entry(*parent).or_insert_with(new).kind = kind;
         }
         self.parents = parents;
         self.all_changed();
