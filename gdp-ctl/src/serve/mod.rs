@@ -21,6 +21,7 @@ mod ports;
 mod refusals;
 mod replica;
 mod report;
+mod retries;
 pub mod routes;
 mod status;
 mod tiers;

@@ -18,7 +18,7 @@ mod side;
 mod spread;
 mod table;
 #[cfg(test)]
-mod tests;
+pub mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -289,6 +289,14 @@ impl Tiers {
     /// What the own RIB may know of an entity of another domain, with the keys it has for readers here.
     pub fn known_of(&self, entity: Name) -> OfEntity {
         self.known.of(entity)
+    }
+
+    /// The part at a place that the own RIB may know, and whether it only passes through this domain.
+    pub fn known_at(&self, place: &RecordPlace) -> Option<(Arc<Held>, bool)> {
+        match self.known.feed.entries().get(&TierKey::Part(*place)) {
+            Some(Item::Part { held, only_passes }) => Some((held.clone(), *only_passes)),
+            _ => None,
+        }
     }
 
     pub fn parents(&self) -> &[Name] {

@@ -3,7 +3,7 @@
 
 mod hostile;
 mod many;
-mod world;
+pub mod world;
 
 use std::collections::BTreeSet;
 use std::time::Duration;
