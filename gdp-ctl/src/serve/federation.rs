@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::cert::{Border, BorderStatement, Locator, MAX_LOCATED, Revocation, Signed};
+use gdp::cert::{Border, BorderStatement, CertError, Locator, MAX_LOCATED, MAX_LOCATOR, Revocation, Signed};
 use gdp::control::{RecordPlace, Refusal, RefusalCode, Response, Shown, TierKey, TierResponse};
 use gdp::domain::Trust;
 use gdp::keys::KeyBox;
@@ -25,8 +25,8 @@ use crate::tiers::{self, Change, Held, Item, Limits, Reply, Revoked, Ticket, Tie
 /// What the RIB here has to do with other domains.
 pub struct Federation {
     pub(super) tiers: Tiers,
-    /// What switches of the domain have shown the RIB.
-    hosts: BTreeMap<Name, (NameProof, Shown)>,
+    /// The switches of the domain that the RIB knows, as they have shown themselves to it.
+    hosts: BTreeMap<Name, Host>,
     /// What entities have stated in this domain, by switch.
     stated: BTreeMap<Name, BTreeSet<RecordPlace>>,
     /// What is to be told anew, besides what the RIB says has changed.
@@ -41,6 +41,15 @@ pub struct Federation {
     wanted_for: BTreeMap<Name, Peering>,
     /// What is wanted of each border, and when it is to be told.
     pub(super) wanted: BTreeMap<Name, (Wanted, Option<Duration>)>,
+}
+
+/// A switch of the domain. What it shows has been verified.
+struct Host {
+    shown: Shown,
+    /// If it is a border.
+    border: Option<Border>,
+    /// When what it shows is over, on the clock of the RIB.
+    ends: Duration,
 }
 
 /// What is known here of what was taken back.
@@ -74,25 +83,66 @@ impl Federation {
 
     /// When it has something to do by itself.
     pub fn next_tick(&self) -> Option<Duration> {
-        self.tiers.next_tick().into_iter().chain(self.retries.next_tick()).min()
+        let ends = self.hosts.values().map(|host| host.ends);
+        ends.chain(self.tiers.next_tick()).chain(self.retries.next_tick()).min()
     }
 
     /// A switch of the domain shows its membership: what was stated there may be told with it.
-    pub(super) fn show(&mut self, switch: Name, proof: NameProof, shown: Shown) {
-        if self.hosts.get(&switch).is_some_and(|(_, held)| *held == shown) {
-            return;
+    pub(super) fn show(&mut self, now: Now, trust: &Trust, proof: &NameProof, shown: Shown) -> Result<(), CertError> {
+        let switch = proof.name()?;
+        if self.hosts.get(&switch).is_some_and(|held| held.shown == shown) {
+            return Ok(());
         }
-        self.due.extend(self.stated.get(&switch).into_iter().flatten());
-        self.hosts.insert(switch, (proof, shown));
-        self.tiers.set_own_locator(self.locator());
+        let home = trust.home();
+        let (revocation, membership) = (trust.revocation(&home), shown.membership.clone());
+        let member = membership.verify(home, revocation, now.unix)?;
+        if member.entity != switch {
+            return Err(CertError::WrongEntity { expected: switch, got: member.entity });
+        }
+        let border = shown.border.clone().map(|statement| Border { proof: *proof, statement, membership });
+        let located = border.as_ref().map(|border| border.verify(home, revocation, now.unix)).transpose()?;
+        let until = located.map_or(member.not_after, |located| located.not_after);
+        let ends =
+            now.clock + Duration::from_secs(until.saturating_sub(now.unix).saturating_add(1).min(u32::MAX.into()));
+        self.hosts.insert(switch, Host { shown, border, ends });
+        self.hosts_changed([switch]);
+        Ok(())
+    }
+
+    /// Forgets switches that are gone for good, and what is over.
+    pub(super) fn forget_hosts(&mut self, now: Now, rib: &Rib) {
+        self.retain_hosts(|switch, host| rib.knows(switch) && now.clock < host.ends);
+    }
+
+    /// The domain has taken something back.
+    pub(super) fn recheck_hosts(&mut self, revocation: Option<&Revocation>) {
+        self.retain_hosts(|_, host| host.shown.membership.check_revoked(revocation).is_ok());
+    }
+
+    fn retain_hosts(&mut self, stands: impl Fn(&Name, &Host) -> bool) {
+        let gone: Vec<Name> =
+            self.hosts.iter().filter(|(name, host)| !stands(name, host)).map(|(name, _)| *name).collect();
+        gone.iter().for_each(|switch| _ = self.hosts.remove(switch));
+        self.hosts_changed(gone);
+    }
+
+    fn hosts_changed(&mut self, switches: impl IntoIterator<Item = Name>) {
+        let mut switches = switches.into_iter().peekable();
+        if switches.peek().is_some() {
+            self.due.extend(switches.filter_map(|switch| self.stated.get(&switch)).flatten());
+            self.tiers.set_own_locator(self.locator());
+        }
     }
 
     fn locator(&self) -> Locator {
-        let borders = self.hosts.values().filter_map(|(proof, shown)| {
-            let (statement, membership) = (shown.border.clone()?, shown.membership.clone());
-            Some(Border { proof: *proof, statement, membership })
-        });
-        Locator { borders: borders.take(MAX_LOCATED).collect() }
+        let mut locator = Locator::default();
+        for border in self.hosts.values().filter_map(|host| host.border.as_ref()) {
+            locator.borders.push(border.clone());
+            if locator.borders.len() > MAX_LOCATED || locator.size() > MAX_LOCATOR {
+                locator.borders.pop();
+            }
+        }
+        locator
     }
 
     /// Finds out which peerings are to be made. `is_linked`: there is a link to this domain, other than by this peering.
@@ -152,10 +202,12 @@ impl Federation {
                 writers.insert(place.entity);
                 boxes.insert(place, export.boxes);
             }
-            // Otherwise once the switch has reported.
-            if let Some((_, host)) = self.hosts.get(&place.switch)
-                && let Err(error) = self.tiers.set_own(now, export.record, host.membership.clone())
-            {
+            // Once the switch has reported.
+            let Some(host) = self.hosts.get(&place.switch) else {
+                self.tiers.remove_own(place);
+                continue;
+            };
+            if let Err(error) = self.tiers.set_own(now, export.record, host.shown.membership.clone()) {
                 tracing::error!(%error, "the RIB holds a record that cannot be told to other domains");
             }
         }

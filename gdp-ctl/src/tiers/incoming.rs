@@ -92,9 +92,11 @@ impl Tiers {
             // What it said before about the same it says no more, even if what it says now is refused.
             let key = key_of(&entry);
             let judged = judge.entry(from, &side.table, entry);
-            let fits = |judged: &Judged| side.table.check_room(&judged.0, &judged.1, &self.limits);
+            let fits = |judged: &Judged| side.table.check_room(&judged.key, &judged.item, &self.limits);
             match judged.and_then(|judged| fits(&judged).map(|()| judged)) {
-                Ok((key, item, ends)) => {
+                Ok(Judged { key, item, ends, left_out }) => {
+                    left_out.iter().for_each(|refusal| side.count(refusal.as_str()));
+                    refusals.extend(left_out);
                     self.endings.set(from, key, (ends != Duration::MAX).then_some(ends));
                     if side.table.insert(key, item) {
                         changed.insert(key);

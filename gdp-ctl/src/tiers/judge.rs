@@ -1,11 +1,12 @@
 //! Nothing that a neighbour says is taken in before it is verified here: paths, signatures, memberships, scopes, bounds. Each refusal
 //! has a reason that is counted.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::cert::domain::roles;
-use gdp::cert::{BorderStatement, CertError, Membership, Revocation};
+use gdp::cert::{BorderStatement, CertError, Locator, Membership, Revocation};
 use gdp::control::{Abroad, MAX_PATH, Record, TierEntry, TierKey};
 use gdp_wire::Name;
 
@@ -89,8 +90,15 @@ pub struct Judge<'a, R> {
     pub revoked: &'a R,
 }
 
-/// What is taken in, and when it ends.
-pub type Judged = (TierKey, Item, Duration);
+/// What is taken in.
+#[derive(Debug)]
+pub struct Judged {
+    pub key: TierKey,
+    pub item: Item,
+    pub ends: Duration,
+    /// Why borders of a locator were left out.
+    pub left_out: Vec<TierRefusal>,
+}
 
 impl<R: Revoked> Judge<'_, R> {
     /// Judges what `from` says, of which `table` is held already.
@@ -99,7 +107,7 @@ impl<R: Revoked> Judge<'_, R> {
             TierEntry::Part(abroad) => {
                 let held = self.part(from, table, *abroad)?;
                 let (key, ends) = (TierKey::Part(held.place), held.ends);
-                Ok((key, Item::part(Arc::new(held)), ends))
+                Ok(Judged { key, item: Item::part(Arc::new(held)), ends, left_out: Vec::new() })
             }
             TierEntry::Box(signed) => {
                 let unreadable = |source: CertError| TierRefusal::Box { writer: from, source: source.into() };
@@ -113,29 +121,45 @@ impl<R: Revoked> Judge<'_, R> {
                     let signer = part.record.entity.verify_key().map_err(|error| wrong(error.into()))?;
                     signed.verify_signature(&signer).map_err(wrong)?;
                 }
-                Ok((key, item, Duration::MAX))
+                Ok(Judged { key, item, ends: Duration::MAX, left_out: Vec::new() })
             }
-            TierEntry::Locator { domain, locator } => {
-                let wrong = |source: CertError| TierRefusal::Locator { domain, source: source.into() };
-                if domain == self.home {
-                    return Err(TierRefusal::Cycle(domain));
-                }
-                let key = TierKey::Locator(domain);
-                let statements = locator.verify(domain, self.revoked.newest(&domain), self.now.unix).map_err(wrong)?;
-                if let Some(Item::Locator { locator: held, .. }) = table.get(&key) {
-                    for held in &held.borders {
-                        let held = held.statement.claims_unverified().map_err(wrong)?;
-                        let older = |new: &&BorderStatement| new.switch == held.switch && new.serial < held.serial;
-                        if let Some(new) = statements.iter().find(older) {
-                            return Err(wrong(CertError::ReplayedSerial { got: new.serial, floor: held.serial }));
-                        }
-                    }
-                }
-                let until = statements.iter().map(|statement| statement.not_after).min();
-                let ends = self.clock_at(until.ok_or(TierRefusal::Nowhere(domain))?);
-                Ok((key, Item::Locator { domain, locator: Arc::new(locator) }, ends))
+            TierEntry::Locator { domain, locator } => self.locator(table, domain, locator),
+        }
+    }
+
+    fn locator(&self, table: &Table, domain: Name, locator: Locator) -> Result<Judged, TierRefusal> {
+        let wrong = |source: CertError| TierRefusal::Locator { domain, source: source.into() };
+        if domain == self.home {
+            return Err(TierRefusal::Cycle(domain));
+        }
+        let key = TierKey::Locator(domain);
+        let verified = locator.verify(domain, self.revoked.newest(&domain), self.now.unix).map_err(wrong)?;
+        let mut floors = BTreeMap::new();
+        if let Some(Item::Locator { locator: held, .. }) = table.get(&key) {
+            for held in &held.borders {
+                let held = held.statement.claims_unverified().map_err(wrong)?;
+                floors.insert(held.switch, held.serial);
             }
         }
+        let (mut borders, mut left_out, mut until) = (Vec::new(), Vec::new(), u64::MAX);
+        for (border, verified) in locator.borders.into_iter().zip(verified) {
+            let is_older = |new: &BorderStatement| floors.get(&new.switch).copied().filter(|floor| new.serial < *floor);
+            match verified.and_then(|new| match is_older(&new) {
+                Some(floor) => Err(CertError::ReplayedSerial { got: new.serial, floor }),
+                None => Ok(new.not_after),
+            }) {
+                Ok(not_after) => {
+                    until = until.min(not_after);
+                    borders.push(border);
+                }
+                Err(source) => left_out.push(wrong(source)),
+            }
+        }
+        if borders.is_empty() {
+            return Err(left_out.into_iter().next().unwrap_or(TierRefusal::Nowhere(domain)));
+        }
+        let item = Item::Locator { domain, locator: Arc::new(Locator { borders }) };
+        Ok(Judged { key, item, ends: self.clock_at(until), left_out })
     }
 
     /// Whether nothing that something rests on has been taken back since it was verified. When it ends is known besides.

@@ -25,13 +25,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::cert::{CertError, Locator, Membership, Signed};
-use gdp::control::{Record, RecordPlace, TierHolds, TierKey, TierRequest, TierResponse};
+use gdp::control::{Record, RecordPlace, TierEntry, TierHolds, TierKey, TierRequest, TierResponse};
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
 use crate::feed::Room;
 use crate::rib::Now;
-use judge::Judge;
+use judge::{Judge, Judged};
 use queries::{PATIENCE, Queries};
 use side::{Side, Told};
 use table::Table;
@@ -339,8 +339,16 @@ impl Tiers {
     /// An owner of a name, or a domain, has taken something back: what rests on it goes.
     pub fn reconsider(&mut self, now: Now, about: Name, revoked: &impl Revoked) {
         let judge = Judge { home: self.home, now, revoked };
-        let mut gone = Vec::new();
+        let (mut gone, mut fewer) = (Vec::new(), Vec::new());
         for (domain, side) in &self.sides {
+            if let Some(Item::Locator { locator, .. }) = side.table.get(&TierKey::Locator(about)) {
+                let entry = TierEntry::Locator { domain: about, locator: (**locator).clone() };
+                match judge.entry(*domain, &side.table, entry) {
+                    Ok(judged) if judged.left_out.is_empty() => {}
+                    Ok(judged) => fewer.push((*domain, judged)),
+                    Err(refusal) => gone.push((*domain, TierKey::Locator(about), refusal)),
+                }
+            }
             for held in side.table.parts_about(about) {
                 if let Err(refusal) = judge.still_holds(held) {
                     gone.push((*domain, TierKey::Part(held.place), refusal));
@@ -350,6 +358,14 @@ impl Tiers {
         for (domain, key, refusal) in gone {
             self.count(domain, refusal.as_str());
             self.forget(domain, key);
+        }
+        for (domain, Judged { key, item, ends, left_out }) in fewer {
+            let Some(side) = self.sides.get_mut(&domain) else { continue };
+            left_out.iter().for_each(|refusal| side.count(refusal.as_str()));
+            if side.table.insert(key, item) {
+                self.endings.set(domain, key, Some(ends));
+                self.changed(key);
+            }
         }
     }
 

@@ -6,7 +6,7 @@ use gdp::control::{MAX_ANCESTORS, TierEntry, TierHolds, TierPush, TierRequest, T
 use gdp_wire::Name;
 
 use super::incoming::may_hear;
-use super::judge::{Judge, Revoked};
+use super::judge::{Judge, Judged, Revoked};
 use super::queries::{Climbing, PATIENCE};
 use super::side::{HELLO, HELLO_AGAIN, HOLD, Standing};
 use super::table::{Item, Table};
@@ -150,7 +150,9 @@ impl Tiers {
         let (mut told, nothing) = (Vec::new(), Table::default());
         for entry in entries {
             match judge.entry(from, &nothing, entry) {
-                Ok((_, Item::Part { held, .. }, _)) if held.place.name == name && may_hear(&held, asker, home) => {
+                Ok(Judged { item: Item::Part { held, .. }, .. })
+                    if held.place.name == name && may_hear(&held, asker, home) =>
+                {
                     told.push(TierEntry::Part(Box::new(held.told(now.clock, home))));
                 }
                 Ok(_) => self.count(from, "not_asked"),

@@ -56,7 +56,7 @@ pub enum TierRequest {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum TierResponse {
     Done,
-    /// Taken in but for so many entries, of which this is the reason of the first.
+    /// Taken in but for so many entries, or borders in locators, of which this is the reason of the first.
     Partly {
         refused: u32,
         reason: String,

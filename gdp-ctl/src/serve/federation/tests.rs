@@ -2,12 +2,15 @@
 
 use std::time::Duration;
 
-use gdp::cert::Membership;
+use gdp::cert::domain::roles;
+use gdp::cert::{MemberCert, Membership, issue};
 use gdp::control::{Abroad, Extent, NameRole, Record, TierEntry, TierPush, TierRequest, TierResponse};
+use gdp::domain::Papers;
+use gdp::identity::Identity;
 
 use super::*;
 use crate::rib::{Limits, Run};
-use crate::tiers::tests::world::{Revocations, World};
+use crate::tiers::tests::world::{Revocations, UNIX, World, identity};
 
 use NameRole::{Publisher, Subscriber};
 
@@ -59,6 +62,51 @@ fn a_switch_that_was_of_this_domain_may_be_of_another() {
     assert_eq!(h.known(), [place(&record)]);
 }
 
+#[test]
+fn a_domain_says_only_where_it_can_be_reached_now() {
+    let mut h = Home::new(Limits::default());
+    let [one, other] = ["one", "other"].map(|name| identity("border", name.len()));
+    let report = |h: &mut Home, border: &Identity| {
+        let response = h.rib.report(h.world.now, &border.proof(), &[], None);
+        assert!(matches!(response, Response::Done), "{response:?}");
+    };
+    let located = |h: &Home| -> BTreeSet<Name> {
+        let borders = h.federation.locator().borders;
+        borders.iter().map(|border| border.proof.name().unwrap()).collect()
+    };
+    for border in [&one, &other] {
+        report(&mut h, border);
+        h.show(border, border, roles::BORDER, UNIX + 1000).unwrap();
+    }
+    let wrong = h.show(&one, &other, roles::BORDER, UNIX + 2000).unwrap_err();
+    assert!(matches!(wrong, CertError::WrongKey { .. } | CertError::BadSignature { .. }), "{wrong}");
+    assert!(h.show(&one, &one, roles::SWITCH, UNIX + 2000).is_err(), "no border");
+    assert!(h.show(&one, &one, roles::BORDER, UNIX - 1).is_err(), "over");
+    assert_eq!(located(&h), [one.name(), other.name()].into(), "what it has shown before counts");
+
+    // Nobody reaches them; one comes back.
+    while h.rib.knows(&one.name()) || h.rib.knows(&other.name()) {
+        h.world.now.clock = h.rib.next_tick().unwrap();
+        h.rib.tick(h.world.now);
+    }
+    h.federation.forget_hosts(h.world.now, &h.rib);
+    assert_eq!(located(&h), [].into());
+    report(&mut h, &one);
+    h.show(&one, &one, roles::BORDER, UNIX + 1000).unwrap();
+    assert_eq!(located(&h), [one.name()].into());
+
+    // Its membership ends, or is taken back.
+    let ends = h.federation.hosts[&one.name()].ends;
+    assert_eq!(ends, h.world.now.clock + Duration::from_secs(1001));
+    h.federation.forget_hosts(Now { clock: ends, ..h.world.now }, &h.rib);
+    assert_eq!(located(&h), [].into());
+    h.show(&one, &one, roles::BORDER, UNIX + 1000).unwrap();
+    h.federation.recheck_hosts(Some(&Revocation { name: h.home(), number: 1, floor: 7, revoked: vec![] }));
+    assert_eq!(located(&h), [one.name()].into());
+    h.federation.recheck_hosts(Some(&Revocation { name: h.home(), number: 2, floor: 8, revoked: vec![] }));
+    assert_eq!(located(&h), [].into());
+}
+
 impl Home {
     fn new(limits: Limits) -> Self {
         let mut world = World::new(1, &[&[], &[0]]);
@@ -74,6 +122,21 @@ impl Home {
 
     fn home(&self) -> Name {
         self.world.domains[0].identity.name()
+    }
+
+    /// A switch shows its membership, and a statement signed by `signer`, both until then.
+    fn show(&mut self, switch: &Identity, signer: &Identity, role: &str, until: u64) -> Result<(), CertError> {
+        let (domain, entity) = (&self.world.domains[0].identity, switch.name());
+        let home = domain.name();
+        let (role, not_before, not_after) = (role.into(), UNIX - 100_000, until);
+        let cert = MemberCert { domain: home, entity, role, serial: 7, not_before, not_after };
+        let membership = Membership::issue(domain, &cert)?;
+        let statement = BorderStatement { switch: entity, domain: home, addresses: vec![], serial: 1, not_after };
+        let border = Some(issue(signer.key(), &statement)?);
+        let papers = Papers { membership: self.world.domains[0].host.clone(), peers: vec![] };
+        let own = self.world.domains[0].switch.name();
+        let trust = Trust::new(own, Arc::new(papers), false).expect("papers of this switch");
+        self.federation.show(self.world.now, &trust, &switch.proof(), Shown { membership, border })
     }
 
     /// Of the child: the first is the whole, the following change it.

@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use gdp::cert::{BorderStatement, Locator, Signed, issue};
+use gdp::cert::domain::roles;
+use gdp::cert::{Border, BorderStatement, Locator, MemberCert, Membership, Revocation, Signed, issue};
 use gdp::control::{
     Abroad, Extent, MAX_PATH, NameRole, RefusalCode, TierEntry, TierKey, TierPush, TierRequest, TierResponse,
 };
@@ -118,6 +119,54 @@ fn boxes_and_locators_are_verified_and_go_forward_only() {
     assert_eq!(v.entries(), 3);
     v.push(vec![locator(child, &states(4))]);
     assert_eq!(v.counted("replayed"), 1);
+}
+
+#[test]
+fn a_border_that_does_not_verify_hides_no_other() {
+    let mut v = Victim::new();
+    let (domain, child) = (v.w.domains[2].identity.clone(), v.w.domains[2].identity.name());
+    let border = |index: usize, serial, until| {
+        let border = identity("border", index);
+        let (role, not_before, not_after) = (roles::BORDER.into(), UNIX - 100, until);
+        let cert = MemberCert { domain: child, entity: border.name(), role, serial, not_before, not_after };
+        let (switch, not_after) = (border.name(), UNIX + 200);
+        let claims = BorderStatement { switch, domain: child, addresses: vec![], serial, not_after };
+        let (proof, statement) = (border.proof(), issue(border.key(), &claims).unwrap());
+        Border { proof, statement, membership: Membership::issue(&domain, &cert).unwrap() }
+    };
+    let held = |v: &Victim| -> Vec<Name> {
+        match v.w.domains[0].tiers.sides[&child].table.get(&TierKey::Locator(child)) {
+            Some(Item::Locator { locator, .. }) => locator.borders.iter().map(|it| it.proof.name().unwrap()).collect(),
+            _ => vec![],
+        }
+    };
+    let push = |v: &mut Victim, borders: &[&Border]| {
+        let borders = borders.iter().map(|border| (**border).clone()).collect();
+        let response = v.push(vec![TierEntry::Locator { domain: child, locator: Locator { borders } }]);
+        (held(v), response)
+    };
+    let [name, other_name] = [30, 31].map(|index| identity("border", index).name());
+    let (good, other, over) = (border(30, 7, UNIX + 100), border(31, 9, UNIX + 100), border(32, 7, UNIX - 1));
+    let mut spoilt = border(33, 7, UNIX + 100);
+    spoilt.statement = flipped(&spoilt.statement);
+
+    let (names, response) = push(&mut v, &[&over, &good, &spoilt, &other]);
+    assert_eq!(names, [name, other_name]);
+    assert!(matches!(response, TierResponse::Partly { refused: 2, .. }), "{response:?}");
+    assert_eq!((v.counted("expired"), v.counted("signature")), (1, 1));
+    // What one says goes forward only, whatever the others say.
+    let (names, _) = push(&mut v, &[&border(30, 6, UNIX + 100), &other]);
+    assert_eq!((names, v.counted("replayed")), (vec![other_name], 1));
+    assert_eq!(push(&mut v, &[&good, &other]).0, [name, other_name]);
+
+    let revocation = Revocation { name: child, number: 1, floor: 8, revoked: vec![] };
+    v.w.revocations.0.insert(child, revocation);
+    let now = v.w.now;
+    v.w.domains[0].tiers.reconsider(now, child, &v.w.revocations);
+    assert_eq!((held(&v), v.counted("revoked")), (vec![other_name], 1));
+    let (names, response) = push(&mut v, &[&over, &good]);
+    assert!(names.is_empty() && v.entries() == 0, "none is left: {response:?}");
+    assert!(push(&mut v, &[&other; 9]).0.is_empty(), "more than are allowed");
 }
 
 #[test]

@@ -216,7 +216,8 @@ fn what_is_taken_back_is_forgotten_on_the_way() {
     w.domains[0].tiers.reconsider(now, domain, &w.revocations);
     w.run(MOMENT);
     assert_eq!(w.domains[5].known.values().filter(is_own_part).count(), 0);
-    assert!(w.domains[0].tiers.neighbours().any(|neighbour| neighbour.refused.get("revoked") == Some(&1)));
+    // The part, and the border that is named in the locator.
+    assert!(w.domains[0].tiers.neighbours().any(|neighbour| neighbour.refused.get("revoked") == Some(&2)));
     let name = owner(0).1.name().unwrap();
     w.domains[0].tiers.reconsider(now, name, &w.revocations);
 }
