@@ -101,12 +101,15 @@ impl Abroad {
 impl Rib {
     /// Takes in, or replaces, what the neighbour `foreign.next` told of one place. Verified here but for the membership of its switch.
     /// Of several neighbours that tell of one place, the one with the newest statement counts, and of those the nearest; the word of
-    /// the others is kept for when that one takes back its own. Key boxes are taken one after the other, up to one that is refused.
-    pub fn set_foreign(&mut self, now: Now, foreign: Foreign) -> Result<(), Refusal> {
+    /// the others is kept for when that one takes back its own. Key boxes are taken one after the other, up to one that is refused: for
+    /// what reason, is returned.
+    pub fn set_foreign(&mut self, now: Now, foreign: Foreign) -> Result<Option<Refusal>, Refusal> {
         self.tick(now);
         let Foreign { record, domain, next, hops, boxes, local } = foreign;
         let place = record.place().map_err(refusal)?;
         let (key, role) = (record.name.to_bytes(), place.role);
+        // Before signatures are verified: what there is no room for is told again and again.
+        self.check_told(&place, &next)?;
         let verified = record.verify(self.revocations.claims(&key), now.unix).map_err(refusal)?;
         let (entity, advert) = (verified.entity, verified.advert);
         let stake = Stake { name: key, entity, role };
@@ -136,7 +139,19 @@ impl Rib {
         }
         self.settle_place(now, place)?;
         self.forget_here(stake, advert.serial);
-        boxes.iter().try_for_each(|signed| self.foreign_box(now, stake, &record.entity, signed))
+        Ok(boxes.iter().find_map(|signed| self.foreign_box(now, stake, &record.entity, signed).err()))
+    }
+
+    /// The neighbours that have told of a place, whether or not their word counts.
+    pub fn told_by(&self, place: &RecordPlace) -> Vec<Name> {
+        let spare = self.abroad.spare.get(place).into_iter().flat_map(BTreeMap::keys).copied();
+        self.next_of(place).into_iter().chain(spare).collect()
+    }
+
+    /// The neighbour whose word counts of a place.
+    pub fn next_of(&self, place: &RecordPlace) -> Option<Name> {
+        let registration = self.names.get_at(place.name.as_bytes(), &place.entity, place.role, &place.switch)?;
+        registration.abroad.map(|abroad| abroad.realm.next)
     }
 
     /// The neighbour `next` takes back what it told of the place.
@@ -204,7 +219,7 @@ impl Rib {
         let place = place_of(stake, switch);
         self.unregister(stake, switch);
         if let Err(refusal) = self.settle_place(now, place) {
-            tracing::warn!(%refusal, "what another domain told is dropped");
+            tracing::warn!(%refusal, "what another domain told does not count now");
         }
     }
 
@@ -218,25 +233,27 @@ impl Rib {
             let reason = format!("{entity} is reached under its own name as it is, by its counterparts");
             return Err(Refusal::new(RefusalCode::Unsupported, reason));
         }
-        let place = place_of(stake, *switch);
-        let told = self.names.get_at(&name, &entity, role, switch).filter(|_| self.next_of(&place) == Some(*next));
-        let spare = self.abroad.spare.get(&place).and_then(|spare| Some(&spare.get(next)?.1));
-        let before = told.or(spare);
+        let before = self.word_of(&place_of(stake, *switch), next);
         let since = self.names.all_of(&name, &entity, role).filter(|here| here.abroad.is_none() && !here.everywhere);
         if let Some(newer) = since.chain(before).find(|newer| newer.serial > serial) {
             return Err(refusal(CertError::ReplayedSerial { floor: newer.serial - 1, got: serial }));
         }
+        Ok(())
+    }
+
+    fn check_told(&self, place: &RecordPlace, next: &Name) -> Result<(), Refusal> {
         let limit = self.limits.records_per_neighbour;
-        if before.is_none() && self.abroad.told.get(next).is_some_and(|told| *told >= limit) {
+        if self.word_of(place, next).is_none() && self.abroad.told.get(next).is_some_and(|told| *told >= limit) {
             return Err(limit_reached(format!("domain {next} has told of {limit} parts in names")));
         }
         Ok(())
     }
 
-    /// The neighbour whose word counts of a place.
-    fn next_of(&self, place: &RecordPlace) -> Option<Name> {
-        let registration = self.names.get_at(place.name.as_bytes(), &place.entity, place.role, &place.switch)?;
-        registration.abroad.map(|abroad| abroad.realm.next)
+    /// What a neighbour has told of a place, whether or not it counts.
+    fn word_of(&self, place: &RecordPlace, next: &Name) -> Option<&Registration> {
+        let used = self.names.get_at(place.name.as_bytes(), &place.entity, place.role, &place.switch);
+        let used = used.filter(|used| used.abroad.is_some_and(|abroad| abroad.realm.next == *next));
+        used.or_else(|| Some(&self.abroad.spare.get(place)?.get(next)?.1))
     }
 
     /// Lets the best word on a place count, of those that still hold.
@@ -255,12 +272,20 @@ impl Rib {
             return Ok(());
         }
         let Some((proof, best)) = self.abroad.take_spare(&place, &next) else { return Ok(()) };
-        if let Some(before) = self.store(stake, proof, best)?
-            && let Some(Remote { realm, .. }) = before.abroad
-        {
-            self.abroad.put_spare(place, realm.next, (proof, before));
+        match self.store(stake, proof, best.clone()) {
+            Ok(Some(before)) => {
+                if let Some(Remote { realm, .. }) = before.abroad {
+                    self.abroad.put_spare(place, realm.next, (proof, before));
+                }
+                Ok(())
+            }
+            Ok(None) => Ok(()),
+            // For when there is room.
+            Err(refusal) => {
+                self.abroad.put_spare(place, next, (proof, best));
+                Err(refusal)
+            }
         }
-        Ok(())
     }
 
     /// Keeps a box of an entity abroad, if this RIB knows for what it is.

@@ -444,6 +444,11 @@ impl Rib {
             .filter_map(|(name, state)| Some((*name, self.bits.of(name)?, state.attached.iter().copied().collect())))
     }
 
+    /// Whether a switch has reported, and is not forgotten since.
+    pub fn knows(&self, switch: &Name) -> bool {
+        self.switches.contains_key(switch)
+    }
+
     /// How many there are.
     pub fn switch_count(&self) -> usize {
         self.switches.keys().filter(|switch| self.bits.of(switch).is_some()).count()

@@ -161,12 +161,14 @@ async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
             }))
         }
         Request::Echo { peer } => probed(daemon.echo(peer).await.map(|time| json!({"rtt_us": time.map(micros)}))),
-        Request::Probe { name, switch, hops } => probed(daemon.probe(name, switch, hops).await.map(|hop| match hop {
-            Some(Hop { switch, end, time }) => {
-                json!({"switch": switch, "rtt_us": micros(time), "end": end.as_ref().map(ended)})
-            }
-            None => json!({"switch": null, "rtt_us": null, "end": null}),
-        })),
+        Request::Probe { name, switch, hops } => {
+            probed(daemon.probe(None, name, switch, hops).await.map(|hop| match hop {
+                Some(Hop { switch, end, time }) => {
+                    json!({"switch": switch, "rtt_us": micros(time), "end": end.as_ref().map(ended)})
+                }
+                None => json!({"switch": null, "rtt_us": null, "end": null}),
+            }))
+        }
         Request::Beyond { name, border, domain, peer } => {
             let domains = daemon.trace_beyond(name, border, (domain, peer)).await;
             Reply::Ok(json!({"domains": domains.iter().map(crossed).collect::<Vec<_>>()}))

@@ -227,7 +227,7 @@ impl Core {
             meters: BTreeMap::new(),
             refusals: Refusals::default(),
             events: Events::default(),
-            outstanding: Outstanding::new(),
+            outstanding: Outstanding::default(),
             told_of_rib: (0, 0),
             dark: BTreeSet::new(),
             unplaced: Default::default(),

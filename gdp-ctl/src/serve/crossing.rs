@@ -28,7 +28,7 @@ const PATIENCE: Duration = Duration::from_millis(4500);
 const MARGIN: Duration = Duration::from_millis(100);
 
 /// Egress switches that are probed for a neighbour, at most.
-const MAX_EGRESS: usize = 8;
+pub(super) const MAX_EGRESS: usize = 8;
 
 /// Echoes and probes for one switch, until one is answered.
 const TRIES: usize = 2;
@@ -48,7 +48,8 @@ pub enum Tracing {
 pub struct Entered {
     request: TraceOn,
     home: Name,
-    /// By which border switch of the other domain its frames come.
+    /// Which domain asks, and by which border switch of it the frames come.
+    asked_by: Name,
     from: Name,
     /// They may go on to a third domain.
     may_cross: bool,
@@ -102,9 +103,13 @@ impl Core {
         let paths = self.topology.paths();
         let bits = self.planes.route(&request.name).map_or(0, |entry| entry.egress_bits);
         let of = |bit: u8| (bits >> bit & 1 != 0).then(|| paths.bits.get(&bit).copied()).flatten();
-        let egress = (0..EGRESS_SET_SIZE as u8).filter_map(of).take(MAX_EGRESS).collect();
+        let egress: Vec<Name> = (0..EGRESS_SET_SIZE as u8).filter_map(of).take(MAX_EGRESS).collect();
+        if self.outstanding.room(Some(domain)) < egress.len() {
+            let reason = format!("probes of other traces for domain {domain:#} are under way; try again in a second");
+            return Err(Refusal::new(RefusalCode::Limit, reason));
+        }
         let (from, shown) = (from.peer().name, self.shown_inside);
-        Ok(Entered { request, home, from, may_cross: is_transit, shown, egress })
+        Ok(Entered { request, home, asked_by: domain, from, may_cross: is_transit, shown, egress })
     }
 }
 
@@ -186,12 +191,12 @@ impl Daemon {
 
     /// The way of a name through this domain, and beyond.
     async fn within(&self, entered: Entered) -> Vec<TracedDomain> {
-        let Entered { request, home, from, may_cross, shown, egress } = entered;
+        let Entered { request, home, asked_by, from, may_cross, shown, egress } = entered;
         let (own, name, until) = (self.name, request.name, deadline(&request));
         let shows_switches = shown == Inside::Open;
         // Half of the time, so that some is left for what is beyond.
         let half = Instant::now() + until.saturating_duration_since(Instant::now()) / 2;
-        let walks = join_all(egress.iter().map(|to| self.walk(name, *to, shows_switches, half))).await;
+        let walks = join_all(egress.iter().map(|to| self.walk(asked_by, name, *to, shows_switches, half))).await;
         let (walks, ends): (Vec<Walk>, Vec<Option<TracedEnd>>) = walks.into_iter().unzip();
         let leaves = egress.iter().zip(&ends).flat_map(|(border, end)| {
             let beyond = end.iter().flat_map(|end| &end.beyond).filter(|_| may_cross);
@@ -204,7 +209,14 @@ impl Daemon {
     }
 
     /// The way to an egress switch of this domain; its switches only if they are to be shown.
-    async fn walk(&self, name: Name, egress: Name, lists: bool, until: Instant) -> (Walk, Option<TracedEnd>) {
+    async fn walk(
+        &self,
+        asked_by: Name,
+        name: Name,
+        egress: Name,
+        lists: bool,
+        until: Instant,
+    ) -> (Walk, Option<TracedEnd>) {
         let mut walk = Walk::default();
         if egress == self.name {
             let end = self.core().end_of(&name);
@@ -213,7 +225,7 @@ impl Daemon {
         }
         let (mut hops, mut silent) = (if lists { 1 } else { INITIAL_HOP_LIMIT }, 0);
         loop {
-            let hop = timeout_at(until.into(), self.probed(name, egress, hops)).await.ok().flatten();
+            let hop = timeout_at(until.into(), self.probed(asked_by, name, egress, hops)).await.ok().flatten();
             if lists {
                 let (switch, time) = (hop.as_ref().map(|hop| hop.switch), hop.as_ref().map(|hop| hop.time));
                 let rtt_us = time.map(|time| time.as_micros() as u64);
@@ -231,9 +243,9 @@ impl Daemon {
         }
     }
 
-    async fn probed(&self, name: Name, egress: Name, hops: u8) -> Option<Hop> {
+    async fn probed(&self, asked_by: Name, name: Name, egress: Name, hops: u8) -> Option<Hop> {
         for _ in 0..TRIES {
-            if let Some(hop) = self.probe(name, egress, hops).await.ok()? {
+            if let Some(hop) = self.probe(Some(asked_by), name, egress, hops).await.ok()? {
                 return Some(hop);
             }
         }

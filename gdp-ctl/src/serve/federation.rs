@@ -2,10 +2,11 @@
 //! to make. Sans-IO.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::cert::{Border, BorderStatement, Locator, MAX_LOCATED, Revocation, Signed};
-use gdp::control::{RecordPlace, Response, Shown, TierKey, TierResponse};
+use gdp::cert::{Border, BorderStatement, CertError, Locator, MAX_LOCATED, MAX_LOCATOR, Revocation, Signed};
+use gdp::control::{RecordPlace, Refusal, RefusalCode, Response, Shown, TierKey, TierResponse};
 use gdp::domain::Trust;
 use gdp::keys::KeyBox;
 use gdp::name::NameProof;
@@ -15,30 +16,40 @@ use tokio::sync::oneshot;
 
 use super::core::Next;
 use super::peering::Wanted;
+use super::retries::Retries;
 use super::tiers::records;
 use crate::rib::{Foreign, Now, Rib};
 use crate::tiers::peering::{Peering, Peerings, choose};
-use crate::tiers::{self, Change, Item, Limits, OfEntity, Reply, Revoked, Ticket, Tiers};
+use crate::tiers::{self, Change, Held, Item, Limits, Reply, Revoked, Ticket, Tiers};
 
 /// What the RIB here has to do with other domains.
 pub struct Federation {
     pub(super) tiers: Tiers,
-    /// What switches of the domain have shown the RIB.
-    hosts: BTreeMap<Name, (NameProof, Shown)>,
+    /// The switches of the domain that the RIB knows, as they have shown themselves to it.
+    hosts: BTreeMap<Name, Host>,
     /// What entities have stated in this domain, by switch.
     stated: BTreeMap<Name, BTreeSet<RecordPlace>>,
     /// What is to be told anew, besides what the RIB says has changed.
     due: BTreeSet<RecordPlace>,
     /// By entity and the places it was told with.
     boxes: BTreeMap<Name, BTreeMap<RecordPlace, Vec<Signed<KeyBox>>>>,
-    /// The places abroad that the RIB was told of, and the neighbour that told.
-    given: BTreeMap<RecordPlace, Name>,
+    /// The places abroad of which the RIB did not take what it was told.
+    retries: Retries,
     pub(super) waiting: HashMap<Ticket, oneshot::Sender<TierResponse>>,
     peerings: Peerings,
     /// By domain.
     wanted_for: BTreeMap<Name, Peering>,
     /// What is wanted of each border, and when it is to be told.
     pub(super) wanted: BTreeMap<Name, (Wanted, Option<Duration>)>,
+}
+
+/// A switch of the domain. What it shows has been verified.
+struct Host {
+    shown: Shown,
+    /// If it is a border.
+    border: Option<Border>,
+    /// When what it shows is over, on the clock of the RIB.
+    ends: Duration,
 }
 
 /// What is known here of what was taken back.
@@ -62,7 +73,7 @@ impl Federation {
             stated: BTreeMap::new(),
             due: BTreeSet::new(),
             boxes: BTreeMap::new(),
-            given: BTreeMap::new(),
+            retries: Retries::default(),
             waiting: HashMap::new(),
             peerings: Peerings::default(),
             wanted_for: BTreeMap::new(),
@@ -72,25 +83,66 @@ impl Federation {
 
     /// When it has something to do by itself.
     pub fn next_tick(&self) -> Option<Duration> {
-        self.tiers.next_tick()
+        let ends = self.hosts.values().map(|host| host.ends);
+        ends.chain(self.tiers.next_tick()).chain(self.retries.next_tick()).min()
     }
 
     /// A switch of the domain shows its membership: what was stated there may be told with it.
-    pub(super) fn show(&mut self, switch: Name, proof: NameProof, shown: Shown) {
-        if self.hosts.get(&switch).is_some_and(|(_, held)| *held == shown) {
-            return;
+    pub(super) fn show(&mut self, now: Now, trust: &Trust, proof: &NameProof, shown: Shown) -> Result<(), CertError> {
+        let switch = proof.name()?;
+        if self.hosts.get(&switch).is_some_and(|held| held.shown == shown) {
+            return Ok(());
         }
-        self.due.extend(self.stated.get(&switch).into_iter().flatten());
-        self.hosts.insert(switch, (proof, shown));
-        self.tiers.set_own_locator(self.locator());
+        let home = trust.home();
+        let (revocation, membership) = (trust.revocation(&home), shown.membership.clone());
+        let member = membership.verify(home, revocation, now.unix)?;
+        if member.entity != switch {
+            return Err(CertError::WrongEntity { expected: switch, got: member.entity });
+        }
+        let border = shown.border.clone().map(|statement| Border { proof: *proof, statement, membership });
+        let located = border.as_ref().map(|border| border.verify(home, revocation, now.unix)).transpose()?;
+        let until = located.map_or(member.not_after, |located| located.not_after);
+        let ends =
+            now.clock + Duration::from_secs(until.saturating_sub(now.unix).saturating_add(1).min(u32::MAX.into()));
+        self.hosts.insert(switch, Host { shown, border, ends });
+        self.hosts_changed([switch]);
+        Ok(())
+    }
+
+    /// Forgets switches that are gone for good, and what is over.
+    pub(super) fn forget_hosts(&mut self, now: Now, rib: &Rib) {
+        self.retain_hosts(|switch, host| rib.knows(switch) && now.clock < host.ends);
+    }
+
+    /// The domain has taken something back.
+    pub(super) fn recheck_hosts(&mut self, revocation: Option<&Revocation>) {
+        self.retain_hosts(|_, host| host.shown.membership.check_revoked(revocation).is_ok());
+    }
+
+    fn retain_hosts(&mut self, stands: impl Fn(&Name, &Host) -> bool) {
+        let gone: Vec<Name> =
+            self.hosts.iter().filter(|(name, host)| !stands(name, host)).map(|(name, _)| *name).collect();
+        gone.iter().for_each(|switch| _ = self.hosts.remove(switch));
+        self.hosts_changed(gone);
+    }
+
+    fn hosts_changed(&mut self, switches: impl IntoIterator<Item = Name>) {
+        let mut switches = switches.into_iter().peekable();
+        if switches.peek().is_some() {
+            self.due.extend(switches.filter_map(|switch| self.stated.get(&switch)).flatten());
+            self.tiers.set_own_locator(self.locator());
+        }
     }
 
     fn locator(&self) -> Locator {
-        let borders = self.hosts.values().filter_map(|(proof, shown)| {
-            let (statement, membership) = (shown.border.clone()?, shown.membership.clone());
-            Some(Border { proof: *proof, statement, membership })
-        });
-        Locator { borders: borders.take(MAX_LOCATED).collect() }
+        let mut locator = Locator::default();
+        for border in self.hosts.values().filter_map(|host| host.border.as_ref()) {
+            locator.borders.push(border.clone());
+            if locator.borders.len() > MAX_LOCATED || locator.size() > MAX_LOCATOR {
+                locator.borders.pop();
+            }
+        }
+        locator
     }
 
     /// Finds out which peerings are to be made. `is_linked`: there is a link to this domain, other than by this peering.
@@ -150,10 +202,12 @@ impl Federation {
                 writers.insert(place.entity);
                 boxes.insert(place, export.boxes);
             }
-            // Otherwise once the switch has reported.
-            if let Some((_, host)) = self.hosts.get(&place.switch)
-                && let Err(error) = self.tiers.set_own(now, export.record, host.membership.clone())
-            {
+            // Once the switch has reported.
+            let Some(host) = self.hosts.get(&place.switch) else {
+                self.tiers.remove_own(place);
+                continue;
+            };
+            if let Err(error) = self.tiers.set_own(now, export.record, host.shown.membership.clone()) {
                 tracing::error!(%error, "the RIB holds a record that cannot be told to other domains");
             }
         }
@@ -167,41 +221,61 @@ impl Federation {
         self.stated.retain(|_, places| !places.is_empty());
     }
 
-    /// Tells the RIB what it may know of other domains.
+    /// Tells the RIB what it may know of other domains: what has changed, and what it refused before for what is over by now.
     pub(super) fn inform(&mut self, now: Now, rib: &mut Rib) {
-        let mut entities = BTreeSet::new();
+        let mut places: BTreeSet<RecordPlace> = self.retries.take_due(now.clock).into_iter().collect();
         for change in self.tiers.take_changes(now) {
             match change {
                 Change::Remove(TierKey::Part(place)) => {
-                    if let Some(next) = self.given.remove(&place) {
-                        rib.remove_foreign(now, &place, &next);
-                    }
+                    places.remove(&place);
+                    self.retries.settled(&place);
+                    rib.told_by(&place).iter().for_each(|next| rib.remove_foreign(now, &place, next));
                 }
-                Change::Set(Item::Part { held, .. }) => drop(entities.insert(held.place.entity)),
+                Change::Set(Item::Part { held, .. }) => drop(places.insert(held.place)),
                 Change::Set(Item::Box(signed)) => {
-                    entities.extend(signed.claims_unverified().map(|claims| claims.writer));
+                    let writer = signed.claims_unverified().map(|claims| claims.writer);
+                    let parts = writer.into_iter().flat_map(|writer| self.tiers.known_of(writer).parts);
+                    places.extend(parts.map(|(held, _)| held.place));
                 }
                 // The RIB lets go of boxes by itself, and of places it is told with which they go.
                 Change::Set(Item::Locator { .. }) | Change::Remove(_) => {}
             }
         }
-        for entity in entities {
-            let OfEntity { parts, boxes } = self.tiers.known_of(entity);
-            for (held, only_passes) in parts {
-                let (Some(domain), Some(next)) = (held.path.first().copied(), held.path.last().copied()) else {
-                    continue;
-                };
-                let mut record = held.record.clone();
-                record.expires_in = held.ends.saturating_sub(now.clock).as_secs();
-                let (hops, boxes) = (held.path.len() as u32, boxes.clone());
-                let foreign = Foreign { record, domain, next, hops, boxes, local: !only_passes };
-                if let Err(refusal) = rib.set_foreign(now, foreign) {
-                    tracing::warn!(%refusal, domain = %format_args!("{domain:#}"), "the RIB does not take what another domain told");
-                }
-                if let Some(before) = self.given.insert(held.place, next).filter(|before| *before != next) {
-                    rib.remove_foreign(now, &held.place, &before);
-                }
+        let mut boxes = BTreeMap::new();
+        for place in places {
+            let boxes = boxes.entry(place.entity).or_insert_with(|| self.tiers.known_of(place.entity).boxes);
+            match self.tiers.known_at(&place).and_then(|(held, only_passes)| foreign(now, held, only_passes, boxes)) {
+                Some(foreign) => self.give(now, rib, place, foreign),
+                None => self.retries.settled(&place),
             }
+        }
+    }
+
+    /// Tells the RIB of one place: of all neighbours that have told of it, what this one says counts.
+    fn give(&mut self, now: Now, rib: &mut Rib, place: RecordPlace, foreign: Foreign) {
+        let (domain, next) = (foreign.domain, foreign.next);
+        let taken = rib.set_foreign(now, foreign);
+        let others: Vec<Name> = rib.told_by(&place).into_iter().filter(|other| *other != next).collect();
+        others.iter().for_each(|other| rib.remove_foreign(now, &place, other));
+        let is_refused = taken.is_err();
+        let refusal = match taken.unwrap_or_else(Some) {
+            Some(refusal) => refusal,
+            None if rib.next_of(&place) == Some(next) => return self.retries.settled(&place),
+            None => Refusal::new(RefusalCode::Limit, "there was no room when it was to take the place of another"),
+        };
+        let is_first = if may_be_taken_later(&refusal) {
+            self.retries.refused(now.clock, place) == 1
+        } else {
+            self.retries.settled(&place);
+            if is_refused {
+                rib.remove_foreign(now, &place, &next);
+            }
+            true
+        };
+        let domain = format_args!("{domain:#}");
+        match is_first {
+            true => tracing::warn!(%refusal, %domain, "the RIB does not take all that another domain told"),
+            false => tracing::debug!(%refusal, %domain, "nor does the RIB take it now"),
         }
     }
 
@@ -236,3 +310,20 @@ impl Federation {
         shown.collect()
     }
 }
+
+/// As the RIB is told it; none of what this domain says itself.
+fn foreign(now: Now, held: Arc<Held>, only_passes: bool, boxes: &[Signed<KeyBox>]) -> Option<Foreign> {
+    let (domain, next) = (*held.path.first()?, *held.path.last()?);
+    let mut record = held.record.clone();
+    record.expires_in = held.ends.saturating_sub(now.clock).as_secs();
+    Some(Foreign { record, domain, next, hops: held.path.len() as u32, boxes: boxes.to_vec(), local: !only_passes })
+}
+
+/// Whether it was refused for what else the RIB holds, and not for what it is.
+fn may_be_taken_later(refusal: &Refusal) -> bool {
+    use RefusalCode::{Limit, ReplayedSerial, Unsupported, WrongSwitch};
+    matches!(refusal.code, Limit | ReplayedSerial | Unsupported | WrongSwitch)
+}
+
+#[cfg(test)]
+mod tests;

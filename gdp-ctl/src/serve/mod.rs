@@ -22,6 +22,7 @@ mod ports;
 mod refusals;
 mod replica;
 mod report;
+mod retries;
 pub mod routes;
 mod status;
 mod term;

@@ -64,12 +64,15 @@ impl Core {
 
     /// Brings RIB and tiers in line with each other. Returns what is to be sent to other domains.
     pub(super) fn federation_effects(&mut self) -> Vec<Outgoing> {
-        let (now, own, proof, shown) = (self.now(), self.name(), self.identity.proof(), self.shown());
+        let (now, proof, shown) = (self.now(), self.identity.proof(), self.shown());
         let (Some(rib), Some(federation), Some(domain)) = (&mut self.rib, &mut self.federation, &self.domain) else {
             return Vec::new();
         };
-        if let Some(shown) = shown {
-            federation.show(own, proof, shown);
+        federation.forget_hosts(now, rib);
+        if let Some(shown) = shown
+            && let Err(error) = federation.show(now, &domain.trust, &proof, shown)
+        {
+            tracing::debug!(%error, "this switch has no membership to show other domains");
         }
         federation.follow(now, rib);
         federation.inform(now, rib);
@@ -97,7 +100,7 @@ impl Core {
         let mut outgoing: Vec<Outgoing> =
             outgoing.into_iter().map(|(to, sent, request)| self.to_domain(to, sent, request)).collect();
         for (border, wanted) in due {
-            if border == own {
+            if border == self.name() {
                 self.set_peerings(wanted);
                 continue;
             }
@@ -244,13 +247,8 @@ impl Core {
         if let Some((_, due)) = federation.wanted.get_mut(&switch) {
             *due = Some(now.clock);
         }
-        let home = domain.trust.home();
-        match shown.membership.verify(home, domain.trust.revocation(&home), now.unix) {
-            Ok(claims) if claims.entity == switch => federation.show(switch, *proof, shown),
-            Ok(claims) => {
-                tracing::warn!(%switch, of = %claims.entity, "a switch shows another's membership to the RIB")
-            }
-            Err(error) => tracing::warn!(%switch, %error, "a switch shows the RIB a membership that does not hold"),
+        if let Err(error) = federation.show(now, &domain.trust, proof, shown) {
+            tracing::warn!(%switch, %error, "what a switch shows the RIB, for other domains, does not hold");
         }
     }
 
@@ -259,6 +257,10 @@ impl Core {
         let now = self.now();
         if let (Some(rib), Some(federation), Some(domain)) = (&self.rib, &mut self.federation, &self.domain) {
             federation.tiers.reconsider(now, about, &Known { rib, trust: &domain.trust });
+            let home = domain.trust.home();
+            if about == home {
+                federation.recheck_hosts(domain.trust.revocation(&home));
+            }
         }
     }
 

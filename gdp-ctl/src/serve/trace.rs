@@ -17,17 +17,62 @@ use tokio::time::timeout;
 use super::Daemon;
 use super::control::onward;
 use super::core::Core;
+use super::crossing::MAX_EGRESS;
 use crate::domain::Standing;
 use crate::plane::notices::Punted;
 
 /// How long an answer may take.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Probes that wait for their answers at once.
+/// Probes for this domain's own people that wait for their answers at once.
 const MAX_OUTSTANDING: usize = 64;
 
-/// Those who wait for answers to probes, by cookie.
-pub type Outstanding = HashMap<u64, oneshot::Sender<(Traced, Instant)>>;
+/// The same for each neighbouring domain, besides: two of its traces.
+const MAX_FOR_NEIGHBOUR: usize = 2 * MAX_EGRESS;
+
+/// Those who wait for answers to probes. Each domain has its share: what others trace here keeps nobody else from it.
+#[derive(Default)]
+pub struct Outstanding(HashMap<u64, Waiting>);
+
+struct Waiting {
+    /// The neighbouring domain that asked; none for this one.
+    asked_by: Option<Name>,
+    answer: oneshot::Sender<(Traced, Instant)>,
+}
+
+impl Outstanding {
+    /// How many more there may be for a neighbouring domain, or this one. Of those that nobody waits for any more none counts.
+    pub fn room(&mut self, asked_by: Option<Name>) -> usize {
+        self.0.retain(|_, waiting| !waiting.answer.is_closed());
+        let held = self.0.values().filter(|waiting| waiting.asked_by == asked_by).count();
+        share(asked_by).saturating_sub(held)
+    }
+
+    /// An answer with this cookie is waited for from now on, until the receiver is dropped.
+    fn wait(
+        &mut self,
+        asked_by: Option<Name>,
+        cookie: u64,
+    ) -> Result<oneshot::Receiver<(Traced, Instant)>, ProbeError> {
+        if self.room(asked_by) == 0 {
+            return Err(ProbeError::Busy(share(asked_by)));
+        }
+        let (answer, waiting) = oneshot::channel();
+        self.0.insert(cookie, Waiting { asked_by, answer });
+        Ok(waiting)
+    }
+
+    fn answer(&mut self, answer: Traced) {
+        if let Some(waiting) = self.0.remove(&answer.cookie) {
+            // Whoever asked may have given up.
+            let _ = waiting.answer.send((answer, Instant::now()));
+        }
+    }
+}
+
+fn share(asked_by: Option<Name>) -> usize {
+    if asked_by.is_some() { MAX_FOR_NEIGHBOUR } else { MAX_OUTSTANDING }
+}
 
 /// Why there is nothing to probe.
 #[derive(Debug, thiserror::Error)]
@@ -45,8 +90,8 @@ pub enum ProbeError {
     NoPath(Name),
     #[error("there is no link to {0:#} now")]
     NoLink(Name),
-    #[error("{MAX_OUTSTANDING} probes wait for their answers already; try again")]
-    Busy,
+    #[error("{0} probes wait for their answers already; try again")]
+    Busy(usize),
     #[error("no random number for a cookie: {0}")]
     Random(String),
 }
@@ -87,13 +132,17 @@ pub async fn run(daemon: Arc<Daemon>) {
 
 impl Daemon {
     /// Sends a probe for `name` toward an egress switch, `hops` switches far at most, and waits for its answer. `None`: there was none.
-    pub(super) async fn probe(&self, name: Name, switch: Name, hops: u8) -> Result<Option<Hop>, ProbeError> {
-        let cookie = cookie()?;
-        let (waiting, answer) = oneshot::channel();
+    /// `asked_by`: the neighbouring domain it is for.
+    pub(super) async fn probe(
+        &self,
+        asked_by: Option<Name>,
+        name: Name,
+        switch: Name,
+        hops: u8,
+    ) -> Result<Option<Hop>, ProbeError> {
         let sent = Instant::now();
-        self.core().send_probe(name, switch, hops, (cookie, waiting))?;
+        let answer = self.core().send_probe(asked_by, name, switch, hops)?;
         let answer = timeout(PATIENCE, answer).await.ok().and_then(Result::ok);
-        self.core().outstanding.remove(&cookie);
         Ok(answer.map(|(Traced { switch, end, .. }, at)| Hop { switch, end, time: at - sent }))
     }
 
@@ -166,10 +215,7 @@ impl Core {
 
     /// An answer has come to a probe of this switch.
     pub(super) fn probe_answered(&mut self, answer: Traced) {
-        if let Some(waiting) = self.outstanding.remove(&answer.cookie) {
-            // Whoever asked may have given up.
-            let _ = waiting.send((answer, Instant::now()));
-        }
+        self.outstanding.answer(answer);
     }
 
     /// The answer to a probe that ended here, and by which link it goes; none if it came from another domain, to which the inside of this
@@ -186,25 +232,52 @@ impl Core {
 
     fn send_probe(
         &mut self,
+        asked_by: Option<Name>,
         name: Name,
         switch: Name,
         hops: u8,
-        (cookie, waiting): (u64, oneshot::Sender<(Traced, Instant)>),
-    ) -> Result<(), ProbeError> {
+    ) -> Result<oneshot::Receiver<(Traced, Instant)>, ProbeError> {
         let bit = self.topology.paths().bit(&switch).ok_or(ProbeError::NoPath(switch))?;
         let link = self.planes.next_hop(bit);
         if link == 0 {
             return Err(ProbeError::NoPath(switch));
         }
-        if self.outstanding.len() >= MAX_OUTSTANDING {
-            return Err(ProbeError::Busy);
-        }
-        self.outstanding.insert(cookie, waiting);
+        let cookie = cookie()?;
+        let answer = self.outstanding.wait(asked_by, cookie)?;
         self.planes.probe(link, Header::probe(name, self.name(), bit, hops.max(1)), cookie);
-        Ok(())
+        Ok(answer)
     }
 }
 
 fn cookie() -> Result<u64, ProbeError> {
     crypto::random().map(u64::from_ne_bytes).map_err(|error| ProbeError::Random(error.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_domain_uses_up_what_is_for_others() {
+        let (mut outstanding, [one, other]) = (Outstanding::default(), [1, 2].map(|i| Name::from_bytes([i; 32])));
+        let mut cookies = 0..;
+        let mut fill = |outstanding: &mut Outstanding, asked_by| {
+            let mut wait = || outstanding.wait(asked_by, cookies.next().unwrap()).ok();
+            std::iter::from_fn(&mut wait).take(1000).collect::<Vec<_>>()
+        };
+        let of_one = fill(&mut outstanding, Some(one));
+        assert_eq!((of_one.len(), outstanding.room(Some(one))), (MAX_FOR_NEIGHBOUR, 0));
+        let (of_other, mut own) = (fill(&mut outstanding, Some(other)), fill(&mut outstanding, None));
+        assert_eq!((of_other.len(), own.len()), (MAX_FOR_NEIGHBOUR, MAX_OUTSTANDING));
+
+        // The first cookie is one of the first domain; an answer, and a wait that was given up, make room.
+        let name = Name::from_bytes([3; 32]);
+        outstanding.answer(Traced { cookie: 0, switch: name, end: None });
+        assert_eq!((outstanding.room(Some(one)), outstanding.room(None)), (1, 0));
+        own.truncate(10);
+        assert_eq!((outstanding.room(Some(one)), outstanding.room(None)), (1, MAX_OUTSTANDING - 10));
+        drop(of_one);
+        assert_eq!(outstanding.room(Some(one)), MAX_FOR_NEIGHBOUR);
+        assert_eq!(outstanding.room(Some(other)), 0);
+    }
 }

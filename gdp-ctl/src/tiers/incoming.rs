@@ -8,11 +8,11 @@ use gdp::control::{
 };
 use gdp_wire::Name;
 
-use super::judge::{Judge, Revoked, TierRefusal, check_path};
+use super::judge::{Judge, Judged, Revoked, check_path};
 use super::queries::Climbing;
 use super::side::{Kind, Side, Standing};
 use super::table::{Held, Item};
-use super::{Limits, Reply, Tiers};
+use super::{Reply, Tiers};
 use crate::rib::Now;
 
 /// Bytes of the records in an answer.
@@ -45,7 +45,8 @@ impl Tiers {
                 let reason = format!("domain {:#} has {limit} children, and that is the limit", self.home);
                 return Err(Refusal::new(RefusalCode::Limit, reason));
             }
-            self.sides.insert(from, Side::new(now.clock, Kind::Child));
+            self.run += 1;
+            self.sides.insert(from, Side::new(now.clock, Kind::Child, self.run));
             self.all_changed();
         }
         let mut above: BTreeSet<Name> = BTreeSet::new();
@@ -56,13 +57,13 @@ impl Tiers {
             }
         }
         let Some(side) = self.sides.get_mut(&from) else { return Err(not_a_neighbour(from)) };
-        side.hello(now.clock, self.run, run, holds);
+        side.hello(now.clock, run, holds);
         if above.len() > MAX_ANCESTORS {
             let reason = format!("more than {MAX_ANCESTORS} domains are above domain {:#}", self.home);
             return Err(Refusal::new(RefusalCode::Limit, reason));
         }
         let ancestors = above.into_iter().collect();
-        Ok(TierResponse::Hello { run: self.run, holds: side.table.holds(), ancestors })
+        Ok(TierResponse::Hello { run: side.run, holds: side.table.holds(), ancestors })
     }
 
     fn push(&mut self, now: Now, from: Name, push: TierPush, revoked: &impl Revoked) -> Result<TierResponse, Refusal> {
@@ -90,20 +91,12 @@ impl Tiers {
         for entry in push.set {
             // What it said before about the same it says no more, even if what it says now is refused.
             let key = key_of(&entry);
-            let judged = judge.entry(from, &side.table, entry).and_then(|(key, item, ends)| {
-                let is_new = side.table.get(&key).is_none();
-                let Limits { entries, bytes, .. } = self.limits;
-                for (what, held, limit) in
-                    [("entries", side.table.len(), entries), ("bytes", side.table.bytes() + item.size(), bytes)]
-                {
-                    if is_new && held >= limit {
-                        return Err(TierRefusal::Full { what, limit });
-                    }
-                }
-                Ok((key, item, ends))
-            });
-            match judged {
-                Ok((key, item, ends)) => {
+            let judged = judge.entry(from, &side.table, entry);
+            let fits = |judged: &Judged| side.table.check_room(&judged.key, &judged.item, &self.limits);
+            match judged.and_then(|judged| fits(&judged).map(|()| judged)) {
+                Ok(Judged { key, item, ends, left_out }) => {
+                    left_out.iter().for_each(|refusal| side.count(refusal.as_str()));
+                    refusals.extend(left_out);
                     self.endings.set(from, key, (ends != Duration::MAX).then_some(ends));
                     if side.table.insert(key, item) {
                         changed.insert(key);

@@ -1,11 +1,12 @@
 //! Nothing that a neighbour says is taken in before it is verified here: paths, signatures, memberships, scopes, bounds. Each refusal
 //! has a reason that is counted.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::cert::domain::roles;
-use gdp::cert::{BorderStatement, CertError, Membership, Revocation};
+use gdp::cert::{BorderStatement, CertError, Locator, Membership, Revocation};
 use gdp::control::{Abroad, MAX_PATH, Record, TierEntry, TierKey};
 use gdp_wire::Name;
 
@@ -43,8 +44,14 @@ pub enum TierRefusal {
     Box { writer: Name, source: Box<CertError> },
     #[error("the locator of domain {domain:#}: {source}")]
     Locator { domain: Name, source: Box<CertError> },
+    #[error(
+        "the locator of domain {0:#} names no border switch: who can be reached nowhere is to take its locator back"
+    )]
+    Nowhere(Name),
     #[error("{limit} {what} of one domain are kept: that is the limit of this RIB")]
     Full { what: &'static str, limit: usize },
+    #[error("{limit} parts in {name:#} of one domain are kept: that is the limit of this RIB")]
+    NameFull { name: Name, limit: usize },
 }
 
 impl TierRefusal {
@@ -57,7 +64,9 @@ impl TierRefusal {
             Self::OutOfScope { .. } => "scope",
             Self::Ended(_) => "ended",
             Self::NoWriter(_) => "no_writer",
+            Self::Nowhere(_) => "nowhere",
             Self::Full { .. } => "limit",
+            Self::NameFull { .. } => "name_limit",
             Self::Record { source, .. }
             | Self::Host { source, .. }
             | Self::Box { source, .. }
@@ -81,8 +90,15 @@ pub struct Judge<'a, R> {
     pub revoked: &'a R,
 }
 
-/// What is taken in, and when it ends.
-pub type Judged = (TierKey, Item, Duration);
+/// What is taken in.
+#[derive(Debug)]
+pub struct Judged {
+    pub key: TierKey,
+    pub item: Item,
+    pub ends: Duration,
+    /// Why borders of a locator were left out.
+    pub left_out: Vec<TierRefusal>,
+}
 
 impl<R: Revoked> Judge<'_, R> {
     /// Judges what `from` says, of which `table` is held already.
@@ -91,7 +107,7 @@ impl<R: Revoked> Judge<'_, R> {
             TierEntry::Part(abroad) => {
                 let held = self.part(from, table, *abroad)?;
                 let (key, ends) = (TierKey::Part(held.place), held.ends);
-                Ok((key, Item::part(Arc::new(held)), ends))
+                Ok(Judged { key, item: Item::part(Arc::new(held)), ends, left_out: Vec::new() })
             }
             TierEntry::Box(signed) => {
                 let unreadable = |source: CertError| TierRefusal::Box { writer: from, source: source.into() };
@@ -105,34 +121,56 @@ impl<R: Revoked> Judge<'_, R> {
                     let signer = part.record.entity.verify_key().map_err(|error| wrong(error.into()))?;
                     signed.verify_signature(&signer).map_err(wrong)?;
                 }
-                Ok((key, item, Duration::MAX))
+                Ok(Judged { key, item, ends: Duration::MAX, left_out: Vec::new() })
             }
-            TierEntry::Locator { domain, locator } => {
-                let wrong = |source: CertError| TierRefusal::Locator { domain, source: source.into() };
-                if domain == self.home {
-                    return Err(TierRefusal::Cycle(domain));
-                }
-                let key = TierKey::Locator(domain);
-                let statements = locator.verify(domain, self.revoked.newest(&domain), self.now.unix).map_err(wrong)?;
-                if let Some(Item::Locator { locator: held, .. }) = table.get(&key) {
-                    for held in &held.borders {
-                        let held = held.statement.claims_unverified().map_err(wrong)?;
-                        let older = |new: &&BorderStatement| new.switch == held.switch && new.serial < held.serial;
-                        if let Some(new) = statements.iter().find(older) {
-                            return Err(wrong(CertError::ReplayedSerial { got: new.serial, floor: held.serial }));
-                        }
-                    }
-                }
-                let until = statements.iter().map(|statement| statement.not_after).min();
-                let ends = until.map_or(Duration::MAX, |until| self.clock_at(until));
-                Ok((key, Item::Locator { domain, locator: Arc::new(locator) }, ends))
-            }
+            TierEntry::Locator { domain, locator } => self.locator(table, domain, locator),
         }
     }
 
-    /// Whether something that is held would still be taken in.
+    fn locator(&self, table: &Table, domain: Name, locator: Locator) -> Result<Judged, TierRefusal> {
+        let wrong = |source: CertError| TierRefusal::Locator { domain, source: source.into() };
+        if domain == self.home {
+            return Err(TierRefusal::Cycle(domain));
+        }
+        let key = TierKey::Locator(domain);
+        let verified = locator.verify(domain, self.revoked.newest(&domain), self.now.unix).map_err(wrong)?;
+        let mut floors = BTreeMap::new();
+        if let Some(Item::Locator { locator: held, .. }) = table.get(&key) {
+            for held in &held.borders {
+                let held = held.statement.claims_unverified().map_err(wrong)?;
+                floors.insert(held.switch, held.serial);
+            }
+        }
+        let (mut borders, mut left_out, mut until) = (Vec::new(), Vec::new(), u64::MAX);
+        for (border, verified) in locator.borders.into_iter().zip(verified) {
+            let is_older = |new: &BorderStatement| floors.get(&new.switch).copied().filter(|floor| new.serial < *floor);
+            match verified.and_then(|new| match is_older(&new) {
+                Some(floor) => Err(CertError::ReplayedSerial { got: new.serial, floor }),
+                None => Ok(new.not_after),
+            }) {
+                Ok(not_after) => {
+                    until = until.min(not_after);
+                    borders.push(border);
+                }
+                Err(source) => left_out.push(wrong(source)),
+            }
+        }
+        if borders.is_empty() {
+            return Err(left_out.into_iter().next().unwrap_or(TierRefusal::Nowhere(domain)));
+        }
+        let item = Item::Locator { domain, locator: Arc::new(Locator { borders }) };
+        Ok(Judged { key, item, ends: self.clock_at(until), left_out })
+    }
+
+    /// Whether nothing that something rests on has been taken back since it was verified. When it ends is known besides.
     pub fn still_holds(&self, held: &Held) -> Result<(), TierRefusal> {
-        self.verify(&held.record, &held.host, held.origin(self.home)).map(drop)
+        let (name, switch, domain) = (held.place.name, held.place.switch, held.origin(self.home));
+        let wrong_host = |source: CertError| TierRefusal::Host { switch, domain, source: source.into() };
+        held.host.check_revoked(self.revoked.newest(&domain)).map_err(wrong_host)?;
+        let Some(revocation) = self.revoked.newest(&name) else { return Ok(()) };
+        let serials = held.record.credential.serials();
+        let check = |serials: Vec<_>| serials.into_iter().try_for_each(|(what, serial)| revocation.check(what, serial));
+        serials.and_then(check).map_err(|source| TierRefusal::Record { name, source: source.into() })
     }
 
     fn part(&self, from: Name, table: &Table, abroad: Abroad) -> Result<Held, TierRefusal> {

@@ -8,7 +8,9 @@
 //!
 //! What a neighbour that lies can do is to withhold, and to say what its own domain alone may say.
 
+mod endings;
 mod incoming;
+mod interest;
 mod judge;
 mod outgoing;
 pub mod peering;
@@ -17,21 +19,21 @@ mod side;
 mod spread;
 mod table;
 #[cfg(test)]
-mod tests;
+pub mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::cert::{CertError, Locator, Membership, Signed};
-use gdp::control::{Record, RecordPlace, TierKey, TierRequest, TierResponse};
+use gdp::control::{Record, RecordPlace, TierHolds, TierKey, TierRequest, TierResponse};
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
 use crate::feed::Room;
 use crate::rib::Now;
-use judge::Judge;
-use queries::{PATIENCE, Queries};
+use endings::Endings;
+use queries::Queries;
 use side::{Side, Told};
 use table::Table;
 
@@ -47,11 +49,14 @@ pub struct Limits {
     pub entries: usize,
     /// Of each neighbour.
     pub bytes: usize,
+    /// Of each neighbour: more than anybody here exchanges messages with in one name (`counterparts` of [`crate::rib::Limits`]), of
+    /// writers and readers each.
+    pub parts_per_name: usize,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { children: 1024, entries: 1 << 20, bytes: 1 << 30 }
+        Self { children: 1024, entries: 1 << 20, bytes: 1 << 30, parts_per_name: 8192 }
     }
 }
 
@@ -67,8 +72,11 @@ pub enum Effect {
 /// Which message it was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sent {
-    Hello,
-    Push { generation: u64 },
+    /// `run`: as in the message, which may be of a side that is no more when the answer comes.
+    Hello {
+        run: u64,
+    },
+    Push(TierHolds),
     Query(Ticket),
 }
 
@@ -109,6 +117,7 @@ pub struct Neighbour {
 #[derive(Debug)]
 pub struct Tiers {
     home: Name,
+    /// Of the side that was made last.
     run: u64,
     limits: Limits,
     /// In the order in which they are asked.
@@ -129,38 +138,10 @@ pub struct Tiers {
     strangers: u64,
 }
 
-/// When what neighbours said ends.
-#[derive(Debug, Default)]
-struct Endings {
-    at: BTreeSet<(Duration, Name, TierKey)>,
-    of: BTreeMap<(Name, TierKey), Duration>,
-}
-
-impl Endings {
-    fn set(&mut self, domain: Name, key: TierKey, ends: Option<Duration>) {
-        let before = match ends {
-            Some(ends) => self.of.insert((domain, key), ends),
-            None => self.of.remove(&(domain, key)),
-        };
-        if let Some(before) = before {
-            self.at.remove(&(before, domain, key));
-        }
-        if let Some(ends) = ends {
-            self.at.insert((ends, domain, key));
-        }
-    }
-
-    fn take_ended(&mut self, now: Duration) -> Option<(Name, TierKey)> {
-        let (ends, domain, key) = self.at.first().copied().filter(|(ends, ..)| *ends <= now)?;
-        self.at.remove(&(ends, domain, key));
-        self.of.remove(&(domain, key));
-        Some((domain, key))
-    }
-}
-
 /// What the own domain says of itself.
 impl Tiers {
-    /// Of domain `home`, in this run of its RIB: another number each time.
+    /// Of domain `home`. What it tells neighbours is of runs above `run`, one for each that comes: nanoseconds since any fixed time do, as
+    /// they are ahead of whatever an earlier RIB has come to.
     pub fn new(home: Name, run: u64, limits: Limits) -> Self {
         Self {
             home,
@@ -194,7 +175,11 @@ impl Tiers {
         }
         for (index, parent) in parents.iter().enumerate().filter(|(_, parent)| **parent != self.home) {
             let kind = Kind::Parent(index);
-            self.sides.entry(*parent).or_insert_with(|| Side::new(now.clock, kind)).kind = kind;
+            let new = || {
+                self.run += 1;
+                Side::new(now.clock, kind, self.run)
+            };
+            self.sides.entry(*parent).or_insert_with(new).kind = kind;
         }
         self.parents = parents;
         self.all_changed();
@@ -251,10 +236,14 @@ impl Tiers {
         Ok(())
     }
 
-    /// Where this domain can be reached.
+    /// Where this domain can be reached; nowhere, if no border is named.
     pub fn set_own_locator(&mut self, locator: Locator) {
         let (key, domain) = (TierKey::Locator(self.home), self.home);
-        if self.own.insert(key, Item::Locator { domain, locator: Arc::new(locator) }) {
+        let changed = match locator.borders.is_empty() {
+            true => self.own.remove(&key).is_some(),
+            false => self.own.insert(key, Item::Locator { domain, locator: Arc::new(locator) }),
+        };
+        if changed {
             self.changed(key);
         }
     }
@@ -272,6 +261,14 @@ impl Tiers {
     /// What the own RIB may know of an entity of another domain, with the keys it has for readers here.
     pub fn known_of(&self, entity: Name) -> OfEntity {
         self.known.of(entity)
+    }
+
+    /// The part at a place that the own RIB may know, and whether it only passes through this domain.
+    pub fn known_at(&self, place: &RecordPlace) -> Option<(Arc<Held>, bool)> {
+        match self.known.feed.entries().get(&TierKey::Part(*place)) {
+            Some(Item::Part { held, only_passes }) => Some((held.clone(), *only_passes)),
+            _ => None,
+        }
     }
 
     pub fn parents(&self) -> &[Name] {
@@ -309,89 +306,8 @@ impl Tiers {
     }
 }
 
-/// What ends by itself.
+/// What has changed, and what is refused.
 impl Tiers {
-    /// An owner of a name, or a domain, has taken something back: what rests on it goes.
-    pub fn reconsider(&mut self, now: Now, about: Name, revoked: &impl Revoked) {
-        let judge = Judge { home: self.home, now, revoked };
-        let mut gone = Vec::new();
-        for (domain, side) in &self.sides {
-            let concerned = |held: &&Arc<Held>| held.place.name == about || held.origin(self.home) == about;
-            for held in side.table.parts().filter(concerned) {
-                if let Err(refusal) = judge.still_holds(held) {
-                    gone.push((*domain, TierKey::Part(held.place), refusal));
-                }
-            }
-        }
-        for (domain, key, refusal) in gone {
-            self.count(domain, refusal.as_str());
-            self.forget(domain, key);
-        }
-    }
-
-    pub fn tick(&mut self, now: Now) {
-        while let Some((domain, key)) = self.endings.take_ended(now.clock) {
-            self.forget(domain, key);
-        }
-        let mut gone = Vec::new();
-        for (domain, side) in &mut self.sides {
-            if side.kind == Kind::Child && now.clock >= side.heard + SILENCE {
-                side.lose(now.clock);
-            }
-            if matches!(side.standing, Standing::Lost(since) if now.clock >= since + HOLD) {
-                gone.push(*domain);
-            }
-        }
-        for domain in gone {
-            self.clear(domain);
-            match self.sides.get_mut(&domain) {
-                Some(side) if side.kind.is_parent() => {
-                    side.standing = Standing::Waiting;
-                    side.ancestors.clear();
-                }
-                _ => drop(self.sides.remove(&domain)),
-            }
-        }
-        self.queries.expire(now.clock);
-        for ticket in self.queries.overdue(now.clock) {
-            if let Some(climbing) = self.queries.climbing.get_mut(&ticket) {
-                (climbing.at, climbing.until) = (None, now.clock + PATIENCE);
-            }
-        }
-    }
-
-    /// When [`Self::effects`] has something to do, if nothing else happens before.
-    pub fn next_tick(&self) -> Option<Duration> {
-        let sides = self.sides.iter().flat_map(|(domain, side)| {
-            let can_ask = self.adjacent.contains(domain) && !side.is_asked;
-            let hello = (can_ask && side.kind.is_parent()).then_some(side.hello_at);
-            let retry = side.told.feed.retry_at().filter(|_| can_ask && side.is_followed());
-            let silence = (side.kind == Kind::Child && side.standing == Standing::Up).then(|| side.heard + SILENCE);
-            let hold = match side.standing {
-                Standing::Lost(since) => Some(since + HOLD),
-                _ => None,
-            };
-            [hello, retry, silence, hold].into_iter().flatten()
-        });
-        sides.chain(self.endings.at.first().map(|(ends, ..)| *ends)).chain(self.queries.next_tick()).min()
-    }
-
-    /// Forgets all that a neighbour said.
-    fn clear(&mut self, domain: Name) {
-        let Some(side) = self.sides.get_mut(&domain) else { return };
-        for key in std::mem::take(&mut side.table).keys() {
-            self.endings.set(domain, *key, None);
-            self.changed(*key);
-        }
-    }
-
-    fn forget(&mut self, domain: Name, key: TierKey) {
-        if self.sides.get_mut(&domain).is_some_and(|side| side.table.remove(&key).is_some()) {
-            self.endings.set(domain, key, None);
-            self.changed(key);
-        }
-    }
-
     fn changed(&mut self, key: TierKey) {
         match key {
             TierKey::Part(place) => {

@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
-use gdp::control::{MAX_ANCESTORS, TierEntry, TierPush, TierRequest, TierResponse};
+use gdp::control::{MAX_ANCESTORS, TierEntry, TierHolds, TierPush, TierRequest, TierResponse};
 use gdp_wire::Name;
 
 use super::incoming::may_hear;
-use super::judge::{Judge, Revoked};
+use super::judge::{Judge, Judged, Revoked};
 use super::queries::{Climbing, PATIENCE};
 use super::side::{HELLO, HELLO_AGAIN, HOLD, Standing};
 use super::table::{Item, Table};
@@ -33,16 +33,16 @@ impl Tiers {
             let (to, home) = (*domain, self.home);
             if side.kind.is_parent() && side.hello_at <= now.clock {
                 (side.is_asked, side.hello_at) = (true, now.clock + HELLO);
-                let request = TierRequest::Hello { run: self.run, holds: side.table.holds() };
-                effects.push(Effect::Ask { to, sent: Sent::Hello, request });
+                let request = TierRequest::Hello { run: side.run, holds: side.table.holds() };
+                effects.push(Effect::Ask { to, sent: Sent::Hello { run: side.run }, request });
             } else if side.is_followed()
                 && let Some(parcel) = side.told.feed.next(now.clock, ROOM, |item| item.map_or(KEY_SIZE, Item::size))
             {
                 side.is_asked = true;
-                let (generation, extent) = (parcel.generation, parcel.extent);
+                let (run, generation, extent) = (side.run, parcel.generation, parcel.extent);
                 let set = parcel.set.iter().map(|item| item.told(now.clock, home)).collect();
-                let push = TierPush { run: self.run, generation, extent, set, remove: parcel.remove };
-                let (sent, request) = (Sent::Push { generation }, TierRequest::Push(Box::new(push)));
+                let push = TierPush { run, generation, extent, set, remove: parcel.remove };
+                let (sent, request) = (Sent::Push(TierHolds { run, generation }), TierRequest::Push(Box::new(push)));
                 effects.push(Effect::Ask { to, sent, request });
             }
         }
@@ -71,26 +71,27 @@ impl Tiers {
     /// What became of a message: the answer, or none.
     pub fn answered(&mut self, now: Now, to: Name, sent: Sent, response: Option<TierResponse>, revoked: &impl Revoked) {
         self.tick(now);
-        if let Sent::Query(ticket) = sent {
-            return self.query_answered(now, to, ticket, response, revoked);
-        }
-        let Some(side) = self.sides.get_mut(&to) else { return };
+        let run = match sent {
+            Sent::Query(ticket) => return self.query_answered(now, to, ticket, response, revoked),
+            Sent::Hello { run } | Sent::Push(TierHolds { run, .. }) => run,
+        };
+        let Some(side) = self.sides.get_mut(&to).filter(|side| side.run == run) else { return };
         side.is_asked = false;
         match (sent, response) {
-            (Sent::Hello, Some(TierResponse::Hello { run, holds, ancestors })) => {
-                side.hello(now.clock, self.run, run, holds);
+            (Sent::Hello { .. }, Some(TierResponse::Hello { run, holds, ancestors })) => {
+                side.hello(now.clock, run, holds);
                 side.lacking = None;
                 self.judge_parent(now, to, ancestors);
             }
-            (Sent::Hello, Some(TierResponse::Refused(refusal))) => {
+            (Sent::Hello { .. }, Some(TierResponse::Refused(refusal))) => {
                 side.lacking = Some(refusal.reason);
                 side.lose(now.clock);
             }
-            (Sent::Hello, _) => {
+            (Sent::Hello { .. }, _) => {
                 side.hello_at = now.clock + HELLO_AGAIN;
                 side.lose(now.clock);
             }
-            (Sent::Push { generation }, response) => {
+            (Sent::Push(TierHolds { generation, .. }), response) => {
                 let done = matches!(response, Some(TierResponse::Done | TierResponse::Partly { .. }));
                 side.told.feed.answered(now.clock, generation, done);
                 match response {
@@ -149,7 +150,9 @@ impl Tiers {
         let (mut told, nothing) = (Vec::new(), Table::default());
         for entry in entries {
             match judge.entry(from, &nothing, entry) {
-                Ok((_, Item::Part { held, .. }, _)) if held.place.name == name && may_hear(&held, asker, home) => {
+                Ok(Judged { item: Item::Part { held, .. }, .. })
+                    if held.place.name == name && may_hear(&held, asker, home) =>
+                {
                     told.push(TierEntry::Part(Box::new(held.told(now.clock, home))));
                 }
                 Ok(_) => self.count(from, "not_asked"),

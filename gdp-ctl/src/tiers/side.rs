@@ -10,7 +10,7 @@ use gdp::control::{RecordPlace, TierHolds, TierKey};
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
-use super::table::{Held, Item, Table, first_box, first_place, is_box_of};
+use super::table::{Held, Item, Table, count_out, first_box, first_place, is_box_of};
 use crate::feed::Feed;
 
 /// How long what a neighbour said stays after it was heard last: a restart or a short partition must not cost the names.
@@ -59,8 +59,10 @@ pub struct Side {
     pub standing: Standing,
     pub table: Table,
     pub told: Told,
-    /// Of the RIB that was heard last.
-    pub run: Option<u64>,
+    /// Of what is told: another number than that of any side before, whose generations the neighbour may still hold.
+    pub run: u64,
+    /// Of the neighbour's side that was heard last.
+    heard_run: Option<u64>,
     pub heard: Duration,
     pub hello_at: Duration,
     /// A hello or a push is out; there is one at a time.
@@ -77,13 +79,14 @@ pub struct Side {
 }
 
 impl Side {
-    pub fn new(now: Duration, kind: Kind) -> Self {
+    pub fn new(now: Duration, kind: Kind, run: u64) -> Self {
         Self {
             kind,
             standing: Standing::Waiting,
             table: Table::default(),
             told: Told::default(),
-            run: None,
+            run,
+            heard_run: None,
             heard: now,
             hello_at: now,
             is_asked: false,
@@ -104,19 +107,19 @@ impl Side {
         matches!(self.standing, Standing::Up | Standing::Refused { .. })
     }
 
-    /// It said hello, and which of this RIB's pushes it holds. What it lacks it is sent.
-    pub fn hello(&mut self, now: Duration, own_run: u64, run: u64, holds: Option<TierHolds>) {
+    /// It said hello, and which of this side's pushes it holds. What it lacks it is sent.
+    pub fn hello(&mut self, now: Duration, run: u64, holds: Option<TierHolds>) {
         self.heard = now;
         if !self.is_refused() {
             self.standing = Standing::Up;
         }
         let lacks = match self.told.feed.held() {
-            Some(generation) => holds != Some(TierHolds { run: own_run, generation }),
+            Some(generation) => holds != Some(TierHolds { run: self.run, generation }),
             None => false,
         };
         // Another answer may have overtaken this one, but not twice.
         self.drift = if lacks { self.drift + 1 } else { 0 };
-        let is_new = self.run.replace(run).is_some_and(|before| before != run);
+        let is_new = self.heard_run.replace(run).is_some_and(|before| before != run);
         if is_new || (lacks && holds.is_none()) || self.drift > 1 {
             self.told.feed.restart();
             self.drift = 0;
@@ -186,13 +189,8 @@ impl Told {
                     self.entities.remove(&held.place.entity);
                 }
             }
-            if let Some(said_by) = self.origins.get_mut(&origin)
-                && let Some(count) = said_by.get_mut(&via)
-            {
-                *count -= 1;
-                if *count == 0 {
-                    said_by.remove(&via);
-                }
+            if let Some(said_by) = self.origins.get_mut(&origin) {
+                count_out(said_by, &via);
                 if said_by.is_empty() {
                     self.origins.remove(&origin);
                 }

@@ -5,30 +5,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use gdp::control::{MAX_PATH, NameRole, RecordPlace, TierKey};
+use gdp::control::{MAX_PATH, RecordPlace, TierKey};
 use gdp_wire::Name;
 
+use super::interest::Interest;
 use super::side::Kind;
 use super::table::{Held, Item};
 use super::{Tiers, side::Side};
-
-/// Those on one side who have a part in a name.
-struct Interest(BTreeSet<(NameRole, Name, Vec<Name>)>);
-
-impl Interest {
-    fn of<'a>(home: Name, parts: impl Iterator<Item = &'a Arc<Held>>) -> Self {
-        Self(parts.map(|held| (held.place.role, held.origin(home), held.scope.clone())).collect())
-    }
-
-    /// Whether one of them exchanges messages with `other`: in another domain, and in the scope of whichever of the two writes.
-    fn wants(&self, other: &Held, home: Name) -> bool {
-        let (origin, role) = (other.origin(home), other.place.role);
-        self.0.iter().any(|(own_role, own_origin, own_scope)| {
-            let allows = if role.is_writer() { other.scope.contains(own_origin) } else { own_scope.contains(&origin) };
-            *own_role == role.counterpart() && *own_origin != origin && allows
-        })
-    }
-}
 
 impl Tiers {
     /// Finds anew what each side is to be told, where something has changed.
@@ -45,12 +28,16 @@ impl Tiers {
     fn spread_name(&mut self, name: Name, writers: &mut BTreeSet<Name>, origins: &mut BTreeSet<Name>) {
         let home = self.home;
         let mut ways: BTreeMap<RecordPlace, Vec<Arc<Held>>> = BTreeMap::new();
-        let mut interests = BTreeMap::from([(home, Interest::of(home, self.own.parts_of(name)))]);
+        let interests: BTreeMap<Name, Interest> = {
+            let sides = self.sides.iter().filter(|(_, side)| !side.is_refused());
+            let tables = sides.map(|(domain, side)| (*domain, &side.table)).chain([(home, &self.own)]);
+            let all = tables.map(|(domain, table)| (domain, Interest::of(home, table.parts_of(name))));
+            all.filter(|(_, interest)| !interest.is_empty()).collect()
+        };
         for held in self.own.parts_of(name) {
             ways.entry(held.place).or_default().push(held.clone());
         }
-        for (domain, side) in self.sides.iter().filter(|(_, side)| !side.is_refused()) {
-            interests.insert(*domain, Interest::of(home, side.table.parts_of(name)));
+        for side in self.sides.values().filter(|side| !side.is_refused()) {
             for held in side.table.parts_of(name) {
                 ways.entry(held.place).or_default().push(held.clone());
             }
@@ -62,17 +49,19 @@ impl Tiers {
 
         for (domain, side) in &mut self.sides {
             let is_from_above = |held: &Held| self.parents.contains(&held.via(home));
+            let interest = interests.get(domain);
             let is_fit = |held: &&Arc<Held>| {
                 held.path.len() < MAX_PATH
                     && !held.path.contains(domain)
                     && match side.kind {
                         Kind::Parent(_) => held.may_leave(home) && !is_from_above(held),
-                        Kind::Child => interests.get(domain).is_some_and(|interest| interest.wants(held, home)),
+                        Kind::Child => interest.is_some_and(|interest| interest.wants(held, home)),
                     }
             };
-            let fit: Vec<Item> = match side.is_refused() {
-                true => Vec::new(),
-                false => ways.values().filter_map(|ways| ways.iter().find(is_fit).cloned()).map(Item::part).collect(),
+            let is_told = !side.is_refused() && (side.kind.is_parent() || interest.is_some());
+            let fit: Vec<Item> = match is_told {
+                false => Vec::new(),
+                true => ways.values().filter_map(|ways| ways.iter().find(is_fit).cloned()).map(Item::part).collect(),
             };
             let (entities, changed) = side.told.replace_parts(home, name, fit);
             writers.extend(entities);
@@ -85,7 +74,7 @@ impl Tiers {
             let passes = |(domain, interest): (&Name, &Interest)| {
                 *domain != home && *domain != via && !held.path.contains(domain) && interest.wants(held, home)
             };
-            let only_passes = !interests[&home].wants(held, home);
+            let only_passes = !interests.get(&home).is_some_and(|interest| interest.wants(held, home));
             let is_known = !only_passes || interests.iter().any(passes);
             is_known.then(|| Item::Part { held: held.clone(), only_passes })
         });

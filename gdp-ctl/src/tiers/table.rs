@@ -10,6 +10,9 @@ use gdp::control::{Abroad, Extent, NameRole, Record, RecordPlace, TierEntry, Tie
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
+use super::Limits;
+use super::judge::TierRefusal;
+
 /// A verified part in a name.
 #[derive(Clone, Debug)]
 pub struct Held {
@@ -118,10 +121,36 @@ const PART_OVERHEAD: usize = 640;
 const NAME_SIZE: usize = 34;
 const BOX_OVERHEAD: usize = 32;
 
+/// Where parts are, by something that many may have in common.
+#[derive(Debug, Default)]
+struct Places(BTreeMap<Name, BTreeSet<RecordPlace>>);
+
+impl Places {
+    fn insert(&mut self, of: Name, place: RecordPlace) {
+        self.0.entry(of).or_default().insert(place);
+    }
+
+    fn remove(&mut self, of: &Name, place: &RecordPlace) {
+        let Some(places) = self.0.get_mut(of) else { return };
+        places.remove(place);
+        if places.is_empty() {
+            self.0.remove(of);
+        }
+    }
+
+    fn of(&self, of: Name) -> impl Iterator<Item = &RecordPlace> {
+        self.0.get(&of).into_iter().flatten()
+    }
+}
+
 #[derive(Debug, Default)]
 pub struct Table {
     items: BTreeMap<TierKey, Item>,
-    entities: BTreeMap<Name, BTreeSet<RecordPlace>>,
+    entities: Places,
+    /// By the domain they were stated in, if it is another one.
+    origins: Places,
+    /// How many parts there are in each name.
+    names: BTreeMap<Name, usize>,
     bytes: usize,
     /// The last push that was taken in.
     holds: Option<TierHolds>,
@@ -132,10 +161,6 @@ pub struct Table {
 impl Table {
     pub fn len(&self) -> usize {
         self.items.len()
-    }
-
-    pub fn bytes(&self) -> usize {
-        self.bytes
     }
 
     pub fn holds(&self) -> Option<TierHolds> {
@@ -174,45 +199,61 @@ impl Table {
         self.items.get(key)
     }
 
+    /// Whether a neighbour may say this, in place of what it said of the same before.
+    pub fn check_room(&self, key: &TierKey, item: &Item, limits: &Limits) -> Result<(), TierRefusal> {
+        let before = self.items.get(key);
+        let entries = self.items.len() + usize::from(before.is_none());
+        let bytes = self.bytes - before.map_or(0, Item::size) + item.size();
+        let needed = [("entries", entries, limits.entries), ("bytes", bytes, limits.bytes)];
+        if let Some((what, _, limit)) = needed.into_iter().find(|(_, needed, limit)| needed > limit) {
+            return Err(TierRefusal::Full { what, limit });
+        }
+        match key {
+            TierKey::Part(RecordPlace { name, .. })
+                if before.is_none() && self.names.get(name).is_some_and(|parts| *parts >= limits.parts_per_name) =>
+            {
+                Err(TierRefusal::NameFull { name: *name, limit: limits.parts_per_name })
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Whether it is another than before.
     pub fn insert(&mut self, key: TierKey, item: Item) -> bool {
         if let Some((_, unnamed)) = &mut self.whole {
             unnamed.remove(&key);
         }
-        if let TierKey::Part(place) = key {
-            self.entities.entry(place.entity).or_default().insert(place);
+        let before = self.remove(&key);
+        let changed = before.as_ref() != Some(&item);
+        if let (TierKey::Part(place), Item::Part { held, .. }) = (key, &item) {
+            self.entities.insert(place.entity, place);
+            held.path.first().into_iter().for_each(|origin| self.origins.insert(*origin, place));
+            *self.names.entry(place.name).or_default() += 1;
         }
         self.bytes += item.size();
-        match self.items.get_mut(&key) {
-            Some(old) => {
-                self.bytes -= old.size();
-                let changed = *old != item;
-                *old = item;
-                changed
-            }
-            None => {
-                self.items.insert(key, item);
-                true
-            }
-        }
+        self.items.insert(key, item);
+        changed
     }
 
     pub fn remove(&mut self, key: &TierKey) -> Option<Item> {
         let old = self.items.remove(key)?;
         self.bytes -= old.size();
-        if let TierKey::Part(place) = key
-            && let Some(places) = self.entities.get_mut(&place.entity)
-        {
-            places.remove(place);
-            if places.is_empty() {
-                self.entities.remove(&place.entity);
-            }
+        if let (TierKey::Part(place), Item::Part { held, .. }) = (key, &old) {
+            self.entities.remove(&place.entity, place);
+            held.path.first().into_iter().for_each(|origin| self.origins.remove(origin, place));
+            count_out(&mut self.names, &place.name);
         }
         Some(old)
     }
 
     pub fn keys(&self) -> impl Iterator<Item = &TierKey> {
         self.items.keys()
+    }
+
+    /// The parts that rest on what the owner of a name, or a domain, has said.
+    pub fn parts_about(&self, about: Name) -> impl Iterator<Item = &Arc<Held>> {
+        let stated_there = self.origins.of(about).filter_map(|place| self.part_at(place));
+        self.parts_of(about).chain(stated_there)
     }
 
     /// All parts, in the order of their places.
@@ -235,7 +276,10 @@ impl Table {
 
     /// Some part that an entity has.
     pub fn part_by(&self, entity: &Name) -> Option<&Arc<Held>> {
-        let place = self.entities.get(entity)?.first()?;
+        self.part_at(self.entities.of(*entity).next()?)
+    }
+
+    fn part_at(&self, place: &RecordPlace) -> Option<&Arc<Held>> {
         match self.items.get(&TierKey::Part(*place)) {
             Some(Item::Part { held, .. }) => Some(held),
             _ => None,
@@ -243,7 +287,17 @@ impl Table {
     }
 
     pub fn has_entity(&self, entity: &Name) -> bool {
-        self.entities.contains_key(entity)
+        self.entities.of(*entity).next().is_some()
+    }
+}
+
+/// There is one less.
+pub fn count_out(counts: &mut BTreeMap<Name, usize>, of: &Name) {
+    if let Some(count) = counts.get_mut(of) {
+        *count -= 1;
+        if *count == 0 {
+            counts.remove(of);
+        }
     }
 }
 

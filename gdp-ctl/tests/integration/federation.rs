@@ -111,6 +111,8 @@ async fn borders_peer_on_demand_and_the_third_domain_carries_nothing_until_they_
 
 /// Twenty messages, in order, and each once.
 async fn exchange(robot: &Identity, publisher: &mut Publisher, subscription: &mut Subscription) {
+    // What is sent before is not for it.
+    wait("the robot to know the cloud", async || publisher.readers() == 1).await;
     for i in 0..20u8 {
         publisher.send(Encoding::Bytes, &[i]).await.unwrap();
         let message = timeout(PATIENCE, subscription.recv()).await.expect("in time").expect("a message");

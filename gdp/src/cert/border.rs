@@ -91,7 +91,8 @@ impl Border {
     }
 }
 
-/// Where a domain can be reached: candidates, best first.
+/// Where a domain can be reached: candidates, best first. Each stands for itself: whoever receives it leaves out those that do not verify,
+/// because one border whose membership is over must not hide the others. One that names too many, or of which none is left, says nothing.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Locator {
@@ -99,20 +100,20 @@ pub struct Locator {
 }
 
 impl Locator {
-    /// As [`Border::verify`], of each; and that they are no more than allowed.
+    /// As [`Border::verify`], of each by itself. The error: they are more than allowed.
     pub fn verify(
         &self,
         domain: Name,
         revocation: Option<&Revocation>,
         now: u64,
-    ) -> Result<Vec<BorderStatement>, CertError> {
+    ) -> Result<Vec<Result<BorderStatement, CertError>>, CertError> {
         let (count, size) = (self.borders.len(), self.size());
         if count > MAX_LOCATED || size > MAX_LOCATOR {
             return Err(CertError::Malformed(format!(
                 "{count} borders, {size} bytes in all, where {MAX_LOCATED} and {MAX_LOCATOR} are allowed"
             )));
         }
-        self.borders.iter().map(|border| border.verify(domain, revocation, now)).collect()
+        Ok(self.borders.iter().map(|border| border.verify(domain, revocation, now)).collect())
     }
 
     /// Bytes of what is signed in it.

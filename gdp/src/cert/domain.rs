@@ -251,7 +251,8 @@ impl Membership {
         }
     }
 
-    fn check_revoked(&self, revocation: Option<&Revocation>) -> Result<(), CertError> {
+    /// Whether nothing of it was taken back. `revocation` is the newest that is known of the domain.
+    pub fn check_revoked(&self, revocation: Option<&Revocation>) -> Result<(), CertError> {
         if let Some(invite) = self.invite_unverified()? {
             check_held(Invite::KIND, invite.serial, revocation)?;
         }

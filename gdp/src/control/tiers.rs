@@ -45,7 +45,7 @@ pub struct Shown {
 /// RIB → the RIB of a neighbouring domain.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum TierRequest {
-    /// To a parent, first and every few seconds: I am your child. Answered with [`TierResponse::Hello`].
+    /// To a parent, first and every few seconds: I am your child. Answered with [`TierResponse::Hello`]. `run`: of the pushes to that one.
     Hello { run: u64, holds: Option<TierHolds> },
     /// What I have for you.
     Push(Box<TierPush>),
@@ -56,7 +56,7 @@ pub enum TierRequest {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum TierResponse {
     Done,
-    /// Taken in but for so many entries, of which this is the reason of the first.
+    /// Taken in but for so many entries, or borders in locators, of which this is the reason of the first.
     Partly {
         refused: u32,
         reason: String,
@@ -85,9 +85,9 @@ pub struct TierHolds {
 /// A change of what a neighbour is told, or a part of its whole, as a [`FibPush`](super::FibPush) is for a switch.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct TierPush {
-    /// Which run of a RIB this is: another number after a restart.
+    /// Another number whenever what this neighbour is told begins anew: after a restart, or when it was no neighbour for a while.
     pub run: u64,
-    /// Counts up by one with each push to this neighbour.
+    /// Counts up by one with each push of the run.
     pub generation: u64,
     pub extent: Extent,
     pub set: Vec<TierEntry>,

@@ -359,6 +359,33 @@ fn of_several_that_tell_the_newest_counts_and_then_the_nearest() {
 }
 
 #[test]
+fn what_another_neighbour_says_is_not_lost_for_lack_of_room() {
+    let mut f = pair();
+    let writer = f.domains[0].attached("writer", 0);
+    f.domains[0].publish(&writer, 0, 1);
+    let (records, _) = f.domains[0].rib.records(f.domains[0].now, None, 1);
+    let (place, now) = (records[0].place().unwrap(), f.domains[1].now);
+    let tell = |f: &mut Federation, next: usize| {
+        let (record, domain, next, hops) = (records[0].clone(), domain(0), domain(next), next as u32);
+        f.domains[1].rib.set_foreign(now, Foreign { record, domain, next, hops, boxes: vec![], local: true })
+    };
+    tell(&mut f, 4).unwrap();
+    tell(&mut f, 5).unwrap();
+    assert_eq!(f.domains[1].rib.told_by(&place), [domain(4), domain(5)]);
+    f.domains[1].rib.limits.names = 0;
+    f.domains[1].rib.remove_foreign(now, &place, &domain(4));
+    assert_eq!((f.domains[1].rib.next_of(&place), f.domains[1].rib.told_by(&place)), (None, vec![domain(5)]));
+    assert_eq!(tell(&mut f, 6).unwrap_err().code, RefusalCode::Limit);
+    f.domains[1].rib.limits.names = 1;
+    tell(&mut f, 6).unwrap();
+    assert_eq!(f.domains[1].rib.next_of(&place), Some(domain(5)), "the nearest");
+    for next in [5, 6] {
+        f.domains[1].rib.remove_foreign(now, &place, &domain(next));
+    }
+    assert_eq!((f.domains[1].rib.told_by(&place), f.domains[1].rib.name_count()), (vec![], 0));
+}
+
+#[test]
 fn what_is_not_proven_is_not_taken_in() {
     let mut f = pair();
     let writer = f.domains[0].attached("writer", 0);

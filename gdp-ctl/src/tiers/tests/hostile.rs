@@ -2,20 +2,23 @@
 
 use std::time::Duration;
 
-use gdp::cert::{BorderStatement, Locator, Signed, issue};
-use gdp::control::{Abroad, Extent, MAX_PATH, NameRole, RefusalCode, TierEntry, TierPush, TierRequest, TierResponse};
+use gdp::cert::domain::roles;
+use gdp::cert::{Border, BorderStatement, Locator, MemberCert, Membership, Revocation, Signed, issue};
+use gdp::control::{
+    Abroad, Extent, MAX_PATH, NameRole, RefusalCode, TierEntry, TierKey, TierPush, TierRequest, TierResponse,
+};
 use gdp::keys::KeyBox;
 use gdp::name::Name;
 
 use super::world::{UNIX, World, identity, owner};
 use crate::rib::Now;
-use crate::tiers::{Limits, Reply, Tiers};
+use crate::tiers::{Item, Limits, Reply, Tiers};
 
 use NameRole::{Publisher, Subscriber};
 
 /// A domain with a parent, 1, and a child, 2, which is hostile; 3 is another domain.
-struct Victim {
-    w: World,
+pub struct Victim {
+    pub w: World,
     generation: u64,
 }
 
@@ -119,6 +122,54 @@ fn boxes_and_locators_are_verified_and_go_forward_only() {
 }
 
 #[test]
+fn a_border_that_does_not_verify_hides_no_other() {
+    let mut v = Victim::new();
+    let (domain, child) = (v.w.domains[2].identity.clone(), v.w.domains[2].identity.name());
+    let border = |index: usize, serial, until| {
+        let border = identity("border", index);
+        let (role, not_before, not_after) = (roles::BORDER.into(), UNIX - 100, until);
+        let cert = MemberCert { domain: child, entity: border.name(), role, serial, not_before, not_after };
+        let (switch, not_after) = (border.name(), UNIX + 200);
+        let claims = BorderStatement { switch, domain: child, addresses: vec![], serial, not_after };
+        let (proof, statement) = (border.proof(), issue(border.key(), &claims).unwrap());
+        Border { proof, statement, membership: Membership::issue(&domain, &cert).unwrap() }
+    };
+    let held = |v: &Victim| -> Vec<Name> {
+        match v.w.domains[0].tiers.sides[&child].table.get(&TierKey::Locator(child)) {
+            Some(Item::Locator { locator, .. }) => locator.borders.iter().map(|it| it.proof.name().unwrap()).collect(),
+            _ => vec![],
+        }
+    };
+    let push = |v: &mut Victim, borders: &[&Border]| {
+        let borders = borders.iter().map(|border| (**border).clone()).collect();
+        let response = v.push(vec![TierEntry::Locator { domain: child, locator: Locator { borders } }]);
+        (held(v), response)
+    };
+    let [name, other_name] = [30, 31].map(|index| identity("border", index).name());
+    let (good, other, over) = (border(30, 7, UNIX + 100), border(31, 9, UNIX + 100), border(32, 7, UNIX - 1));
+    let mut spoilt = border(33, 7, UNIX + 100);
+    spoilt.statement = flipped(&spoilt.statement);
+
+    let (names, response) = push(&mut v, &[&over, &good, &spoilt, &other]);
+    assert_eq!(names, [name, other_name]);
+    assert!(matches!(response, TierResponse::Partly { refused: 2, .. }), "{response:?}");
+    assert_eq!((v.counted("expired"), v.counted("signature")), (1, 1));
+    // What one says goes forward only, whatever the others say.
+    let (names, _) = push(&mut v, &[&border(30, 6, UNIX + 100), &other]);
+    assert_eq!((names, v.counted("replayed")), (vec![other_name], 1));
+    assert_eq!(push(&mut v, &[&good, &other]).0, [name, other_name]);
+
+    let revocation = Revocation { name: child, number: 1, floor: 8, revoked: vec![] };
+    v.w.revocations.0.insert(child, revocation);
+    let now = v.w.now;
+    v.w.domains[0].tiers.reconsider(now, child, &v.w.revocations);
+    assert_eq!((held(&v), v.counted("revoked")), (vec![other_name], 1));
+    let (names, response) = push(&mut v, &[&over, &good]);
+    assert!(names.is_empty() && v.entries() == 0, "none is left: {response:?}");
+    assert!(push(&mut v, &[&other; 9]).0.is_empty(), "more than are allowed");
+}
+
+#[test]
 fn pushes_are_taken_in_their_order_only() {
     let mut v = Victim::new();
     let part = v.part(2, &[0]);
@@ -170,7 +221,7 @@ fn who_is_no_neighbour_is_told_so_and_limits_hold() {
     assert!(refusal.reason.contains("each have the other"), "{refusal}");
 
     let home = v.w.domains[0].identity.name();
-    let limits = Limits { children: 1, entries: 1, bytes: 1 << 20 };
+    let limits = Limits { children: 1, entries: 1, ..Limits::default() };
     let tiers = &mut v.w.domains[0].tiers;
     *tiers = Tiers::new(home, 9, limits);
     v.generation = 0;
@@ -180,6 +231,34 @@ fn who_is_no_neighbour_is_told_so_and_limits_hold() {
     let (one, other) = (v.part(2, &[0]), v.part_in(2, 1, 101, &[0]));
     v.push([one, other].map(|part| TierEntry::Part(Box::new(part))).to_vec());
     assert_eq!((v.entries(), v.counted("limit")), (1, 1));
+}
+
+#[test]
+fn what_grows_counts_as_what_is_new() {
+    let mut v = Victim::new();
+    let [home, child] = [0, 2].map(|index| v.w.domains[index].identity.name());
+    let entry = |addresses: usize, serial| {
+        let border = identity("border", 2);
+        let addresses = vec!["192.0.2.1:31415".parse().unwrap(); addresses];
+        let claims = BorderStatement { switch: border.name(), domain: child, addresses, serial, not_after: UNIX + 100 };
+        let mut locator = v.w.domains[2].locator.clone();
+        locator.borders[0].statement = issue(border.key(), &claims).unwrap();
+        locator
+    };
+    let (small, large, smaller) = (entry(4, 2), entry(8, 3), entry(3, 4));
+    let bytes = Item::Locator { domain: child, locator: small.clone().into() }.size();
+    v.w.domains[0].tiers = Tiers::new(home, 9, Limits { bytes, ..Limits::default() });
+    v.ask(2, TierRequest::Hello { run: 77, holds: None });
+    let mut push = |locator| {
+        v.push(vec![TierEntry::Locator { domain: child, locator }]);
+        (v.entries(), v.counted("limit"))
+    };
+    assert_eq!(push(small.clone()), (1, 0));
+    assert_eq!(push(large), (0, 1), "nor does it say any more what it said before");
+    assert_eq!(push(small), (1, 1));
+    assert_eq!(push(smaller), (1, 1));
+    assert_eq!(push(Locator::default()), (0, 1));
+    assert_eq!(v.counted("nowhere"), 1, "it would stay for ever");
 }
 
 #[test]
@@ -225,7 +304,7 @@ fn queries_cannot_circle_and_what_is_remembered_of_them_is_bounded() {
 }
 
 impl Victim {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let mut w = World::new(1, &[&[1], &[], &[0], &[]]);
         w.state(0, 0, 1, Subscriber, &[]);
         w.run(Duration::from_secs(1));
@@ -239,7 +318,7 @@ impl Victim {
         self.part_in(at, 0, 100, scope)
     }
 
-    fn part_in(&mut self, at: usize, topic: usize, entity: usize, scope: &[usize]) -> Abroad {
+    pub fn part_in(&mut self, at: usize, topic: usize, entity: usize, scope: &[usize]) -> Abroad {
         let scope: Vec<Name> = scope.iter().map(|index| self.w.domains[*index].identity.name()).collect();
         let record = self.w.record(at, topic, entity, Publisher, &scope);
         let domain = &self.w.domains[at];
@@ -247,14 +326,22 @@ impl Victim {
     }
 
     /// Of the child: the first is the whole, the following change it.
-    fn push(&mut self, set: Vec<TierEntry>) -> TierResponse {
+    pub fn push(&mut self, set: Vec<TierEntry>) -> TierResponse {
+        self.change(set, vec![])
+    }
+
+    pub fn remove(&mut self, remove: Vec<TierKey>) -> TierResponse {
+        self.change(vec![], remove)
+    }
+
+    fn change(&mut self, set: Vec<TierEntry>, remove: Vec<TierKey>) -> TierResponse {
         self.generation += 1;
         let extent = if self.generation == 1 { Extent::Full { part: 0, last: true } } else { Extent::Delta };
-        let push = TierPush { run: 77, generation: self.generation, extent, set, remove: vec![] };
+        let push = TierPush { run: 77, generation: self.generation, extent, set, remove };
         self.ask(2, TierRequest::Push(Box::new(push)))
     }
 
-    fn ask(&mut self, from: usize, request: TierRequest) -> TierResponse {
+    pub fn ask(&mut self, from: usize, request: TierRequest) -> TierResponse {
         let from = self.w.domains[from].identity.name();
         let (now, tiers) = (self.w.now, &mut self.w.domains[0].tiers);
         match tiers.request(now, from, request, &self.w.revocations) {
@@ -263,11 +350,11 @@ impl Victim {
         }
     }
 
-    fn entries(&self) -> usize {
+    pub fn entries(&self) -> usize {
         self.child().entries_in
     }
 
-    fn counted(&self, what: &str) -> u64 {
+    pub fn counted(&self, what: &str) -> u64 {
         self.child().refused.get(what).copied().unwrap_or_default()
     }
 

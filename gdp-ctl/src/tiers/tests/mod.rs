@@ -2,7 +2,8 @@
 //! neighbour may try.
 
 mod hostile;
-mod world;
+mod many;
+pub mod world;
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -83,6 +84,40 @@ fn what_is_away_for_a_short_time_stays_and_then_it_goes() {
     w.restart(0);
     w.run(3 * MOMENT);
     w.check("the one between has begun anew");
+}
+
+#[test]
+fn a_neighbour_that_begins_anew_is_understood_at_once() {
+    let mut w = World::new(8, &[&[], &[0], &[0]]);
+    w.state(2, 0, 0, Subscriber, &[]);
+    // So many generations does the parent hold.
+    for entity in 1..60 {
+        let place = w.state(1, 0, entity, Publisher, &[2]);
+        w.run(Duration::from_millis(200));
+        w.withdraw(place);
+        w.run(Duration::from_millis(200));
+    }
+    w.state(1, 0, 0, Publisher, &[2]);
+    w.run(MOMENT);
+    w.check("before");
+    let (now, parent, child) = (w.now, w.domains[0].identity.name(), w.domains[1].identity.name());
+    w.domains[1].tiers.set_parents(now, vec![]);
+    w.domains[1].tiers.set_parents(now, vec![parent]);
+    w.state(1, 0, 61, Publisher, &[2]);
+    w.run(MOMENT);
+    w.check("its parent was none for a moment");
+
+    // The parent misses the child at once, and the child finds out later.
+    w.down.insert((0, 1));
+    let (now, adjacent) = (w.now, w.adjacent(0));
+    w.domains[0].tiers.set_adjacent(now, adjacent);
+    w.run(HOLD + Duration::from_secs(1));
+    assert!(w.domains[0].tiers.neighbours().all(|neighbour| neighbour.domain != child));
+    assert!(w.domains[1].tiers.neighbours().all(|neighbour| neighbour.entries_in > 0));
+    w.set_link((0, 1), true);
+    w.state(2, 0, 62, Subscriber, &[]);
+    w.run(MOMENT);
+    w.check("its parent has forgotten it");
 }
 
 #[test]
@@ -181,7 +216,8 @@ fn what_is_taken_back_is_forgotten_on_the_way() {
     w.domains[0].tiers.reconsider(now, domain, &w.revocations);
     w.run(MOMENT);
     assert_eq!(w.domains[5].known.values().filter(is_own_part).count(), 0);
-    assert!(w.domains[0].tiers.neighbours().any(|neighbour| neighbour.refused.get("revoked") == Some(&1)));
+    // The part, and the border that is named in the locator.
+    assert!(w.domains[0].tiers.neighbours().any(|neighbour| neighbour.refused.get("revoked") == Some(&2)));
     let name = owner(0).1.name().unwrap();
     w.domains[0].tiers.reconsider(now, name, &w.revocations);
 }

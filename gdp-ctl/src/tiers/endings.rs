@@ -1,0 +1,141 @@
+//! What ends: by its time, with a neighbour that is gone, or because it was taken back.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use gdp::control::{TierEntry, TierKey};
+use gdp_wire::Name;
+
+use super::Tiers;
+use super::judge::{Judge, Judged, Revoked};
+use super::queries::PATIENCE;
+use super::side::{HOLD, Kind, SILENCE, Standing};
+use super::table::Item;
+use crate::rib::Now;
+
+/// When what neighbours said ends.
+#[derive(Debug, Default)]
+pub struct Endings {
+    at: BTreeSet<(Duration, Name, TierKey)>,
+    of: BTreeMap<(Name, TierKey), Duration>,
+}
+
+impl Endings {
+    pub fn set(&mut self, domain: Name, key: TierKey, ends: Option<Duration>) {
+        let before = match ends {
+            Some(ends) => self.of.insert((domain, key), ends),
+            None => self.of.remove(&(domain, key)),
+        };
+        if let Some(before) = before {
+            self.at.remove(&(before, domain, key));
+        }
+        if let Some(ends) = ends {
+            self.at.insert((ends, domain, key));
+        }
+    }
+
+    fn take_ended(&mut self, now: Duration) -> Option<(Name, TierKey)> {
+        let (ends, domain, key) = self.at.first().copied().filter(|(ends, ..)| *ends <= now)?;
+        self.at.remove(&(ends, domain, key));
+        self.of.remove(&(domain, key));
+        Some((domain, key))
+    }
+}
+
+impl Tiers {
+    /// An owner of a name, or a domain, has taken something back: what rests on it goes.
+    pub fn reconsider(&mut self, now: Now, about: Name, revoked: &impl Revoked) {
+        let judge = Judge { home: self.home, now, revoked };
+        let (mut gone, mut fewer) = (Vec::new(), Vec::new());
+        for (domain, side) in &self.sides {
+            if let Some(Item::Locator { locator, .. }) = side.table.get(&TierKey::Locator(about)) {
+                let entry = TierEntry::Locator { domain: about, locator: (**locator).clone() };
+                match judge.entry(*domain, &side.table, entry) {
+                    Ok(judged) if judged.left_out.is_empty() => {}
+                    Ok(judged) => fewer.push((*domain, judged)),
+                    Err(refusal) => gone.push((*domain, TierKey::Locator(about), refusal)),
+                }
+            }
+            for held in side.table.parts_about(about) {
+                if let Err(refusal) = judge.still_holds(held) {
+                    gone.push((*domain, TierKey::Part(held.place), refusal));
+                }
+            }
+        }
+        for (domain, key, refusal) in gone {
+            self.count(domain, refusal.as_str());
+            self.forget(domain, key);
+        }
+        for (domain, Judged { key, item, ends, left_out }) in fewer {
+            let Some(side) = self.sides.get_mut(&domain) else { continue };
+            left_out.iter().for_each(|refusal| side.count(refusal.as_str()));
+            if side.table.insert(key, item) {
+                self.endings.set(domain, key, Some(ends));
+                self.changed(key);
+            }
+        }
+    }
+
+    pub fn tick(&mut self, now: Now) {
+        while let Some((domain, key)) = self.endings.take_ended(now.clock) {
+            self.forget(domain, key);
+        }
+        let mut gone = Vec::new();
+        for (domain, side) in &mut self.sides {
+            if side.kind == Kind::Child && now.clock >= side.heard + SILENCE {
+                side.lose(now.clock);
+            }
+            if matches!(side.standing, Standing::Lost(since) if now.clock >= since + HOLD) {
+                gone.push(*domain);
+            }
+        }
+        for domain in gone {
+            self.clear(domain);
+            match self.sides.get_mut(&domain) {
+                Some(side) if side.kind.is_parent() => {
+                    side.standing = Standing::Waiting;
+                    side.ancestors.clear();
+                }
+                _ => drop(self.sides.remove(&domain)),
+            }
+        }
+        self.queries.expire(now.clock);
+        for ticket in self.queries.overdue(now.clock) {
+            if let Some(climbing) = self.queries.climbing.get_mut(&ticket) {
+                (climbing.at, climbing.until) = (None, now.clock + PATIENCE);
+            }
+        }
+    }
+
+    /// When [`Self::effects`] has something to do, if nothing else happens before.
+    pub fn next_tick(&self) -> Option<Duration> {
+        let sides = self.sides.iter().flat_map(|(domain, side)| {
+            let can_ask = self.adjacent.contains(domain) && !side.is_asked;
+            let hello = (can_ask && side.kind.is_parent()).then_some(side.hello_at);
+            let retry = side.told.feed.retry_at().filter(|_| can_ask && side.is_followed());
+            let silence = (side.kind == Kind::Child && side.standing == Standing::Up).then(|| side.heard + SILENCE);
+            let hold = match side.standing {
+                Standing::Lost(since) => Some(since + HOLD),
+                _ => None,
+            };
+            [hello, retry, silence, hold].into_iter().flatten()
+        });
+        sides.chain(self.endings.at.first().map(|(ends, ..)| *ends)).chain(self.queries.next_tick()).min()
+    }
+
+    /// Forgets all that a neighbour said.
+    pub(super) fn clear(&mut self, domain: Name) {
+        let Some(side) = self.sides.get_mut(&domain) else { return };
+        for key in std::mem::take(&mut side.table).keys() {
+            self.endings.set(domain, *key, None);
+            self.changed(*key);
+        }
+    }
+
+    fn forget(&mut self, domain: Name, key: TierKey) {
+        if self.sides.get_mut(&domain).is_some_and(|side| side.table.remove(&key).is_some()) {
+            self.endings.set(domain, key, None);
+            self.changed(key);
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! Many parts in one name: what each is told of stays right, and the work is about domains.
+
+use std::sync::Arc;
+
+use gdp::control::{NameRole, TierEntry, TierKey, TierRequest, TierResponse};
+use gdp::name::Name;
+
+use super::hostile::Victim;
+use super::world::{Random, World};
+use crate::tiers::interest::Interest;
+use crate::tiers::table::{Held, Table};
+use crate::tiers::{Item, Limits, Tiers};
+
+use NameRole::{Caller, Publisher, Server, Subscriber};
+
+#[test]
+fn who_wants_what_is_the_same_as_if_all_parts_were_looked_at() {
+    let mut random = Random(1);
+    let template = template();
+    for _ in 0..500 {
+        let part = |random: &mut Random| {
+            let role = [Publisher, Subscriber, Server, Caller][random.below(4)];
+            let scope = (0..5).filter(|_| role.is_writer() && random.below(3) == 0).map(domain).collect();
+            let path = (0..random.below(3)).map(|_| domain(1 + random.below(4))).collect();
+            let mut held = Held { scope, path, ..template.clone() };
+            held.place.role = role;
+            Arc::new(held)
+        };
+        let home = domain(0);
+        let parts: Vec<Arc<Held>> = (0..random.below(8)).map(|_| part(&mut random)).collect();
+        let interest = Interest::of(home, parts.iter());
+        for other in (0..8).map(|_| part(&mut random)) {
+            let meets = |own: &Arc<Held>| {
+                let (writer, reader) = if own.place.role.is_writer() { (own, &other) } else { (&other, own) };
+                own.place.role.counterpart() == other.place.role
+                    && own.origin(home) != other.origin(home)
+                    && writer.scope.contains(&reader.origin(home))
+            };
+            assert_eq!(interest.wants(&other, home), parts.iter().any(meets), "{other:?} of {parts:?}");
+        }
+        assert!(!interest.is_empty() || parts.iter().all(|held| held.place.role.is_writer() && held.scope.is_empty()));
+    }
+}
+
+#[test]
+fn one_neighbour_fills_no_name() {
+    let mut v = Victim::new();
+    let home = v.w.domains[0].identity.name();
+    let limits = Limits { parts_per_name: 2, ..Limits::default() };
+    v.w.domains[0].tiers = Tiers::new(home, 9, limits);
+    v.ask(2, TierRequest::Hello { run: 77, holds: None });
+    let part = |v: &mut Victim, topic, entity| TierEntry::Part(Box::new(v.part_in(2, topic, entity, &[0])));
+    let all: Vec<TierEntry> = (100..104).map(|entity| part(&mut v, 0, entity)).collect();
+    let response = v.push(all.clone());
+    let TierResponse::Partly { refused: 2, reason } = &response else { panic!("{response:?}") };
+    assert!(reason.contains("2 parts in"), "{reason}");
+    assert_eq!((v.entries(), v.counted("name_limit")), (2, 2));
+    let (again, other) = (part(&mut v, 0, 100), part(&mut v, 1, 103));
+    assert!(matches!(v.push(vec![again, other]), TierResponse::Done), "what replaces one, and another name");
+    let gone = TierKey::Part(v.part_in(2, 0, 101, &[0]).record.place().unwrap());
+    v.remove(vec![gone]);
+    assert!(matches!(v.push(vec![all[2].clone()]), TierResponse::Done), "there is room again");
+    assert_eq!((v.entries(), v.counted("name_limit")), (3, 2));
+}
+
+#[test]
+fn what_rests_on_a_domain_or_a_name_is_found_without_looking_at_the_rest() {
+    let (mut random, template, mut table) = (Random(2), template(), Table::default());
+    for _ in 0..400 {
+        let mut held = Held { path: vec![domain(10 + random.below(3)), domain(13)], ..template.clone() };
+        (held.place.name, held.place.entity) = (domain(random.below(4)), domain(20 + random.below(6)));
+        let key = TierKey::Part(held.place);
+        match random.below(3) {
+            0 => drop(table.remove(&key)),
+            _ => drop(table.insert(key, Item::part(Arc::new(held)))),
+        }
+        for about in 0..20 {
+            let is_concerned = |held: &&Arc<Held>| held.place.name == domain(about) || held.path[0] == domain(about);
+            let concerned: Vec<_> = table.parts().filter(is_concerned).collect();
+            assert_eq!(table.parts_about(domain(about)).collect::<Vec<_>>(), concerned);
+        }
+    }
+}
+
+fn template() -> Held {
+    let mut w = World::new(1, &[&[]]);
+    let record = w.record(0, 0, 0, Publisher, &[]);
+    let (place, host, ends) = (record.place().unwrap(), w.domains[0].host.clone(), w.now.clock);
+    Held { place, record, host, path: Vec::new(), scope: Vec::new(), ends }
+}
+
+fn domain(i: usize) -> Name {
+    Name::from_bytes([i as u8; 32])
+}
