@@ -2,7 +2,7 @@
 
 use gdp::cert::domain::roles;
 use gdp::cert::{Host, issue};
-use gdp::control::{Abroad, Extent, TierEntry, TierPush, TierRequest, TierResponse};
+use gdp::control::{Abroad, Extent, NameRole, TierEntry, TierPush, TierRequest, TierResponse};
 use gdp::name::Name;
 
 use super::hostile::Victim;
@@ -44,6 +44,30 @@ fn a_switch_is_of_no_domain_that_it_does_not_name_itself() {
         assert_eq!(known, [(vec![third, parent], false)], "it is reached where it is");
     }
     assert!(matches!(v.push(claim(&moved)), TierResponse::Done), "once the switch has said so, too");
+}
+
+#[test]
+fn a_way_that_is_of_no_use_hides_no_other() {
+    let mut v = Victim::new();
+    let stranger = Name::from_bytes([9; 32]);
+    let [parent, child, third] = [1, 2, 3].map(|index| v.w.domains[index].identity.name());
+    let part = |abroad: Abroad| vec![TierEntry::Part(Box::new(abroad))];
+    // What the writer had a certificate for before: not for this domain.
+    let before = Abroad { path: vec![third, child], ..v.part(3, &[2]) };
+    let entity = before.record.entity.name().unwrap();
+    assert!(matches!(v.push(part(before.clone())), TierResponse::Done));
+    assert_eq!(known_of(&mut v, entity), []);
+    let longer = vec![third, stranger, parent];
+    let now = Abroad { path: longer.clone(), ..v.part(3, &[0]) };
+    push_by_parent(&mut v, 1, now);
+    assert_eq!(known_of(&mut v, entity), [(longer.clone(), false)]);
+
+    // Somebody in the child may hear it, and not by way of the child.
+    let record = v.w.record(2, 0, 101, NameRole::Subscriber, &[]);
+    let reader = Abroad { record, host: v.w.domains[2].host.clone(), path: vec![child] };
+    v.push(part(reader));
+    push_by_parent(&mut v, 2, Abroad { path: longer.clone(), ..before });
+    assert_eq!(known_of(&mut v, entity), [(longer, true)]);
 }
 
 /// Of the parent, in a run of its own, and nothing else.
