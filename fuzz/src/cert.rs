@@ -3,7 +3,7 @@
 use gdp::NameCard;
 use gdp::cert::{
     AdCert, Advert, Claims, Delegation, Invite, Issued, LinkState, MemberCert, Membership, PeerCert, ReadGrant,
-    Reading, Revocation, RtCert, Signed,
+    Reading, Revocation, RtCert, Signed, SwitchStatement,
 };
 use gdp::domain::Token;
 
@@ -19,6 +19,7 @@ pub fn cert(data: &[u8]) {
     decode::<RtCert>(data);
     decode::<Advert>(data);
     decode::<LinkState>(data);
+    decode::<SwitchStatement>(data);
     let Ok(text) = str::from_utf8(data) else { return };
     if let Ok(issued) = Issued::<AdCert>::from_pem(text) {
         assert_eq!(Issued::from_pem(&issued.to_pem()).expect("its own text"), issued);

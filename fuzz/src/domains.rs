@@ -1,7 +1,7 @@
 //! What fuzzing of certificates and control messages begins with, as far as it is about trust domains.
 
-use gdp::cert::{Invite, MemberCert, Membership, PeerCert, Revocation, Signed, issue};
-use gdp::control::Request;
+use gdp::cert::{Host, Invite, Locator, MemberCert, Membership, PeerCert, Revocation, Signed, SwitchStatement, issue};
+use gdp::control::{Extent, Request, TierEntry, TierKey, TierLeg, TierMessage, TierPush, TierRequest};
 use gdp::domain::{Papers, Token};
 use gdp::{Identity, SigningKey};
 use gdp_wire::Name;
@@ -10,6 +10,7 @@ pub struct Domain {
     home: Identity,
     papers: Papers,
     invited: Membership,
+    host: Host,
     token: Token,
     revocation: Signed<Revocation>,
 }
@@ -18,6 +19,7 @@ impl Domain {
     pub fn new() -> Self {
         let home = Identity::generate("domain").expect("an identity");
         let key = SigningKey::generate().expect("a key");
+        let switch = Identity::generate("switch").expect("an identity");
         let (domain, entity, peer) = (home.name(), Name::from_bytes([2; 32]), Name::from_bytes([3; 32]));
         let (serial, not_before, not_after) = (7, 0, 1 << 40);
         let member = MemberCert { domain, entity, role: "switch".into(), serial, not_before, not_after };
@@ -29,10 +31,16 @@ impl Domain {
         let invite = issue(home.key(), &invite).expect("an invitation");
         let at = "udp://edge.example:31415".parse().expect("a place");
         let token = Token::new(home.proof(), invite, key, at, Some(entity)).expect("a token");
+        let addresses = vec![([192, 0, 2, 1], 31415).into()];
+        let claims = SwitchStatement { switch: switch.name(), domain, addresses, serial, not_after };
+        let statement = issue(switch.key(), &claims).expect("a statement");
+        let invited = token.admit(switch.name(), 0, serial).expect("a membership");
+        let host = Host { proof: switch.proof(), statement, membership: invited.clone() };
         let revocation = Revocation { name: domain, number: 3, floor: 2, revoked: vec![4, 1 << 60] };
         Self {
             papers: Papers { membership: Membership::issue(&home, &member).expect("a membership"), peers: vec![peer] },
-            invited: token.admit(entity, 0, serial).expect("a membership"),
+            invited,
+            host,
             revocation: issue(home.key(), &revocation).expect("a revocation"),
             token,
             home,
@@ -46,6 +54,7 @@ impl Domain {
             ("an invitation", invite.as_bytes().to_vec()),
             ("an invitation's line", self.token.to_line().as_bytes().to_vec()),
             ("a membership by invitation as text", self.invited.to_pem().into_bytes()),
+            ("a switch statement", self.host.statement.as_bytes().to_vec()),
             ("a peer cert", self.papers.peers[0].as_bytes().to_vec()),
             ("a peer cert as text", self.papers.peers[0].to_pem().into_bytes()),
         ]
@@ -54,7 +63,14 @@ impl Domain {
     pub fn messages(&self) -> Vec<(&'static str, Request)> {
         let (switch, entity) = (Name::from_bytes([1; 32]), Name::from_bytes([2; 32]));
         let (proof, revocation) = (self.home.proof(), self.revocation.clone());
+        let (reports, shown) = (self.host.proof, Some(Box::new(self.host.clone())));
+        let locator = Locator { borders: vec![self.host.clone()] };
+        let set = vec![TierEntry::Locator { domain: self.home.name(), locator }];
+        let (extent, remove) = (Extent::Full { part: 0, last: true }, vec![TierKey::Locator(entity)]);
+        let push = TierRequest::Push(Box::new(TierPush { run: 1, generation: 7, extent, set, remove }));
         vec![
+            ("a switch's report", Request::Report { switch: reports, attached: vec![entity], own_bit: None, shown }),
+            ("tier push", Request::Tier(Box::new(TierMessage { leg: TierLeg::Across, request: push }))),
             ("papers", Request::Papers(Box::new(self.papers.clone()))),
             ("domain revoked", Request::DomainRevoked { proof, revocation }),
             ("admitted", Request::Admitted { switch, entity, membership: Box::new(self.invited.clone()) }),

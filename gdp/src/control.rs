@@ -13,7 +13,7 @@ mod traced;
 
 pub use peers::{NameRole, Peers, PeersExtent, PeersPush};
 pub use tiers::{
-    Abroad, MAX_ANCESTORS, MAX_PATH, Shown, TierEntry, TierHolds, TierKey, TierLeg, TierMessage, TierPush, TierRequest,
+    Abroad, MAX_ANCESTORS, MAX_PATH, TierEntry, TierHolds, TierKey, TierLeg, TierMessage, TierPush, TierRequest,
     TierResponse,
 };
 pub use traced::{
@@ -28,7 +28,7 @@ use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::cert::{
-    AdCert, Advert, CertError, Issued, LinkState, Membership, Reading, Revocation, RtCert, Side, Signed,
+    AdCert, Advert, CertError, Host, Issued, LinkState, Membership, Reading, Revocation, RtCert, Side, Signed,
     verify_statement,
 };
 use crate::domain::Papers;
@@ -60,8 +60,8 @@ pub enum Request {
     /// beyond these, and answers those it does not hold with [`Request::Detach`], so that they attach again. A switch whose
     /// daemon has just started names those whose links it took over. `own_bit`: the egress bit it had, if it had one; frames
     /// on their way carry it, so a RIB that does not know the switch gives it the same one if nobody else has it.
-    /// `shown`: what other domains may see of it, if it is a member of one.
-    Report { switch: NameProof, attached: Vec<Name>, own_bit: Option<u8>, shown: Option<Box<Shown>> },
+    /// `shown`: what other domains may see of it, if it is a member of a domain.
+    Report { switch: NameProof, attached: Vec<Name>, own_bit: Option<u8>, shown: Option<Box<Host>> },
     /// RIB → its border switch: have links with these border switches of other domains, which can be reached there, and with no others that
     /// I wanted.
     Peerings { wanted: Vec<(Name, SocketAddr)> },

@@ -99,7 +99,7 @@ impl Abroad {
 }
 
 impl Rib {
-    /// Takes in, or replaces, what the neighbour `foreign.next` told of one place. Verified here but for the membership of its switch.
+    /// Takes in, or replaces, what the neighbour `foreign.next` told of one place. Verified here but for the domain of its switch.
     /// Of several neighbours that tell of one place, the one with the newest statement counts, and of those the nearest; the word of
     /// the others is kept for when that one takes back its own. Key boxes are taken one after the other, up to one that is refused: for
     /// what reason, is returned.

@@ -7,8 +7,8 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Instant;
 
-use gdp::cert::Advert;
-use gdp::control::{EntityRequest, FibPush, NameRole, Refusal, RefusalCode, Request, Response, Shown, TierResponse};
+use gdp::cert::{Advert, Host};
+use gdp::control::{EntityRequest, FibPush, NameRole, Refusal, RefusalCode, Request, Response, TierResponse};
 use gdp::crypto;
 use gdp::identity::Identity;
 use gdp::link::{HOLD, KeyedEntry, Link, LinkIds, LinkKeys, Peer, Role};
@@ -86,7 +86,7 @@ pub struct Core {
     /// What other domains see that trace names through this one.
     pub shown_inside: Inside,
     /// What the RIB may show of this switch, as of the membership in it.
-    pub(super) shown: Option<Shown>,
+    pub(super) shown: Option<Host>,
     /// The links into other domains that the RIB wants this switch to have.
     pub(super) peerings: watch::Sender<Wanted>,
     /// What the links to neighbours cost, of which the configuration does not say it.

@@ -5,11 +5,11 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::cert::{Border, BorderStatement, CertError, Locator, MAX_LOCATED, MAX_LOCATOR, Revocation, Signed};
-use gdp::control::{RecordPlace, Refusal, RefusalCode, Response, Shown, TierKey, TierResponse};
+use gdp::cert::domain::roles;
+use gdp::cert::{CertError, Host, Locator, MAX_LOCATED, MAX_LOCATOR, Revocation, Signed, SwitchStatement};
+use gdp::control::{RecordPlace, Refusal, RefusalCode, Response, TierKey, TierResponse};
 use gdp::domain::Trust;
 use gdp::keys::KeyBox;
-use gdp::name::NameProof;
 use gdp_wire::Name;
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
@@ -26,7 +26,7 @@ use crate::tiers::{self, Change, Held, Item, Limits, Reply, Revoked, Ticket, Tie
 pub struct Federation {
     pub(super) tiers: Tiers,
     /// The switches of the domain that the RIB knows, as they have shown themselves to it.
-    hosts: BTreeMap<Name, Host>,
+    hosts: BTreeMap<Name, Shown>,
     /// What entities have stated in this domain, by switch.
     stated: BTreeMap<Name, BTreeSet<RecordPlace>>,
     /// What is to be told anew, besides what the RIB says has changed.
@@ -43,12 +43,11 @@ pub struct Federation {
     pub(super) wanted: BTreeMap<Name, (Wanted, Option<Duration>)>,
 }
 
-/// A switch of the domain. What it shows has been verified.
-struct Host {
-    shown: Shown,
-    /// If it is a border.
-    border: Option<Border>,
-    /// When what it shows is over, on the clock of the RIB.
+/// What a switch of the domain has shown; it has been verified.
+struct Shown {
+    host: Host,
+    is_border: bool,
+    /// When it is over, on the clock of the RIB.
     ends: Duration,
 }
 
@@ -87,41 +86,37 @@ impl Federation {
         ends.chain(self.tiers.next_tick()).chain(self.retries.next_tick()).min()
     }
 
-    /// A switch of the domain shows its membership: what was stated there may be told with it.
-    pub(super) fn show(&mut self, now: Now, trust: &Trust, proof: &NameProof, shown: Shown) -> Result<(), CertError> {
-        let switch = proof.name()?;
-        if self.hosts.get(&switch).is_some_and(|held| held.shown == shown) {
+    /// A switch shows that it is of the domain: what was stated there may be told with it.
+    pub(super) fn show(&mut self, now: Now, trust: &Trust, switch: Name, host: Host) -> Result<(), CertError> {
+        // A switch that has begun anew says the same again: what was told with that need not be told anew.
+        if self.hosts.get(&switch).is_some_and(|held| held.host.says_the_same(&host)) {
             return Ok(());
         }
         let home = trust.home();
-        let (revocation, membership) = (trust.revocation(&home), shown.membership.clone());
-        let member = membership.verify(home, revocation, now.unix)?;
-        if member.entity != switch {
-            return Err(CertError::WrongEntity { expected: switch, got: member.entity });
+        let (member, claims) = host.verify(home, trust.revocation(&home), now.unix)?;
+        if claims.switch != switch {
+            return Err(CertError::WrongSwitch { expected: switch, got: claims.switch });
         }
-        let border = shown.border.clone().map(|statement| Border { proof: *proof, statement, membership });
-        let located = border.as_ref().map(|border| border.verify(home, revocation, now.unix)).transpose()?;
-        let until = located.map_or(member.not_after, |located| located.not_after);
-        let ends =
-            now.clock + Duration::from_secs(until.saturating_sub(now.unix).saturating_add(1).min(u32::MAX.into()));
-        self.hosts.insert(switch, Host { shown, border, ends });
+        let left = claims.not_after.saturating_sub(now.unix).saturating_add(1).min(u32::MAX.into());
+        let (is_border, ends) = (member.role == roles::BORDER, now.clock + Duration::from_secs(left));
+        self.hosts.insert(switch, Shown { host, is_border, ends });
         self.hosts_changed([switch]);
         Ok(())
     }
 
     /// Forgets switches that are gone for good, and what is over.
     pub(super) fn forget_hosts(&mut self, now: Now, rib: &Rib) {
-        self.retain_hosts(|switch, host| rib.knows(switch) && now.clock < host.ends);
+        self.retain_hosts(|switch, shown| rib.knows(switch) && now.clock < shown.ends);
     }
 
     /// The domain has taken something back.
     pub(super) fn recheck_hosts(&mut self, revocation: Option<&Revocation>) {
-        self.retain_hosts(|_, host| host.shown.membership.check_revoked(revocation).is_ok());
+        self.retain_hosts(|_, shown| shown.host.membership.check_revoked(revocation).is_ok());
     }
 
-    fn retain_hosts(&mut self, stands: impl Fn(&Name, &Host) -> bool) {
+    fn retain_hosts(&mut self, stands: impl Fn(&Name, &Shown) -> bool) {
         let gone: Vec<Name> =
-            self.hosts.iter().filter(|(name, host)| !stands(name, host)).map(|(name, _)| *name).collect();
+            self.hosts.iter().filter(|(name, shown)| !stands(name, shown)).map(|(name, _)| *name).collect();
         gone.iter().for_each(|switch| _ = self.hosts.remove(switch));
         self.hosts_changed(gone);
     }
@@ -136,8 +131,8 @@ impl Federation {
 
     fn locator(&self) -> Locator {
         let mut locator = Locator::default();
-        for border in self.hosts.values().filter_map(|host| host.border.as_ref()) {
-            locator.borders.push(border.clone());
+        for Shown { host, .. } in self.hosts.values().filter(|shown| shown.is_border) {
+            locator.borders.push(host.clone());
             if locator.borders.len() > MAX_LOCATED || locator.size() > MAX_LOCATOR {
                 locator.borders.pop();
             }
@@ -147,7 +142,7 @@ impl Federation {
 
     /// Finds out which peerings are to be made. `is_linked`: there is a link to this domain, other than by this peering.
     pub(super) fn want_peerings(&mut self, now: Now, trust: &Trust, is_linked: impl Fn(Name, &Peering) -> bool) {
-        let claims = |locator: &Locator| -> Vec<BorderStatement> {
+        let claims = |locator: &Locator| -> Vec<SwitchStatement> {
             locator.borders.iter().filter_map(|border| border.statement.claims_unverified().ok()).collect()
         };
         let may_peer = |domain: &Name| {
@@ -203,11 +198,11 @@ impl Federation {
                 boxes.insert(place, export.boxes);
             }
             // Once the switch has reported.
-            let Some(host) = self.hosts.get(&place.switch) else {
+            let Some(shown) = self.hosts.get(&place.switch) else {
                 self.tiers.remove_own(place);
                 continue;
             };
-            if let Err(error) = self.tiers.set_own(now, export.record, host.shown.membership.clone()) {
+            if let Err(error) = self.tiers.set_own(now, export.record, shown.host.clone()) {
                 tracing::error!(%error, "the RIB holds a record that cannot be told to other domains");
             }
         }

@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use gdp::cert::domain::roles;
-use gdp::cert::{BorderStatement, issue};
+use gdp::cert::{Host, SwitchStatement, issue};
 use gdp::control::{
-    EntityRequest, RefusalCode, Request, Response, Shown, TierEntry, TierLeg, TierMessage, TierRequest, TierResponse,
+    EntityRequest, RefusalCode, Request, Response, TierEntry, TierLeg, TierMessage, TierRequest, TierResponse,
 };
 use gdp::domain::Standing;
 use gdp::link::Link;
@@ -64,13 +64,13 @@ impl Core {
 
     /// Brings RIB and tiers in line with each other. Returns what is to be sent to other domains.
     pub(super) fn federation_effects(&mut self) -> Vec<Outgoing> {
-        let (now, proof, shown) = (self.now(), self.identity.proof(), self.shown());
+        let (now, own, shown) = (self.now(), self.name(), self.shown());
         let (Some(rib), Some(federation), Some(domain)) = (&mut self.rib, &mut self.federation, &self.domain) else {
             return Vec::new();
         };
         federation.forget_hosts(now, rib);
         if let Some(shown) = shown
-            && let Err(error) = federation.show(now, &domain.trust, &proof, shown)
+            && let Err(error) = federation.show(now, &domain.trust, own, shown)
         {
             tracing::debug!(%error, "this switch has no membership to show other domains");
         }
@@ -100,7 +100,7 @@ impl Core {
         let mut outgoing: Vec<Outgoing> =
             outgoing.into_iter().map(|(to, sent, request)| self.to_domain(to, sent, request)).collect();
         for (border, wanted) in due {
-            if border == self.name() {
+            if border == own {
                 self.set_peerings(wanted);
                 continue;
             }
@@ -111,21 +111,18 @@ impl Core {
         outgoing
     }
 
-    /// What the RIB may show other domains of this switch; none: it is a member of no domain.
-    pub(super) fn shown(&mut self) -> Option<Shown> {
+    /// What the RIB may show other domains of this switch; none: it is a member of no domain. It states anew of which domain it is
+    /// whenever its membership is renewed, and so before the statement ends.
+    pub(super) fn shown(&mut self) -> Option<Host> {
         let domain = self.domain.as_ref()?;
         let membership = &domain.trust.papers().membership;
         if self.shown.as_ref().is_none_or(|shown| shown.membership != *membership) {
             let own = domain.trust.own(unix_now()).ok()?;
-            let states = || BorderStatement {
-                switch: self.identity.name(),
-                domain: own.domain,
-                addresses: self.public.clone(),
-                serial: unix_nanos(),
-                not_after: own.not_after,
-            };
-            let border = (own.role == roles::BORDER).then(|| issue(self.identity.key(), &states()).ok()).flatten();
-            self.shown = Some(Shown { membership: membership.clone(), border });
+            let addresses = if own.role == roles::BORDER { self.public.clone() } else { Vec::new() };
+            let (switch, serial) = (self.identity.name(), unix_nanos());
+            let claims = SwitchStatement { switch, domain: own.domain, addresses, serial, not_after: own.not_after };
+            let statement = issue(self.identity.key(), &claims).ok()?;
+            self.shown = Some(Host { proof: self.identity.proof(), statement, membership: membership.clone() });
         }
         self.shown.clone()
     }
@@ -237,8 +234,8 @@ impl Core {
         federation.tiers.answered(now, to, sent, response, &Known { rib, trust: &domain.trust });
     }
 
-    /// A switch has reported, with this membership: if it is one, other domains may see it.
-    pub(super) fn host_shown(&mut self, proof: &NameProof, shown: Shown) {
+    /// A switch has reported, and shows of which domain it is: if it is of this one, other domains may see it.
+    pub(super) fn host_shown(&mut self, proof: &NameProof, shown: Host) {
         let now = self.now();
         let (Some(federation), Some(domain), Ok(switch)) = (&mut self.federation, &self.domain, proof.name()) else {
             return;
@@ -247,7 +244,7 @@ impl Core {
         if let Some((_, due)) = federation.wanted.get_mut(&switch) {
             *due = Some(now.clock);
         }
-        if let Err(error) = federation.show(now, &domain.trust, proof, shown) {
+        if let Err(error) = federation.show(now, &domain.trust, switch, shown) {
             tracing::warn!(%switch, %error, "what a switch shows the RIB, for other domains, does not hold");
         }
     }

@@ -1,12 +1,11 @@
-//! Nothing that a neighbour says is taken in before it is verified here: paths, signatures, memberships, scopes, bounds. Each refusal
+//! Nothing that a neighbour says is taken in before it is verified here: paths, signatures, hosts, scopes, bounds. Each refusal
 //! has a reason that is counted.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::cert::domain::roles;
-use gdp::cert::{BorderStatement, CertError, Locator, Membership, Revocation};
+use gdp::cert::{CertError, Host, Locator, Revocation, SwitchStatement};
 use gdp::control::{Abroad, MAX_PATH, Record, TierEntry, TierKey};
 use gdp_wire::Name;
 
@@ -30,7 +29,7 @@ pub enum TierRefusal {
     Cycle(Name),
     #[error("the record of {name:#}: {source}")]
     Record { name: Name, source: Box<CertError> },
-    #[error("the membership of switch {switch:#} in domain {domain:#}: {source}")]
+    #[error("that switch {switch:#} is of domain {domain:#}, which both have to say: {source}")]
     Host { switch: Name, domain: Name, source: Box<CertError> },
     #[error(
         "the writer of {name:#} may be known in its own domain {origin:#} only: have its AdCert issued with the other domains in its scope"
@@ -143,7 +142,7 @@ impl<R: Revoked> Judge<'_, R> {
         }
         let (mut borders, mut left_out, mut until) = (Vec::new(), Vec::new(), u64::MAX);
         for (border, verified) in locator.borders.into_iter().zip(verified) {
-            let is_older = |new: &BorderStatement| floors.get(&new.switch).copied().filter(|floor| new.serial < *floor);
+            let is_older = |new: &SwitchStatement| floors.get(&new.switch).copied().filter(|floor| new.serial < *floor);
             match verified.and_then(|new| match is_older(&new) {
                 Some(floor) => Err(CertError::ReplayedSerial { got: new.serial, floor }),
                 None => Ok(new.not_after),
@@ -166,7 +165,7 @@ impl<R: Revoked> Judge<'_, R> {
     pub fn still_holds(&self, held: &Held) -> Result<(), TierRefusal> {
         let (name, switch, domain) = (held.place.name, held.place.switch, held.origin(self.home));
         let wrong_host = |source: CertError| TierRefusal::Host { switch, domain, source: source.into() };
-        held.host.check_revoked(self.revoked.newest(&domain)).map_err(wrong_host)?;
+        held.host.membership.check_revoked(self.revoked.newest(&domain)).map_err(wrong_host)?;
         let Some(revocation) = self.revoked.newest(&name) else { return Ok(()) };
         let serials = held.record.credential.serials();
         let check = |serials: Vec<_>| serials.into_iter().try_for_each(|(what, serial)| revocation.check(what, serial));
@@ -203,23 +202,18 @@ impl<R: Revoked> Judge<'_, R> {
     }
 
     /// The lifetime of the statement in seconds, and the last Unix second at which all certificates hold.
-    fn verify(&self, record: &Record, host: &Membership, origin: Name) -> Result<(u32, u64), TierRefusal> {
+    fn verify(&self, record: &Record, host: &Host, origin: Name) -> Result<(u32, u64), TierRefusal> {
         let Now { unix, .. } = self.now;
         let wrong_host =
             |source: CertError| TierRefusal::Host { switch: record.switch, domain: origin, source: source.into() };
-        let member = host.verify(origin, self.revoked.newest(&origin), unix).map_err(wrong_host)?;
-        if member.entity != record.switch {
-            let (expected, got) = (record.switch, member.entity);
-            return Err(wrong_host(CertError::WrongEntity { expected, got }));
-        }
-        if !roles::is_switch(&member.role) {
-            let expected = roles::SWITCH.into();
-            return Err(wrong_host(CertError::WrongRole { expected, got: member.role }));
+        let (_, host) = host.verify(origin, self.revoked.newest(&origin), unix).map_err(wrong_host)?;
+        if host.switch != record.switch {
+            return Err(wrong_host(CertError::WrongSwitch { expected: record.switch, got: host.switch }));
         }
         let verified = record
             .verify(self.revoked.newest(&record.name), unix)
             .map_err(|source: CertError| TierRefusal::Record { name: record.name, source: source.into() })?;
-        Ok((verified.advert.lifetime, verified.not_after.min(member.not_after)))
+        Ok((verified.advert.lifetime, verified.not_after.min(host.not_after)))
     }
 
     fn clock_at(&self, unix: u64) -> Duration {

@@ -25,7 +25,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::cert::{CertError, Locator, Membership, Signed};
+use gdp::cert::{CertError, Host, Locator, Signed};
 use gdp::control::{Record, RecordPlace, TierHolds, TierKey, TierRequest, TierResponse};
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
@@ -197,9 +197,9 @@ impl Tiers {
         self.adjacent = adjacent;
     }
 
-    /// What an entity has stated in this domain, verified by its RIB, with the membership of the switch it is attached to. Of what is for
-    /// this domain alone nothing is kept.
-    pub fn set_own(&mut self, now: Now, record: Record, host: Membership) -> Result<(), CertError> {
+    /// What an entity has stated in this domain, verified by its RIB, with the switch it is attached to. Of what is for this domain alone
+    /// nothing is kept.
+    pub fn set_own(&mut self, now: Now, record: Record, host: Host) -> Result<(), CertError> {
         let place = record.place()?;
         let scope = record.credential.scope()?;
         if record.is_writer() && scope.iter().all(|domain| *domain == self.home) {

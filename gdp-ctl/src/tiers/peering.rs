@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use gdp::cert::BorderStatement;
+use gdp::cert::SwitchStatement;
 use gdp_wire::Name;
 
 /// How long a peering stays that nobody uses any more.
@@ -34,8 +34,8 @@ impl Peerings {
 
 /// The link that this domain is to make to another, if it is the one to make it. Each names the border that can be reached, then the one
 /// with the lower name; of two that can be reached the one with the lower name dials.
-pub fn choose(own: &[BorderStatement], other: &[BorderStatement]) -> Option<Peering> {
-    let best = |all: &'_ [BorderStatement]| {
+pub fn choose(own: &[SwitchStatement], other: &[SwitchStatement]) -> Option<Peering> {
+    let best = |all: &'_ [SwitchStatement]| {
         let best = all.iter().min_by_key(|border| (border.addresses.is_empty(), border.switch));
         best.map(|border| (border.switch, border.addresses.first().copied()))
     };
@@ -73,11 +73,11 @@ mod tests {
     }
 
     /// One for each number; those with a negative one can only dial.
-    fn borders(numbers: &[i8]) -> Vec<BorderStatement> {
+    fn borders(numbers: &[i8]) -> Vec<SwitchStatement> {
         let border = |number: &i8| {
             let addresses = (*number > 0).then(|| SocketAddr::from(([192, 0, 2, *number as u8], 31415)));
             let (switch, addresses) = (name(number.unsigned_abs()), addresses.into_iter().collect());
-            BorderStatement { switch, domain: name(0), addresses, serial: 1, not_after: 1 }
+            SwitchStatement { switch, domain: name(0), addresses, serial: 1, not_after: 1 }
         };
         numbers.iter().map(border).collect()
     }

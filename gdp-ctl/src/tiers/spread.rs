@@ -68,15 +68,18 @@ impl Tiers {
             origins.extend(changed);
         }
 
-        let best = ways.values().filter_map(|ways| ways.first()).filter(|held| !held.path.is_empty());
-        let known = best.filter_map(|held| {
-            let via = held.via(home);
-            let passes = |(domain, interest): (&Name, &Interest)| {
-                *domain != home && *domain != via && !held.path.contains(domain) && interest.wants(held, home)
-            };
-            let only_passes = !interests.get(&home).is_some_and(|interest| interest.wants(held, home));
-            let is_known = !only_passes || interests.iter().any(passes);
-            is_known.then(|| Item::Part { held: held.clone(), only_passes })
+        let passes = |held: &&Arc<Held>| {
+            let others = interests.iter().filter(|(domain, _)| **domain != home && !held.path.contains(domain));
+            others.map(|(_, interest)| interest).any(|interest| interest.wants(held, home))
+        };
+        let is_wanted = |held: &&Arc<Held>| interests.get(&home).is_some_and(|interest| interest.wants(held, home));
+        // What was stated here is known here. Otherwise one neighbour's word is not to hide another's: a way that is of no use does not
+        // count, however short.
+        let abroad = ways.values().filter(|ways| ways.iter().all(|held| !held.path.is_empty()));
+        let known = abroad.filter_map(|ways| {
+            let wanted = ways.iter().find(is_wanted);
+            let held = wanted.or_else(|| ways.iter().find(passes))?;
+            Some(Item::Part { held: held.clone(), only_passes: wanted.is_none() })
         });
         let (entities, changed) = self.known.replace_parts(home, name, known.collect());
         writers.extend(entities);

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::cert::{Locator, Membership, Signed};
+use gdp::cert::{Host, Locator, Signed};
 use gdp::control::{Abroad, Extent, NameRole, Record, RecordPlace, TierEntry, TierHolds, TierKey};
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
@@ -18,7 +18,7 @@ use super::judge::TierRefusal;
 pub struct Held {
     pub place: RecordPlace,
     pub record: Record,
-    pub host: Membership,
+    pub host: Host,
     /// The domains it came through, the one that said it last; none for what was stated in this domain.
     pub path: Vec<Name>,
     /// Of a writer: the domains its certificate names.

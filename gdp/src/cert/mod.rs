@@ -1,5 +1,5 @@
 //! Certificates and statements: COSE_Sign1 / ES256 over deterministic CBOR (RFC 9052, RFC 8949 §4.2.1). [`owner`], [`domain`],
-//! [`border`], [`statements`] and [`link_state`] say what they state, [`Signed`] keeps and checks the exact bytes, [`issued`] the chain from a certificate
+//! [`switch`], [`statements`] and [`link_state`] say what they state, [`Signed`] keeps and checks the exact bytes, [`issued`] the chain from a certificate
 //! to the owner of its name. Who must have signed what for a request to be granted is checked in [`request`]. The RIB, and
 //! whoever receives its answers, call this.
 //!
@@ -7,7 +7,6 @@
 //! verifies as another; a COSE `Sig_structure` begins with a CBOR array head and "Signature1", which no other input that
 //! this project signs begins with (`gdp::seal` signs "gdp/batch/1…", TLS signs 64 spaces and a context).
 
-mod border;
 mod claims;
 pub mod domain;
 mod issued;
@@ -17,8 +16,8 @@ mod pem;
 mod request;
 mod signed;
 mod statements;
+mod switch;
 
-pub use border::{Border, BorderStatement, Locator, MAX_ADDRESSES, MAX_LOCATED, MAX_LOCATOR};
 pub use claims::{CLOCKS_DIFFER, Claims, Validity};
 pub use domain::{Invite, MemberCert, Membership, PeerCert, PeerRights};
 pub use issued::{Issued, MAX_CERT_FILE, Reading};
@@ -30,6 +29,7 @@ pub(crate) use request::{Side, verify_statement};
 pub use request::{Speaker, authorise_advertise, authorise_subscribe, authorise_withdraw};
 pub use signed::{MAX_SIGNED, Signed, issue};
 pub use statements::{Advert, AdvertOp, RtCert};
+pub use switch::{Host, Locator, MAX_ADDRESSES, MAX_LOCATED, MAX_LOCATOR, SwitchStatement};
 
 use crate::cbor::CborError;
 use crate::crypto::CryptoError;
@@ -107,5 +107,7 @@ impl From<CborError> for CertError {
 
 #[cfg(test)]
 mod issued_tests;
+#[cfg(test)]
+mod switch_tests;
 #[cfg(test)]
 mod tests;

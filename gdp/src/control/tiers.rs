@@ -7,7 +7,7 @@ use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
 use super::{Extent, Record, RecordPlace, Refusal};
-use crate::cert::{BorderStatement, Locator, Membership, Signed};
+use crate::cert::{Host, Locator, Signed};
 use crate::keys::KeyBox;
 
 /// Domains that a record comes through, or a query, at most.
@@ -32,14 +32,6 @@ pub enum TierLeg {
     Across,
     /// Within the other domain: for its RIB. The border says whose link it came by.
     In { from: Name },
-}
-
-/// What a switch shows the RIB of its domain, to be shown to other domains.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Shown {
-    pub membership: Membership,
-    /// Of a border: where it can be reached.
-    pub border: Option<Signed<BorderStatement>>,
 }
 
 /// RIB → the RIB of a neighbouring domain.
@@ -120,8 +112,8 @@ pub enum TierEntry {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Abroad {
     pub record: Record,
-    /// Of the switch that the entity is attached to, in the first domain of the path.
-    pub host: Membership,
+    /// The switch that the entity is attached to, which is of the first domain of the path.
+    pub host: Host,
     /// The domains that it came through, its own first and the one that says it last.
     pub path: Vec<Name>,
 }

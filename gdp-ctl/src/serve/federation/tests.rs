@@ -3,14 +3,14 @@
 use std::time::Duration;
 
 use gdp::cert::domain::roles;
-use gdp::cert::{MemberCert, Membership, issue};
+use gdp::cert::issue;
 use gdp::control::{Abroad, Extent, NameRole, Record, TierEntry, TierPush, TierRequest, TierResponse};
 use gdp::domain::Papers;
 use gdp::identity::Identity;
 
 use super::*;
 use crate::rib::{Limits, Run};
-use crate::tiers::tests::world::{Revocations, UNIX, World, identity};
+use crate::tiers::tests::world::{Revocations, UNIX, World, host, identity};
 
 use NameRole::{Publisher, Subscriber};
 
@@ -80,9 +80,10 @@ fn a_domain_says_only_where_it_can_be_reached_now() {
     }
     let wrong = h.show(&one, &other, roles::BORDER, UNIX + 2000).unwrap_err();
     assert!(matches!(wrong, CertError::WrongKey { .. } | CertError::BadSignature { .. }), "{wrong}");
-    assert!(h.show(&one, &one, roles::SWITCH, UNIX + 2000).is_err(), "no border");
     assert!(h.show(&one, &one, roles::BORDER, UNIX - 1).is_err(), "over");
     assert_eq!(located(&h), [one.name(), other.name()].into(), "what it has shown before counts");
+    h.show(&other, &other, roles::SWITCH, UNIX + 1000).unwrap();
+    assert_eq!(located(&h), [one.name()].into(), "no border any more");
 
     // Nobody reaches them; one comes back.
     while h.rib.knows(&one.name()) || h.rib.knows(&other.name()) {
@@ -124,19 +125,14 @@ impl Home {
         self.world.domains[0].identity.name()
     }
 
-    /// A switch shows its membership, and a statement signed by `signer`, both until then.
+    /// A switch shows its membership, and its statement signed by `signer`, both until then.
     fn show(&mut self, switch: &Identity, signer: &Identity, role: &str, until: u64) -> Result<(), CertError> {
-        let (domain, entity) = (&self.world.domains[0].identity, switch.name());
-        let home = domain.name();
-        let (role, not_before, not_after) = (role.into(), UNIX - 100_000, until);
-        let cert = MemberCert { domain: home, entity, role, serial: 7, not_before, not_after };
-        let membership = Membership::issue(domain, &cert)?;
-        let statement = BorderStatement { switch: entity, domain: home, addresses: vec![], serial: 1, not_after };
-        let border = Some(issue(signer.key(), &statement)?);
-        let papers = Papers { membership: self.world.domains[0].host.clone(), peers: vec![] };
+        let mut shown = host(&self.world.domains[0].identity, switch, role, until);
+        shown.statement = issue(signer.key(), &shown.statement.claims_unverified()?)?;
+        let papers = Papers { membership: self.world.domains[0].host.membership.clone(), peers: vec![] };
         let own = self.world.domains[0].switch.name();
         let trust = Trust::new(own, Arc::new(papers), false).expect("papers of this switch");
-        self.federation.show(self.world.now, &trust, &switch.proof(), Shown { membership, border })
+        self.federation.show(self.world.now, &trust, switch.name(), shown)
     }
 
     /// Of the child: the first is the whole, the following change it.
@@ -144,7 +140,7 @@ impl Home {
         self.generation += 1;
         let extent = if self.generation == 1 { Extent::Full { part: 0, last: true } } else { Extent::Delta };
         let child = &self.world.domains[1];
-        let (host, path): (Membership, _) = (child.host.clone(), vec![child.identity.name()]);
+        let (host, path) = (child.host.clone(), vec![child.identity.name()]);
         let part = |record| TierEntry::Part(Box::new(Abroad { record, host: host.clone(), path: path.clone() }));
         let set = set.into_iter().map(part).collect();
         let remove = remove.into_iter().map(|record| TierKey::Part(place(record))).collect();

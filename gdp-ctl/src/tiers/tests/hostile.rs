@@ -3,14 +3,14 @@
 use std::time::Duration;
 
 use gdp::cert::domain::roles;
-use gdp::cert::{Border, BorderStatement, Locator, MemberCert, Membership, Revocation, Signed, issue};
+use gdp::cert::{Host, Locator, MemberCert, Membership, Revocation, Signed, SwitchStatement, issue};
 use gdp::control::{
     Abroad, Extent, MAX_PATH, NameRole, RefusalCode, TierEntry, TierKey, TierPush, TierRequest, TierResponse,
 };
 use gdp::keys::KeyBox;
 use gdp::name::Name;
 
-use super::world::{UNIX, World, identity, owner};
+use super::world::{DAY, UNIX, World, identity, owner};
 use crate::rib::Now;
 use crate::tiers::{Item, Limits, Reply, Tiers};
 
@@ -48,7 +48,8 @@ fn a_part_is_refused_unless_all_of_it_fits() {
         ("another switch", with(&|a| a.record.switch = stranger), "certificate"),
         ("another name", with(&|a| a.record.name = stranger), "certificate"),
         ("a spoilt statement", with(&|a| a.record.advert = flipped(&a.record.advert)), "signature"),
-        ("a spoilt membership", with(&|a| a.host.cert = flipped(&a.host.cert)), "signature"),
+        ("a spoilt membership", with(&|a| a.host.membership.cert = flipped(&a.host.membership.cert)), "signature"),
+        ("a spoilt word of the switch", with(&|a| a.host.statement = flipped(&a.host.statement)), "signature"),
         ("no scope", unscoped, "scope"),
         ("its own scope", own_scope, "scope"),
         ("over", with(&|a| a.record.expires_in = 0), "ended"),
@@ -70,17 +71,16 @@ fn a_part_is_refused_unless_all_of_it_fits() {
 fn clocks_that_differ_are_told_apart_from_forgery() {
     let mut v = Victim::new();
     let right = v.part(2, &[0]);
-    let day = 86_400;
-    for (unix, counted) in [(UNIX - 2 * day, "not_yet_valid"), (UNIX + 2 * day, "expired")] {
+    for (unix, counted) in [(UNIX - 2 * DAY, "not_yet_valid"), (UNIX + 2 * DAY, "expired")] {
         v.w.now = Now { unix, ..v.w.now };
         v.push(vec![TierEntry::Part(Box::new(right.clone()))]);
         assert_eq!((v.counted(counted), v.entries()), (1, 0));
     }
-    v.w.now = Now { unix: UNIX + day - 10, ..v.w.now };
+    v.w.now = Now { unix: UNIX + DAY - 10, ..v.w.now };
     v.push(vec![TierEntry::Part(Box::new(right))]);
     assert_eq!(v.entries(), 1);
     let ends = v.w.now.clock + Duration::from_secs(11);
-    let now = Now { unix: UNIX + day + 1, clock: ends };
+    let now = Now { unix: UNIX + DAY + 1, clock: ends };
     v.w.domains[0].tiers.tick(now);
     assert_eq!(v.entries(), 0, "it ends with its certificates, whatever it says itself");
 }
@@ -111,7 +111,7 @@ fn boxes_and_locators_are_verified_and_go_forward_only() {
     let states = |serial| {
         let (border, mut locator) = (identity("border", 2), right.clone());
         let (switch, domain, addresses, not_after) = (border.name(), child, vec![], UNIX + 100);
-        let claims = BorderStatement { switch, domain, addresses, serial, not_after };
+        let claims = SwitchStatement { switch, domain, addresses, serial, not_after };
         locator.borders[0].statement = issue(border.key(), &claims).unwrap();
         locator
     };
@@ -130,9 +130,9 @@ fn a_border_that_does_not_verify_hides_no_other() {
         let (role, not_before, not_after) = (roles::BORDER.into(), UNIX - 100, until);
         let cert = MemberCert { domain: child, entity: border.name(), role, serial, not_before, not_after };
         let (switch, not_after) = (border.name(), UNIX + 200);
-        let claims = BorderStatement { switch, domain: child, addresses: vec![], serial, not_after };
+        let claims = SwitchStatement { switch, domain: child, addresses: vec![], serial, not_after };
         let (proof, statement) = (border.proof(), issue(border.key(), &claims).unwrap());
-        Border { proof, statement, membership: Membership::issue(&domain, &cert).unwrap() }
+        Host { proof, statement, membership: Membership::issue(&domain, &cert).unwrap() }
     };
     let held = |v: &Victim| -> Vec<Name> {
         match v.w.domains[0].tiers.sides[&child].table.get(&TierKey::Locator(child)) {
@@ -140,7 +140,7 @@ fn a_border_that_does_not_verify_hides_no_other() {
             _ => vec![],
         }
     };
-    let push = |v: &mut Victim, borders: &[&Border]| {
+    let push = |v: &mut Victim, borders: &[&Host]| {
         let borders = borders.iter().map(|border| (**border).clone()).collect();
         let response = v.push(vec![TierEntry::Locator { domain: child, locator: Locator { borders } }]);
         (held(v), response)
@@ -240,7 +240,7 @@ fn what_grows_counts_as_what_is_new() {
     let entry = |addresses: usize, serial| {
         let border = identity("border", 2);
         let addresses = vec!["192.0.2.1:31415".parse().unwrap(); addresses];
-        let claims = BorderStatement { switch: border.name(), domain: child, addresses, serial, not_after: UNIX + 100 };
+        let claims = SwitchStatement { switch: border.name(), domain: child, addresses, serial, not_after: UNIX + 100 };
         let mut locator = v.w.domains[2].locator.clone();
         locator.borders[0].statement = issue(border.key(), &claims).unwrap();
         locator
@@ -314,7 +314,7 @@ impl Victim {
     }
 
     /// A right part of entity 100 in topic 0, stated in domain `at`, as that says it itself.
-    fn part(&mut self, at: usize, scope: &[usize]) -> Abroad {
+    pub fn part(&mut self, at: usize, scope: &[usize]) -> Abroad {
         self.part_in(at, 0, 100, scope)
     }
 
@@ -363,7 +363,7 @@ impl Victim {
         self.w.domains[0].tiers.neighbours().find(|neighbour| neighbour.domain == child).unwrap()
     }
 
-    fn forget_counts(&mut self) {
+    pub fn forget_counts(&mut self) {
         self.w.domains[0].tiers.sides.values_mut().for_each(|side| side.refused.clear());
     }
 }

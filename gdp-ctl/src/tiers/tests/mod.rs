@@ -1,6 +1,7 @@
 //! Whole federations in simulated time, compared with what each domain should know by all that was stated; and what a hostile
 //! neighbour may try.
 
+mod drawn;
 mod hostile;
 mod many;
 pub mod world;
@@ -9,7 +10,7 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use gdp::cert::Revocation;
-use gdp::control::{NameRole, RecordPlace};
+use gdp::control::{NameRole, RecordPlace, encode};
 
 use super::{HOLD, Item, Standing};
 use world::{Random, World, owner, pair};
@@ -220,6 +221,40 @@ fn what_is_taken_back_is_forgotten_on_the_way() {
     assert!(w.domains[0].tiers.neighbours().any(|neighbour| neighbour.refused.get("revoked") == Some(&2)));
     let name = owner(0).1.name().unwrap();
     w.domains[0].tiers.reconsider(now, name, &w.revocations);
+}
+
+#[test]
+fn a_switch_that_states_again_in_time_is_missed_nowhere() {
+    let mut w = World::new(8, TREE);
+    let ends = |w: &World| w.now.unix + 600;
+    w.renew(3, ends(&w));
+    w.state(3, 0, 0, Publisher, &[5]);
+    w.state(5, 0, 1, Subscriber, &[]);
+    for _ in 0..3 {
+        w.run(Duration::from_secs(500));
+        w.check("a statement that holds");
+        w.renew(3, ends(&w));
+    }
+    w.run(Duration::from_secs(590));
+    w.check("the last one");
+    assert_eq!(w.removed, 0, "all the time");
+    w.run(Duration::from_secs(20));
+    assert_eq!(w.domains[5].known.values().filter(is_own_part).count(), 0, "it has ended");
+}
+
+#[test]
+fn an_entry_takes_no_more_room_than_it_is_counted_with() {
+    let mut w = World::new(9, TREE);
+    w.state(3, 0, 0, Publisher, &[5]);
+    w.state(5, 0, 1, Subscriber, &[]);
+    w.wrap(3, 0, 0, 1);
+    w.run(MOMENT);
+    let known = &w.domains[5].known;
+    assert_eq!(known.len(), 3, "a part, a box, a locator");
+    for item in known.values() {
+        let (size, counted) = (encode(&item.told(w.now.clock, owner(0).1.name().unwrap())).unwrap().len(), item.size());
+        assert!(size <= counted, "{size} bytes that count as {counted}: {item:?}");
+    }
 }
 
 #[test]

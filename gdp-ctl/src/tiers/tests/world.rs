@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use gdp::cert::domain::roles;
 use gdp::cert::{
-    AdCert, Advert, Border, BorderStatement, Grantee, Locator, MemberCert, Membership, Mode, ReadGrant, Revocation,
-    Signed, issue,
+    AdCert, Advert, Grantee, Host, Locator, MemberCert, Membership, Mode, ReadGrant, Revocation, Signed,
+    SwitchStatement, issue,
 };
 use gdp::control::{self, Credential, NameRole, Record, RecordPlace, TierEntry, TierKey, TierRequest, TierResponse};
 use gdp::identity::{Identity, SigningKey};
@@ -19,7 +19,7 @@ use crate::rib::Now;
 use crate::tiers::{Change, Effect, Item, Kind, Limits, Reply, Revoked, Sent, Standing, Ticket, Tiers};
 
 pub const UNIX: u64 = 1_800_000_000;
-const DAY: u64 = 86_400;
+pub const DAY: u64 = 86_400;
 
 /// How long a message that is lost is waited for.
 const TIMEOUT: Duration = Duration::from_secs(3);
@@ -37,7 +37,7 @@ impl Revoked for Revocations {
 pub struct Domain {
     pub identity: Identity,
     pub switch: Identity,
-    pub host: Membership,
+    pub host: Host,
     pub locator: Locator,
     pub parents: Vec<usize>,
     pub tiers: Tiers,
@@ -74,6 +74,8 @@ pub struct World {
     pub answers: Vec<(usize, Vec<RecordPlace>)>,
     pub pushes: u64,
     pub messages: u64,
+    /// What own RIBs were told to forget.
+    pub removed: u64,
     pub revocations: Revocations,
     runs: u64,
 }
@@ -111,6 +113,7 @@ impl World {
             answers: Vec::new(),
             pushes: 0,
             messages: 0,
+            removed: 0,
             revocations: Revocations::default(),
             runs: 0,
         };
@@ -140,6 +143,15 @@ impl World {
         }
         // Messages to the one before are lost.
         self.waiting.retain(|(at, _), _| *at != index);
+    }
+
+    /// The membership of a domain's switch is renewed, and with it what the switch states.
+    pub fn renew(&mut self, at: usize, not_after: u64) {
+        let domain = &mut self.domains[at];
+        domain.host = host(&domain.identity, &domain.switch, roles::SWITCH, not_after);
+        for part in domain.parts.values() {
+            domain.tiers.set_own(self.now, part.record.clone(), domain.host.clone()).unwrap();
+        }
     }
 
     pub fn adjacent(&self, index: usize) -> BTreeSet<Name> {
@@ -297,7 +309,10 @@ impl World {
                     };
                     self.domains[index].known.insert(key, item);
                 }
-                Change::Remove(key) => assert!(self.domains[index].known.remove(&key).is_some()),
+                Change::Remove(key) => {
+                    self.removed += 1;
+                    assert!(self.domains[index].known.remove(&key).is_some());
+                }
             }
         }
     }
@@ -418,36 +433,30 @@ impl World {
 fn domain(index: usize, parents: &[usize]) -> Domain {
     let (identity, switch) = (identity("domain", index), self::identity("switch", index));
     let border = self::identity("border", index);
-    let member = |entity: &Identity, role: &str| {
-        let cert = MemberCert {
-            domain: identity.name(),
-            entity: entity.name(),
-            role: role.into(),
-            serial: 7,
-            not_before: UNIX - DAY,
-            not_after: UNIX + DAY,
-        };
-        Membership::issue(&identity, &cert).unwrap()
-    };
-    let statement = BorderStatement {
-        switch: border.name(),
-        domain: identity.name(),
-        addresses: vec!["192.0.2.1:31415".parse().unwrap()],
-        serial: 1,
-        not_after: UNIX + DAY,
-    };
-    let statement = issue(border.key(), &statement).unwrap();
-    let borders = vec![Border { proof: border.proof(), statement, membership: member(&border, roles::BORDER) }];
     Domain {
-        host: member(&switch, roles::SWITCH),
+        host: host(&identity, &switch, roles::SWITCH, UNIX + DAY),
+        locator: Locator { borders: vec![host(&identity, &border, roles::BORDER, UNIX + DAY)] },
         tiers: Tiers::new(identity.name(), 0, Limits::default()),
         identity,
         switch,
-        locator: Locator { borders },
         parents: parents.to_vec(),
         parts: BTreeMap::new(),
         boxes: BTreeMap::new(),
         known: BTreeMap::new(),
+    }
+}
+
+/// What `domain` and `switch` say of the switch, until `not_after`.
+pub fn host(domain: &Identity, switch: &Identity, role: &str, not_after: u64) -> Host {
+    let addresses = if role == roles::BORDER { vec!["192.0.2.1:31415".parse().unwrap()] } else { vec![] };
+    let (domain_name, entity, serial) = (domain.name(), switch.name(), 7);
+    let member =
+        MemberCert { domain: domain_name, entity, role: role.into(), serial, not_before: UNIX - DAY, not_after };
+    let claims = SwitchStatement { switch: entity, domain: domain_name, addresses, serial: 1, not_after };
+    Host {
+        proof: switch.proof(),
+        statement: issue(switch.key(), &claims).unwrap(),
+        membership: Membership::issue(domain, &member).unwrap(),
     }
 }
 
