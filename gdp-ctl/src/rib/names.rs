@@ -154,7 +154,11 @@ impl Names {
     pub fn check_room(&self, name: &Name, entity: &Name, new: &Registration, limits: &Limits) -> Result<(), Refusal> {
         let Some(topic) = self.all.get(name.as_bytes()) else {
             let limit = limits.names;
-            return if self.all.len() < limit { Ok(()) } else { Err(limit_reached(format!("{limit} names are known"))) };
+            return if self.all.len() < limit {
+                Ok(())
+            } else {
+                Err(limit_reached(format!("{limit} names are known")))
+            };
         };
         let part = topic.part(new.role);
         if !new.role.is_writer() {
