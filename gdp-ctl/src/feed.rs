@@ -19,6 +19,8 @@ pub struct Feed<K, V> {
     dirty: BTreeSet<K>,
     generation: u64,
     phase: Phase<K>,
+    /// Pushes that failed since one was answered.
+    failures: u32,
     /// The push that has not been answered.
     in_flight: Option<InFlight<K>>,
 }
@@ -58,7 +60,8 @@ enum Phase<K> {
 impl<K, V> Default for Feed<K, V> {
     fn default() -> Self {
         let phase = Phase::Full { part: 0, after: None };
-        Self { entries: BTreeMap::new(), dirty: BTreeSet::new(), generation: 0, phase, in_flight: None }
+        let (entries, dirty) = Default::default();
+        Self { entries, dirty, generation: 0, phase, failures: 0, in_flight: None }
     }
 }
 
@@ -145,16 +148,18 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
             return false;
         }
         self.in_flight = None;
+        self.failures = if done { 0 } else { self.failures.saturating_add(1) };
         if !done {
             self.phase = Phase::Failed { retry: now + RETRY };
         }
         true
     }
 
-    /// Whether the other side has answered what there is to say of this key; or has failed to, so that waiting is of no use.
+    /// Whether the other side has answered what there is to say of this key; or has failed to more than once, so that waiting is of no
+    /// use.
     pub fn is_settled(&self, key: &K) -> bool {
         let sent = match &self.phase {
-            Phase::Failed { .. } => return true,
+            Phase::Failed { .. } => return self.failures > 1,
             Phase::Following => true,
             Phase::Full { after, .. } => after.is_some_and(|after| *key <= after),
         };

@@ -140,9 +140,19 @@ mod tests {
         assert_eq!(fib.next(NOW, about()), None, "an answer to something else");
         fib.answered(NOW, push.generation, Pushed::Failed);
         assert_eq!(fib.next(NOW, about()), None, "not at once");
+        assert!(!fib.is_settled(&name(1).to_bytes()), "the next one may arrive");
         let retry = fib.retry_at().unwrap();
         let push = fib.next(retry, about()).unwrap();
         assert_eq!((push.extent, push.set.len()), (Extent::Full { part: 0, last: true }, 2));
+        fib.answered(retry, push.generation, Pushed::Failed);
+        assert!(fib.is_settled(&name(1).to_bytes()), "it is of no use to wait for this switch");
+        let retry = fib.retry_at().unwrap();
+        let push = fib.next(retry, about()).unwrap();
+        fib.answered(retry, push.generation, Pushed::Done);
+        fib.set(&name(3), Some(route(3, 1)));
+        let push = fib.next(retry, about()).unwrap();
+        fib.answered(retry, push.generation, Pushed::Failed);
+        assert!(!fib.is_settled(&name(3).to_bytes()), "it was there meanwhile");
     }
 
     #[test]

@@ -52,7 +52,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     let now = Now { unix: owner.now(), clock: Duration::from_secs(1) };
     let before = held();
     let mut rib = Rib::new(switch.name(), Run { id: 1, settling: Duration::ZERO }, Limits::default());
-    ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Done));
+    ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Reported { .. }));
     let mut signed = 0;
     for share in shares(bench.names) {
         gdp_tests::wait::check_interrupt()?;

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 use gdp::cert::domain::roles;
-use gdp::cert::{MemberCert, Membership, Revocation};
+use gdp::cert::{Host, MemberCert, Membership, Revocation, SwitchStatement, issue};
 use gdp::control::{self, EntityRequest, RecordPlace, Response, TierRequest, TierResponse};
 use gdp::{Identity, Name};
 use gdp_ctl::rib::{Limits, Now, Rib, Run};
@@ -80,7 +80,7 @@ struct Domain {
     tier: usize,
     tiers: Tiers,
     rib: Rib,
-    hosts: Vec<(Identity, Membership)>,
+    hosts: Vec<(Identity, Host)>,
     robot: Identity,
     serial: u64,
     /// Bytes of its RIB and its tiers.
@@ -353,7 +353,11 @@ impl Domain {
             let (switch, role) = (Identity::generate("switch")?, roles::SWITCH.to_owned());
             let (domain, entity, serial) = (identity.name(), switch.name(), i as u64 + 1);
             let claims = MemberCert { domain, entity, role, serial, not_before: 0, not_after: u64::MAX };
-            anyhow::Ok((switch, Membership::issue(&identity, &claims)?))
+            let membership = Membership::issue(&identity, &claims)?;
+            let claims =
+                SwitchStatement { switch: entity, domain, addresses: Vec::new(), serial: 1, not_after: u64::MAX };
+            let (proof, statement) = (switch.proof(), issue(switch.key(), &claims)?);
+            anyhow::Ok((switch, Host { proof, statement, membership }))
         };
         let hosts: Vec<_> = (0..SWITCHES).map(host).collect::<Result<_>>()?;
         let limits = Limits { names_per_entity: usize::MAX, ..Limits::default() };
@@ -361,7 +365,7 @@ impl Domain {
         let costs = hosts.iter().map(|(switch, _)| (switch.name(), 1)).collect();
         rib.set_paths(now, Paths { costs, ..Paths::default() });
         for (switch, _) in &hosts {
-            ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Done));
+            ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Reported { .. }));
         }
         let tiers = Tiers::new(identity.name(), 1, tiers::Limits::default());
         let mut domain =

@@ -50,7 +50,7 @@ fn what_there_is_no_room_for_is_taken_once_there_is() {
 fn a_switch_that_was_of_this_domain_may_be_of_another() {
     let mut h = Home::new(Limits::default());
     let (now, switch) = (h.world.now, h.world.domains[1].switch.clone());
-    assert!(matches!(h.rib.report(now, &switch.proof(), &[], None), Response::Done));
+    assert!(matches!(h.rib.report(now, &switch.proof(), &[], None), Response::Reported { .. }));
     let record = h.world.record(1, 0, 100, Publisher, &[h.home()]);
     h.push(vec![record.clone()], vec![]);
     assert_eq!(h.known(), []);
@@ -68,7 +68,7 @@ fn a_domain_says_only_where_it_can_be_reached_now() {
     let [one, other] = ["one", "other"].map(|name| identity("border", name.len()));
     let report = |h: &mut Home, border: &Identity| {
         let response = h.rib.report(h.world.now, &border.proof(), &[], None);
-        assert!(matches!(response, Response::Done), "{response:?}");
+        assert!(matches!(response, Response::Reported { .. }), "{response:?}");
     };
     let located = |h: &Home| -> BTreeSet<Name> {
         let borders = h.federation.locator().borders;
