@@ -45,7 +45,7 @@ pub struct Ring {
 }
 
 impl Ring {
-    /// Network, keys and daemons; every switch knows a path to every other. The owner of a topic has admitted the robot as its
+    /// Network, keys and daemons; every switch knows the shortest path to every other. The owner of a topic has admitted the robot as its
     /// publisher and the cloud as a reader.
     pub fn start(tools: Tools) -> Result<Self> {
         let nodes: Vec<_> = (1..=SWITCHES).map(|i| Namespace::create(&format!("s{i}"))).collect::<Result<Vec<_>>>()?;
@@ -70,10 +70,12 @@ impl Ring {
         let switches = (0..SWITCHES).map(start).collect::<Result<Vec<_>>>()?;
         let mut ring = Self { switches, nodes, robot, cloud, tools, bpffs, files };
         for i in 0..SWITCHES {
-            ring.wait(&format!("s{} to know all paths", i + 1), |ring| {
+            ring.wait(&format!("s{} to know the shortest paths", i + 1), |ring| {
                 let topology = ring.ctl(i, &["topology"])?;
                 let ways = topology["switches"].as_array().into_iter().flatten();
-                let known = ways.filter(|switch| switch["next"].is_string() && switch["cost"].is_u64());
+                // Round the other side it is three.
+                let is_shortest = |switch: &&Value| switch["cost"].as_u64().is_some_and(|cost| cost <= 2);
+                let known = ways.filter(|switch| switch["next"].is_string()).filter(is_shortest);
                 Ok(known.count() == SWITCHES - 1)
             })?;
         }
