@@ -26,8 +26,8 @@ fn describe(status: &Value) -> String {
         (_, None) => format!("RIB         at {}, through {}\n", short(&control["rib"]), short(&control["next"])),
         (_, Some(reason)) => format!("RIB         not reached: {reason}\n"),
     };
-    if control["fenced"] != 0 {
-        out += &format!("            {} pushes refused of a RIB whose term was over\n", control["fenced"]);
+    if let Some(fenced) = control["fenced"].as_u64().filter(|fenced| *fenced > 0) {
+        out += &format!("            {fenced} pushes refused of a RIB whose term was over\n");
     }
     for tier in items(&status["tiers"]) {
         let refused: u64 =

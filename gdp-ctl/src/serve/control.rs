@@ -185,7 +185,8 @@ impl Core {
 
     /// Refuses what a RIB of this run says if another has taken its place.
     pub(super) fn heed(&mut self, run: u64) -> Result<(), Refusal> {
-        let Err(fenced) = self.fence.admit(run) else { return Ok(()) };
+        let now = self.now().clock;
+        let Err(fenced) = self.fence.admit(run, now) else { return Ok(()) };
         tracing::warn!(%fenced, "refused what a RIB says");
         if fenced.is_doubtful {
             self.report = Report::Due;

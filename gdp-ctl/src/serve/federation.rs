@@ -250,9 +250,12 @@ impl Federation {
     fn give(&mut self, now: Now, rib: &mut Rib, place: RecordPlace, foreign: Foreign) {
         let (domain, next) = (foreign.domain, foreign.next);
         let taken = rib.set_foreign(now, foreign);
-        let others: Vec<Name> = rib.told_by(&place).into_iter().filter(|other| *other != next).collect();
-        others.iter().for_each(|other| rib.remove_foreign(now, &place, other));
         let is_refused = taken.is_err();
+        // What another said counts until this does.
+        if !is_refused {
+            let others: Vec<Name> = rib.told_by(&place).into_iter().filter(|other| *other != next).collect();
+            others.iter().for_each(|other| rib.remove_foreign(now, &place, other));
+        }
         let refusal = match taken.unwrap_or_else(Some) {
             Some(refusal) => refusal,
             None if rib.next_of(&place) == Some(next) => return self.retries.settled(&place),

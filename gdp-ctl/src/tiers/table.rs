@@ -149,8 +149,8 @@ pub struct Table {
     entities: Places,
     /// By the domain they were stated in, if it is another one.
     origins: Places,
-    /// How many parts there are in each name.
-    names: BTreeMap<Name, usize>,
+    /// How many parts there are in each name, of those that write and of the others.
+    names: BTreeMap<(Name, bool), usize>,
     bytes: usize,
     /// The last push that was taken in.
     holds: Option<TierHolds>,
@@ -209,8 +209,12 @@ impl Table {
             return Err(TierRefusal::Full { what, limit });
         }
         match key {
-            TierKey::Part(RecordPlace { name, .. })
-                if before.is_none() && self.names.get(name).is_some_and(|parts| *parts >= limits.parts_per_name) =>
+            TierKey::Part(RecordPlace { name, role, .. })
+                if before.is_none()
+                    && self
+                        .names
+                        .get(&(*name, role.is_writer()))
+                        .is_some_and(|parts| *parts >= limits.parts_per_name) =>
             {
                 Err(TierRefusal::NameFull { name: *name, limit: limits.parts_per_name })
             }
@@ -228,7 +232,7 @@ impl Table {
         if let (TierKey::Part(place), Item::Part { held, .. }) = (key, &item) {
             self.entities.insert(place.entity, place);
             held.path.first().into_iter().for_each(|origin| self.origins.insert(*origin, place));
-            *self.names.entry(place.name).or_default() += 1;
+            *self.names.entry((place.name, place.role.is_writer())).or_default() += 1;
         }
         self.bytes += item.size();
         self.items.insert(key, item);
@@ -241,7 +245,7 @@ impl Table {
         if let (TierKey::Part(place), Item::Part { held, .. }) = (key, &old) {
             self.entities.remove(&place.entity, place);
             held.path.first().into_iter().for_each(|origin| self.origins.remove(origin, place));
-            count_out(&mut self.names, &place.name);
+            count_out(&mut self.names, &(place.name, place.role.is_writer()));
         }
         Some(old)
     }
@@ -292,7 +296,7 @@ impl Table {
 }
 
 /// There is one less.
-pub fn count_out(counts: &mut BTreeMap<Name, usize>, of: &Name) {
+pub fn count_out<K: Ord>(counts: &mut BTreeMap<K, usize>, of: &K) {
     if let Some(count) = counts.get_mut(of) {
         *count -= 1;
         if *count == 0 {

@@ -485,8 +485,9 @@ impl Supervisor {
                     tokio::select! {
                         dialled = dialling => dialled,
                         // What went to the old network is not answered: better begun anew than said again later.
-                        other = network.until_other(*to, self.through, &self.way) => {
-                            self.way = other;
+                        _ = network.until_other(*to, self.through, &self.way) => {
+                            // However it is reached by now, that has not been tried: the pause is to take it for news.
+                            self.way = Way::Nowhere;
                             return Err(NodeError::Detached("the network of this machine has changed".into()));
                         }
                     }
