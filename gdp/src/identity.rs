@@ -140,7 +140,7 @@ pub struct VerifyKey([u8; PUBLIC_KEY_LEN]);
 impl VerifyKey {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CryptoError> {
         let bytes = bytes.try_into().map_err(|_| CryptoError::BadPublicKey)?;
-        Backend::default().verifier(&bytes)?;
+        crypto::parsed(&bytes)?;
         Ok(Self(bytes))
     }
 
@@ -150,7 +150,7 @@ impl VerifyKey {
 
     /// Checks one signature. To check many, keep a [`Self::verifier`].
     pub fn verify(&self, message: &[u8], signature: &[u8; SIGNATURE_LEN]) -> Result<(), CryptoError> {
-        self.verifier(Backend::default())?.verify(message, signature)
+        crypto::parsed(&self.0)?.verify(message, signature)
     }
 
     pub fn verifier(&self, backend: Backend) -> Result<Verifier, CryptoError> {

@@ -6,9 +6,12 @@
 
 mod aws_lc;
 mod hpke;
+mod parsed;
 mod rust_crypto;
 
 use std::fmt;
+
+pub use parsed::parsed;
 
 pub const TAG_LEN: usize = 16;
 pub const NONCE_LEN: usize = 12;

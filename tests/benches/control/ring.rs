@@ -2,7 +2,7 @@
 //! name and with many. The daemon of a switch is killed: how long after it is started until it holds all its names from the RIB.
 
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, Result, bail, ensure};
 use gdp::control::{EntityRequest, Response};
@@ -91,7 +91,8 @@ fn state(ring: &Ring, owner: &Owner, names: std::ops::Range<usize>) -> Result<()
     Ok(())
 }
 
-/// Every tool speaks for an entity of its own: statements of one have to come in the order of their serials.
+/// Every tool speaks for an entity of its own: statements of one have to come in the order of their serials, which are above those of
+/// all that the RIB has forgotten.
 fn side(
     numbers: &[usize],
     socket: &Path,
@@ -99,7 +100,8 @@ fn side(
 ) -> Result<()> {
     let tool = |numbers: &[usize]| {
         let (entity, mut client) = (Identity::generate("proxy")?, Client::connect(socket)?);
-        for (serial, number) in (1..).zip(numbers) {
+        let first = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH)?.as_nanos() as u64;
+        for (serial, number) in (first..).zip(numbers) {
             let request = Box::new(request(*number, &entity, serial)?);
             let said = client.ask_control(&Request::Entity { entity: Some(entity.proof()), request })?;
             ensure!(matches!(said, Response::Peers(_)), "{said:?}");

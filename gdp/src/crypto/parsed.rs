@@ -1,0 +1,62 @@
+//! Public keys that were parsed lately. A point takes as long to decompress as half a verification, and what one owner or entity signs
+//! comes again and again, each time with the key beside it. A few keys for each thread, whatever comes.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use super::{Backend, CryptoError, PUBLIC_KEY_LEN, Verifier};
+
+const KEPT: usize = 64;
+
+type Entry = ([u8; PUBLIC_KEY_LEN], Rc<Verifier>);
+
+#[derive(Default)]
+struct Lately {
+    keys: Vec<Entry>,
+    /// Whose place the next one takes.
+    oldest: usize,
+}
+
+thread_local! {
+    static LATELY: RefCell<Lately> = RefCell::default();
+}
+
+/// The key for verifying, by the default back end.
+pub fn parsed(public: &[u8; PUBLIC_KEY_LEN]) -> Result<Rc<Verifier>, CryptoError> {
+    LATELY.with_borrow_mut(|lately| {
+        if let Some((_, known)) = lately.keys.iter().find(|(key, _)| key == public) {
+            return Ok(known.clone());
+        }
+        let entry = (*public, Rc::new(Backend::default().verifier(public)?));
+        let verifier = entry.1.clone();
+        if lately.keys.len() < KEPT {
+            lately.keys.push(entry);
+        } else {
+            lately.keys[lately.oldest] = entry;
+            lately.oldest = (lately.oldest + 1) % KEPT;
+        }
+        Ok(verifier)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identity::SigningKey;
+
+    #[test]
+    fn however_many_keys_come_each_verifies_what_it_signed_and_nothing_else() {
+        let keys: Vec<SigningKey> = (0..2 * KEPT + 3).map(|_| SigningKey::generate().unwrap()).collect();
+        let signatures: Vec<_> = keys.iter().map(|key| key.sign(b"message").unwrap()).collect();
+        for round in 0..3 {
+            for (i, key) in keys.iter().enumerate() {
+                let verifier = parsed(&key.public()).unwrap();
+                assert_eq!(verifier.verify(b"message", &signatures[i]), Ok(()), "{round}");
+                let other = &signatures[(i + 1) % keys.len()];
+                assert_eq!(verifier.verify(b"message", other), Err(CryptoError::BadSignature));
+            }
+            LATELY.with_borrow(|lately| assert_eq!(lately.keys.len(), KEPT));
+            assert!(matches!(parsed(&[9; PUBLIC_KEY_LEN]), Err(CryptoError::BadPublicKey)));
+        }
+    }
+}
