@@ -5,6 +5,7 @@ pub mod admin;
 pub mod cli;
 pub mod config;
 pub mod crossing;
+mod deadlines;
 pub mod doctor;
 pub mod domain;
 mod feed;

@@ -77,6 +77,13 @@ pub struct Now {
     pub clock: Duration,
 }
 
+impl Now {
+    /// When something is over that holds until the end of this Unix second.
+    pub fn clock_at(&self, unix: u64) -> Duration {
+        self.clock + Duration::from_secs(unix.saturating_sub(self.unix).saturating_add(1).min(u32::MAX.into()))
+    }
+}
+
 /// What a RIB holds at most.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {

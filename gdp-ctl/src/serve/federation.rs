@@ -97,8 +97,7 @@ impl Federation {
         if claims.switch != switch {
             return Err(CertError::WrongSwitch { expected: switch, got: claims.switch });
         }
-        let left = claims.not_after.saturating_sub(now.unix).saturating_add(1).min(u32::MAX.into());
-        let (is_border, ends) = (member.role == roles::BORDER, now.clock + Duration::from_secs(left));
+        let (is_border, ends) = (member.role == roles::BORDER, now.clock_at(claims.not_after));
         self.hosts.insert(switch, Shown { host, is_border, ends });
         self.hosts_changed([switch]);
         Ok(())

@@ -1,10 +1,12 @@
 //! What the RIB did not take of what other domains told, though it may later: when there is room, or what it contradicts has ended. It is
 //! tried again after a time that grows with each attempt, a few at once. Sans-IO.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use gdp::control::RecordPlace;
+
+use crate::deadlines::Deadlines;
 
 /// After the first attempt, and after many.
 const FIRST: Duration = Duration::from_secs(1);
@@ -16,28 +18,25 @@ const BETWEEN: Duration = Duration::from_secs(1);
 
 #[derive(Debug, Default)]
 pub struct Retries {
-    due: BTreeSet<(Duration, RecordPlace)>,
-    /// How often each was refused, and when it is due.
-    refused: BTreeMap<RecordPlace, (u32, Duration)>,
+    due: Deadlines<RecordPlace>,
+    /// How often each was refused, in a row.
+    refused: BTreeMap<RecordPlace, u32>,
     not_before: Duration,
 }
 
 impl Retries {
     /// It was refused; how often by now, in a row.
     pub fn refused(&mut self, now: Duration, place: RecordPlace) -> u32 {
-        let (times, at) = self.refused.entry(place).or_default();
-        self.due.remove(&(*at, place));
-        *at = now + FIRST.saturating_mul(1 << (*times).min(16)).min(LONGEST);
+        let times = self.refused.entry(place).or_default();
+        self.due.set(place, Some(now + FIRST.saturating_mul(1 << (*times).min(16)).min(LONGEST)));
         *times += 1;
-        self.due.insert((*at, place));
         *times
     }
 
     /// It was taken, or nobody tells of it any more.
     pub fn settled(&mut self, place: &RecordPlace) {
-        if let Some((_, at)) = self.refused.remove(place) {
-            self.due.remove(&(at, *place));
-        }
+        self.refused.remove(place);
+        self.due.set(*place, None);
     }
 
     /// Those to be tried now: of each it is to be said what became of it.
@@ -45,16 +44,15 @@ impl Retries {
         if now < self.not_before {
             return Vec::new();
         }
-        let due: Vec<_> = self.due.iter().take_while(|(at, _)| *at <= now).take(AT_ONCE).copied().collect();
+        let due: Vec<_> = std::iter::from_fn(|| self.due.take_due(now)).take(AT_ONCE).collect();
         if !due.is_empty() {
             self.not_before = now + BETWEEN;
         }
-        due.iter().for_each(|due| _ = self.due.remove(due));
-        due.into_iter().map(|(_, place)| place).collect()
+        due
     }
 
     pub fn next_tick(&self) -> Option<Duration> {
-        self.due.first().map(|(at, _)| (*at).max(self.not_before))
+        self.due.next().map(|at| at.max(self.not_before))
     }
 }
 

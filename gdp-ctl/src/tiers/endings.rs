@@ -1,6 +1,5 @@
 //! What ends: by its time, with a neighbour that is gone, or because it was taken back.
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use gdp::control::{TierEntry, TierKey};
@@ -12,35 +11,6 @@ use super::queries::PATIENCE;
 use super::side::{HOLD, Kind, SILENCE, Standing};
 use super::table::Item;
 use crate::rib::Now;
-
-/// When what neighbours said ends.
-#[derive(Debug, Default)]
-pub struct Endings {
-    at: BTreeSet<(Duration, Name, TierKey)>,
-    of: BTreeMap<(Name, TierKey), Duration>,
-}
-
-impl Endings {
-    pub fn set(&mut self, domain: Name, key: TierKey, ends: Option<Duration>) {
-        let before = match ends {
-            Some(ends) => self.of.insert((domain, key), ends),
-            None => self.of.remove(&(domain, key)),
-        };
-        if let Some(before) = before {
-            self.at.remove(&(before, domain, key));
-        }
-        if let Some(ends) = ends {
-            self.at.insert((ends, domain, key));
-        }
-    }
-
-    fn take_ended(&mut self, now: Duration) -> Option<(Name, TierKey)> {
-        let (ends, domain, key) = self.at.first().copied().filter(|(ends, ..)| *ends <= now)?;
-        self.at.remove(&(ends, domain, key));
-        self.of.remove(&(domain, key));
-        Some((domain, key))
-    }
-}
 
 impl Tiers {
     /// An owner of a name, or a domain, has taken something back: what rests on it goes.
@@ -70,14 +40,14 @@ impl Tiers {
             let Some(side) = self.sides.get_mut(&domain) else { continue };
             left_out.iter().for_each(|refusal| side.count(refusal.as_str()));
             if side.table.insert(key, item) {
-                self.endings.set(domain, key, Some(ends));
+                self.endings.set((domain, key), Some(ends));
                 self.changed(key);
             }
         }
     }
 
     pub fn tick(&mut self, now: Now) {
-        while let Some((domain, key)) = self.endings.take_ended(now.clock) {
+        while let Some((domain, key)) = self.endings.take_due(now.clock) {
             self.forget(domain, key);
         }
         let mut gone = Vec::new();
@@ -120,21 +90,21 @@ impl Tiers {
             };
             [hello, retry, silence, hold].into_iter().flatten()
         });
-        sides.chain(self.endings.at.first().map(|(ends, ..)| *ends)).chain(self.queries.next_tick()).min()
+        sides.chain(self.endings.next()).chain(self.queries.next_tick()).min()
     }
 
     /// Forgets all that a neighbour said.
     pub(super) fn clear(&mut self, domain: Name) {
         let Some(side) = self.sides.get_mut(&domain) else { return };
         for key in std::mem::take(&mut side.table).keys() {
-            self.endings.set(domain, *key, None);
+            self.endings.set((domain, *key), None);
             self.changed(*key);
         }
     }
 
     fn forget(&mut self, domain: Name, key: TierKey) {
         if self.sides.get_mut(&domain).is_some_and(|side| side.table.remove(&key).is_some()) {
-            self.endings.set(domain, key, None);
+            self.endings.set((domain, key), None);
             self.changed(key);
         }
     }

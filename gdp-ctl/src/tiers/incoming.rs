@@ -84,7 +84,7 @@ impl Tiers {
         let (mut changed, mut refusals) = (BTreeSet::new(), Vec::new());
         for key in push.remove {
             if side.table.remove(&key).is_some() {
-                self.endings.set(from, key, None);
+                self.endings.set((from, key), None);
                 changed.insert(key);
             }
         }
@@ -97,7 +97,7 @@ impl Tiers {
                 Ok(Judged { key, item, ends, left_out }) => {
                     left_out.iter().for_each(|refusal| side.count(refusal.as_str()));
                     refusals.extend(left_out);
-                    self.endings.set(from, key, (ends != Duration::MAX).then_some(ends));
+                    self.endings.set((from, key), (ends != Duration::MAX).then_some(ends));
                     if side.table.insert(key, item) {
                         changed.insert(key);
                     }
@@ -106,7 +106,7 @@ impl Tiers {
                     side.count(refusal.as_str());
                     refusals.push(refusal);
                     if let Some(key) = key.filter(|key| side.table.remove(key).is_some()) {
-                        self.endings.set(from, key, None);
+                        self.endings.set((from, key), None);
                         changed.insert(key);
                     }
                 }
@@ -114,7 +114,7 @@ impl Tiers {
         }
         for key in side.table.end(push.extent) {
             side.table.remove(&key);
-            self.endings.set(from, key, None);
+            self.endings.set((from, key), None);
             changed.insert(key);
         }
         changed.into_iter().for_each(|key| self.changed(key));

@@ -158,7 +158,7 @@ impl<R: Revoked> Judge<'_, R> {
             return Err(left_out.into_iter().next().unwrap_or(TierRefusal::Nowhere(domain)));
         }
         let item = Item::Locator { domain, locator: Arc::new(Locator { borders }) };
-        Ok(Judged { key, item, ends: self.clock_at(until), left_out })
+        Ok(Judged { key, item, ends: self.now.clock_at(until), left_out })
     }
 
     /// Whether nothing that something rests on has been taken back since it was verified. When it ends is known besides.
@@ -190,7 +190,7 @@ impl<R: Revoked> Judge<'_, R> {
         let scope = abroad.record.credential.scope();
         let scope = scope.map_err(|source: CertError| TierRefusal::Record { name, source: source.into() })?;
         let stated = self.now.clock + Duration::from_secs(lifetime.into());
-        let ends = said.min(stated).min(self.clock_at(until));
+        let ends = said.min(stated).min(self.now.clock_at(until));
         if ends <= self.now.clock {
             return Err(TierRefusal::Ended(name));
         }
@@ -214,10 +214,6 @@ impl<R: Revoked> Judge<'_, R> {
             .verify(self.revoked.newest(&record.name), unix)
             .map_err(|source: CertError| TierRefusal::Record { name: record.name, source: source.into() })?;
         Ok((verified.advert.lifetime, verified.not_after.min(host.not_after)))
-    }
-
-    fn clock_at(&self, unix: u64) -> Duration {
-        self.now.clock + Duration::from_secs(unix.saturating_sub(self.now.unix).saturating_add(1).min(u32::MAX.into()))
     }
 }
 

@@ -30,9 +30,9 @@ use gdp::control::{Record, RecordPlace, TierHolds, TierKey, TierRequest, TierRes
 use gdp::keys::KeyBox;
 use gdp_wire::Name;
 
+use crate::deadlines::Deadlines;
 use crate::feed::Room;
 use crate::rib::Now;
-use endings::Endings;
 use queries::Queries;
 use side::{Side, Told};
 use table::Table;
@@ -131,7 +131,8 @@ pub struct Tiers {
     changed_names: BTreeSet<Name>,
     changed_writers: BTreeSet<Name>,
     changed_locators: BTreeSet<Name>,
-    endings: Endings,
+    /// When what neighbours said ends: by neighbour and what it is about.
+    endings: Deadlines<(Name, TierKey)>,
     queries: Queries,
     answers: Vec<(Ticket, TierResponse)>,
     /// Messages of domains that are neither parent nor child.
@@ -155,7 +156,7 @@ impl Tiers {
             changed_names: BTreeSet::new(),
             changed_writers: BTreeSet::new(),
             changed_locators: BTreeSet::new(),
-            endings: Endings::default(),
+            endings: Deadlines::default(),
             queries: Queries::default(),
             answers: Vec::new(),
             strangers: 0,
