@@ -2,10 +2,9 @@
 //! one of them, or a link, or a daemon is gone.
 
 use std::net::{SocketAddr, UdpSocket};
-use std::path::Path;
 use std::time::{Duration, Instant, SystemTime};
 
-use crate::switch::{PATIENCE, config, wait};
+use crate::switch::{Chain, PATIENCE, config, wait};
 use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, LinkState, Mode, ReadGrant, Reading, RtCert, issue};
 use gdp::control::{EntityRequest, Flooded, MAX_HOPS, Request, Response};
 use gdp::link::{Link, LinkIds};
@@ -396,41 +395,6 @@ async fn next(subscription: &mut Subscription) -> gdp::seal::Message {
 
 async fn fib_names(switch: &Running) -> u64 {
     switch.status().await["fib"]["names"].as_u64().unwrap()
-}
-
-/// s1 – s2 – s3, over UDP; s3 is the RIB.
-struct Chain<'a> {
-    folder: &'a Path,
-    names: Vec<Name>,
-    addrs: Vec<SocketAddr>,
-}
-
-impl<'a> Chain<'a> {
-    fn new(folder: &'a Path) -> Self {
-        let names = (1..=3).map(|i| {
-            let file = folder.join(format!("s{i}.pem"));
-            Identity::load_or_generate(&file, "switch").unwrap().name()
-        });
-        // Free when asked for; taken by the daemons a moment later.
-        let sockets: Vec<_> = (0..3).map(|_| UdpSocket::bind("127.0.0.1:0").unwrap()).collect();
-        let addrs = sockets.iter().map(|socket| socket.local_addr().unwrap()).collect();
-        Self { folder, names: names.collect(), addrs }
-    }
-
-    fn config(&self, i: usize) -> Config {
-        let place = |j: usize| Place { switch: self.names[j], via: Via::Udp(self.addrs[j]) };
-        let near = [i.checked_sub(1), (i < 2).then_some(i + 1)];
-        Config {
-            udp: Some(self.addrs[i]),
-            rib: i == 2,
-            neighbours: near
-                .into_iter()
-                .flatten()
-                .map(|j| Neighbour { place: place(j), cost: Some(1), dial: false, parent: false })
-                .collect(),
-            ..config(self.folder, &format!("s{}", i + 1))
-        }
-    }
 }
 
 /// Who may do what with one name.

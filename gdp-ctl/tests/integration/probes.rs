@@ -1,15 +1,13 @@
 //! Whether names answer, and by whom: `ping`, `trace`, `peer list`, `monitor` and `topology` at three daemons on loopback UDP.
 
-use std::net::{SocketAddr, UdpSocket};
-use std::path::Path;
+use std::net::UdpSocket;
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
-use crate::switch::{config, wait};
+use crate::switch::{Chain, config, wait};
 use gdp::control::{Refusal, RefusalCode, Request, Response, Traced};
 use gdp::port::{LinkAddr, Port, PortConfig};
 use gdp::{Identity, Name};
-use gdp_ctl::config::{Config, Neighbour, Place, Via};
 use gdp_ctl::serve::{Running, start};
 use serde_json::Value;
 use tokio::io::{AsyncBufReadExt, BufReader};
@@ -135,35 +133,7 @@ async fn the_topology_is_drawn() {
     assert_eq!(chain.run(0, &["topology", "--svg", "--dot"]).await.status.code(), Some(2));
 }
 
-/// Three switches in a row, the RIB at the last.
-struct Chain<'a> {
-    folder: &'a Path,
-    names: Vec<Name>,
-    addrs: Vec<SocketAddr>,
-}
-
-impl<'a> Chain<'a> {
-    fn new(folder: &'a Path) -> Self {
-        let name = |i| Identity::load_or_generate(&folder.join(format!("s{i}.pem")), "switch").unwrap().name();
-        // Free when asked for; taken by the daemons a moment later.
-        let sockets: Vec<_> = (0..3).map(|_| UdpSocket::bind("127.0.0.1:0").unwrap()).collect();
-        let addrs = sockets.iter().map(|socket| socket.local_addr().unwrap()).collect();
-        Self { folder, names: (1..=3).map(name).collect(), addrs }
-    }
-
-    fn config(&self, i: usize) -> Config {
-        let place = |j: usize| Place { switch: self.names[j], via: Via::Udp(self.addrs[j]) };
-        let near = [i.checked_sub(1), (i < 2).then_some(i + 1)].into_iter().flatten();
-        Config {
-            udp: Some(self.addrs[i]),
-            rib: i == 2,
-            neighbours: near
-                .map(|j| Neighbour { place: place(j), cost: Some(1), dial: false, parent: false })
-                .collect(),
-            ..config(self.folder, &format!("s{}", i + 1))
-        }
-    }
-
+impl Chain<'_> {
     async fn start(&self) -> Vec<Running> {
         let mut running = Vec::new();
         for i in 0..3 {

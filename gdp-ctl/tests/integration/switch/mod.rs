@@ -1,10 +1,13 @@
 //! A daemon on loopback UDP, without root, for tests that run it in their own process.
 
+use std::net::{SocketAddr, UdpSocket};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use gdp::Identity;
 use gdp::link::RekeySchedule;
-use gdp_ctl::config::{Config, DataPlane};
+use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
+use gdp_wire::Name;
 
 /// How long anything may take on a busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(20);
@@ -34,5 +37,35 @@ pub async fn wait(what: &str, condition: impl AsyncFn() -> bool) {
     while !condition().await {
         assert!(Instant::now() < deadline, "waited in vain for {what}");
         tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+/// s1 – s2 – s3, over UDP; s3 is the RIB.
+pub struct Chain<'a> {
+    pub folder: &'a Path,
+    pub names: Vec<Name>,
+    pub addrs: Vec<SocketAddr>,
+}
+
+impl<'a> Chain<'a> {
+    pub fn new(folder: &'a Path) -> Self {
+        let name = |i| Identity::load_or_generate(&folder.join(format!("s{i}.pem")), "switch").unwrap().name();
+        // Free when asked for; taken by the daemons a moment later.
+        let sockets: Vec<_> = (0..3).map(|_| UdpSocket::bind("127.0.0.1:0").unwrap()).collect();
+        let addrs = sockets.iter().map(|socket| socket.local_addr().unwrap()).collect();
+        Self { folder, names: (1..=3).map(name).collect(), addrs }
+    }
+
+    pub fn config(&self, i: usize) -> Config {
+        let place = |j: usize| Place { switch: self.names[j], via: Via::Udp(self.addrs[j]) };
+        let near = [i.checked_sub(1), (i < 2).then_some(i + 1)].into_iter().flatten();
+        Config {
+            udp: Some(self.addrs[i]),
+            rib: i == 2,
+            neighbours: near
+                .map(|j| Neighbour { place: place(j), cost: Some(1), dial: false, parent: false })
+                .collect(),
+            ..config(self.folder, &format!("s{}", i + 1))
+        }
     }
 }
