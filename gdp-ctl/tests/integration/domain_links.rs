@@ -89,6 +89,7 @@ async fn a_switch_gets_links_with_members_and_everybody_else_a_reason() {
     let running = foreign.member(&away, "border", LONG).peers(&[&peering]).dials(&hub).rib().start().await;
     wait("the border link", async || standing(&hub_running, &foreign).await == "border").await;
     wait("its other end", async || standing(&running, &hub).await == "border").await;
+    wait("its member to report", async || hub_running.status().await["rib"]["switches"].as_u64() >= Some(2)).await;
     // It is no way for what belongs into one domain.
     let (rib, name) = (hub_running.status().await, foreign.name.to_string());
     assert_eq!(rib["rib"]["switches"], 2, "the hub and its member: {rib}");
