@@ -1,6 +1,6 @@
 //! Small messages that came one upon another and are not sealed yet: they will share a signature, and frames.
 
-use crate::seal::{Draft, Encoding};
+use crate::seal::{Draft, Encoding, MAX_ORIGIN};
 
 /// Since the last time a topic sealed. A message that comes later than that is sealed by itself, at once; one that comes sooner
 /// waits as long, for company.
@@ -15,53 +15,88 @@ const SMALL: usize = 16 << 10;
 
 pub struct Gathered {
     most: usize,
-    bodies: Vec<u8>,
-    /// Encodings, and where in `bodies` each ends.
-    ends: Vec<(Encoding, usize)>,
+    /// Origin and body of one after another.
+    bytes: Vec<u8>,
+    parts: Vec<Part>,
+}
+
+struct Part {
+    encoding: Encoding,
+    /// Where in the bytes its origin ends, and its body.
+    ends: (usize, usize),
 }
 
 impl Gathered {
     /// For a reliable topic that keeps so many messages, or another: a good part of a history is not to go at once.
     pub fn new(history: Option<usize>) -> Self {
         let most = history.map_or(MOST, |history| (history / 4).clamp(1, MOST));
-        Self { most, bodies: Vec::new(), ends: Vec::new() }
+        Self { most, bytes: Vec::new(), parts: Vec::new() }
     }
 
-    /// Whether these can wait here: one, small and without extensions, so that sealing it cannot fail for what it is.
+    /// Whether these can wait here: one, small and with no extension but a good origin, so that sealing it cannot fail for what it is.
     pub fn takes(drafts: &[Draft<'_>]) -> bool {
         let is_plain = |draft: &Draft<'_>| {
-            draft.origin.is_empty() && draft.in_reply_to.is_none() && draft.latched.is_none() && draft.service.is_none()
+            let Draft { origin, in_reply_to, latched, service, .. } = draft;
+            origin.len() <= MAX_ORIGIN && in_reply_to.is_none() && latched.is_none() && service.is_none()
         };
         matches!(drafts, [only] if only.body.len() <= SMALL && is_plain(only))
     }
 
     pub fn push(&mut self, draft: &Draft<'_>) {
-        self.bodies.extend_from_slice(draft.body);
-        self.ends.push((draft.encoding, self.bodies.len()));
+        self.bytes.extend_from_slice(draft.origin);
+        let origin = self.bytes.len();
+        self.bytes.extend_from_slice(draft.body);
+        self.parts.push(Part { encoding: draft.encoding, ends: (origin, self.bytes.len()) });
     }
 
     pub fn len(&self) -> usize {
-        self.ends.len()
+        self.parts.len()
     }
 
     pub fn is_empty(&self) -> bool {
-        self.ends.is_empty()
+        self.parts.is_empty()
     }
 
     pub fn is_full(&self) -> bool {
-        self.ends.len() >= self.most || self.bodies.len() >= MOST_BYTES
+        self.parts.len() >= self.most || self.bytes.len() >= MOST_BYTES
     }
 
     pub fn drafts(&self) -> Vec<Draft<'_>> {
-        let starts = std::iter::once(0).chain(self.ends.iter().map(|(_, end)| *end));
-        let place =
-            |((encoding, end), start): (&(Encoding, usize), usize)| Draft::new(*encoding, &self.bodies[start..*end]);
-        self.ends.iter().zip(starts).map(place).collect()
+        let starts = std::iter::once(0).chain(self.parts.iter().map(|part| part.ends.1));
+        let draft = |(part, start): (&Part, usize)| {
+            let (origin, body) = part.ends;
+            Draft { origin: &self.bytes[start..origin], ..Draft::new(part.encoding, &self.bytes[origin..body]) }
+        };
+        self.parts.iter().zip(starts).map(draft).collect()
     }
 
     /// Keeps the capacity.
     pub fn clear(&mut self) {
-        self.bodies.clear();
-        self.ends.clear();
+        self.bytes.clear();
+        self.parts.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_gathered_comes_out_as_it_was() {
+        let drafts = [
+            Draft { origin: &[1, 2], ..Draft::new(Encoding::Cdr, b"body") },
+            Draft::new(Encoding::Json, b""),
+            Draft { origin: &[3; MAX_ORIGIN], ..Draft::new(Encoding::Bytes, b"x") },
+        ];
+        let mut gathered = Gathered::new(None);
+        for draft in &drafts {
+            assert!(Gathered::takes(std::slice::from_ref(draft)));
+            gathered.push(draft);
+        }
+        assert_eq!(gathered.drafts(), drafts);
+        gathered.clear();
+        assert!(gathered.is_empty() && gathered.drafts().is_empty());
+        let too_long = Draft { origin: &[3; MAX_ORIGIN + 1], ..drafts[0] };
+        assert!(!Gathered::takes(&[too_long]), "its sealing would fail");
     }
 }

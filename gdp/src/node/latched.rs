@@ -1,19 +1,28 @@
-//! The last messages of a name, kept for readers that come later: sent to them again as new messages, which say what they were.
+//! What is kept of a name for readers that come later: a message about the name itself, if there is one, and the last ones of each origin.
+//! They are sent to such readers as new messages; the latter say what they were.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 
 use gdp_wire::Name;
 
 use crate::seal::{Draft, Encoding, Latched, MessageId};
 
+/// Origins that are kept apart. Beyond, the messages that are oldest go.
+const MAX_ORIGINS: usize = 1024;
+
 pub struct LatchedSamples {
+    /// Of each origin.
     most: usize,
+    pinned: Option<(Encoding, Vec<u8>)>,
     samples: VecDeque<Sample>,
+    /// How many there are of each origin.
+    counts: HashMap<Vec<u8>, usize>,
+    pinned_again: bool,
     /// Sequences of those that are to be sent again: from, and through.
     again: Option<(u64, u64)>,
 }
 
-pub struct Sample {
+struct Sample {
     first: Latched,
     encoding: Encoding,
     in_reply_to: Option<MessageId>,
@@ -23,7 +32,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    pub fn draft(&self) -> Draft<'_> {
+    fn draft(&self) -> Draft<'_> {
         let Self { first, encoding, in_reply_to, origin, service, body } = self;
         let (encoding, in_reply_to, service) = (*encoding, *in_reply_to, *service);
         Draft { encoding, in_reply_to, origin, latched: Some(*first), service, body }
@@ -32,15 +41,29 @@ impl Sample {
 
 impl LatchedSamples {
     pub fn new(most: usize) -> Self {
-        Self { most, samples: VecDeque::new(), again: None }
+        Self {
+            most,
+            pinned: None,
+            samples: VecDeque::new(),
+            counts: HashMap::new(),
+            pinned_again: false,
+            again: None,
+        }
+    }
+
+    /// Keeps a message about the name, in place of the one before. It is to be sent now, too.
+    pub fn pin(&mut self, encoding: Encoding, body: &[u8]) {
+        (self.pinned, self.pinned_again) = (Some((encoding, body.to_vec())), true);
     }
 
     /// Keeps messages that are sent now, the first of them with this sequence.
     pub fn keep(&mut self, first: u64, timestamp_ns: u64, drafts: &[Draft<'_>]) {
-        for (sequence, draft) in (first..).zip(drafts).skip(drafts.len().saturating_sub(self.most)) {
-            if self.samples.len() >= self.most {
-                self.samples.pop_front();
-            }
+        if self.most == 0 {
+            return;
+        }
+        for (sequence, draft) in (first..).zip(drafts) {
+            self.make_room(draft.origin);
+            *self.counts.entry(draft.origin.to_vec()).or_default() += 1;
             self.samples.push_back(Sample {
                 first: Latched { sequence, timestamp_ns },
                 encoding: draft.encoding,
@@ -52,23 +75,61 @@ impl LatchedSamples {
         }
     }
 
+    fn make_room(&mut self, origin: &[u8]) {
+        match self.counts.get(origin) {
+            Some(count) if *count >= self.most => {
+                let oldest = self.samples.iter().position(|sample| sample.origin == origin);
+                oldest.into_iter().for_each(|at| self.remove(at));
+            }
+            Some(_) => {}
+            None => {
+                while self.counts.len() >= MAX_ORIGINS {
+                    self.remove(0);
+                }
+            }
+        }
+    }
+
+    fn remove(&mut self, at: usize) {
+        let Some(sample) = self.samples.remove(at) else { return };
+        if let Some(count) = self.counts.get_mut(&sample.origin) {
+            *count -= 1;
+            if *count == 0 {
+                self.counts.remove(&sample.origin);
+            }
+        }
+    }
+
+    /// Keeps nothing of this origin any more.
+    pub fn forget(&mut self, origin: &[u8]) {
+        if self.counts.remove(origin).is_some() {
+            self.samples.retain(|sample| sample.origin != origin);
+        }
+    }
+
     /// All are to be sent again.
     pub fn again(&mut self) {
+        self.pinned_again = self.pinned.is_some();
         let ends = self.samples.front().zip(self.samples.back());
         self.again = ends.map(|(first, last)| (first.first.sequence, last.first.sequence));
     }
 
     pub fn has_again(&self) -> bool {
-        self.again.is_some()
+        self.pinned_again || self.again.is_some()
     }
 
-    /// The next that is to be sent again, once.
-    pub fn next_again(&mut self) -> Option<&Sample> {
+    /// The next that is to be sent again, once: first what is about the name.
+    pub fn next_again(&mut self) -> Option<Draft<'_>> {
+        if std::mem::take(&mut self.pinned_again)
+            && let Some((encoding, body)) = &self.pinned
+        {
+            return Some(Draft::new(*encoding, body));
+        }
         let (from, through) = self.again.take()?;
         let at = self.samples.partition_point(|sample| sample.first.sequence < from);
         let sample = self.samples.get(at).filter(|sample| sample.first.sequence <= through)?;
         self.again = Some((sample.first.sequence + 1, through));
-        Some(sample)
+        Some(sample.draft())
     }
 }
 
@@ -86,8 +147,7 @@ mod tests {
         assert!(samples.next_again().is_none());
         samples.again();
         let mut sent = Vec::new();
-        while let Some(sample) = samples.next_again() {
-            let draft = sample.draft();
+        while let Some(draft) = samples.next_again() {
             sent.push((draft.latched.unwrap().sequence, draft.body[0]));
             // What is sent meanwhile reaches all readers as it is.
             if sent.len() == 1 {
@@ -99,5 +159,45 @@ mod tests {
         none.keep(1, 1, &drafts);
         none.again();
         assert!(none.next_again().is_none() && none.samples.is_empty());
+    }
+
+    #[test]
+    fn each_origin_has_its_own_last_ones_until_it_is_forgotten() {
+        let mut samples = LatchedSamples::new(2);
+        let body = [0, 1, 2, 3, 4, 5];
+        let drafts = |origin: &'static [u8], of: std::ops::Range<usize>| {
+            body[of].chunks(1).map(|body| Draft { origin, ..Draft::new(Encoding::Bytes, body) }).collect::<Vec<_>>()
+        };
+        samples.keep(1, 7, &drafts(&[1], 0..1));
+        samples.keep(2, 7, &drafts(&[2], 1..4));
+        samples.keep(5, 7, &drafts(&[3], 4..5));
+        samples.pin(Encoding::Json, b"old");
+        samples.pin(Encoding::Json, b"new");
+        let again = |samples: &mut LatchedSamples| {
+            samples.again();
+            let mut sent = Vec::new();
+            while let Some(draft) = samples.next_again() {
+                sent.push((draft.latched.map(|first| first.sequence), draft.body.to_vec()));
+            }
+            sent
+        };
+        let pinned = (None, b"new".to_vec());
+        let sent = [pinned.clone(), (Some(1), vec![0]), (Some(3), vec![2]), (Some(4), vec![3]), (Some(5), vec![4])];
+        assert_eq!(again(&mut samples), sent);
+        samples.forget(&[2]);
+        assert_eq!(again(&mut samples), [pinned, sent[1].clone(), sent[4].clone()]);
+        assert!(!samples.has_again());
+    }
+
+    #[test]
+    fn origins_are_bounded() {
+        let mut samples = LatchedSamples::new(3);
+        for i in 0..MAX_ORIGINS as u64 + 9 {
+            let origin = i.to_be_bytes();
+            let draft = Draft { origin: &origin, ..Draft::new(Encoding::Bytes, b"") };
+            samples.keep(2 * i, 7, &[draft, draft]);
+        }
+        assert_eq!((samples.counts.len(), samples.samples.len()), (MAX_ORIGINS, 2 * MAX_ORIGINS));
+        assert_eq!(samples.samples[0].first.sequence, 18);
     }
 }

@@ -38,7 +38,8 @@ pub struct PublishOptions {
     /// Each frame goes by two of the node's links, if so many are up: nothing is missed when one fails. Readers take the first of the
     /// two.
     pub duplicate: bool,
-    /// How many of the last messages each reader that comes later is sent, sealed for it anew.
+    /// How many of the last messages of each origin a reader that comes later is sent, sealed for it anew. Of origins, the last 1024 that
+    /// sent something.
     pub latched: usize,
     /// When the content key is replaced though nobody was revoked.
     pub rotation: Rotation,

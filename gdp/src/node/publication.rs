@@ -22,7 +22,7 @@ use crate::feedback_wire::Feedback;
 use crate::identity::Identity;
 use crate::keys::{Boxes, KeyRing, RingError};
 use crate::peers::{Counterpart, PeerEvent};
-use crate::seal::{Draft, SealError, Segments, Writer};
+use crate::seal::{Draft, Encoding, SealError, Segments, Writer};
 use crate::transport::{Full, Sealed, Topic, TopicCounters};
 
 /// A reader that is not attached any more keeps its place and its keys for so long: links come back.
@@ -278,8 +278,8 @@ impl Publication {
             }
             sealing.take_key()?;
             let Sealing { writer, ring, segments, latched, pending, .. } = sealing;
-            let Some(sample) = latched.next_again() else { return Ok(Pushed::Taken) };
-            writer.seal_batch(unix_nanos(), &[sample.draft()], outlet.max_payload_of(self.topic), segments)?;
+            let Some(draft) = latched.next_again() else { return Ok(Pushed::Taken) };
+            writer.seal_batch(unix_nanos(), &[draft], outlet.max_payload_of(self.topic), segments)?;
             ring.used(1, segments.total_bytes() as u64);
             *pending = Sealed::new(std::mem::take(segments));
         }
@@ -297,10 +297,25 @@ impl Publication {
             (readers.lacks_latched, readers.latched_at) = (false, Some(now));
         }
         lock(&self.sealing).latched.again();
+        self.send_again(outlet);
+    }
+
+    fn send_again(&self, outlet: &Outlet) {
         match self.push_waiting(outlet) {
             Ok(_) => outlet.wake(),
-            Err(error) => tracing::debug!(name = %self.name, %error, "latched messages could not be sent again"),
+            Err(error) => tracing::debug!(name = %self.name, %error, "what is kept for readers could not be sent"),
         }
+    }
+
+    /// Sends a message about the name, and keeps it for readers that come later.
+    pub fn pin(&self, outlet: &Outlet, encoding: Encoding, body: &[u8]) {
+        lock(&self.sealing).latched.pin(encoding, body);
+        self.send_again(outlet);
+    }
+
+    /// Latches nothing of this origin any more.
+    pub fn forget(&self, origin: &[u8]) {
+        lock(&self.sealing).latched.forget(origin);
     }
 
     fn push_pending(&self, outlet: &Outlet, sealing: &mut Sealing) -> Result<Pushed, NodeError> {

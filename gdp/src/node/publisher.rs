@@ -141,6 +141,17 @@ impl Publisher {
         result
     }
 
+    /// Sends a message about the name, now and to every reader that comes later, before what is latched; in place of the one that was
+    /// pinned before. Readers may get it several times.
+    pub fn pin(&self, encoding: Encoding, body: &[u8]) {
+        self.publication.pin(&self.node.state.outlet, encoding, body);
+    }
+
+    /// Sends readers that come later nothing more of what was [latched](super::PublishOptions::latched) with this origin.
+    pub fn forget(&self, origin: &[u8]) {
+        self.publication.forget(origin);
+    }
+
     async fn try_send(&mut self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
         send_through(&self.publication, &self.node.state.outlet, messages, |_| {}).await
     }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::node::Unflushed;
+use crate::seal::Draft;
 
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -162,4 +163,39 @@ async fn key_boxes_that_are_refused_for_good_are_not_offered_again_and_again() {
     publisher.renew(refused.ad_cert_until(robot.name(), 2, unix_now() + 60)).await.unwrap();
     publisher.send(Encoding::Bytes, b"by another right").await.unwrap();
     assert_eq!(&recv(&mut subscription).await.body[..], b"by another right");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_late_reader_gets_what_is_pinned_and_the_last_messages_of_each_origin() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/tf_static");
+    let (robot, early, late) = (fabric.node("proxy").await, fabric.node("proxy").await, fabric.node("proxy").await);
+    let options = PublishOptions { latched: 1, ..PublishOptions::reliable() };
+    let mut publisher = owner.publish_as(&robot, options).await.unwrap();
+    let mut first = owner.subscribe(&early).await.unwrap();
+    publisher.pin(Encoding::Json, b"old");
+    publisher.pin(Encoding::Json, b"who");
+    for (origin, body) in [([1], b"a"), ([1], b"b"), ([2], b"c"), ([3], b"d")] {
+        publisher.send_batch(&[Draft { origin: &origin, ..Draft::new(Encoding::Bytes, body) }]).await.unwrap();
+    }
+    publisher.forget(&[3]);
+    let mut bodies = Vec::new();
+    while bodies.last().is_none_or(|body| body != "d") {
+        bodies.push(recv(&mut first).await.body);
+    }
+    assert_eq!(bodies, ["old", "who", "a", "b", "c", "d"], "sent once each");
+
+    let mut second = owner.subscribe(&late).await.unwrap();
+    let mut came = Vec::new();
+    for _ in 0..3 {
+        let message = recv(&mut second).await;
+        came.push((message.body, message.latched.is_some(), message.origin.to_vec()));
+    }
+    let expected = [("who".into(), false, vec![]), ("b".into(), true, vec![1]), ("c".into(), true, vec![2])];
+    assert_eq!(came, expected);
+    publisher.send(Encoding::Bytes, b"next").await.unwrap();
+    assert_eq!(&recv(&mut second).await.body[..], b"next");
+    let known = recv(&mut first).await;
+    assert_eq!(&known.body[..], b"who", "which is for all readers");
+    assert_eq!(&recv(&mut first).await.body[..], b"next");
 }
