@@ -32,10 +32,12 @@ pub enum Part {
     Etcd,
     /// Run foreign DDS programs against ours.
     Dds,
+    /// Compare messages with what another implementation makes of them.
+    Rosbags,
 }
 
 pub fn run(options: Options) -> Result<()> {
-    let all = [Part::Workspace, Part::Ebpf, Part::Lints, Part::Namespaces, Part::Etcd, Part::Dds];
+    let all = [Part::Workspace, Part::Ebpf, Part::Lints, Part::Namespaces, Part::Etcd, Part::Dds, Part::Rosbags];
     let missing = missing(&all);
     if missing.is_empty() {
         println!("Nothing to do: everything is installed.");
@@ -153,27 +155,45 @@ const STEPS: &[Step] = &[
         debian: &["apt-get install -y --no-install-recommends libfastrtps-dev fastddsgen"],
         elsewhere: "install Fast DDS 2.9 or later (headers and library) and fastddsgen",
     },
-    Step {
-        part: Part::Dds,
-        what: "Python with its venv module",
-        why: "Cyclone DDS comes as a Python wheel, which Debian wants in an environment of its own",
-        present: || cyclone_present() || Path::new("/usr/share/doc/python3-venv").is_dir(),
-        debian: &["apt-get install -y --no-install-recommends python3-venv"],
-        elsewhere: "install python3 with venv",
-    },
+    python(Part::Dds, "Cyclone DDS comes as a Python wheel, which Debian wants in an environment of its own"),
     Step {
         part: Part::Dds,
         what: "Cyclone DDS 11.0.1 in a Python environment under the target folder",
         why: "the other of the two DDS vendors",
         present: cyclone_present,
         debian: &[
-            "/usr/bin/python3 -m venv --clear \"$GDP_VENV\"",
+            "/usr/bin/python3 -m venv \"$GDP_VENV\"",
             "\"$GDP_VENV/bin/pip\" install --quiet --disable-pip-version-check cyclonedds==11.0.1",
             "touch \"$GDP_VENV/gdp-cyclonedds-11.0.1\"",
         ],
         elsewhere: "python3 -m venv $GDP_VENV && $GDP_VENV/bin/pip install cyclonedds==11.0.1 && touch $GDP_VENV/gdp-cyclonedds-11.0.1",
     },
+    python(Part::Rosbags, "rosbags comes as a Python wheel, which Debian wants in an environment of its own"),
+    Step {
+        part: Part::Rosbags,
+        what: "rosbags 0.11.9 in a Python environment under the target folder",
+        why: "tests compare messages of every ROS type with what it makes of them",
+        present: || venv().join("gdp-rosbags-0.11.9").is_file(),
+        debian: &[
+            "/usr/bin/python3 -m venv \"$GDP_VENV\"",
+            "\"$GDP_VENV/bin/pip\" install --quiet --disable-pip-version-check rosbags==0.11.9",
+            "touch \"$GDP_VENV/gdp-rosbags-0.11.9\"",
+        ],
+        elsewhere: "python3 -m venv $GDP_VENV && $GDP_VENV/bin/pip install rosbags==0.11.9 && touch $GDP_VENV/gdp-rosbags-0.11.9",
+    },
 ];
+
+/// What the environment under the target folder is made with.
+const fn python(part: Part, why: &'static str) -> Step {
+    Step {
+        part,
+        what: "Python with its venv module",
+        why,
+        present: || venv().join("bin/pip").is_file() || Path::new("/usr/share/doc/python3-venv").is_dir(),
+        debian: &["apt-get install -y --no-install-recommends python3-venv"],
+        elsewhere: "install python3 with venv",
+    }
+}
 
 fn missing(parts: &[Part]) -> Vec<&'static Step> {
     STEPS.iter().filter(|step| parts.contains(&step.part) && !(step.present)()).collect()

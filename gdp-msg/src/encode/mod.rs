@@ -1,0 +1,162 @@
+//! The encodings: each reads and writes one value after the other, as a program of [`crate::mapping`] asks for them. None of them knows
+//! types, and none builds values: what is read goes straight to whoever writes.
+
+pub(crate) mod cdr;
+pub(crate) mod input;
+pub(crate) mod json;
+pub(crate) mod nothing;
+pub(crate) mod output;
+pub(crate) mod ros1;
+
+use std::fmt;
+
+use crate::definition::{Count, Scalar};
+
+/// How the bytes of a message are laid out.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
+pub enum Encoding {
+    /// What ROS 2 sends over DDS: classic CDR (XCDR1) behind its four bytes of encapsulation. Read in either byte order, written in
+    /// little endian.
+    Cdr,
+    /// The same, written in big endian.
+    CdrBigEndian,
+    /// What ROS 1 sends over TCPROS, without the length in front.
+    Ros1,
+    /// One JSON object, as rosbridge writes it, but without loss: see [`crate`].
+    Json,
+}
+
+impl fmt::Display for Encoding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Cdr => "CDR",
+            Self::CdrBigEndian => "CDR (big endian)",
+            Self::Ros1 => "ROS 1",
+            Self::Json => "JSON",
+        })
+    }
+}
+
+/// What is wrong with a message.
+#[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
+pub enum Fault {
+    #[error("the message ends within it: it was cut off, or is of another type")]
+    Truncated,
+    #[error("{0} bytes follow the last field: the message is of another type, or of another version of it")]
+    Trailing(usize),
+    #[error("a length of {0} is more than the rest of the message can hold")]
+    Length(u64),
+    #[error("{0} elements, and the type allows {1}")]
+    Count(u64, u64),
+    #[error("a text of {0} units, and the type allows {1}")]
+    Bound(usize, u32),
+    #[error("a boolean of {0}: only 0 and 1 are")]
+    Bool(u8),
+    #[error("a text without its terminating zero byte")]
+    Unterminated,
+    #[error("text that is no Unicode, which JSON and wide strings cannot carry")]
+    Unicode,
+    #[error("{0} does not fit {1}, which is what the other side has in its place")]
+    Range(i64, &'static str),
+    #[error("the message would be larger than {0} bytes: raise the limit, if such messages are meant")]
+    Output(usize),
+    #[error("more than {0} elements that take no bytes: nobody needs them")]
+    Nothing(u32),
+    #[error("an encapsulation of {0:#06x}: only classic CDR (0x0000, 0x0001) is read, no XCDR2 and no parameter lists")]
+    Encapsulation(u16),
+    #[error("no JSON: {0}")]
+    Syntax(&'static str),
+    #[error("`{0}` is no value of {1}")]
+    Value(String, &'static str),
+    #[error("there is no field `{0}` in this type")]
+    Unknown(String),
+    #[error("the field `{0}` is missing: JSON messages give every field")]
+    Absent(Box<str>),
+    #[error("the field `{0}` is given twice")]
+    Twice(Box<str>),
+}
+
+pub(crate) type Result<T, E = Fault> = std::result::Result<T, E>;
+
+/// Names of an object's members, in the order of the definition.
+pub(crate) type Members = [Box<str>];
+
+/// Scalars in a row, as a binary encoding has them.
+#[derive(Clone, Copy)]
+pub(crate) struct Block<'a> {
+    pub bytes: &'a [u8],
+    pub big_endian: bool,
+}
+
+impl Block<'_> {
+    /// Of one scalar of the block.
+    pub fn bits(&self, scalar: &[u8]) -> u64 {
+        let append = |bits: u64, byte: &u8| bits << 8 | u64::from(*byte);
+        if self.big_endian { scalar.iter().fold(0, append) } else { scalar.iter().rev().fold(0, append) }
+    }
+}
+
+/// Where messages come from. Scalars are their bits, zero-extended. What has a body here, only JSON has: the others do not see where
+/// messages and their fields begin and end.
+pub(crate) trait Source {
+    fn scalar(&mut self, kind: Scalar) -> Result<u64>;
+    /// `per` scalars for each element of a fixed array or a sequence, in one piece; `None`, with nothing consumed, where they have to be
+    /// read one by one.
+    fn array(&mut self, kind: Scalar, count: Count, per: u32) -> Result<Option<Block<'_>>>;
+    /// UTF-8 if it was `wide`, and else whatever the sender took for text.
+    fn text(&mut self, wide: bool) -> Result<&[u8]>;
+    /// Begins a fixed array or a sequence; how many elements follow, where that is known before. `least`: bytes that an element takes at
+    /// least.
+    fn begin(&mut self, count: Count, least: u64) -> Result<Option<u32>>;
+    /// Whether there is one more, where the number was not known. `_done`: how many there were.
+    fn more(&mut self, _done: u32) -> Result<bool> {
+        Ok(false)
+    }
+    fn open(&mut self, _members: &Members) -> Result<()> {
+        Ok(())
+    }
+    /// Goes to the value of this member of the object that was opened last.
+    fn take(&mut self, _members: &Members, _member: usize) -> Result<()> {
+        Ok(())
+    }
+    fn close(&mut self, _members: &Members) -> Result<()> {
+        Ok(())
+    }
+    /// A message without fields.
+    fn empty(&mut self) -> Result<()> {
+        Ok(())
+    }
+    /// How far it has been read, in bytes.
+    fn offset(&self) -> usize;
+    /// After the last value.
+    fn finish(&mut self) -> Result<()>;
+}
+
+/// Where messages go. What has a body here, only JSON has.
+pub(crate) trait Sink {
+    /// Nothing of what is written is kept.
+    const DISCARDS: bool = false;
+
+    fn scalar(&mut self, kind: Scalar, bits: u64) -> Result<()>;
+    /// What [`Source::array`] gave.
+    fn array(&mut self, kind: Scalar, count: Count, per: u32, block: Block<'_>) -> Result<()>;
+    fn text(&mut self, wide: bool, text: &[u8]) -> Result<()>;
+    /// Begins a fixed array or a sequence of so many elements, if that is known. What is returned goes to [`Sink::end`].
+    fn begin(&mut self, count: Count, known: Option<u32>) -> Result<usize>;
+    fn element(&mut self, _index: u32) -> Result<()> {
+        Ok(())
+    }
+    fn end(&mut self, count: Count, known: Option<u32>, mark: usize, elements: u32) -> Result<()>;
+    fn open(&mut self) -> Result<()> {
+        Ok(())
+    }
+    fn put(&mut self, _members: &Members, _member: usize) -> Result<()> {
+        Ok(())
+    }
+    fn close(&mut self) -> Result<()> {
+        Ok(())
+    }
+    fn empty(&mut self) -> Result<()> {
+        Ok(())
+    }
+}

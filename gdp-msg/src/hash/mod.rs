@@ -1,0 +1,7 @@
+//! What ROS compares to find out whether two nodes mean the same type.
+
+mod md5sum;
+mod rihs01;
+
+pub use md5sum::{md5sum, service_md5sum};
+pub use rihs01::type_hash;

@@ -1,0 +1,93 @@
+//! Which field of one message is which field of another.
+
+use crate::definition::{Base, Count, Definition, Dialect, Field};
+
+/// One field, or the two that are one.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Step {
+    Both(usize, usize),
+    /// Only the sending type has it.
+    From(usize),
+    /// Only the receiving type has it.
+    To(usize),
+}
+
+/// Fields that do not pair.
+pub(super) enum Unpaired {
+    /// Those that are left on each side.
+    Left(Vec<usize>, Vec<usize>),
+    /// A field that comes earlier on one side than on the other.
+    Order(usize),
+}
+
+/// Steps in the order of both sides. Fields pair by name; those that are left, if there are as many on both sides, one after the other if
+/// their types agree.
+pub(super) fn pair(from: (Dialect, &Definition), to: (Dialect, &Definition)) -> Result<Vec<Step>, Unpaired> {
+    let (f, t) = (&from.1.fields, &to.1.fields);
+    let mut of: Vec<Option<usize>> = vec![None; t.len()];
+    let mut left: Vec<usize> = (0..f.len()).collect();
+    for same in [|a: &str, b: &str| a == b, |a: &str, b: &str| a.eq_ignore_ascii_case(b)] {
+        left.retain(|index| {
+            let found = (0..t.len()).find(|other| of[*other].is_none() && same(&f[*index].name, &t[*other].name));
+            found.inspect(|other| of[*other] = Some(*index)).is_none()
+        });
+    }
+    let left_to: Vec<usize> = (0..t.len()).filter(|index| of[*index].is_none()).collect();
+    if !left.is_empty() && !left_to.is_empty() {
+        let agree =
+            left.len() == left_to.len() && left.iter().zip(&left_to).all(|(a, b)| agree(from.0, &f[*a], to.0, &t[*b]));
+        if !agree {
+            return Err(Unpaired::Left(left, left_to));
+        }
+        left.drain(..).zip(left_to).for_each(|(a, b)| of[b] = Some(a));
+    }
+    if from.1.name.package() != to.1.name.package() || from.1.name.name() != to.1.name.name() {
+        let left_to: Vec<usize> = (0..t.len()).filter(|index| of[*index].is_none()).collect();
+        if !left.is_empty() || !left_to.is_empty() {
+            return Err(Unpaired::Left(left, left_to));
+        }
+    }
+    steps(f.len(), &of)
+}
+
+/// `of`: for each receiving field, the sending one.
+fn steps(from: usize, of: &[Option<usize>]) -> Result<Vec<Step>, Unpaired> {
+    let mut steps = Vec::new();
+    let mut next = 0;
+    for (index, source) in of.iter().enumerate() {
+        match source {
+            Some(source) if *source < next => return Err(Unpaired::Order(*source)),
+            Some(source) => {
+                for skipped in next..*source {
+                    if of.contains(&Some(skipped)) {
+                        return Err(Unpaired::Order(skipped));
+                    }
+                    steps.push(Step::From(skipped));
+                }
+                steps.push(Step::Both(*source, index));
+                next = source + 1;
+            }
+            None => steps.push(Step::To(index)),
+        }
+    }
+    steps.extend((next..from).map(Step::From));
+    Ok(steps)
+}
+
+/// Whether two fields of different names may be one: as far as can be said without looking into messages.
+fn agree(from: Dialect, a: &Field, to: Dialect, b: &Field) -> bool {
+    let counts = match (a.count, b.count) {
+        (Count::Sequence(_), Count::Sequence(_)) => true,
+        (a, b) => a == b,
+    };
+    let is_text = |base: &Base| matches!(base, Base::String(_) | Base::WString(_));
+    let bases = match (&a.base, &b.base) {
+        (Base::Scalar(a), Base::Scalar(b)) => a == b || a.plain(from) == b.plain(to),
+        (Base::Named(a), Base::Named(b)) => a.package() == b.package() && a.name() == b.name(),
+        (Base::Time | Base::Duration, Base::Named(name)) | (Base::Named(name), Base::Time | Base::Duration) => {
+            name.package() == "builtin_interfaces"
+        }
+        (a, b) => a == b || (is_text(a) && is_text(b)),
+    };
+    counts && bases
+}
