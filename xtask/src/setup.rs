@@ -34,10 +34,12 @@ pub enum Part {
     Dds,
     /// Compare messages with what another implementation makes of them.
     Rosbags,
+    /// Run a ROS 1 master and rospy nodes against ours.
+    Ros1,
 }
 
 pub fn run(options: Options) -> Result<()> {
-    let all = [Part::Workspace, Part::Ebpf, Part::Lints, Part::Namespaces, Part::Etcd, Part::Dds, Part::Rosbags];
+    let all = [Part::Workspace, Part::Ebpf, Part::Lints, Part::Namespaces, Part::Etcd, Part::Dds, Part::Rosbags, Part::Ros1];
     let missing = missing(&all);
     if missing.is_empty() {
         println!("Nothing to do: everything is installed.");
@@ -181,6 +183,19 @@ const STEPS: &[Step] = &[
         ],
         elsewhere: "python3 -m venv $GDP_VENV && $GDP_VENV/bin/pip install rosbags==0.11.9 && touch $GDP_VENV/gdp-rosbags-0.11.9",
     },
+    Step {
+        part: Part::Ros1,
+        what: "rosmaster, rospy and the common message packages",
+        why: "the master and the applications of ROS 1 that tests run; rospy needs netifaces, though its package only recommends it",
+        present: ros1_present,
+        debian: &[
+            "apt-get install -y --no-install-recommends python3-rosmaster python3-rospy python3-netifaces rosout \
+                   ros-std-msgs python3-std-msgs ros-sensor-msgs python3-sensor-msgs ros-std-srvs python3-std-srvs \
+                   ros-geometry-msgs python3-geometry-msgs python3-rostopic python3-rosservice",
+        ],
+        elsewhere: "install ROS 1 Noetic's rosmaster, rospy, rostopic, rosservice, std_msgs, sensor_msgs, std_srvs and geometry_msgs for \
+                    /usr/bin/python3, and netifaces",
+    },
 ];
 
 /// What the environment under the target folder is made with.
@@ -284,6 +299,22 @@ fn home(variable: &str, default: &str) -> PathBuf {
 /// The marker is made last, so that an installation that was cut off does not count.
 fn cyclone_present() -> bool {
     venv().join("gdp-cyclonedds-11.0.1").is_file()
+}
+
+/// What Debian's packages contain, by their folders: asking Python would take a third of a second.
+fn ros1_present() -> bool {
+    let python = Path::new("/usr/lib/python3/dist-packages");
+    let modules =
+        ["rosmaster", "rospy", "rostopic", "rosservice", "std_msgs", "sensor_msgs", "std_srvs", "geometry_msgs"];
+    let has_netifaces = || {
+        let names = std::fs::read_dir(python).into_iter().flatten().flatten().map(|entry| entry.file_name());
+        names.into_iter().any(|name| name.to_string_lossy().starts_with("netifaces."))
+    };
+    let shares = ["std_msgs", "sensor_msgs", "std_srvs", "geometry_msgs"];
+    Path::new("/usr/bin/rosmaster").is_file()
+        && modules.iter().all(|module| python.join(module).is_dir())
+        && shares.iter().all(|package| Path::new("/usr/share").join(package).is_dir())
+        && has_netifaces()
 }
 
 fn venv() -> PathBuf {

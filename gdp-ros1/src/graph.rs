@@ -1,0 +1,153 @@
+//! What is there at a master: topics with their types, who publishes and subscribes, and services; and what changes about it.
+//!
+//! A master tells nobody of changes but those who publish or subscribe themselves, so its state is asked for from time to time, as ROS tools do.
+//! It does not know the types of services: [`ServiceClient::probe`](crate::ServiceClient::probe) asks the server.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use tokio::sync::watch;
+
+use crate::api::master::SystemState;
+
+/// A topic, as the master knows it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Topic {
+    /// Such as `std_msgs/String`; `None` until somebody who publishes or subscribes has said it.
+    pub kind: Option<String>,
+    /// Nodes.
+    pub publishers: BTreeSet<String>,
+    /// Nodes.
+    pub subscribers: BTreeSet<String>,
+}
+
+/// All that the master knows at a time.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Snapshot {
+    /// Those that somebody publishes or subscribes to.
+    pub topics: BTreeMap<String, Topic>,
+    /// With the nodes that serve them.
+    pub services: BTreeMap<String, BTreeSet<String>>,
+}
+
+/// What is different in a snapshot.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// It is new, or something about it is: its type is known now, or others publish or subscribe.
+    Topic {
+        name: String,
+        topic: Topic,
+    },
+    /// Nobody publishes it or subscribes to it any more.
+    TopicGone {
+        name: String,
+    },
+    /// It is new, or others serve it.
+    Service {
+        name: String,
+        nodes: BTreeSet<String>,
+    },
+    ServiceGone {
+        name: String,
+    },
+}
+
+impl Snapshot {
+    pub(crate) fn new(state: &SystemState, kinds: &BTreeMap<String, String>) -> Self {
+        let mut topics: BTreeMap<String, Topic> = BTreeMap::new();
+        for (name, nodes) in &state.publishers {
+            topics.entry(name.clone()).or_default().publishers.extend(nodes.iter().cloned());
+        }
+        for (name, nodes) in &state.subscribers {
+            topics.entry(name.clone()).or_default().subscribers.extend(nodes.iter().cloned());
+        }
+        for (name, topic) in &mut topics {
+            topic.kind = kinds.get(name).filter(|kind| *kind != "*").cloned();
+        }
+        let services = state.services.iter().map(|(name, nodes)| (name.clone(), nodes.iter().cloned().collect()));
+        Self { topics, services: services.collect() }
+    }
+
+    /// What is different from an earlier one, by name.
+    pub fn changes_since(&self, earlier: &Self) -> Vec<Change> {
+        let topics = self.topics.iter().filter(|&(name, topic)| earlier.topics.get(name) != Some(topic));
+        let topics = topics.map(|(name, topic)| Change::Topic { name: name.clone(), topic: topic.clone() });
+        let gone = earlier.topics.keys().filter(|name| !self.topics.contains_key(*name));
+        let gone = gone.map(|name| Change::TopicGone { name: name.clone() });
+        let services = self.services.iter().filter(|&(name, nodes)| earlier.services.get(name) != Some(nodes));
+        let services = services.map(|(name, nodes)| Change::Service { name: name.clone(), nodes: nodes.clone() });
+        let unserved = earlier.services.keys().filter(|name| !self.services.contains_key(*name));
+        let unserved = unserved.map(|name| Change::ServiceGone { name: name.clone() });
+        topics.chain(gone).chain(services).chain(unserved).collect()
+    }
+}
+
+/// Watches a master's graph. While the master does not answer, nothing changes.
+///
+/// A master that was started anew knows only who registers with it again, and most ROS 1 nodes do not; their topics look gone then, though
+/// their connections go on. What was bridged should be kept while its [`Subscription`](crate::Subscription) has a connected source or
+/// its [`Publisher`](crate::Publisher) a subscriber.
+pub struct Graph {
+    snapshots: watch::Receiver<Arc<Snapshot>>,
+    seen: Arc<Snapshot>,
+}
+
+impl Graph {
+    pub(crate) fn new(snapshots: watch::Receiver<Arc<Snapshot>>) -> Self {
+        Self { snapshots, seen: Arc::default() }
+    }
+
+    /// Waits until the graph differs from what was returned last; at first, all of it is new. Many changes in a short time may be seen as one. `None`
+    /// when the node has left.
+    pub async fn changes(&mut self) -> Option<Vec<Change>> {
+        let now = self.snapshots.wait_for(|now| **now != *self.seen).await.ok()?.clone();
+        let changes = now.changes_since(&self.seen);
+        self.seen = now;
+        Some(changes)
+    }
+
+    /// As last returned by [`Self::changes`].
+    pub fn snapshot(&self) -> &Snapshot {
+        &self.seen
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(entries: &[(&str, &[&str])]) -> Vec<(String, Vec<String>)> {
+        let owned = |nodes: &[&str]| nodes.iter().map(|node| (*node).to_owned()).collect();
+        entries.iter().map(|(name, nodes)| ((*name).to_owned(), owned(nodes))).collect()
+    }
+
+    fn set(nodes: &[&str]) -> BTreeSet<String> {
+        nodes.iter().map(|node| (*node).to_owned()).collect()
+    }
+
+    #[test]
+    fn changes_are_what_came_went_and_became_known() {
+        let kinds = |kind: &str| BTreeMap::from([("/a".to_owned(), kind.to_owned())]);
+        let first = SystemState {
+            publishers: of(&[("/a", &["/p"])]),
+            subscribers: of(&[("/a", &["/s"]), ("/b", &["/s"])]),
+            services: of(&[("/x", &["/p"])]),
+        };
+        let second =
+            SystemState { subscribers: of(&[("/a", &["/s"])]), services: of(&[("/y", &["/p"])]), ..first.clone() };
+        let (first, second) = (Snapshot::new(&first, &kinds("*")), Snapshot::new(&second, &kinds("a/B")));
+        assert_eq!(first.changes_since(&first), []);
+        assert_eq!(first.topics["/a"].kind, None);
+        let topic = Topic { kind: Some("a/B".to_owned()), publishers: set(&["/p"]), subscribers: set(&["/s"]) };
+        assert_eq!(
+            second.changes_since(&first),
+            [
+                Change::Topic { name: "/a".to_owned(), topic },
+                Change::TopicGone { name: "/b".to_owned() },
+                Change::Service { name: "/y".to_owned(), nodes: set(&["/p"]) },
+                Change::ServiceGone { name: "/x".to_owned() },
+            ]
+        );
+        assert_eq!(first.changes_since(&Snapshot::default()).len(), 3);
+    }
+}

@@ -1,0 +1,116 @@
+//! What keeps the master informed: registers and unregisters what is asked for, looks regularly whether the master still knows it, and
+//! takes what it says of the graph along.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::time::{Instant, sleep_until, timeout};
+
+use crate::api::master::{MasterError, SystemState};
+use crate::graph::Snapshot;
+use crate::registration::Step;
+use crate::shared::{MasterState, Shared};
+
+/// To take everything back when the node leaves.
+const LEAVE: Duration = Duration::from_secs(5);
+
+pub struct Registrar {
+    shared: Arc<Shared>,
+    /// The graph, as it was last looked at, with the types of topics.
+    state: SystemState,
+    kinds: BTreeMap<String, String>,
+}
+
+impl Registrar {
+    pub fn new(shared: Arc<Shared>) -> Self {
+        Self { shared, state: SystemState::default(), kinds: BTreeMap::new() }
+    }
+
+    /// Until the node leaves and everything is taken back, as far as the master can be reached.
+    pub async fn run(mut self) {
+        let mut leaving = self.shared.leaving.subscribe();
+        let (mut master, mut next_look) = (MasterState::Unknown, Instant::now());
+        loop {
+            if Instant::now() >= next_look {
+                next_look = Instant::now() + self.shared.config.poll;
+                master = self.look().await;
+            }
+            // While it cannot be reached, the next look is soon enough.
+            if master == MasterState::Reached {
+                master = self.work_off().await;
+            }
+            self.shared.set_master(master.clone());
+            tokio::select! {
+                () = self.shared.wake.notified() => {}
+                () = sleep_until(next_look) => {}
+                _ = leaving.wait_for(|leaving| *leaving) => break,
+            }
+        }
+        self.shared.registrations().leave_all();
+        // What cannot be taken back in time stays with a master that does not answer.
+        _ = timeout(LEAVE, self.work_off()).await;
+    }
+
+    /// Whether the master still knows this node as it should; what it has forgotten is wanted again.
+    async fn look(&mut self) -> MasterState {
+        self.try_to_look().await.unwrap_or_else(|error| MasterState::Unreachable(error.to_string()))
+    }
+
+    async fn try_to_look(&mut self) -> Result<MasterState, MasterError> {
+        let Shared { master, config, uri, .. } = &*self.shared;
+        let is_registered = self.shared.registrations().any_registered();
+        if is_registered {
+            match master.lookup_node(&config.name).await {
+                Ok(other) if other != *uri => return Ok(MasterState::NameTaken(other)),
+                // Unknown: all is forgotten, as the state will show.
+                Ok(_) | Err(MasterError::Refused { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        let state = master.system_state().await?;
+        let forgotten = self.shared.registrations().observe(&config.name, &state);
+        if forgotten > 0 {
+            tracing::warn!(forgotten, uri = master.uri, "the master has forgotten this node, and is told again");
+        }
+        if self.shared.graph.receiver_count() > 0 {
+            self.show(state).await?;
+        }
+        Ok(MasterState::Reached)
+    }
+
+    /// Has the graph shown to those who watch it.
+    async fn show(&mut self, state: SystemState) -> Result<(), MasterError> {
+        let has_all_kinds = {
+            let graph = self.shared.graph.borrow();
+            graph.topics.values().all(|topic| topic.kind.is_some())
+        };
+        if state != self.state || !has_all_kinds {
+            self.kinds = self.shared.master.topic_types().await?.into_iter().collect();
+            self.state = state;
+        }
+        let snapshot = Arc::new(Snapshot::new(&self.state, &self.kinds));
+        self.shared.graph.send_if_modified(|shown| {
+            let is_new = *shown != snapshot;
+            *shown = snapshot;
+            is_new
+        });
+        Ok(())
+    }
+
+    /// Tells the master what it has to know. Ends early if it cannot be reached.
+    async fn work_off(&mut self) -> MasterState {
+        loop {
+            let Some(step) = self.shared.registrations().next() else { return MasterState::Reached };
+            let result = match &step {
+                Step::Register { key, kind } => self.shared.register_at_master(key, kind).await,
+                Step::Unregister { key } => self.shared.unregister_at_master(key).await,
+            };
+            match result {
+                Ok(()) => self.shared.registrations().done(&step),
+                Err(MasterError::Refused { text, .. }) => self.shared.registrations().refused(&step, text),
+                Err(error) => return MasterState::Unreachable(error.to_string()),
+            }
+        }
+    }
+}

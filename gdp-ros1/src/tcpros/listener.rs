@@ -1,0 +1,63 @@
+//! Where others connect to this node, for its topics and its services: the header says what for.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio::task::JoinSet;
+use tokio::time::timeout;
+
+use super::{Header, Stream, TcprosError};
+use crate::accept::accept;
+
+/// Of all topics and services.
+const MAX_CONNECTIONS: usize = 4096;
+
+/// Connections that have not said yet what they are for.
+const MAX_HANDSHAKES: usize = 256;
+
+/// Time to say so.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Serves until it is dropped; then all connections end. `serve` takes a connection whose header has come.
+pub async fn listen<F>(listener: TcpListener, serve: impl Fn(Stream, Header) -> F + Send + Sync + 'static)
+where
+    F: Future<Output = Result<(), TcprosError>> + Send + 'static,
+{
+    let serve = Arc::new(serve);
+    let handshakes = Arc::new(Semaphore::new(MAX_HANDSHAKES));
+    let mut connections = JoinSet::new();
+    loop {
+        let socket = accept(&listener, &mut connections, MAX_CONNECTIONS).await;
+        let Ok(handshake) = handshakes.clone().try_acquire_owned() else {
+            tracing::warn!(MAX_HANDSHAKES, "connection refused: too many others have not sent their header yet");
+            continue;
+        };
+        let serve = serve.clone();
+        connections.spawn(async move {
+            let begun = begin(socket).await;
+            drop(handshake);
+            let served = match begun {
+                Ok((stream, header)) => serve(stream, header).await,
+                Err(error) => Err(error),
+            };
+            if let Err(error) = served {
+                tracing::debug!(%error, "a TCPROS connection ended");
+            }
+        });
+    }
+}
+
+async fn begin(socket: TcpStream) -> Result<(Stream, Header), TcprosError> {
+    let mut stream = Stream::new(socket)?;
+    let header = timeout(PATIENCE, stream.read_header()).await.map_err(|_| TcprosError::Timeout(PATIENCE))??;
+    Ok((stream, header))
+}
+
+/// Tells the peer why it is not served.
+pub async fn refuse(mut stream: Stream, reason: &str) -> Result<(), TcprosError> {
+    timeout(PATIENCE, stream.write_header(&Header::new([("error", reason)])))
+        .await
+        .map_err(|_| TcprosError::Timeout(PATIENCE))?
+}

@@ -1,0 +1,8 @@
+//! TCPROS: connection headers, then messages behind their lengths. <https://wiki.ros.org/ROS/TCPROS>
+
+pub mod header;
+pub mod listener;
+pub mod stream;
+
+pub use header::{Header, HeaderError};
+pub use stream::{Stream, TcprosError};

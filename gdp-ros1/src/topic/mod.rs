@@ -1,0 +1,6 @@
+//! Topics: what this node publishes, and what it subscribes to.
+
+pub mod link;
+pub mod publication;
+pub mod sources;
+pub mod subscription;

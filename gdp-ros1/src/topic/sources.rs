@@ -1,0 +1,192 @@
+//! Which publishers of a topic to be connected to, without I/O: what the master lists, what was reached, when to try again.
+//!
+//! What the master lists is not believed in one case. A master that was started anew knows only who has registered since, and most
+//! ROS 1 nodes never register twice: their connections are fine all the same. So only a master that has listed a publisher itself
+//! can end the connection to it by not listing it any more. One that it never listed keeps its connection as long as that lives.
+
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+use std::time::{Duration, Instant};
+
+use crate::backoff::Backoff;
+
+/// Publishers of one topic.
+pub const MAX_SOURCES: usize = 1024;
+
+/// A connection that held so long was a good one: the next attempt is made soon.
+const HELD: Duration = Duration::from_secs(5);
+
+/// The publishers of one topic, by the URIs of their slave APIs.
+pub struct Sources {
+    own: String,
+    known: BTreeMap<String, Source>,
+}
+
+struct Source {
+    /// The last run of the master in which it was listed.
+    listed: u64,
+    /// Whether it still is.
+    wanted: bool,
+    state: State,
+    backoff: Backoff,
+}
+
+enum State {
+    Waiting { until: Instant },
+    Connected { since: Instant },
+}
+
+/// What is to be done.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// Connect; when that has ended, [`Sources::ended`] is to be called.
+    Connect(String),
+    /// Forget it, and end the connection if there is one. No more is heard of it.
+    Drop(String),
+}
+
+impl Sources {
+    /// `own`: this node's slave API, which is never connected to.
+    pub fn new(own: String) -> Self {
+        Self { own, known: BTreeMap::new() }
+    }
+
+    /// The master lists these, in its run of this number.
+    pub fn listed(&mut self, run: u64, publishers: &[String], now: Instant) -> Vec<Action> {
+        for source in self.known.values_mut() {
+            source.wanted = false;
+        }
+        for publisher in publishers {
+            if *publisher == self.own {
+                continue;
+            }
+            let room = self.known.len() < MAX_SOURCES;
+            match self.known.entry(publisher.clone()) {
+                Entry::Occupied(mut known) => (known.get_mut().listed, known.get_mut().wanted) = (run, true),
+                Entry::Vacant(new) if room => {
+                    let state = State::Waiting { until: now };
+                    new.insert(Source { listed: run, wanted: true, state, backoff: Backoff::new() });
+                }
+                Entry::Vacant(_) => {
+                    tracing::warn!(publisher, MAX_SOURCES, "a topic has more publishers than are connected to");
+                }
+            }
+        }
+        let mut dropped = Vec::new();
+        self.known.retain(|publisher, source| {
+            let kept = match source.state {
+                State::Waiting { .. } => source.wanted,
+                State::Connected { .. } => source.wanted || source.listed != run,
+            };
+            if !kept {
+                dropped.push(Action::Drop(publisher.clone()));
+            }
+            kept
+        });
+        dropped.extend(self.due(now));
+        dropped
+    }
+
+    /// Whom to connect to now.
+    pub fn due(&mut self, now: Instant) -> Vec<Action> {
+        let mut actions = Vec::new();
+        for (publisher, source) in &mut self.known {
+            if matches!(source.state, State::Waiting { until } if until <= now) {
+                source.state = State::Connected { since: now };
+                actions.push(Action::Connect(publisher.clone()));
+            }
+        }
+        actions
+    }
+
+    /// When somebody is to be connected to, if nothing happens before.
+    pub fn next_due(&self) -> Option<Instant> {
+        let waiting = |source: &Source| match source.state {
+            State::Waiting { until } => Some(until),
+            State::Connected { .. } => None,
+        };
+        self.known.values().filter_map(waiting).min()
+    }
+
+    /// A connection has ended, or was never made. Returns whether it will be tried again.
+    pub fn ended(&mut self, publisher: &str, now: Instant) -> bool {
+        let Some(source) = self.known.get_mut(publisher) else { return false };
+        if !source.wanted {
+            self.known.remove(publisher);
+            return false;
+        }
+        if matches!(source.state, State::Connected { since } if now.saturating_duration_since(since) >= HELD) {
+            source.backoff = Backoff::new();
+        }
+        source.state = State::Waiting { until: now + source.backoff.next() };
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn uris<const N: usize>(hosts: [&str; N]) -> Vec<String> {
+        hosts.map(|host| format!("http://{host}:1/")).to_vec()
+    }
+
+    fn connect(host: &str) -> Action {
+        Action::Connect(format!("http://{host}:1/"))
+    }
+
+    fn dropped(host: &str) -> Action {
+        Action::Drop(format!("http://{host}:1/"))
+    }
+
+    fn sources() -> (Sources, Instant) {
+        (Sources::new("http://own:1/".to_owned()), Instant::now())
+    }
+
+    #[test]
+    fn publishers_come_and_go_as_the_master_says_and_oneself_is_none() {
+        let (mut sources, now) = sources();
+        assert_eq!(sources.listed(1, &uris(["a", "own", "b"]), now), [connect("a"), connect("b")]);
+        assert_eq!(sources.listed(1, &uris(["b", "b", "c"]), now), [dropped("a"), connect("c")]);
+        assert_eq!(sources.next_due(), None);
+    }
+
+    #[test]
+    fn what_ends_is_tried_again_ever_later_until_it_is_gone() {
+        let (mut sources, mut now) = sources();
+        sources.listed(1, &uris(["a"]), now);
+        let mut waits = Vec::new();
+        for _ in 0..8 {
+            assert!(sources.ended("http://a:1/", now));
+            let due = sources.next_due().unwrap();
+            assert_eq!(sources.due(due - Duration::from_millis(1)), []);
+            waits.push((due - now).as_millis());
+            now = due;
+            assert_eq!(sources.due(now), [connect("a")]);
+        }
+        assert_eq!(waits, [200, 400, 800, 1600, 3200, 6400, 10_000, 10_000]);
+        now += HELD;
+        assert!(sources.ended("http://a:1/", now));
+        assert_eq!(sources.next_due(), Some(now + Duration::from_millis(200)), "it held");
+        assert_eq!(sources.listed(1, &[], now), [dropped("a")]);
+        assert_eq!(sources.next_due(), None);
+    }
+
+    #[test]
+    fn a_new_master_that_knows_nobody_ends_no_connection() {
+        let (mut sources, now) = sources();
+        sources.listed(1, &uris(["a", "b"]), now);
+        assert_eq!(sources.listed(2, &[], now), []);
+        assert_eq!(sources.listed(2, &uris(["a"]), now), [], "connected already");
+        assert_eq!(sources.listed(2, &[], now), [dropped("a")], "listed in this run, and now not");
+        assert!(!sources.ended("http://b:1/", now), "b was not listed in this run: not tried again");
+        assert_eq!(sources.listed(2, &uris(["b"]), now), [connect("b")]);
+    }
+
+    #[test]
+    fn a_topic_has_so_many_publishers() {
+        let (mut sources, now) = sources();
+        let many: Vec<String> = (0..MAX_SOURCES + 7).map(|i| format!("http://h{i}:1/")).collect();
+        assert_eq!(sources.listed(1, &many, now).len(), MAX_SOURCES);
+    }
+}

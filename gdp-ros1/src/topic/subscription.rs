@@ -1,0 +1,175 @@
+//! A topic that this node subscribes to: connections to all who publish it, and one queue of what they say.
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+use std::time::Instant;
+
+use bytes::Bytes;
+use tokio::sync::{mpsc, watch};
+use tokio::task::{AbortHandle, Id, JoinSet};
+
+use super::link::{self, Common, LinkError};
+use super::sources::{Action, Sources};
+use crate::queue::QueueLimits;
+
+/// What to subscribe to.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SubscribeOptions {
+    /// Type and md5sum that publishers must have; without it, any.
+    pub kind: Option<(String, String)>,
+    /// For messages that have come and were not taken yet.
+    pub queue: QueueLimits,
+}
+
+/// One message, and who published it.
+#[derive(Clone, Debug)]
+pub struct Message {
+    /// As serialized by ROS 1, without the length in front.
+    pub data: Bytes,
+    pub publisher: Arc<PublisherInfo>,
+}
+
+/// What a publisher's connection header says.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PublisherInfo {
+    /// Of its slave API.
+    pub uri: String,
+    /// Its node's name; empty if it does not say.
+    pub caller_id: String,
+    /// Such as `std_msgs/String`.
+    pub kind: String,
+    pub md5sum: String,
+    /// With those of all types in it; empty if it does not say.
+    pub definition: String,
+    /// The first message on each connection may be an old one.
+    pub latching: bool,
+}
+
+/// How it stands with a publisher.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SourceState {
+    Connecting,
+    Connected(Arc<PublisherInfo>),
+    /// Why not; it is tried again.
+    Failed(String),
+}
+
+/// All publishers of a topic, by the URIs of their slave APIs.
+pub type SourceStates = BTreeMap<String, SourceState>;
+
+/// What the master last said about a topic.
+#[derive(Clone, Debug, Default)]
+pub struct Listed {
+    /// How often the master has forgotten this subscription.
+    pub run: u64,
+    /// Rises with every list.
+    pub version: u64,
+    pub publishers: Vec<String>,
+}
+
+/// What keeps the connections of one subscription as the master lists them. Ends when `listed` does.
+pub struct Keeper {
+    pub common: Arc<Common>,
+    pub sources: Sources,
+    pub listed: watch::Receiver<Listed>,
+    pub states: watch::Sender<SourceStates>,
+}
+
+type Ended = Result<std::convert::Infallible, LinkError>;
+
+/// The connections, each a task.
+struct Links {
+    tasks: JoinSet<Ended>,
+    by_id: HashMap<Id, String>,
+    by_uri: HashMap<String, AbortHandle>,
+    connected: mpsc::Sender<Arc<PublisherInfo>>,
+}
+
+impl Keeper {
+    pub async fn run(mut self) {
+        let (connected, mut connections) = mpsc::channel(16);
+        let mut links = Links { tasks: JoinSet::new(), by_id: HashMap::new(), by_uri: HashMap::new(), connected };
+        loop {
+            let due = self.sources.next_due();
+            let actions = tokio::select! {
+                changed = self.listed.changed() => {
+                    if changed.is_err() {
+                        return;
+                    }
+                    let Listed { run, publishers, .. } = self.listed.borrow_and_update().clone();
+                    self.sources.listed(run, &publishers, Instant::now())
+                }
+                Some(info) = connections.recv() => {
+                    self.connected(&links, info);
+                    continue;
+                }
+                Some(ended) = links.tasks.join_next_with_id() => {
+                    self.ended(&mut links, ended);
+                    continue;
+                }
+                () = sleep_until(due) => self.sources.due(Instant::now()),
+            };
+            for action in actions {
+                self.act(&mut links, action);
+            }
+        }
+    }
+
+    fn act(&mut self, links: &mut Links, action: Action) {
+        match action {
+            Action::Connect(publisher) => {
+                let (common, uri, connected) = (self.common.clone(), publisher.clone(), links.connected.clone());
+                let task = links.tasks.spawn(async move { link::run(&common, &uri, connected).await });
+                links.by_id.insert(task.id(), publisher.clone());
+                links.by_uri.insert(publisher.clone(), task);
+                self.states.send_if_modified(|states| {
+                    // What went wrong stays to be seen until something else happens.
+                    let is_new = !states.contains_key(&publisher);
+                    states.entry(publisher).or_insert(SourceState::Connecting);
+                    is_new
+                });
+            }
+            Action::Drop(publisher) => {
+                if let Some(task) = links.by_uri.remove(&publisher) {
+                    links.by_id.remove(&task.id());
+                    task.abort();
+                }
+                self.states.send_modify(|states| _ = states.remove(&publisher));
+            }
+        }
+    }
+
+    fn connected(&self, links: &Links, info: Arc<PublisherInfo>) {
+        if links.by_uri.contains_key(&info.uri) {
+            tracing::debug!(topic = self.common.topic, publisher = info.caller_id, "connected");
+            self.states.send_modify(|states| _ = states.insert(info.uri.clone(), SourceState::Connected(info)));
+        }
+    }
+
+    fn ended(&mut self, links: &mut Links, ended: Result<(Id, Ended), tokio::task::JoinError>) {
+        let (id, reason) = match ended {
+            Ok((id, Err(error))) => (id, error.to_string()),
+            Ok((_, Ok(never))) => match never {},
+            Err(error) => (error.id(), error.to_string()),
+        };
+        // Dropped on purpose: forgotten already.
+        let Some(publisher) = links.by_id.remove(&id) else { return };
+        links.by_uri.remove(&publisher);
+        tracing::debug!(topic = self.common.topic, publisher, reason, "not connected");
+        let again = self.sources.ended(&publisher, Instant::now());
+        self.states.send_modify(|states| {
+            if again {
+                states.insert(publisher, SourceState::Failed(reason));
+            } else {
+                states.remove(&publisher);
+            }
+        });
+    }
+}
+
+async fn sleep_until(instant: Option<Instant>) {
+    match instant {
+        Some(instant) => tokio::time::sleep_until(instant.into()).await,
+        None => std::future::pending().await,
+    }
+}

@@ -1,0 +1,73 @@
+//! Calls and answers as XML: compact, and in the form that roscpp's own small parser takes (no empty-element tags).
+
+use std::fmt::Write;
+
+use quick_xml::escape::escape;
+
+use super::{Call, Fault, Value};
+
+const DECLARATION: &str = "<?xml version=\"1.0\"?>\n";
+
+/// The body of a request.
+pub fn encode_call(call: &Call) -> String {
+    let mut xml = format!("{DECLARATION}<methodCall><methodName>{}</methodName><params>", text(&call.method));
+    for param in &call.params {
+        xml.push_str("<param>");
+        value(&mut xml, param);
+        xml.push_str("</param>");
+    }
+    xml.push_str("</params></methodCall>\n");
+    xml
+}
+
+/// The body of an answer.
+pub fn encode_response(response: &Result<Value, Fault>) -> String {
+    let mut xml = format!("{DECLARATION}<methodResponse>");
+    match response {
+        Ok(answer) => {
+            xml.push_str("<params><param>");
+            value(&mut xml, answer);
+            xml.push_str("</param></params>");
+        }
+        Err(Fault { code, text }) => {
+            xml.push_str("<fault>");
+            let members = [("faultCode", Value::Int(*code)), ("faultString", Value::String(text.clone()))];
+            value(&mut xml, &Value::Struct(members.map(|(name, value)| (name.to_owned(), value)).into()));
+            xml.push_str("</fault>");
+        }
+    }
+    xml.push_str("</methodResponse>\n");
+    xml
+}
+
+fn value(xml: &mut String, value: &Value) {
+    xml.push_str("<value>");
+    match value {
+        // Writing to a string does not fail.
+        Value::Int(int) => _ = write!(xml, "<i4>{int}</i4>"),
+        Value::Bool(bool) => _ = write!(xml, "<boolean>{}</boolean>", u8::from(*bool)),
+        Value::String(string) => _ = write!(xml, "<string>{}</string>", text(string)),
+        Value::Array(values) => {
+            xml.push_str("<array><data>");
+            values.iter().for_each(|element| self::value(xml, element));
+            xml.push_str("</data></array>");
+        }
+        Value::Struct(members) => {
+            xml.push_str("<struct>");
+            for (name, member) in members {
+                _ = write!(xml, "<member><name>{}</name>", text(name));
+                self::value(xml, member);
+                xml.push_str("</member>");
+            }
+            xml.push_str("</struct>");
+        }
+    }
+    xml.push_str("</value>");
+}
+
+/// Escaped. A carriage return would be read as a line feed, and most other control characters cannot stand in XML at all.
+fn text(raw: &str) -> String {
+    let allowed = |&c: &char| matches!(c, '\t' | '\n' | '\r' | '\u{20}'..) && !matches!(c, '\u{fffe}' | '\u{ffff}');
+    let kept: String = raw.chars().filter(allowed).collect();
+    escape(&kept).replace('\r', "&#13;")
+}

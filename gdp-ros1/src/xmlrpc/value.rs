@@ -1,0 +1,85 @@
+//! The values that calls and answers are made of, and taking them apart.
+
+/// A value of XML-RPC.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Value {
+    Int(i32),
+    Bool(bool),
+    String(String),
+    Array(Vec<Value>),
+    /// Members in their order.
+    Struct(Vec<(String, Value)>),
+}
+
+/// A value is not what the ROS API says it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0} was expected")]
+pub struct Mismatch(pub &'static str);
+
+impl Value {
+    pub fn array(values: impl IntoIterator<Item = impl Into<Value>>) -> Self {
+        Self::Array(values.into_iter().map(Into::into).collect())
+    }
+
+    pub fn into_int(self) -> Result<i32, Mismatch> {
+        match self {
+            Self::Int(int) => Ok(int),
+            // Some masters answer with a truth value where the API says 0 or 1.
+            Self::Bool(bool) => Ok(bool.into()),
+            _ => Err(Mismatch("an integer")),
+        }
+    }
+
+    pub fn into_string(self) -> Result<String, Mismatch> {
+        match self {
+            Self::String(string) => Ok(string),
+            _ => Err(Mismatch("a string")),
+        }
+    }
+
+    pub fn into_array(self) -> Result<Vec<Value>, Mismatch> {
+        match self {
+            Self::Array(values) => Ok(values),
+            _ => Err(Mismatch("an array")),
+        }
+    }
+
+    /// An array of exactly `N` values.
+    pub fn into_tuple<const N: usize>(self) -> Result<[Value; N], Mismatch> {
+        self.into_array()?.try_into().map_err(|_| Mismatch("an array of another length"))
+    }
+
+    pub fn into_strings(self) -> Result<Vec<String>, Mismatch> {
+        self.into_array()?.into_iter().map(Value::into_string).collect()
+    }
+}
+
+impl From<i32> for Value {
+    fn from(int: i32) -> Self {
+        Self::Int(int)
+    }
+}
+
+impl From<bool> for Value {
+    fn from(bool: bool) -> Self {
+        Self::Bool(bool)
+    }
+}
+
+impl From<&str> for Value {
+    fn from(string: &str) -> Self {
+        Self::String(string.to_owned())
+    }
+}
+
+impl From<String> for Value {
+    fn from(string: String) -> Self {
+        Self::String(string)
+    }
+}
+
+impl From<Vec<Value>> for Value {
+    fn from(values: Vec<Value>) -> Self {
+        Self::Array(values)
+    }
+}

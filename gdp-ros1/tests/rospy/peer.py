@@ -1,0 +1,98 @@
+#!/usr/bin/env python3
+"""A rospy node as applications have them. Says what happens in lines of JSON.
+
+peer.py NAME publish TOPIC TEXT     std_msgs/String, 20 a second: "TEXT 0", "TEXT 1", …
+peer.py NAME latch TOPIC TEXT       std_msgs/String, once
+peer.py NAME publish-image TOPIC N  sensor_msgs/Image of N bytes, once, latched
+peer.py NAME listen TOPIC           std_msgs/String
+peer.py NAME listen-image TOPIC     sensor_msgs/Image
+peer.py NAME serve SERVICE          std_srvs/SetBool: says what it was set to, and fails at false
+peer.py NAME call SERVICE true|false[,…]  std_srvs/SetBool, once or several times over one connection
+"""
+
+import hashlib
+import json
+import sys
+
+import rospy
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, SetBoolResponse
+
+
+def say(event, **what):
+    print(json.dumps({"event": event, **what}), flush=True)
+
+
+def digest(data):
+    return hashlib.sha256(data).hexdigest()
+
+
+def publish(topic, text):
+    publisher = rospy.Publisher(topic, String, queue_size=10)
+    rate, n = rospy.Rate(20), 0
+    say("ready")
+    while not rospy.is_shutdown():
+        publisher.publish(f"{text} {n}")
+        n += 1
+        rate.sleep()
+
+
+def latch(topic, text):
+    publisher = rospy.Publisher(topic, String, queue_size=1, latch=True)
+    publisher.publish(text)
+    say("ready")
+    rospy.spin()
+
+
+def publish_image(topic, size):
+    image = Image(height=1, width=int(size), encoding="mono8", step=int(size))
+    image.header.frame_id = "camera"
+    image.data = bytes(i * 31 % 256 for i in range(256)) * (int(size) // 256)
+    publisher = rospy.Publisher(topic, Image, queue_size=1, latch=True)
+    publisher.publish(image)
+    say("ready", sha256=digest(image.data))
+    rospy.spin()
+
+
+def listen(topic):
+    heard = lambda message: say("message", data=message.data, caller=message._connection_header["callerid"])
+    rospy.Subscriber(topic, String, heard)
+    say("ready")
+    rospy.spin()
+
+
+def listen_image(topic):
+    heard = lambda image: say("message", size=len(image.data), sha256=digest(image.data), frame=image.header.frame_id)
+    rospy.Subscriber(topic, Image, heard)
+    say("ready")
+    rospy.spin()
+
+
+def serve(service):
+    def answer(request):
+        if not request.data:
+            raise ValueError("it stays on")
+        return SetBoolResponse(True, "it is on")
+
+    rospy.Service(service, SetBool, answer)
+    say("ready")
+    rospy.spin()
+
+
+def call(service, values):
+    values = [value == "true" for value in values.split(",")]
+    rospy.wait_for_service(service, timeout=10)
+    proxy = rospy.ServiceProxy(service, SetBool, persistent=len(values) > 1)
+    for value in values:
+        try:
+            response = proxy(value)
+            say("response", success=response.success, message=response.message)
+        except rospy.ServiceException as error:
+            say("error", text=str(error))
+
+
+if __name__ == "__main__":
+    name, mode, *arguments = sys.argv[1:]
+    rospy.init_node(name, disable_rosout=True)
+    globals()[mode.replace("-", "_")](*arguments)
