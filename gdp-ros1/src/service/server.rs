@@ -4,7 +4,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 
 use bytes::{BufMut, Bytes, BytesMut};
-use tokio::io::AsyncWriteExt;
+use tokio::io::{AsyncBufReadExt, AsyncWriteExt};
 use tokio::sync::{Semaphore, watch};
 
 use crate::tcpros::listener::refuse;
@@ -80,7 +80,12 @@ impl Service {
                     data => data?,
                 };
                 let Some(service) = answering.upgrade() else { return Ok(()) };
-                let answer = service.answer(ServiceRequest { data, caller_id: caller_id.clone() }).await;
+                let request = ServiceRequest { data, caller_id: caller_id.clone() };
+                let answer = tokio::select! {
+                    answer = service.answer(request) => answer,
+                    // Nobody waits for the answer any more.
+                    () = closed(&mut stream.reader) => return Ok(()),
+                };
                 drop(service);
                 stream.writer.write_all(&encode(answer)).await?;
                 if !header.is_set("persistent") {
@@ -111,6 +116,14 @@ impl Service {
             ("service", &self.name),
             ("type", name),
         ])
+    }
+}
+
+/// Until the peer hangs up. One that asks on before it is answered stays.
+async fn closed(reader: &mut (impl AsyncBufReadExt + Unpin)) {
+    match reader.fill_buf().await {
+        Ok([]) | Err(_) => {}
+        Ok(_) => std::future::pending().await,
     }
 }
 
