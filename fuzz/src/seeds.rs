@@ -10,7 +10,7 @@ use gdp::control::{
     Record, Refusal, RefusalCode, Request, Response, Route, TierLeg, TierMessage, TierRequest, TraceLeg, TraceOn,
     TracedDomain, TracedSwitch, encode,
 };
-use gdp::feedback_wire::{Feedback, Missing};
+use gdp::feedback_wire::{Feedback, Missing, Wants};
 use gdp::keys::KeyBox;
 use gdp::{Identity, NameCard, SigningKey};
 use gdp_wire::{Counter, Name};
@@ -51,7 +51,7 @@ fn feedback() -> Seeds {
     let (highest, received_segments, received_bytes, ce) = (7, 8, 9, 1);
     let (echo, echo_index, delay_us) = (7, 1, 100);
     let seeds = [
-        ("hello", Feedback::Hello { name, challenge, reliable: true }),
+        ("hello", Feedback::Hello { name, challenge, wants: Wants::Every }),
         ("welcome", Feedback::Welcome { name, challenge, session, sequence: 5, reliable: true }),
         (
             "report",

@@ -2,15 +2,19 @@
 //! force.
 
 use std::fmt::Display;
+use std::path::{Path, PathBuf};
 
 use gdp::file_stamp::FileStamp;
 use gdp::{Name, NameCard};
 
-use crate::config::TopicConfig;
+use crate::config::Side;
 use crate::material::{Permission, load_permission};
+use crate::ros2::TopicName;
 
 pub struct CertFile {
-    topic: TopicConfig,
+    path: PathBuf,
+    side: Side,
+    topic: TopicName,
     card: NameCard,
     entity: Name,
     /// Of the file whose content is in force, of the one that was offered last, and of the one that the log has told of.
@@ -21,9 +25,15 @@ pub struct CertFile {
 
 impl CertFile {
     /// What it holds now is in force.
-    pub fn open(topic: &TopicConfig, card: &NameCard, entity: Name) -> Result<(Self, Permission), String> {
-        let (topic, card) = (topic.clone(), card.clone());
-        let mut file = Self { topic, card, entity, taken: None, offered: None, told: None };
+    pub fn open(
+        path: &Path,
+        side: Side,
+        topic: &TopicName,
+        card: &NameCard,
+        entity: Name,
+    ) -> Result<(Self, Permission), String> {
+        let (path, topic, card) = (path.to_owned(), topic.clone(), card.clone());
+        let mut file = Self { path, side, topic, card, entity, taken: None, offered: None, told: None };
         let permission = file.read()?;
         file.taken();
         Ok((file, permission))
@@ -48,7 +58,7 @@ impl CertFile {
     /// What was offered last is of no use at the moment: said once in the log.
     pub fn refused(&mut self, reason: &dyn Display) {
         if self.told != self.offered {
-            let (topic, file) = (&self.topic.topic, self.topic.cert.display());
+            let (topic, file) = (&self.topic, self.path.display());
             tracing::warn!(%topic, %file, "the new certificate is of no use yet, going on with the old one: {reason}");
             self.told = self.offered;
         }
@@ -57,11 +67,11 @@ impl CertFile {
     /// Its stamp is taken first: what replaces it meanwhile has another.
     fn read(&mut self) -> Result<Permission, String> {
         self.offered = self.stamp();
-        load_permission(&self.topic, &self.card, self.entity)
+        load_permission(&self.path, self.side, &self.card, self.entity)
     }
 
     fn stamp(&self) -> Option<FileStamp> {
-        FileStamp::of(&self.topic.cert)
+        FileStamp::of(&self.path)
     }
 }
 
@@ -122,12 +132,13 @@ mod tests {
         let files = Files::new();
         let mut material = Material::load(&files.config("")).unwrap();
         write(&files, "t.ad", AdCert { serial: 7, ..files.claims() });
-        assert_eq!(serial(material.topics[0].file.changed()), Some(7));
+        assert_eq!(serial(material.routes[0].file.changed()), Some(7));
     }
 
     fn opened() -> (Files, CertFile) {
         let files = Files::new();
-        let (file, _) = CertFile::open(&files.config("").topics[0], &files.card, files.entity).unwrap();
+        let topic = TopicName::parse("/chatter").unwrap();
+        let (file, _) = CertFile::open(&files.path("t.ad"), Side::Out, &topic, &files.card, files.entity).unwrap();
         (files, file)
     }
 

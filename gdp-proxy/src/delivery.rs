@@ -1,76 +1,116 @@
 //! A topic's quality of service as the fabric takes it: what the name's publisher keeps, and what its reader waits for.
 
-use gdp::node::{Overflow, PublishOptions, Reliability, SubscribeOptions};
+use gdp::node::{Overflow, PublishOptions, Reliability, SubscribeOptions, Wants};
 
-use crate::ros2::{self, Durability, Qos};
+use crate::config::TopicConfig;
+use crate::roster::Offer;
+use crate::ros2;
 
 /// Messages of a reliable topic that a remote reader may ask for again, whatever the depth. ROS 2's usual depth of 10 is meant for one
 /// machine; over a network, more is under way before a gap is noticed.
 const REPAIRABLE: usize = 256;
 
-/// A reliable topic drops its oldest message rather than wait for room, as a keep-last history does: a reader that fell behind
-/// holds up neither the ROS node nor the other readers.
-///
-/// `duplicate`: it goes by two links.
-pub fn publish_options(qos: &Qos, duplicate: bool) -> PublishOptions {
-    let depth = usize::from(qos.depth.get());
-    let latched = match qos.durability {
-        Durability::Volatile => 0,
-        Durability::TransientLocal => depth,
+/// Messages of a publisher that keeps all.
+const ALL: usize = 10_000;
+
+/// For publishers of which each offers no more than this. A reliable topic drops its oldest message rather than wait for room, as a
+/// keep-last history does: a reader that fell behind holds up neither the ROS nodes nor the other readers.
+pub fn publish_options(offers: &Offer, topic: &TopicConfig) -> PublishOptions {
+    let depth = match offers.depth {
+        0 => ALL,
+        depth => ALL.min(depth as usize),
     };
-    let options = match qos.reliability {
-        ros2::Reliability::BestEffort => PublishOptions { history: depth, ..PublishOptions::best_effort() },
-        ros2::Reliability::Reliable => PublishOptions {
+    let latched = if offers.transient_local { depth } else { 0 };
+    let options = if offers.reliable {
+        PublishOptions {
             reliability: Reliability::Reliable { overflow: Overflow::DropOldest },
             history: depth.max(REPAIRABLE),
             ..PublishOptions::reliable()
-        },
+        }
+    } else {
+        PublishOptions { history: depth, ..PublishOptions::best_effort() }
     };
-    PublishOptions { latched, duplicate, ..options }
+    PublishOptions { latched, class: topic.priority.get(), duplicate: topic.duplicate, ..options }
 }
 
-pub fn subscribe_options(qos: &Qos, duplicate: bool) -> SubscribeOptions {
-    let options = match qos.reliability {
-        ros2::Reliability::BestEffort => SubscribeOptions::best_effort(),
-        ros2::Reliability::Reliable => SubscribeOptions::reliable(),
+pub fn subscribe_options(topic: &TopicConfig) -> SubscribeOptions {
+    let wants = topic.qos.map_or(Wants::Offered, |qos| match qos.reliability {
+        ros2::Reliability::BestEffort => Wants::Newest,
+        ros2::Reliability::Reliable => Wants::Every,
+    });
+    let options = match wants {
+        Wants::Newest => SubscribeOptions::best_effort(),
+        Wants::Every => SubscribeOptions::reliable(),
+        Wants::Offered => SubscribeOptions::as_offered(),
     };
-    SubscribeOptions { queue: options.queue.max(qos.depth.get().into()), duplicate, ..options }
+    let depth = topic.qos.map_or(0, |qos| qos.depth.get().into());
+    SubscribeOptions { queue: options.queue.max(depth), duplicate: topic.duplicate, ..options }
+}
+
+/// What offers as much as both.
+pub fn stronger(a: Offer, b: Offer) -> Offer {
+    let depth = if a.depth == 0 || b.depth == 0 { 0 } else { a.depth.max(b.depth) };
+    Offer {
+        reliable: a.reliable || b.reliable,
+        transient_local: a.transient_local || b.transient_local,
+        depth,
+        deadline_ns: 0,
+        lifespan_ns: 0,
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
-    use crate::ros2::Depth;
+    use crate::config::Config;
+
+    const BEST_EFFORT: Offer =
+        Offer { reliable: false, transient_local: false, depth: 3, deadline_ns: 0, lifespan_ns: 0 };
 
     #[test]
     fn best_effort_keeps_the_depth_and_asks_for_nothing_again() {
-        let qos = qos(ros2::Reliability::BestEffort, Durability::Volatile, 3);
-        let publish = publish_options(&qos, false);
+        let publish = publish_options(&BEST_EFFORT, &topic(""));
         assert!(matches!(publish.reliability, Reliability::BestEffort { .. }));
-        assert_eq!((publish.history, publish.latched), (3, 0));
-        assert!(!subscribe_options(&qos, false).reliable);
+        assert_eq!((publish.history, publish.latched, publish.class), (3, 0, 3));
+        assert_eq!(subscribe_options(&topic("qos: {reliability: best_effort}, ")).wants, Wants::Newest);
     }
 
     #[test]
     fn reliable_repairs_what_was_sent_lately_and_never_waits() {
-        for (depth, history) in [(10, REPAIRABLE), (5000, 5000)] {
-            let qos = qos(ros2::Reliability::Reliable, Durability::Volatile, depth);
-            let publish = publish_options(&qos, false);
+        for (depth, history) in [(10, REPAIRABLE), (5000, 5000), (0, ALL)] {
+            let publish = publish_options(&Offer { reliable: true, depth, ..BEST_EFFORT }, &topic("priority: 7, "));
             assert_eq!(publish.reliability, Reliability::Reliable { overflow: Overflow::DropOldest });
-            assert_eq!((publish.history, publish.latched), (history, 0));
-            let subscribe = subscribe_options(&qos, false);
-            assert!(subscribe.reliable && subscribe.queue >= depth as usize);
+            assert_eq!((publish.history, publish.latched, publish.class), (history, 0, 7));
         }
+        let subscribe = subscribe_options(&topic("qos: {depth: 5000}, "));
+        assert_eq!((subscribe.wants, subscribe.queue), (Wants::Every, 5000));
+        assert_eq!(subscribe_options(&topic("")).wants, Wants::Offered);
     }
 
     #[test]
     fn transient_local_gives_late_readers_the_depth() {
-        for reliability in [ros2::Reliability::BestEffort, ros2::Reliability::Reliable] {
-            assert_eq!(publish_options(&qos(reliability, Durability::TransientLocal, 7), true).latched, 7);
+        for reliable in [true, false] {
+            let offers = Offer { reliable, transient_local: true, depth: 7, ..BEST_EFFORT };
+            assert_eq!(publish_options(&offers, &topic("")).latched, 7);
         }
     }
 
-    fn qos(reliability: ros2::Reliability, durability: Durability, depth: u64) -> Qos {
-        Qos { reliability, durability, depth: Depth::try_from(depth).unwrap() }
+    #[test]
+    fn of_several_publishers_the_most_is_taken() {
+        let latched = Offer { transient_local: true, depth: 1, ..BEST_EFFORT };
+        let reliable = Offer { reliable: true, depth: 0, ..BEST_EFFORT };
+        let all = stronger(stronger(latched, reliable), BEST_EFFORT);
+        assert_eq!((all.reliable, all.transient_local, all.depth), (true, true, 0));
+        assert_eq!(stronger(latched, BEST_EFFORT).depth, 3);
+    }
+
+    fn topic(extra: &str) -> TopicConfig {
+        let text = format!(
+            "{{version: 1, identity: i, links: [{{to: 'eth://r0'}}], \
+             topics: [{{topic: /a, {extra}direction: out, card: c, cert: d}}]}}"
+        );
+        Config::parse(&text, Path::new("p.yaml")).unwrap().topics.remove(0)
     }
 }

@@ -1,17 +1,21 @@
 //! Carries ROS 2 topics over the Global Data Plane, with the applications unchanged.
 //!
-//! [`config`] says which topics; [`ros2`] is DDS; [`route`] joins one topic to one name, in one direction, as `delivery` says; [`proxy`] puts
+//! [`config`] says which topics; [`graph`] is the ROS graph they are of, and [`ros2`] the DDS beneath it; [`route`] joins one topic to one name, in one
+//! direction, as `delivery` says, and tells the other side by [`roster`] what it carries, which `types` converts where it must; [`proxy`] puts
 //! them together, [`stats`] counts. [`relay`] runs a switch of `gdp-ctl` beside, for others. The fabric is the SDK's business (`gdp::node`): nothing here seals, signs or routes.
 #![deny(unsafe_code)]
 
 mod cert_file;
 pub mod config;
 mod delivery;
+pub mod graph;
 pub mod material;
 mod membership;
 pub mod proxy;
 pub mod relay;
 pub mod ros2;
+pub mod roster;
 pub mod route;
 pub mod stats;
 pub mod timing;
+pub mod types;

@@ -57,7 +57,7 @@ fn run(arguments: Arguments) -> Result<()> {
     // One thread for links, discovery and statistics; routes have threads of their own.
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
-        .max_blocking_threads(config.topics.len() + 16)
+        .max_blocking_threads(2 * config.topics.len() + 16)
         .build()
         .context("cannot start the runtime")?;
     runtime.block_on(async {

@@ -13,7 +13,7 @@ use gdp::domain::{PaperFiles, Papers, Stamps, Trust};
 use gdp::{Identity, Name, NameCard, SigningKey};
 
 use crate::cert_file::CertFile;
-use crate::config::{Config, Direction, TopicConfig};
+use crate::config::{Config, Side, TopicConfig};
 use crate::relay::Relay;
 use crate::ros2::TypeName;
 
@@ -24,12 +24,16 @@ pub struct Material {
     pub papers: Option<(Papers, Stamps)>,
     pub relay: Option<Relay>,
     /// In the order of the configuration's topics.
-    pub topics: Vec<TopicMaterial>,
+    pub routes: Vec<RouteMaterial>,
 }
 
-pub struct TopicMaterial {
+/// Of one direction of a topic.
+pub struct RouteMaterial {
+    /// Which one of the configuration.
+    pub topic: usize,
+    pub side: Side,
     pub card: NameCard,
-    /// From the configuration or the card; always there for [`Direction::In`].
+    /// From the configuration or the card.
     pub kind: Option<TypeName>,
     pub permission: Permission,
     /// Where that came from.
@@ -73,29 +77,32 @@ impl Material {
     pub fn load(config: &Config) -> Result<Self, MaterialError> {
         let identity = load_identity(&config.identity, "proxy")
             .map_err(|reason| MaterialError { key: "identity".into(), reason: with_path(reason, &config.identity) })?;
-        let load = |(i, topic)| {
-            load_topic(topic, identity.name())
+        let load = |(i, topic, side)| {
+            load_route(i, topic, side, identity.name())
                 .map_err(|(key, reason)| MaterialError { key: format!("topics[{i}].{key}"), reason })
         };
-        let topics = config.topics.iter().enumerate().map(load).collect::<Result<Vec<_>, _>>()?;
+        let topics = config.topics.iter().enumerate();
+        let routes = topics.flat_map(|(i, topic)| topic.direction.sides().iter().map(move |side| (i, topic, *side)));
+        let routes = routes.map(load).collect::<Result<Vec<_>, _>>()?;
         let papers = config.domain.as_ref().map(|domain| load_papers(&domain.into(), identity.name())).transpose()?;
         let relay = Relay::load(config)?;
-        let material = Self { identity, papers, relay, topics };
+        let material = Self { identity, papers, relay, routes };
         material.check_names(config)?;
         Ok(material)
     }
 
     /// A name has one publisher and one subscription per proxy: two topics in it would be indistinguishable at its readers.
     fn check_names(&self, config: &Config) -> Result<(), MaterialError> {
-        let what = |i: usize| (self.topics[i].card.name(), config.topics[i].direction);
-        for i in 0..self.topics.len() {
-            if let Some(first) = (0..i).find(|first| what(*first) == what(i)) {
+        for (i, route) in self.routes.iter().enumerate() {
+            let name = route.card.name();
+            let first = self.routes[..i].iter().find(|other| (other.card.name(), other.side) == (name, route.side));
+            if let Some(first) = first {
+                let topic = &config.topics[route.topic].topic;
                 let reason = format!(
-                    "the name {:#} is already that of topics[{first}], in the same direction; make a card of its own for {}",
-                    self.topics[i].card.name(),
-                    config.topics[i].topic
+                    "the name {name:#} is already that of topics[{}], in the same direction; make a card of its own for {topic}",
+                    first.topic,
                 );
-                return Err(MaterialError { key: format!("topics[{i}].card"), reason });
+                return Err(MaterialError { key: format!("topics[{}].card", route.topic), reason });
             }
         }
         Ok(())
@@ -122,12 +129,22 @@ fn load_papers(files: &PaperFiles, entity: Name) -> Result<(Papers, Stamps), Mat
 }
 
 /// Errors with the key inside the topic.
-fn load_topic(topic: &TopicConfig, entity: Name) -> Result<TopicMaterial, (&'static str, String)> {
+fn load_route(
+    at: usize,
+    topic: &TopicConfig,
+    side: Side,
+    entity: Name,
+) -> Result<RouteMaterial, (&'static str, String)> {
     let card = NameCard::load(&topic.card).map_err(|error| ("card", with_path(error, &topic.card)))?;
     let kind = agree_on_type(topic, &card).map_err(|reason| ("type", reason))?;
-    let opened = CertFile::open(topic, &card, entity);
-    let (file, permission) = opened.map_err(|error| ("cert", with_path(error, &topic.cert)))?;
-    Ok(TopicMaterial { card, kind, permission, file })
+    let key = match side {
+        Side::Out => "cert",
+        Side::In => "grant",
+    };
+    let path = topic.right(side).ok_or((key, "missing".to_owned()))?;
+    let opened = CertFile::open(path, side, &topic.topic, &card, entity);
+    let (file, permission) = opened.map_err(|error| (key, with_path(error, path)))?;
+    Ok(RouteMaterial { topic: at, side, card, kind, permission, file })
 }
 
 fn agree_on_type(topic: &TopicConfig, card: &NameCard) -> Result<Option<TypeName>, String> {
@@ -135,23 +152,19 @@ fn agree_on_type(topic: &TopicConfig, card: &NameCard) -> Result<Option<TypeName
     let carded = carded.map_err(|error| format!("{}: {error}", topic.card.display()))?;
     match (&topic.kind, carded) {
         (Some(configured), Some(carded)) if *configured != carded => Err(format!(
-            "{configured}, but the name is of a topic of {carded} ({}): correct one of them, bytes are not converted",
+            "{configured}, but the name is of a topic of {carded} ({}): correct one of them",
             topic.card.display()
         )),
-        (None, None) if topic.direction == Direction::In => Err(
-            "missing, and the name card does not say it either; write the message type, such as std_msgs/msg/String"
-                .into(),
-        ),
         (configured, carded) => Ok(configured.clone().or(carded)),
     }
 }
 
-/// What the topic's certificate file holds now.
-pub(crate) fn load_permission(topic: &TopicConfig, card: &NameCard, entity: Name) -> Result<Permission, String> {
+/// What the file with the right to one direction of a topic holds now.
+pub(crate) fn load_permission(path: &Path, side: Side, card: &NameCard, entity: Name) -> Result<Permission, String> {
     let mut text = String::new();
-    let file = File::open(&topic.cert).map_err(|error| error.to_string())?;
+    let file = File::open(path).map_err(|error| error.to_string())?;
     file.take(MAX_CERT_FILE as u64 + 1).read_to_string(&mut text).map_err(|error| error.to_string())?;
-    check_permission(topic.direction, &text, card, entity, unix_now()).map_err(|error| error.to_string())
+    check_permission(side, &text, card, entity, unix_now()).map_err(|error| error.to_string())
 }
 
 /// Seconds since 1970; 0 of a clock that is before that.
@@ -160,14 +173,14 @@ pub(crate) fn unix_now() -> u64 {
 }
 
 fn check_permission(
-    direction: Direction,
+    side: Side,
     text: &str,
     card: &NameCard,
     entity: Name,
     now: u64,
 ) -> Result<Permission, CertError> {
-    match direction {
-        Direction::Out => {
+    match side {
+        Side::Out => {
             let cert = Issued::<AdCert>::from_pem(text)?;
             let certified = cert.verify(&card.proof(), None, now)?.entity;
             if certified != entity {
@@ -175,7 +188,7 @@ fn check_permission(
             }
             Ok(Permission::Publish(cert))
         }
-        Direction::In => {
+        Side::In => {
             let grant = Reading::from_pem(text)?;
             grant.verify(&card.proof(), entity, None, now)?;
             Ok(Permission::Read(grant))
@@ -201,7 +214,7 @@ pub(crate) mod tests {
         let files = Files::new();
         let material = files.load("").unwrap();
         assert_eq!(material.identity.name(), files.entity);
-        let [out, inward] = &material.topics[..] else { panic!("two topics") };
+        let [out, inward] = &material.routes[..] else { panic!("two topics") };
         assert_eq!(out.kind.as_ref().unwrap().as_str(), "std_msgs/msg/String");
         assert!(matches!(out.permission, Permission::Publish(_)) && matches!(inward.permission, Permission::Read(_)));
     }
@@ -244,7 +257,7 @@ pub(crate) mod tests {
     fn a_machine_in_1970_is_told_to_look_at_its_clock() {
         let files = Files::new();
         let ad = issue(&files.owner, &AdCert { not_before: unix_now(), ..files.claims() }).unwrap().to_pem();
-        let refusal = |now| check_permission(Direction::Out, &ad, &files.card, files.entity, now).err();
+        let refusal = |now| check_permission(Side::Out, &ad, &files.card, files.entity, now).err();
         assert!(refusal(unix_now()).is_none());
         let said = refusal(0).unwrap().to_string();
         assert!(said.contains("not yet valid") && said.contains("check the clock"), "{said}");
@@ -276,7 +289,7 @@ pub(crate) mod tests {
         reading.member = None;
         fs::write(files.path("t.grant"), reading.to_pem()).unwrap();
         let refusal = files.refusal("");
-        assert!(refusal.starts_with("topics[1].cert") && refusal.contains("operator"), "{refusal}");
+        assert!(refusal.starts_with("topics[1].grant") && refusal.contains("operator"), "{refusal}");
     }
 
     #[test]
@@ -325,9 +338,9 @@ pub(crate) mod tests {
 
         pub fn config(&self, extra: &str) -> Config {
             let text = format!(
-                "{{identity: id.pem, links: [{{to: 'eth://r0'}}], topics: [\
+                "{{version: 1, identity: id.pem, links: [{{to: 'eth://r0'}}], topics: [\
                  {{topic: /chatter, {extra}direction: out, card: t.card, cert: t.ad}}, \
-                 {{topic: /other, direction: in, card: t.card, cert: t.grant}}]}}"
+                 {{topic: /other, direction: in, card: t.card, grant: t.grant}}]}}"
             );
             Config::parse(&text, &self.path("robot.yaml")).unwrap()
         }

@@ -1,4 +1,4 @@
-//! Puts the halves together: joins the DDS domain, attaches to the switch, runs a route per topic, shows counters, and
+//! Puts the halves together: joins the ROS graphs, attaches to the switch, runs a route per topic and direction, shows counters, and
 //! leaves both sides properly.
 
 use std::convert::Infallible;
@@ -15,11 +15,12 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use crate::config::Config;
+use crate::graph;
 use crate::material::Material;
 use crate::membership::keep_papers;
-use crate::ros2::Domain;
 use crate::route::Route;
 use crate::stats::{Stats, StatsFile, VERSION};
+use crate::types::Types;
 
 const STATS_PERIOD: Duration = Duration::from_secs(1);
 
@@ -63,27 +64,27 @@ async fn carry(
         node = connect(&config, &material) => node?,
         () = &mut stop => return Ok(()),
     };
-    let domain_id = config.domain_id.get();
     let entity = node.name().to_string();
-    let domain = Arc::new(Domain::join(domain_id, &format!("gdp_proxy_{}", &entity[..8]))?);
-    tracing::info!(entity = %node.name(), domain_id, "attached to the switch and in the DDS domain");
+    let types = Arc::new(Types::embedded());
+    let graphs = graph::join(&config.graphs, &format!("gdp_proxy_{}", &entity[..8])).await?;
+    tracing::info!(entity = %node.name(), graphs = ?graphs.keys(), "attached to the switch and in the ROS graphs");
 
     let files = config.domain.as_ref().map(PaperFiles::from);
     let watched = files.as_ref().zip(material.papers.as_ref().map(|(_, stamps)| stamps.clone()));
 
-    let routes: Vec<_> = config
-        .topics
-        .iter()
-        .zip(&material.topics)
-        .map(|(topic, material)| Arc::new(Route::new(topic, material)))
-        .collect();
+    let mut routes = Vec::new();
     let (stopping, stopped) = watch::channel(false);
     let mut running = JoinSet::new();
-    for (route, material) in routes.iter().zip(material.topics) {
-        let (route, domain, node, mut stopped) = (route.clone(), domain.clone(), node.clone(), stopped.clone());
+    for material in material.routes {
+        let topic = &config.topics[material.topic];
+        let (label, _) = config.graphs.get(topic.graph.as_deref()).map_err(|reason| anyhow!(reason))?;
+        let graph = graphs.get(label).cloned().context("a graph that was not joined")?;
+        let route = Arc::new(Route::new(topic, label, &material, types.clone()));
+        routes.push(route.clone());
+        let (node, mut stopped) = (node.clone(), stopped.clone());
         let carry = async move {
             let stop = async { _ = stopped.wait_for(|stopped| *stopped).await };
-            let ended = route.run(&domain, &node, material, stop).await;
+            let ended = route.run(&graph, &node, material, stop).await;
             ended.map_err(|error| anyhow!(error).context(format!("topic {}", route.topic())))
         };
         // A thread each: RustDDS and the node wake it directly, and no other topic's sealing is ever in its way.
@@ -94,7 +95,6 @@ async fn carry(
     let shown = || Stats {
         version: VERSION,
         entity: node.name(),
-        domain_id,
         switch: node.switch().ok(),
         topics: routes.iter().map(|route| route.stats()).collect(),
         links: node.links(),
@@ -114,9 +114,7 @@ async fn carry(
         tracing::warn!(%error, "the last statistics could not be written");
     }
     node.close().await;
-    if let Some(domain) = Arc::into_inner(domain) {
-        domain.leave().await;
-    }
+    graph::leave(graphs).await;
     ended
 }
 

@@ -10,7 +10,7 @@ use gdp::Name;
 use gdp::node::{LinkStatus, Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
 use serde::Serialize;
 
-use crate::config::Direction;
+use crate::config::Side;
 use crate::timing::{Percentiles, Timing};
 
 /// Why a message did not cross. What the fabric drops is in [`FabricCounters`].
@@ -20,9 +20,13 @@ pub enum Drop {
     Unreadable,
     /// The fabric did not take the message.
     SendFailed,
-    /// A remote message is in an encoding that this proxy does not write.
-    WrongEncoding,
-    /// A remote message is not a CDR encapsulation.
+    /// A local message came sooner than the configuration wants them.
+    MaxHz,
+    /// A message is not of its type, or not of one that this proxy can convert.
+    Unconvertible,
+    /// Remote messages of a writer that has not said of what they are.
+    Unannounced,
+    /// A remote message, or what its writer says of the topic, is not what a proxy sends.
     Malformed,
     /// A remote message is one that this proxy sent.
     Own,
@@ -33,10 +37,12 @@ pub enum Drop {
 }
 
 impl Drop {
-    const ALL: [Self; 7] = [
+    const ALL: [Self; 9] = [
         Self::Unreadable,
         Self::SendFailed,
-        Self::WrongEncoding,
+        Self::MaxHz,
+        Self::Unconvertible,
+        Self::Unannounced,
         Self::Malformed,
         Self::Own,
         Self::Stalled,
@@ -47,7 +53,9 @@ impl Drop {
         match self {
             Self::Unreadable => "unreadable",
             Self::SendFailed => "send_failed",
-            Self::WrongEncoding => "wrong_encoding",
+            Self::MaxHz => "max_hz",
+            Self::Unconvertible => "unconvertible",
+            Self::Unannounced => "unannounced",
             Self::Malformed => "malformed",
             Self::Own => "own",
             Self::Stalled => "stalled",
@@ -75,18 +83,18 @@ impl RouteCounters {
         self.bytes.fetch_add(bytes as u64, Relaxed);
     }
 
-    /// One message did not. True if it is the first one for this reason, which deserves a line in the log.
-    pub fn dropped(&self, reason: Drop) -> bool {
-        self.drops[reason as usize].fetch_add(1, Relaxed) == 0
+    /// So many did not. True if they are the first ones for this reason, which deserves a line in the log.
+    pub fn dropped(&self, reason: Drop, count: usize) -> bool {
+        self.drops[reason as usize].fetch_add(count as u64, Relaxed) == 0
     }
 
-    pub fn messages(&self) -> u64 {
-        self.messages.load(Relaxed)
-    }
-
-    /// All reasons, also those that did not happen.
-    pub fn drops(&self) -> BTreeMap<&'static str, u64> {
-        Drop::ALL.iter().map(|reason| (reason.as_str(), self.drops[*reason as usize].load(Relaxed))).collect()
+    pub fn read(&self) -> Counted {
+        Counted {
+            messages: self.messages.load(Relaxed),
+            bytes: self.bytes.load(Relaxed),
+            drops: Drop::ALL.iter().map(|reason| (reason.as_str(), self.drops[*reason as usize].load(Relaxed))).collect(),
+            latency_us: StageLatency { arrival: self.arrival.percentiles(), handling: self.handling.percentiles() },
+        }
     }
 }
 
@@ -122,24 +130,34 @@ impl FabricCounters {
 #[derive(Serialize)]
 pub struct RouteStats {
     pub topic: String,
-    /// ROS type; null while it is not known.
+    /// The ROS graph, as the configuration calls it.
+    pub graph: String,
+    /// ROS type, as that graph calls it; null while it is not known.
     #[serde(rename = "type")]
     pub kind: Option<String>,
     /// `up`, or what the route waits for.
     pub status: String,
-    pub direction: Direction,
+    pub direction: Side,
     pub name: Name,
-    pub messages: u64,
-    pub bytes: u64,
-    pub drops: BTreeMap<&'static str, u64>,
+    #[serde(flatten)]
+    pub counted: Counted,
     /// `gdp::node::PublisherCounters` of what goes `out`, `SubscriptionCounters` of what comes `in`, with what was dropped by reason; null
     /// before the first time that the route is up.
     pub fabric: FabricStats,
+}
+
+/// What the counters of a route say at one moment.
+#[derive(Default, Serialize)]
+pub struct Counted {
+    pub messages: u64,
+    pub bytes: u64,
+    /// All reasons, also those that did not happen.
+    pub drops: BTreeMap<&'static str, u64>,
     pub latency_us: StageLatency,
 }
 
 /// Where the time goes, in microseconds; null before the first message.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 pub struct StageLatency {
     /// See [`RouteCounters::arrival`]. By the clocks of both machines, so as true as they agree.
     pub arrival: Option<Percentiles>,
@@ -147,35 +165,8 @@ pub struct StageLatency {
     pub handling: Option<Percentiles>,
 }
 
-impl RouteStats {
-    pub fn new(
-        topic: String,
-        kind: Option<String>,
-        status: String,
-        direction: Direction,
-        name: Name,
-        counters: &RouteCounters,
-    ) -> Self {
-        let (messages, bytes) = (counters.messages(), counters.bytes.load(Relaxed));
-        let latency_us =
-            StageLatency { arrival: counters.arrival.percentiles(), handling: counters.handling.percentiles() };
-        Self {
-            topic,
-            kind,
-            status,
-            direction,
-            name,
-            messages,
-            bytes,
-            drops: counters.drops(),
-            fabric: FabricStats::None,
-            latency_us,
-        }
-    }
-}
-
 /// Of the statistics file's format: another one whenever a key goes, or means something else.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 
 /// The whole statistics file: one JSON object.
 #[derive(Serialize)]
@@ -184,7 +175,6 @@ pub struct Stats {
     pub version: u32,
     /// The proxy's own name.
     pub entity: Name,
-    pub domain_id: u16,
     /// Where it is attached by its main link; null while the link is lost.
     pub switch: Option<Name>,
     pub topics: Vec<RouteStats>,
@@ -234,11 +224,11 @@ mod tests {
 
     use super::*;
 
-    /// Of version 2.
+    /// Of version 3.
     const KEYS: [&str; 9] = [
-        "domain_id entity links node switch topics version",
-        "bytes direction drops fabric latency_us messages name status topic type",
-        "malformed own send_failed stalled unreadable write_failed wrong_encoding",
+        "entity links node switch topics version",
+        "bytes direction drops fabric graph latency_us messages name status topic type",
+        "malformed max_hz own send_failed stalled unannounced unconvertible unreadable write_failed",
         "arrival handling",
         "p50 p99",
         "copies_dropped copies_sent frames_sent frames_unsent main reason state switch target",
@@ -256,9 +246,9 @@ mod tests {
             assert_eq!(reason as usize, i);
         }
         let counters = RouteCounters::default();
-        assert!(counters.dropped(Drop::Own) && !counters.dropped(Drop::Own));
-        let drops = counters.drops();
-        assert_eq!((drops.len(), drops["own"], drops["stalled"]), (Drop::ALL.len(), 2, 0));
+        assert!(counters.dropped(Drop::Own, 1) && !counters.dropped(Drop::Own, 2));
+        let drops = counters.read().drops;
+        assert_eq!((drops.len(), drops["own"], drops["stalled"]), (Drop::ALL.len(), 3, 0));
     }
 
     #[test]
@@ -274,12 +264,25 @@ mod tests {
         assert_eq!((&shown["frames"], &shown["incompatible_readers"]), (&0.into(), &0.into()));
     }
 
+    fn route(name: Name, counters: &RouteCounters) -> RouteStats {
+        RouteStats {
+            topic: "/chatter".into(),
+            graph: "ros2".into(),
+            kind: None,
+            status: "up".into(),
+            direction: Side::Out,
+            name,
+            fabric: FabricStats::None,
+            counted: counters.read(),
+        }
+    }
+
     /// Who reads the file relies on them: another [`VERSION`] for others.
     #[test]
     fn the_keys_are_those_of_the_version() {
         let (name, counters) = (Name::from_bytes([7; 32]), RouteCounters::default());
         counters.arrival.record(Duration::from_millis(1));
-        let route = RouteStats::new("/chatter".into(), None, "up".into(), Direction::Out, name, &counters);
+        let route = route(name, &counters);
         let link = LinkStatus {
             target: "eth://r0".into(),
             state: LinkState::Up,
@@ -292,7 +295,7 @@ mod tests {
             copies_dropped: 0,
         };
         let (topics, links, node) = (vec![route], vec![link], NodeCounters::default());
-        let stats = Stats { version: VERSION, entity: name, domain_id: 0, switch: None, topics, links, node };
+        let stats = Stats { version: VERSION, entity: name,  switch: None, topics, links, node };
         let shown = serde_json::to_value(stats).unwrap();
         let keys = |of: &serde_json::Value| of.as_object().unwrap().keys().cloned().collect::<Vec<_>>().join(" ");
         let of_fabric = |of: FabricStats| keys(&serde_json::to_value(of).unwrap());
@@ -308,7 +311,7 @@ mod tests {
             of_fabric(FabricStats::Out(PublisherCounters::default())),
             of_fabric(FabricStats::In(SubscriptionCounters::default())),
         ];
-        assert_eq!((VERSION, found), (2, KEYS.map(str::to_owned)));
+        assert_eq!((VERSION, found), (3, KEYS.map(str::to_owned)));
     }
 
     #[test]
@@ -319,12 +322,12 @@ mod tests {
         for sent in 1..=2 {
             counters.passed(68);
             let name = Name::from_bytes([7; 32]);
-            let route = RouteStats::new("/chatter".into(), None, "up".into(), Direction::Out, name, &counters);
+            let route = route(name, &counters);
             let topics = vec![route];
             file.replace(&Stats {
                 version: VERSION,
                 entity: name,
-                domain_id: 0,
+                
                 switch: None,
                 topics,
                 links: Vec::new(),

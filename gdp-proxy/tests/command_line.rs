@@ -87,7 +87,7 @@ impl Files {
         key.save_new(&path("robot.pem")).unwrap();
         card.save_new(&path("chatter.card")).unwrap();
         fs::write(path("chatter.ad"), ad.to_pem()).unwrap();
-        let config = "identity: robot.pem\nlinks:\n  - to: udp://127.0.0.1:9\ntopics:\n  - {topic: /chatter, direction: out, card: \
+        let config = "version: 1\nidentity: robot.pem\nlinks:\n  - to: udp://127.0.0.1:9\ntopics:\n  - {topic: /chatter, direction: out, card: \
                       chatter.card, cert: chatter.ad}\n";
         fs::write(path("robot.yaml"), config).unwrap();
         let entity = entity.to_string();

@@ -4,16 +4,78 @@
 use std::time::Duration;
 
 use bytes::Bytes;
-use gdp_proxy::ros2::{Domain, Durability, Qos, RawReader, RawSample, RawWriter, TopicName, TypeName};
+use gdp_proxy::config::Graphs;
+use gdp_proxy::graph::{self, Arrived, Event, Reader};
+use gdp_proxy::ros2::{Domain, RawReader, RawSample, RawWriter, TopicName, TypeName};
+use gdp_proxy::roster::Offer;
+
+const RELIABLE: Offer = Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0 };
+const LATCHED: Offer = Offer { transient_local: true, ..RELIABLE };
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn publishers_are_told_apart_and_each_is_heard_once() {
+    let (here, there) = (join(), graphs().await);
+    let topic = topic("publishers");
+    let graph = &there["a"];
+    let mut reader = graph.reader(&topic, None, None).unwrap();
+    let best_effort = Offer { reliable: false, deadline_ns: 2_000_000_000, ..RELIABLE };
+    let mut latching = here.writer(&topic, &kind(), &Offer { depth: 1, ..LATCHED }).unwrap();
+    latching.write(sample([0, 1, 0, 0], 8), 0).await.unwrap();
+    let mut lively = here.writer(&topic, &kind(), &best_effort).unwrap();
+
+    let mut offers = Vec::new();
+    let (mut from_latching, mut from_lively) = (None, None);
+    within("both are heard", async {
+        while from_latching.is_none() || from_lively.is_none() {
+            lively.write(sample([0, 1, 0, 0], 16), 0).await.unwrap();
+            let Ok(event) = tokio::time::timeout(Duration::from_millis(20), reader.next()).await else { continue };
+            match event.unwrap() {
+                Event::Joined { key, kind, offers: of } => {
+                    assert_eq!(kind.name, "some_msgs/msg/Unheard");
+                    offers.push((key, of));
+                }
+                Event::Message(Arrived { from: Some(key), bytes, .. }) => match bytes.len() {
+                    12 => assert_eq!(from_latching.replace(key), None, "once"),
+                    _ => from_lively = Some(key),
+                },
+                Event::Message(_) => panic!("of nobody"),
+                Event::Left(_) | Event::Unreadable(_) => panic!("not yet"),
+            }
+        }
+    })
+    .await;
+    let of = |from| offers.iter().find(|(key, _)| Some(*key) == from).map(|(_, offers)| *offers);
+    assert_eq!(of(from_latching), Some(Offer { depth: 1, ..LATCHED }));
+    assert_eq!(of(from_lively), Some(best_effort));
+
+    drop(lively);
+    assert_eq!(within("it is seen to go", gone(&mut reader)).await, from_lively);
+    here.leave().await;
+    assert_eq!(within("all are seen to go", gone(&mut reader)).await, from_latching);
+    drop(reader);
+    graph::leave(there).await;
+}
+
+/// The next publisher that leaves.
+async fn gone(reader: &mut Reader<'_>) -> Option<graph::Key> {
+    loop {
+        if let Event::Left(key) = reader.next().await.unwrap() {
+            return Some(key);
+        }
+    }
+}
+
+async fn graphs() -> graph::All {
+    let graphs: Graphs = serde_json::from_str(&format!(r#"{{"a": {{"domain_id": {}}}}}"#, domain_id())).unwrap();
+    graph::join(&graphs, "gdp_proxy_test").await.unwrap()
+}
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn messages_of_any_type_cross_exactly_in_either_byte_order() {
     let (here, there) = (join(), join());
     let (topic, kind) = (topic("exact"), kind());
-    let mut writer = here.writer(&topic, &kind, latched()).unwrap();
-    let learnt = within("the type is learnt", there.type_of(&topic)).await;
-    assert_eq!(learnt, kind);
-    let reader = there.reader(&topic, &learnt, latched()).unwrap();
+    let mut writer = here.writer(&topic, &kind, &LATCHED).unwrap();
+    let reader = there.reader(&topic, &kind, &LATCHED).unwrap();
 
     for header in [[0, 1, 0, 0], [0, 0, 0, 0]] {
         for size in [8, 1_000_000] {
@@ -32,10 +94,10 @@ async fn messages_of_any_type_cross_exactly_in_either_byte_order() {
 async fn what_the_participant_wrote_itself_is_not_read_back() {
     let (here, there) = (join(), join());
     let topic = topic("loop");
-    let own_reader = here.reader(&topic, &kind(), latched()).unwrap();
-    let mut own_writer = here.writer(&topic, &kind(), latched()).unwrap();
-    let other_reader = there.reader(&topic, &kind(), latched()).unwrap();
-    let mut other_writer = there.writer(&topic, &kind(), latched()).unwrap();
+    let own_reader = here.reader(&topic, &kind(), &LATCHED).unwrap();
+    let mut own_writer = here.writer(&topic, &kind(), &LATCHED).unwrap();
+    let other_reader = there.reader(&topic, &kind(), &LATCHED).unwrap();
+    let mut other_writer = there.writer(&topic, &kind(), &LATCHED).unwrap();
 
     own_writer.write(sample([0, 1, 0, 0], 16), 0).await.unwrap();
     let crossed = within("another participant reads it", other_reader.recv()).await.unwrap();
@@ -52,9 +114,9 @@ async fn what_the_participant_wrote_itself_is_not_read_back() {
 async fn a_best_effort_reader_is_served_by_a_reliable_writer() {
     let (here, there) = (join(), join());
     let topic = topic("best_effort");
-    let mut writer = here.writer(&topic, &kind(), Qos::default()).unwrap();
-    let best_effort = Qos { reliability: gdp_proxy::ros2::Reliability::BestEffort, ..Qos::default() };
-    let reader = there.reader(&topic, &kind(), best_effort).unwrap();
+    let mut writer = here.writer(&topic, &kind(), &RELIABLE).unwrap();
+    let best_effort = Offer { reliable: false, ..RELIABLE };
+    let reader = there.reader(&topic, &kind(), &best_effort).unwrap();
     let received = within("a message crosses", until_received(&mut writer, &reader)).await;
     assert_eq!(received, sample([0, 1, 0, 0], 64));
     here.leave().await;
@@ -105,10 +167,6 @@ async fn within<T>(what: &str, future: impl Future<Output = T>) -> T {
 fn sample(header: [u8; 4], size: usize) -> RawSample {
     let body = (0..size).map(|i| (i % 251) as u8);
     RawSample::parse(Bytes::from_iter(header.into_iter().chain(body))).unwrap()
-}
-
-fn latched() -> Qos {
-    Qos { durability: Durability::TransientLocal, ..Qos::default() }
 }
 
 fn kind() -> TypeName {

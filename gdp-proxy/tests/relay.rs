@@ -134,7 +134,7 @@ impl Site {
         let hub = start(hub).await.unwrap();
         let hub_addr = hub.udp_addr().unwrap();
         let config = format!(
-            "identity: robot.pem\nlinks: [{{to: 'udp://{hub_addr}', switch: {}}}]\ndomain_id: 97\n{member}\
+            "version: 1\nidentity: robot.pem\nlinks: [{{to: 'udp://{hub_addr}', switch: {}}}]\ngraphs: {{a: {{domain_id: 97}}}}\n{member}\
              relay: {{udp: '{relay_addr}'}}\n",
             hub.name()
         );

@@ -20,11 +20,22 @@ const NACK_LEN: usize = 1 + 32 + 16 + 1;
 const MISSING_LEN: usize = 6 + 2 + 4 + 4;
 const GONE_LEN: usize = 1 + 32 + 16 + 8;
 
+/// What a reader asks of a writer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wants {
+    /// The newest message.
+    Newest = 0,
+    /// Every message.
+    Every = 1,
+    /// Every message, if the writer offers that, and otherwise the newest.
+    Offered = 2,
+}
+
 /// One message between a reader and a writer of `name`. Sequences are at most [`MAX_SEQUENCE`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Feedback {
-    /// Reader → writer: which session is yours now? `reliable`: every message is wanted.
-    Hello { name: Name, challenge: [u8; 16], reliable: bool },
+    /// Reader → writer: which session is yours now?
+    Hello { name: Name, challenge: [u8; 16], wants: Wants },
     /// Writer → reader, with the challenge of its Hello: this session, and in it what comes from this sequence on. `reliable`: every
     /// message is kept to be asked for again.
     Welcome { name: Name, challenge: [u8; 16], session: [u8; 16], sequence: u64, reliable: bool },
@@ -117,8 +128,8 @@ impl Feedback {
     pub fn encode(&self, out: &mut Vec<u8>) -> Result<(), FeedbackError> {
         self.check()?;
         match self {
-            Self::Hello { name, challenge, reliable } => {
-                put(out, &[&[kind::HELLO][..], name.as_bytes(), challenge, &[u8::from(*reliable)]]);
+            Self::Hello { name, challenge, wants } => {
+                put(out, &[&[kind::HELLO][..], name.as_bytes(), challenge, &[*wants as u8]]);
             }
             Self::Welcome { name, challenge, session, sequence, reliable } => {
                 put(out, &[&[kind::WELCOME][..], name.as_bytes(), challenge, session, &sequence.to_be_bytes()]);
@@ -187,7 +198,7 @@ impl Feedback {
     fn decode_fields(kind: u8, fields: &mut Fields<'_>) -> Option<Self> {
         let name = Name::from_bytes(fields.take()?);
         Some(match kind {
-            kind::HELLO => Self::Hello { name, challenge: fields.take()?, reliable: fields.flag()? },
+            kind::HELLO => Self::Hello { name, challenge: fields.take()?, wants: fields.wants()? },
             kind::WELCOME => {
                 let (challenge, session) = (fields.take()?, fields.take()?);
                 Self::Welcome { name, challenge, session, sequence: fields.u64()?, reliable: fields.flag()? }
@@ -260,6 +271,15 @@ impl Fields<'_> {
         let (field, rest) = self.0.split_first_chunk()?;
         self.0 = rest;
         Some(*field)
+    }
+
+    fn wants(&mut self) -> Option<Wants> {
+        match self.take()? {
+            [0] => Some(Wants::Newest),
+            [1] => Some(Wants::Every),
+            [2] => Some(Wants::Offered),
+            _ => None,
+        }
     }
 
     fn flag(&mut self) -> Option<bool> {
@@ -388,7 +408,7 @@ mod tests {
             delay_us: 11,
         };
         [
-            (Feedback::Hello { name, challenge, reliable: true }, 50),
+            (Feedback::Hello { name, challenge, wants: Wants::Offered }, 50),
             (Feedback::Welcome { name, challenge, session, sequence: MAX_SEQUENCE, reliable: false }, 74),
             (report, 101),
             (Feedback::Gone { name, session, oldest: 12 }, 57),

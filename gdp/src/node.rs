@@ -77,7 +77,7 @@ pub use ending::Ended;
 pub use feedback::{Feedback, FrameError};
 pub use gdp_wire::ErrorCode;
 pub use lane::{LinkState, LinkStatus};
-pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOptions};
+pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOptions, Wants};
 pub use parties::Instance;
 pub use publisher::{Publisher, Unflushed};
 pub use services::{Call, Client, Server};

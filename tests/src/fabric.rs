@@ -232,12 +232,14 @@ impl Fabric {
     fn start_proxy(&self, label: &str, direction: &str, at: &Namespace, interface: &str) -> Result<Process> {
         let file = |name: &str| self.folder_of(label).join(name);
         let options = &self.options;
+        let right = if direction == "in" { "grant" } else { "cert" };
         let config = json!({
             "identity": "key.pem",
             "links": [{"to": format!("eth://{interface}")}],
-            "domain_id": 0,
+            "version": 1,
+            "graphs": {"ros2": {"domain_id": 0}},
             "topics": [{
-                "topic": TOPIC, "type": TYPE, "direction": direction, "card": "chatter.card", "cert": "chatter.cert",
+                "topic": TOPIC, "type": TYPE, "direction": direction, "card": "chatter.card", (right): "chatter.cert",
                 "qos": {
                     "reliability": if options.best_effort { "best_effort" } else { "reliable" },
                     "durability": if options.transient_local { "transient_local" } else { "volatile" },

@@ -329,13 +329,15 @@ impl Federation {
         links: &[&str],
         peers: &[&str],
     ) -> Result<Process> {
+        let right = if direction == "in" { "grant" } else { "cert" };
         let config = json!({
             "identity": "key.pem",
             "links": links.iter().map(|to| json!({"to": to})).collect::<Vec<_>>(),
             "domain": {"card": "domain.card", "membership": "membership", "peers": peers},
-            "domain_id": 0,
+            "version": 1,
+            "graphs": {"ros2": {"domain_id": 0}},
             "topics": [{
-                "topic": TOPIC, "type": TYPE, "direction": direction, "card": "chatter.card", "cert": "chatter.cert",
+                "topic": TOPIC, "type": TYPE, "direction": direction, "card": "chatter.card", (right): "chatter.cert",
                 "qos": {"reliability": "reliable", "durability": "volatile", "depth": 100},
             }],
         });

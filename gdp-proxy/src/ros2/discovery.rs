@@ -1,22 +1,37 @@
 //! What other participants of the domain announce: the types of topics, and why an endpoint does not match ours.
 
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::collections::{HashMap, HashSet};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use futures::StreamExt;
+use futures::{FutureExt, StreamExt};
 use rustdds::{
     DomainParticipant, DomainParticipantStatusEvent as Event, EndpointDescription, GUID, QosPolicies, RTPSEntity,
     StatusEvented,
 };
-use tokio::sync::Notify;
+use tokio::sync::watch;
 
+use super::qos::offered;
 use super::{TopicName, TypeName};
+use crate::graph::Key;
+use crate::roster::{Dialect, Kind, Offer};
 
 #[derive(Default)]
 pub(super) struct Discovery {
     /// The DDS types of the DDS topics that the proxy has endpoints for.
     expected: Mutex<HashMap<String, String>>,
-    something_happened: Notify,
+    publishers: watch::Sender<Publishers>,
+    /// Of types that are not of ROS 2, which has been said.
+    odd: Mutex<HashSet<GUID>>,
+}
+
+pub(crate) type Publishers = Arc<HashMap<String, Vec<Publisher>>>;
+
+/// A publisher of a topic, in another participant.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Publisher {
+    pub key: Key,
+    pub kind: Kind,
+    pub offers: Offer,
 }
 
 impl Discovery {
@@ -25,23 +40,9 @@ impl Discovery {
         self.expected.lock().unwrap_or_else(PoisonError::into_inner).insert(topic.to_dds(), kind.to_dds());
     }
 
-    /// Waits until somebody else publishes the topic with a type that ROS 2 made.
-    pub async fn type_of(&self, participant: &DomainParticipant, topic: &TopicName) -> TypeName {
-        let dds_topic = topic.to_dds();
-        loop {
-            let news = self.something_happened.notified();
-            let writers = participant.discovered_writers();
-            let foreign =
-                writers.iter().filter(|w| w.writer_proxy.remote_writer_guid.prefix != participant.guid().prefix);
-            let data = foreign.map(|w| &w.publication_topic_data).filter(|data| data.topic_name == dds_topic);
-            for data in data {
-                match TypeName::from_dds(&data.type_name) {
-                    Ok(kind) => return kind,
-                    Err(error) => tracing::warn!(%topic, "a publisher is ignored: {error}"),
-                }
-            }
-            news.await;
-        }
+    /// The publishers of the topics of the domain, by DDS topic; always the newest.
+    pub fn publishers(&self) -> watch::Receiver<Publishers> {
+        self.publishers.subscribe()
     }
 
     /// Follows what is discovered, for as long as the participant lives. A participant has one queue of events: whoever
@@ -51,9 +52,46 @@ impl Discovery {
         let mut events = listener.as_async_status_stream();
         while let Some(event) = events.next().await {
             self.handle(&participant, event);
-            // Whatever it was: the queue is short, and the event that somebody waits for may have found it full.
-            self.something_happened.notify_waiters();
+            while let Some(Some(event)) = events.next().now_or_never() {
+                self.handle(&participant, event);
+            }
+            // Whatever it was: the queue is short, and an event may have found it full.
+            let now = self.list(&participant);
+            self.publishers.send_if_modified(|before| {
+                let differs = *before != now;
+                *before = now;
+                differs
+            });
         }
+    }
+
+    fn list(&self, participant: &DomainParticipant) -> Publishers {
+        let mut publishers = HashMap::<String, Vec<Publisher>>::new();
+        for writer in participant.discovered_writers() {
+            let (data, guid) = (&writer.publication_topic_data, writer.writer_proxy.remote_writer_guid);
+            if !is_application(participant, guid) || !data.topic_name.starts_with("rt/") {
+                continue;
+            }
+            let kind = match TypeName::from_dds(&data.type_name) {
+                Ok(kind) => kind,
+                Err(error) => {
+                    if self.lock_odd().insert(guid) {
+                        tracing::warn!(topic = data.topic_name, "a publisher is ignored: {error}");
+                    }
+                    continue;
+                }
+            };
+            let hash = type_hash(&writer.user_data).unwrap_or_default();
+            let kind = Kind { dialect: Dialect::Ros2, name: kind.to_string(), hash };
+            let found = Publisher { key: u128::from_be_bytes(guid.to_bytes()), kind, offers: offered(data) };
+            publishers.entry(data.topic_name.clone()).or_default().push(found);
+        }
+        publishers.values_mut().for_each(|found| found.sort_by_key(|publisher| publisher.key));
+        publishers.into()
+    }
+
+    fn lock_odd(&self) -> MutexGuard<'_, HashSet<GUID>> {
+        self.odd.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn handle(&self, participant: &DomainParticipant, event: Event) {
@@ -114,4 +152,26 @@ fn incompatible(whose: &str, topic: Option<String>, requested: &QosPolicies, off
         topic,
         "the QoS of a {whose} here does not fit the proxy's ({policy:?}): they do not see each other; correct `qos`",
     );
+}
+
+/// What a participant of ROS 2 Iron or later says of its type: `typehash=RIHS01_…;`, with hexadecimal digits.
+fn type_hash(user_data: &[u8]) -> Option<Vec<u8>> {
+    const KEY: &[u8] = b"typehash=RIHS01_";
+    let at = user_data.windows(KEY.len()).position(|window| window == KEY)? + KEY.len();
+    hex::decode(user_data.get(at..at + 64)?).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn type_hashes_are_found_behind_whatever_is_said_before() {
+        let hash = "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
+        let said = format!("\x50\0\0\0enclave=/;typehash=RIHS01_{hash};");
+        assert_eq!(type_hash(said.as_bytes()).map(hex::encode).as_deref(), Some(hash));
+        for odd in ["", "typehash=RIHS01_", "typehash=RIHS01_df66", &said.replace("RIHS01", "RIHS02"), &said.replace("df", "xx")] {
+            assert_eq!(type_hash(odd.as_bytes()), None, "{odd}");
+        }
+    }
 }

@@ -5,7 +5,7 @@
 
 mod discovery;
 mod names;
-mod qos;
+pub(crate) mod qos;
 mod raw;
 
 pub use names::{NameError, TopicName, TypeName};
@@ -17,8 +17,12 @@ use std::sync::Arc;
 use ros2_client::{Context, Node, NodeName, NodeOptions};
 use rustdds::dds::CreateError;
 use rustdds::{DomainParticipant, DomainParticipantBuilder, QosPolicies, TopicKind};
+use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
+pub(crate) use discovery::{Publisher, Publishers};
+
+use crate::roster::Offer;
 use discovery::Discovery;
 
 /// The largest domain id whose ports (7400 + 250 · id and up) exist.
@@ -45,6 +49,8 @@ pub enum RosError {
     Join { domain: u16, source: CreateError },
     #[error("cannot announce the ROS node /{node}: {reason}")]
     Node { node: String, reason: String },
+    #[error(transparent)]
+    Name(#[from] NameError),
     #[error("cannot make a DDS {what} for {topic}: {source}")]
     Endpoint { what: &'static str, topic: TopicName, source: CreateError },
 }
@@ -63,21 +69,21 @@ impl Domain {
         Ok(Self { participant, publisher, subscriber, discovery, node, watch })
     }
 
-    /// The type of a topic, as soon as anyone else in the domain publishes it.
-    pub async fn type_of(&self, topic: &TopicName) -> TypeName {
-        self.discovery.type_of(&self.participant, topic).await
+    /// The publishers of the other participants, by DDS topic.
+    pub(crate) fn publishers(&self) -> watch::Receiver<Publishers> {
+        self.discovery.publishers()
     }
 
-    pub fn reader(&self, topic: &TopicName, kind: &TypeName, qos: Qos) -> Result<RawReader, RosError> {
+    pub fn reader(&self, topic: &TopicName, kind: &TypeName, offers: &Offer) -> Result<RawReader, RosError> {
         let refused = |source| RosError::Endpoint { what: "reader", topic: topic.clone(), source };
-        let policies = qos.to_reader();
+        let policies = qos::reader(offers);
         let dds_topic = self.topic(topic, kind, &policies).map_err(refused)?;
         RawReader::new(&self.subscriber, &dds_topic, policies).map_err(refused)
     }
 
-    pub fn writer(&self, topic: &TopicName, kind: &TypeName, qos: Qos) -> Result<RawWriter, RosError> {
+    pub fn writer(&self, topic: &TopicName, kind: &TypeName, offers: &Offer) -> Result<RawWriter, RosError> {
         let refused = |source| RosError::Endpoint { what: "writer", topic: topic.clone(), source };
-        let policies = qos.to_writer();
+        let policies = qos::writer(offers);
         let dds_topic = self.topic(topic, kind, &policies).map_err(refused)?;
         RawWriter::new(&self.publisher, &dds_topic, policies).map_err(refused)
     }

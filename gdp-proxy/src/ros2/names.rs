@@ -85,6 +85,11 @@ impl TypeName {
     pub fn as_str(&self) -> &str {
         &self.0
     }
+
+    /// As ROS 1 calls a message type: `std_msgs/String`.
+    pub fn to_ros1(&self) -> String {
+        self.0.replacen("/msg/", "/", 1)
+    }
 }
 
 fn is_identifier(token: &str) -> bool {

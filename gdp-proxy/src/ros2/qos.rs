@@ -1,7 +1,10 @@
 //! Quality of service as the configuration states it, and as DDS takes it.
 
+use rustdds::discovery::PublicationBuiltinTopicData;
 use rustdds::{QosPolicies, QosPolicyBuilder, policy};
 use serde::Deserialize;
+
+use crate::roster::Offer;
 
 /// Messages that RustDDS keeps of a topic it reads, whatever their size. They are taken out at once, so few will do.
 const READER_SAMPLES: u16 = 32;
@@ -69,36 +72,73 @@ impl Default for Qos {
     }
 }
 
-impl Qos {
-    /// For a DDS reader.
-    pub fn to_reader(self) -> QosPolicies {
-        self.to_dds(READER_SAMPLES)
+impl From<Qos> for Offer {
+    fn from(qos: Qos) -> Self {
+        Self {
+            reliable: qos.reliability == Reliability::Reliable,
+            transient_local: qos.durability == Durability::TransientLocal,
+            depth: qos.depth.get().into(),
+            deadline_ns: 0,
+            lifespan_ns: 0,
+        }
     }
+}
 
-    /// For a DDS writer.
-    pub fn to_writer(self) -> QosPolicies {
-        self.to_dds(WRITER_SAMPLES)
+/// For a DDS reader that takes what publishers of this offer and of lesser ones send.
+pub(crate) fn reader(offers: &Offer) -> QosPolicies {
+    builder(offers, READER_SAMPLES).build()
+}
+
+/// For a DDS writer that offers this.
+pub(crate) fn writer(offers: &Offer) -> QosPolicies {
+    let duration = |ns: u64| rustdds::Duration::from_nanos(i64::try_from(ns).unwrap_or(i64::MAX));
+    let mut builder = builder(offers, WRITER_SAMPLES);
+    if offers.deadline_ns > 0 {
+        builder = builder.deadline(policy::Deadline(duration(offers.deadline_ns)));
     }
+    if offers.lifespan_ns > 0 {
+        builder = builder.lifespan(policy::Lifespan { duration: duration(offers.lifespan_ns) });
+    }
+    builder.build()
+}
 
-    /// Resource limits are stated although ROS 2 states none: RustDDS would otherwise keep up to 8192 messages that a
-    /// stalled reliable reader has not acknowledged.
-    fn to_dds(self, samples: u16) -> QosPolicies {
-        let reliability = match self.reliability {
-            Reliability::Reliable => policy::Reliability::Reliable { max_blocking_time: MAX_BLOCKING },
-            Reliability::BestEffort => policy::Reliability::BestEffort,
-        };
-        let durability = match self.durability {
-            Durability::Volatile => policy::Durability::Volatile,
-            Durability::TransientLocal => policy::Durability::TransientLocal,
-        };
-        let depth = self.depth.get().into();
-        let max_samples = self.depth.get().max(samples).into();
-        let limits = policy::ResourceLimits { max_samples, max_instances: 1, max_samples_per_instance: max_samples };
-        QosPolicyBuilder::new()
-            .reliability(reliability)
-            .durability(durability)
-            .history(policy::History::KeepLast { depth })
-            .resource_limits(limits)
-            .build()
+/// Resource limits are stated although ROS 2 states none: RustDDS would otherwise keep up to 8192 messages that a
+/// stalled reliable reader has not acknowledged.
+fn builder(offers: &Offer, samples: u16) -> QosPolicyBuilder {
+    let reliability = match offers.reliable {
+        true => policy::Reliability::Reliable { max_blocking_time: MAX_BLOCKING },
+        false => policy::Reliability::BestEffort,
+    };
+    let durability = match offers.transient_local {
+        true => policy::Durability::TransientLocal,
+        false => policy::Durability::Volatile,
+    };
+    let depth = match offers.depth {
+        0 => Depth::MAX.into(),
+        depth => depth.min(Depth::MAX.into()) as i32,
+    };
+    let max_samples = depth.max(samples.into());
+    let limits = policy::ResourceLimits { max_samples, max_instances: 1, max_samples_per_instance: max_samples };
+    QosPolicyBuilder::new()
+        .reliability(reliability)
+        .durability(durability)
+        .history(policy::History::KeepLast { depth })
+        .resource_limits(limits)
+}
+
+/// What a discovered writer offers. DDS does not tell how many messages it keeps: 10 as ROS 2 has it by default, or of what is latched the
+/// last one.
+pub(super) fn offered(data: &PublicationBuiltinTopicData) -> Offer {
+    let ns = |duration: rustdds::Duration| {
+        // Infinite ones are no promise.
+        u64::try_from(duration.to_nanoseconds()).ok().filter(|_| duration < rustdds::Duration::INFINITE).unwrap_or(0)
+    };
+    let transient_local = data.durability.is_some_and(|durability| durability >= policy::Durability::TransientLocal);
+    Offer {
+        reliable: matches!(data.reliability, Some(policy::Reliability::Reliable { .. })),
+        transient_local,
+        depth: if transient_local { 1 } else { 10 },
+        deadline_ns: data.deadline.map_or(0, |deadline| ns(deadline.0)),
+        lifespan_ns: data.lifespan.map_or(0, |lifespan| ns(lifespan.duration)),
     }
 }

@@ -30,6 +30,7 @@ pub struct RawSample {
 
 /// A message as it came from DDS.
 pub struct Arrived {
+    pub writer: GUID,
     pub sample: RawSample,
     /// When its writer wrote it, on the writer's clock, in nanoseconds since 1970.
     pub written_ns: Option<u64>,
@@ -98,7 +99,8 @@ impl RawReader {
                 Ok(Some(change)) if self.is_own(change.writer_guid()) => {}
                 Ok(Some(change)) => {
                     let written_ns = change.source_timestamp().map(nanoseconds);
-                    return Some(Ok(Arrived { sample: change.into_value(), written_ns }));
+                    let writer = change.writer_guid();
+                    return Some(Ok(Arrived { writer, sample: change.into_value(), written_ns }));
                 }
                 Err(ReadError::UnknownKey { .. }) => {}
                 Err(error) => return Some(Err(Unreadable(error.to_string()))),

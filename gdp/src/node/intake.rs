@@ -12,7 +12,7 @@ use super::counters::Counters;
 use super::greeting::Greeting;
 use super::options::SubscribeOptions;
 use crate::crypto::Backend;
-use crate::feedback_wire::Feedback;
+use crate::feedback_wire::{Feedback, Wants};
 use crate::identity::VerifyKey;
 use crate::keys::Opened;
 use crate::seal::{DropReason, Message, Moment, Reader, Received, segment_ids};
@@ -228,7 +228,7 @@ impl Intake {
                     return false;
                 }
                 if known.session.as_ref().is_none_or(|known| known.id != *session) {
-                    let reliable = self.options.reliable && *reliable;
+                    let reliable = self.options.wants != Wants::Newest && *reliable;
                     let inbound = Inbound::new(self.name, *session, *sequence, rtt, self.options.inbound(reliable));
                     let (seen, from) = (InboundCounters::default(), *sequence);
                     known.session = Some(Session { id: *session, inbound, seen, from, latched: 0, reliable });
@@ -316,7 +316,7 @@ impl Intake {
         let mut out = Out { options, queue, shared, stalled };
         for (writer, known) in writers.iter_mut() {
             if let Some(challenge) = known.greeting.poll(now) {
-                tell(writer, &Feedback::Hello { name: *name, challenge, reliable: out.options.reliable });
+                tell(writer, &Feedback::Hello { name: *name, challenge, wants: out.options.wants });
             }
             let Some(session) = &mut known.session else { continue };
             while let Some(arrival) = session.inbound.poll(now) {
@@ -365,7 +365,7 @@ impl Intake {
     /// How many writers offer less than is asked for; of the first of them the log tells.
     fn compare(&self) {
         let lesser = self.writers.iter().filter(|(_, known)| {
-            self.options.reliable && known.session.as_ref().is_some_and(|session| !session.reliable)
+            self.options.wants == Wants::Every && known.session.as_ref().is_some_and(|session| !session.reliable)
         });
         let (count, first) = (lesser.clone().count(), lesser.map(|(writer, _)| *writer).next());
         if self.shared.incompatible.swap(count, Ordering::Relaxed) == 0

@@ -2,6 +2,7 @@
 //! They are sent to such readers as new messages; the latter say what they were.
 
 use std::collections::{HashMap, VecDeque};
+use std::sync::Arc;
 
 use gdp_wire::Name;
 
@@ -13,13 +14,21 @@ const MAX_ORIGINS: usize = 1024;
 pub struct LatchedSamples {
     /// Of each origin.
     most: usize,
-    pinned: Option<(Encoding, Vec<u8>)>,
+    pinned: Option<About>,
+    /// What is to be sent next about the name, and what was taken of it.
+    next: Option<About>,
+    taken: Option<About>,
     samples: VecDeque<Sample>,
     /// How many there are of each origin.
     counts: HashMap<Vec<u8>, usize>,
-    pinned_again: bool,
     /// Sequences of those that are to be sent again: from, and through.
     again: Option<(u64, u64)>,
+}
+
+#[derive(Clone)]
+struct About {
+    encoding: Encoding,
+    body: Arc<[u8]>,
 }
 
 struct Sample {
@@ -44,16 +53,23 @@ impl LatchedSamples {
         Self {
             most,
             pinned: None,
+            next: None,
+            taken: None,
             samples: VecDeque::new(),
             counts: HashMap::new(),
-            pinned_again: false,
             again: None,
         }
     }
 
     /// Keeps a message about the name, in place of the one before. It is to be sent now, too.
     pub fn pin(&mut self, encoding: Encoding, body: &[u8]) {
-        (self.pinned, self.pinned_again) = (Some((encoding, body.to_vec())), true);
+        self.pinned = Some(About { encoding, body: body.into() });
+        self.next = self.pinned.clone();
+    }
+
+    /// A message about the name is to be sent now, unless one is to be already; readers that come later do not get it.
+    pub fn mention(&mut self, encoding: Encoding, body: &[u8]) {
+        self.next.get_or_insert_with(|| About { encoding, body: body.into() });
     }
 
     /// Keeps messages that are sent now, the first of them with this sequence.
@@ -109,20 +125,19 @@ impl LatchedSamples {
 
     /// All are to be sent again.
     pub fn again(&mut self) {
-        self.pinned_again = self.pinned.is_some();
+        self.next = self.pinned.clone().or(self.next.take());
         let ends = self.samples.front().zip(self.samples.back());
         self.again = ends.map(|(first, last)| (first.first.sequence, last.first.sequence));
     }
 
     pub fn has_again(&self) -> bool {
-        self.pinned_again || self.again.is_some()
+        self.next.is_some() || self.again.is_some()
     }
 
     /// The next that is to be sent again, once: first what is about the name.
     pub fn next_again(&mut self) -> Option<Draft<'_>> {
-        if std::mem::take(&mut self.pinned_again)
-            && let Some((encoding, body)) = &self.pinned
-        {
+        self.taken = self.next.take();
+        if let Some(About { encoding, body }) = &self.taken {
             return Some(Draft::new(*encoding, body));
         }
         let (from, through) = self.again.take()?;
@@ -184,6 +199,8 @@ mod tests {
         let pinned = (None, b"new".to_vec());
         let sent = [pinned.clone(), (Some(1), vec![0]), (Some(3), vec![2]), (Some(4), vec![3]), (Some(5), vec![4])];
         assert_eq!(again(&mut samples), sent);
+        samples.mention(Encoding::Json, b"once");
+        assert_eq!(samples.next_again().map(|draft| draft.body.to_vec()), Some(b"once".to_vec()));
         samples.forget(&[2]);
         assert_eq!(again(&mut samples), [pinned, sent[1].clone(), sent[4].clone()]);
         assert!(!samples.has_again());

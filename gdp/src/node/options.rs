@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+pub use crate::feedback_wire::Wants;
 pub use crate::keys::Rotation;
 use crate::seal::Limits;
 use crate::transport::{self, History, InboundOptions, Order, TopicOptions};
@@ -85,9 +86,10 @@ impl From<PublishOptions> for TopicOptions {
 /// How a name is read.
 #[derive(Clone, Copy, Debug)]
 pub struct SubscribeOptions {
-    /// Every message in its order, asked for again if it does not come, of publishers that are reliable; others are incompatible, and
-    /// counted. Of these, or if it is not set: each as soon as it is complete, if it is newer than those before.
-    pub reliable: bool,
+    /// Of publishers that are reliable, and if it is not only the newest that is wanted: every message in its order, asked for again if it does not
+    /// come. Otherwise each as soon as it is complete, if it is newer than those before. Where every message is wanted, publishers that are not reliable
+    /// are incompatible, and counted.
+    pub wants: Wants,
     /// It comes by each of the node's links, and what comes twice is dropped: nothing is missed when one fails, as long as its frames fit
     /// each of them. Otherwise it comes by the main one.
     pub duplicate: bool,
@@ -103,12 +105,17 @@ pub struct SubscribeOptions {
 impl SubscribeOptions {
     pub fn best_effort() -> Self {
         let limits = Limits { max_age: MAX_AGE, ..Limits::default() };
-        Self { reliable: false, duplicate: false, limits, queue: 256, queue_bytes: 64 << 20 }
+        Self { wants: Wants::Newest, duplicate: false, limits, queue: 256, queue_bytes: 64 << 20 }
     }
 
     pub fn reliable() -> Self {
         let limits = Limits { max_age: MAX_RELIABLE_AGE, deadline: MAX_RELIABLE_AGE, ..Limits::default() };
-        Self { reliable: true, limits, ..Self::best_effort() }
+        Self { wants: Wants::Every, limits, ..Self::best_effort() }
+    }
+
+    /// Every message of publishers that are reliable, and the newest of others.
+    pub fn as_offered() -> Self {
+        Self { wants: Wants::Offered, ..Self::reliable() }
     }
 }
 
@@ -120,7 +127,7 @@ impl SubscribeOptions {
         }
         let Limits { deadline, max_memory_per_source, .. } = self.limits;
         // One that asks for every message would wait too long for each of a writer that keeps none.
-        let deadline = if self.reliable { Limits::default().deadline } else { deadline };
+        let deadline = if self.wants != Wants::Newest { Limits::default().deadline } else { deadline };
         let newest = InboundOptions::newest();
         InboundOptions { order: Order::Newest, deadline: nanos(deadline), bytes: max_memory_per_source, ..newest }
     }

@@ -72,12 +72,13 @@ impl Pairs {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::feedback_wire::Wants;
 
     #[test]
     fn counterparts_are_kept_as_long_as_a_name_needs_them() {
         let (own, peer) = (Identity::generate("proxy").unwrap(), Identity::generate("proxy").unwrap());
         let (mut pairs, mut theirs) = (Pairs::new(own.clone()), Pairs::new(peer.clone()));
-        let hello = Feedback::Hello { name: own.name(), challenge: [1; 16], reliable: true };
+        let hello = Feedback::Hello { name: own.name(), challenge: [1; 16], wants: Wants::Every };
         let mut payload = Vec::new();
         assert!(pairs.seal(&peer.name(), &hello, &mut payload).is_none());
         pairs.introduce(peer.name(), peer.box_public());

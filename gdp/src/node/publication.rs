@@ -18,7 +18,7 @@ use super::state::lock;
 use super::{NodeError, Reliability};
 use crate::cert::Revocation;
 use crate::crypto::{Backend, PUBLIC_KEY_LEN};
-use crate::feedback_wire::Feedback;
+use crate::feedback_wire::{Feedback, Wants};
 use crate::identity::Identity;
 use crate::keys::{Boxes, KeyRing, RingError};
 use crate::peers::{Counterpart, PeerEvent};
@@ -97,8 +97,7 @@ struct Reader {
     greeted: Option<[u8; 16]>,
     /// Since when it is not attached.
     absent: Option<u64>,
-    /// It asks for every message.
-    reliable: bool,
+    wants: Wants,
 }
 
 /// What became of a message.
@@ -117,7 +116,7 @@ impl Readers {
 
     /// Whether one is attached that asks for every message, as far as it has said.
     fn asks_for_all(&self, reader: &Name) -> bool {
-        let asks = |reader: &Reader| reader.absent.is_none() && (reader.reliable || reader.greeted.is_none());
+        let asks = |reader: &Reader| reader.absent.is_none() && (reader.wants != Wants::Newest || reader.greeted.is_none());
         self.known.get(reader).is_some_and(asks)
     }
 }
@@ -184,7 +183,7 @@ impl Publication {
 
     /// Those of them that ask for every message, where the newest is offered.
     pub fn incompatible_readers(&self) -> usize {
-        if self.is_reliable { 0 } else { lock(&self.readers).attached().filter(|(_, reader)| reader.reliable).count() }
+        if self.is_reliable { 0 } else { lock(&self.readers).attached().filter(|(_, reader)| reader.wants == Wants::Every).count() }
     }
 
     /// What has not gone yet, and what of it whom has not reached.
@@ -313,6 +312,12 @@ impl Publication {
         self.send_again(outlet);
     }
 
+    /// Sends a message about the name.
+    pub fn mention(&self, outlet: &Outlet, encoding: Encoding, body: &[u8]) {
+        lock(&self.sealing).latched.mention(encoding, body);
+        self.send_again(outlet);
+    }
+
     /// Latches nothing of this origin any more.
     pub fn forget(&self, origin: &[u8]) {
         lock(&self.sealing).latched.forget(origin);
@@ -357,11 +362,11 @@ impl Publication {
     }
 
     /// Answers a reader that asks which session this is.
-    pub fn welcome(&self, outlet: &Outlet, reader: &Name, challenge: [u8; 16], reliable: bool) -> Option<Feedback> {
+    pub fn welcome(&self, outlet: &Outlet, reader: &Name, challenge: [u8; 16], wants: Wants) -> Option<Feedback> {
         let readers = &mut *lock(&self.readers);
         let entry = readers.known.get_mut(reader)?;
-        entry.reliable = reliable;
-        if reliable && !self.is_reliable && !std::mem::replace(&mut readers.told_incompatible, true) {
+        entry.wants = wants;
+        if wants == Wants::Every && !self.is_reliable && !std::mem::replace(&mut readers.told_incompatible, true) {
             tracing::warn!(name = %self.name, %reader, "incompatible QoS: the reader asks for every message, and this writer offers the newest only (best effort); it takes those");
         }
         if entry.greeted != Some(challenge) {
@@ -426,7 +431,7 @@ impl Publication {
         let mut uplink = lock(&outlet.uplink);
         // Beyond what the transport keeps account of, readers get what the others get.
         let from = uplink.join(outlet.clock.now(), self.topic, entity).unwrap_or(1);
-        readers.known.insert(entity, Reader { right, from, greeted: None, absent: None, reliable: false });
+        readers.known.insert(entity, Reader { right, from, greeted: None, absent: None, wants: Wants::Newest });
     }
 
     fn sweep(&self, outlet: &Outlet, readers: &mut Readers, now_unix: u64) {

@@ -147,6 +147,11 @@ impl Publisher {
         self.publication.pin(&self.node.state.outlet, encoding, body);
     }
 
+    /// Sends a message about the name to those who read it now. It is not latched.
+    pub fn mention(&self, encoding: Encoding, body: &[u8]) {
+        self.publication.mention(&self.node.state.outlet, encoding, body);
+    }
+
     /// Sends readers that come later nothing more of what was [latched](super::PublishOptions::latched) with this origin.
     pub fn forget(&self, origin: &[u8]) {
         self.publication.forget(origin);

@@ -377,9 +377,9 @@ impl Intakes {
         counters.feedback_received.add(1);
         let (name, now) = (feedback.name(), self.outlet.clock.now());
         match &feedback {
-            Feedback::Hello { challenge, reliable, .. } => {
+            Feedback::Hello { challenge, wants, .. } => {
                 let publication = self.publications.get(&name);
-                let welcome = publication.and_then(|it| it.welcome(&self.outlet, &source, *challenge, *reliable));
+                let welcome = publication.and_then(|it| it.welcome(&self.outlet, &source, *challenge, *wants));
                 if let Some(welcome) = welcome {
                     self.outlet.tell(&source, &welcome);
                     self.outlet.upkeep.notify_one();

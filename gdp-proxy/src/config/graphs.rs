@@ -1,0 +1,99 @@
+//! The ROS graphs that a proxy is in: DDS domains of ROS 2, and masters of ROS 1.
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+
+use crate::ros2;
+
+/// Graphs of one proxy.
+const MAX_GRAPHS: usize = 16;
+
+/// The graphs by the names that topics refer to them by. Without any, there is one of ROS 2 with ROS_DOMAIN_ID.
+#[derive(Debug, Deserialize)]
+#[serde(try_from = "BTreeMap<String, GraphConfig>")]
+pub struct Graphs(BTreeMap<String, GraphConfig>);
+
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(untagged, expecting = "a ROS 2 graph as {domain_id: 0}, or one of ROS 1 as {master: 'http://HOST:11311'}")]
+pub enum GraphConfig {
+    Ros1(Ros1Config),
+    Ros2(Ros2Config),
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ros2Config {
+    /// ROS_DOMAIN_ID.
+    pub domain_id: DomainId,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ros1Config {
+    /// ROS_MASTER_URI.
+    pub master: String,
+    /// How other ROS 1 nodes reach this machine: ROS_IP or ROS_HOSTNAME.
+    #[serde(default)]
+    pub host: Option<String>,
+}
+
+impl Default for Graphs {
+    fn default() -> Self {
+        let domain_id = std::env::var("ROS_DOMAIN_ID").ok().and_then(|id| id.parse::<u64>().ok()?.try_into().ok());
+        let graph = GraphConfig::Ros2(Ros2Config { domain_id: domain_id.unwrap_or_default() });
+        Self(BTreeMap::from([("ros2".into(), graph)]))
+    }
+}
+
+impl TryFrom<BTreeMap<String, GraphConfig>> for Graphs {
+    type Error = String;
+
+    fn try_from(graphs: BTreeMap<String, GraphConfig>) -> Result<Self, String> {
+        match graphs.len() {
+            1..=MAX_GRAPHS => Ok(Self(graphs)),
+            other => Err(format!("{other} graphs; a proxy has 1 to {MAX_GRAPHS}")),
+        }
+    }
+}
+
+impl Graphs {
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &GraphConfig)> {
+        self.0.iter().map(|(name, graph)| (name.as_str(), graph))
+    }
+
+    /// The one with this name; without a name, the only one there is.
+    pub fn get(&self, name: Option<&str>) -> Result<(&str, &GraphConfig), String> {
+        let names = || self.0.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+        match name {
+            Some(name) => {
+                let found = self.0.get_key_value(name).map(|(name, graph)| (name.as_str(), graph));
+                found.ok_or_else(|| format!("there is no graph {name} under graphs; there is {}", names()))
+            }
+            None if self.0.len() > 1 => Err(format!("missing, and there are several graphs: write one of {}", names())),
+            None => self.iter().next().ok_or_else(|| "there is no graph".into()),
+        }
+    }
+}
+
+/// A DDS domain id that has ports.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "u64")]
+pub struct DomainId(u16);
+
+impl DomainId {
+    pub fn get(self) -> u16 {
+        self.0
+    }
+}
+
+impl TryFrom<u64> for DomainId {
+    type Error = String;
+
+    fn try_from(id: u64) -> Result<Self, String> {
+        match u16::try_from(id) {
+            Ok(id @ 0..=ros2::MAX_DOMAIN_ID) => Ok(Self(id)),
+            _ => Err(format!("there is no DDS domain {id}: write the ROS_DOMAIN_ID, 0 to {}", ros2::MAX_DOMAIN_ID)),
+        }
+    }
+}

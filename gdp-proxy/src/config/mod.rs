@@ -1,0 +1,214 @@
+//! The configuration file: which topics cross, in which direction, under whose keys. Strict, because a misspelt key in a
+//! file about permissions must not pass for a default. The default exposes nothing.
+//!
+//! This is the file alone; [`crate::material`] reads the files it names.
+
+mod graphs;
+mod relay;
+mod topics;
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::num::NonZeroU64;
+use std::path::{Path, PathBuf};
+
+use gdp::Name;
+use gdp::domain::PaperFiles;
+use gdp::link::MAX_LANES;
+use gdp::node::{LinkConfig, LinkTarget};
+use serde::{Deserialize, Deserializer, de};
+
+pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config};
+pub use self::relay::RelayConfig;
+pub use self::topics::{Conversion, Direction, Side, TopicConfig};
+
+/// A longer file is no configuration.
+const MAX_FILE: u64 = 1024 * 1024;
+
+/// Topics of one proxy.
+const MAX_TOPICS: usize = 1024;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Of the file's format.
+    #[serde(rename = "version")]
+    _version: Version,
+    /// The proxy's private key (`gdp-ctl key generate FILE --kind proxy`).
+    pub identity: PathBuf,
+    /// The ways to the fabric, in the order in which they are wanted: everything goes by the first that is up.
+    pub links: Vec<LinkPlace>,
+    /// A folder for what the proxy must not forget, which is what owners have revoked; made if there is none.
+    #[serde(default)]
+    pub state: Option<PathBuf>,
+    /// The trust domain that the proxy is a member of, if it is of one.
+    #[serde(default)]
+    pub domain: Option<DomainConfig>,
+    /// If it also carries others.
+    #[serde(default, deserialize_with = "relay::relay")]
+    pub relay: Option<RelayConfig>,
+    /// The ROS graphs that it is in.
+    #[serde(default)]
+    pub graphs: Graphs,
+    /// Folders and files that define message types.
+    #[serde(default)]
+    pub definitions: Vec<PathBuf>,
+    #[serde(default)]
+    pub topics: Vec<TopicConfig>,
+}
+
+/// The only one there is.
+#[derive(Debug, Deserialize)]
+#[serde(try_from = "u64")]
+struct Version;
+
+impl TryFrom<u64> for Version {
+    type Error = String;
+
+    fn try_from(version: u64) -> Result<Self, String> {
+        match version {
+            1 => Ok(Self),
+            other => Err(format!("version {other} of the configuration is not known to this release; write version: 1")),
+        }
+    }
+}
+
+/// What makes the proxy a member of a trust domain (`gdp-ctl domain`).
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DomainConfig {
+    /// The domain's card.
+    pub card: PathBuf,
+    /// Read again when it changes, as the others.
+    pub membership: PathBuf,
+    /// What the domain lets other domains do; for those that the robot visits.
+    #[serde(default)]
+    pub peers: Vec<PathBuf>,
+}
+
+impl From<&DomainConfig> for PaperFiles {
+    fn from(config: &DomainConfig) -> Self {
+        let DomainConfig { card, membership, peers } = config;
+        Self { card: card.clone(), membership: membership.clone(), peers: peers.clone() }
+    }
+}
+
+/// One way to the fabric.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LinkPlace {
+    /// Where the switch is: `eth://INTERFACE`, `eth://INTERFACE/MAC`, `udp://HOST:PORT` or `udp://HOST:PORT%INTERFACE`.
+    #[serde(deserialize_with = "from_text")]
+    pub to: LinkTarget,
+    /// The switch that must be there, if only one will do.
+    #[serde(default)]
+    pub switch: Option<Name>,
+    /// Bytes a second that topics may send this way.
+    #[serde(default)]
+    pub budget: Option<NonZeroU64>,
+}
+
+impl From<&LinkPlace> for LinkConfig {
+    fn from(place: &LinkPlace) -> Self {
+        let LinkPlace { to, switch, budget } = place;
+        Self { target: to.clone(), switch: *switch, budget: budget.map(NonZeroU64::get) }
+    }
+}
+
+/// Why there is no configuration. Every text begins with the file.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    #[error("{}: cannot be read: {source}", path.display())]
+    Io { path: PathBuf, source: io::Error },
+    #[error("{}: longer than {MAX_FILE} bytes, so not a proxy configuration", .0.display())]
+    TooLong(PathBuf),
+    #[error("{}: {message}", path.display())]
+    Syntax { path: PathBuf, message: String },
+    #[error("{}: {key}: {reason}", path.display())]
+    Invalid { path: PathBuf, key: String, reason: String },
+}
+
+impl Config {
+    /// Reads and checks a file. Relative paths in it are made relative to the folder the file is in.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let io = |source| ConfigError::Io { path: path.into(), source };
+        let mut text = String::new();
+        let length = File::open(path).map_err(io)?.take(MAX_FILE + 1).read_to_string(&mut text).map_err(io)?;
+        if length as u64 > MAX_FILE {
+            return Err(ConfigError::TooLong(path.into()));
+        }
+        Self::parse(&text, path)
+    }
+
+    /// The same for a text; `path` is the file it would be in.
+    pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
+        // Errors quote no lines: the file given by mistake may be a private key.
+        let options = serde_saphyr::options! { with_snippet: false };
+        let mut config: Self = serde_saphyr::from_str_with_options(text, options)
+            .map_err(|error| ConfigError::Syntax { path: path.into(), message: error.to_string() })?;
+        config.check().map_err(|(key, reason)| ConfigError::Invalid { path: path.into(), key, reason })?;
+        config.resolve(path.parent().unwrap_or(Path::new("")));
+        Ok(config)
+    }
+
+    fn check(&self) -> Result<(), (String, String)> {
+        if self.topics.len() > MAX_TOPICS {
+            return Err(("topics".into(), format!("more than {MAX_TOPICS}; run a second proxy")));
+        }
+        if !(1..=MAX_LANES).contains(&self.links.len()) {
+            return Err(("links".into(), format!("{} of them; a proxy has 1 to {MAX_LANES}", self.links.len())));
+        }
+        for (i, link) in self.links.iter().enumerate() {
+            if let Some(first) = self.links[..i].iter().position(|other| other.to == link.to) {
+                return Err((format!("links[{i}].to"), format!("{} is already links[{first}]; remove one", link.to)));
+            }
+        }
+        if self.domain.is_none() && self.relay.as_ref().is_some_and(|relay| relay.membership.is_some()) {
+            return Err((
+                "relay.membership".into(),
+                "there is no domain for it; say which in domain, or remove it".into(),
+            ));
+        }
+        for (i, topic) in self.topics.iter().enumerate() {
+            let wrong = |key: &str, reason: String| (format!("topics[{i}].{key}"), reason);
+            topic.check(&self.graphs).map_err(|(key, reason)| wrong(key, reason))?;
+            if topic.duplicate && self.links.len() < 2 {
+                return Err(wrong("duplicate", "there is no second link for it; add one to links, or remove this".into()));
+            }
+            if let Some(first) = self.topics[..i].iter().position(|other| other.overlaps(topic)) {
+                let reason =
+                    format!("{} is already topics[{first}], in the same direction; remove one of them", topic.topic);
+                return Err(wrong("topic", reason));
+            }
+        }
+        Ok(())
+    }
+
+    fn resolve(&mut self, folder: &Path) {
+        // An absolute path stays what it is.
+        let resolve = |path: &mut PathBuf| *path = folder.join(&path);
+        resolve(&mut self.identity);
+        self.state.as_mut().map(resolve);
+        if let Some(domain) = &mut self.domain {
+            [&mut domain.card, &mut domain.membership].into_iter().chain(&mut domain.peers).for_each(resolve);
+        }
+        if let Some(relay) = &mut self.relay {
+            resolve(&mut relay.identity);
+            if self.domain.is_some() {
+                resolve(relay.membership.get_or_insert_with(|| "relay.member".into()));
+            }
+        }
+        self.definitions.iter_mut().for_each(resolve);
+        for topic in &mut self.topics {
+            resolve(&mut topic.card);
+            topic.cert.iter_mut().chain(&mut topic.grant).for_each(resolve);
+        }
+    }
+}
+
+fn from_text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<LinkTarget, D::Error> {
+    String::deserialize(deserializer)?.parse().map_err(de::Error::custom)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,173 @@
+//! What is said of one topic.
+
+use std::num::NonZeroU32;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Deserializer, Serialize, de};
+
+use super::Graphs;
+use crate::ros2::{Qos, TopicName, TypeName};
+
+/// One topic that crosses.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TopicConfig {
+    /// As the ROS graph here has it.
+    pub topic: TopicName,
+    /// Which of the graphs, if there are several.
+    #[serde(default)]
+    pub graph: Option<String>,
+    /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing, what the publishers use.
+    #[serde(default, rename = "type")]
+    pub kind: Option<TypeName>,
+    pub direction: Direction,
+    /// The topic's name card (`gdp-ctl name create`).
+    pub card: PathBuf,
+    /// The owner's permission for this proxy to publish (`gdp-ctl grant add --publish`), with what it rests on, such as a delegation,
+    /// after it. For `out` and `both`.
+    #[serde(default)]
+    pub cert: Option<PathBuf>,
+    /// The owner's permission to read (`gdp-ctl grant add --read`), likewise. For `in` and `both`.
+    #[serde(default)]
+    pub grant: Option<PathBuf>,
+    /// If absent: what each publisher offers.
+    #[serde(default)]
+    pub qos: Option<Qos>,
+    /// What goes out is converted into this first.
+    #[serde(default)]
+    pub encoding: Conversion,
+    /// Of each publisher, no more messages a second go out; those between are dropped.
+    #[serde(default)]
+    pub max_hz: Option<NonZeroU32>,
+    /// Traffic class of what goes out.
+    #[serde(default)]
+    pub priority: Priority,
+    /// It crosses by two links at once, so that nothing is missed when one fails: `out`, a copy of each frame goes by the second; `in`,
+    /// it comes by each.
+    #[serde(default)]
+    pub duplicate: bool,
+    /// Refused with the remedy: earlier versions shared a secret file here.
+    #[serde(default, rename = "key")]
+    _key: NoKey,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Direction {
+    /// From local ROS nodes into the fabric.
+    Out,
+    /// From the fabric to local ROS nodes.
+    In,
+    Both,
+}
+
+/// One direction of a topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Side {
+    Out,
+    In,
+}
+
+/// How messages travel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Conversion {
+    /// As they are.
+    #[default]
+    Auto,
+    Cdr,
+    Ros1,
+    Json,
+}
+
+/// A traffic class, 0 to 7: higher ones go first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "u64")]
+pub struct Priority(u8);
+
+impl Priority {
+    pub fn get(self) -> u8 {
+        self.0
+    }
+}
+
+impl Default for Priority {
+    fn default() -> Self {
+        Self(3)
+    }
+}
+
+impl TryFrom<u64> for Priority {
+    type Error = String;
+
+    fn try_from(class: u64) -> Result<Self, String> {
+        match u8::try_from(class) {
+            Ok(class @ 0..=7) => Ok(Self(class)),
+            _ => Err(format!("there is no priority {class}: write 0 to 7, of which 7 goes first")),
+        }
+    }
+}
+
+impl Direction {
+    pub fn sides(self) -> &'static [Side] {
+        match self {
+            Self::Out => &[Side::Out],
+            Self::In => &[Side::In],
+            Self::Both => &[Side::Out, Side::In],
+        }
+    }
+}
+
+impl TopicConfig {
+    /// The file with the right to this side.
+    pub fn right(&self, side: Side) -> Option<&Path> {
+        match side {
+            Side::Out => self.cert.as_deref(),
+            Side::In => self.grant.as_deref(),
+        }
+    }
+
+    /// Errors with the key inside the topic.
+    pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
+        graphs.get(self.graph.as_deref()).map_err(|reason| ("graph", reason))?;
+        let missing = |what| format!("missing: {what}");
+        for side in self.direction.sides() {
+            match (side, self.right(*side)) {
+                (_, Some(_)) => {}
+                (Side::Out, None) => {
+                    return Err(("cert", missing("the owner's permission to publish (gdp-ctl grant add --publish)")));
+                }
+                (Side::In, None) => {
+                    return Err(("grant", missing("the owner's permission to read (gdp-ctl grant add --read)")));
+                }
+            }
+        }
+        let unused = [(Side::Out, "cert"), (Side::In, "grant")]
+            .into_iter()
+            .find(|(side, _)| self.right(*side).is_some() && !self.direction.sides().contains(side));
+        if let Some((_, key)) = unused {
+            return Err((key, "is for the other direction; remove it, or write direction: both".into()));
+        }
+        Ok(())
+    }
+
+    /// Whether both carry the same topic of the same graph the same way.
+    pub(super) fn overlaps(&self, other: &Self) -> bool {
+        let sides = other.direction.sides();
+        (&self.graph, &self.topic) == (&other.graph, &other.topic)
+            && self.direction.sides().iter().any(|side| sides.contains(side))
+    }
+}
+
+/// What no file says.
+#[derive(Clone, Debug, Default)]
+struct NoKey;
+
+impl<'de> Deserialize<'de> for NoKey {
+    fn deserialize<D: Deserializer<'de>>(_: D) -> Result<Self, D::Error> {
+        Err(de::Error::custom(
+            "there is no `key` any more: writers give each reader its keys. Remove it here, and the file on every machine",
+        ))
+    }
+}

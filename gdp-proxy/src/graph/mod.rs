@@ -1,0 +1,191 @@
+//! What the routes see of a ROS graph, of either version: publishers of a topic that come and go, their messages, and writers that stand for
+//! publishers elsewhere. A message is in the graph's own encoding, and nothing here looks into it.
+
+mod ros1;
+mod ros2;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use bytes::Bytes;
+
+use crate::config::{GraphConfig, Graphs};
+use crate::roster::{Dialect, Kind, Offer};
+use crate::ros2::{Domain, Qos, RosError, TopicName, TypeName};
+use crate::types::{TypeError, Types};
+
+/// One graph, until it is [left](Self::leave).
+pub enum Graph {
+    Ros1(ros1::Master),
+    Ros2(Domain),
+}
+
+/// What a graph refused to make.
+#[derive(Debug, thiserror::Error)]
+pub enum GraphError {
+    #[error(transparent)]
+    Ros1(#[from] gdp_ros1::NodeError),
+    #[error(transparent)]
+    Ros2(#[from] RosError),
+    #[error(transparent)]
+    Type(#[from] TypeError),
+    #[error("the ROS graph was left")]
+    Left,
+}
+
+/// What tells the publishers of a topic apart, as long as they live.
+pub type Key = u128;
+
+/// What happens to a topic that is read.
+pub enum Event {
+    /// A publisher is there, or offers something else than it did.
+    Joined { key: Key, kind: Kind, offers: Offer },
+    Left(Key),
+    Message(Arrived),
+    /// A message that cannot be carried, with the reason.
+    Unreadable(String),
+}
+
+/// A message of a publisher that has joined, unless it cannot be told which.
+pub struct Arrived {
+    pub from: Option<Key>,
+    pub bytes: Bytes,
+    /// When its publisher wrote it, on its clock, in nanoseconds since 1970; if it said so.
+    pub written_ns: Option<u64>,
+}
+
+/// Why a message was not written.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    #[error("not a CDR encapsulation that ROS 2 uses")]
+    Malformed,
+    #[error("a reliable subscriber of the topic does not keep up")]
+    Stalled,
+    #[error("{0}")]
+    Failed(String),
+}
+
+/// Reads a topic. What this proxy itself wrote is not seen.
+pub enum Reader<'a> {
+    Ros1(ros1::Reader<'a>),
+    Ros2(ros2::Reader<'a>),
+}
+
+/// Stands for one publisher elsewhere; subscribers see it go when it is dropped.
+pub enum Writer {
+    Ros1(ros1::Writer),
+    Ros2(ros2::Writer),
+}
+
+/// All that a proxy is in, by their names in the configuration.
+pub type All = BTreeMap<String, Arc<Graph>>;
+
+/// Joins all of them as the ROS node `node`.
+pub async fn join(graphs: &Graphs, node: &str) -> Result<All, GraphError> {
+    let mut joined = All::new();
+    for (name, graph) in graphs.iter() {
+        joined.insert(name.to_owned(), Graph::join(graph, node).await?.into());
+    }
+    Ok(joined)
+}
+
+/// Leaves all of them.
+pub async fn leave(graphs: All) {
+    for graph in graphs.into_values() {
+        if let Some(graph) = Arc::into_inner(graph) {
+            graph.leave().await;
+        }
+    }
+}
+
+impl Graph {
+    async fn join(config: &GraphConfig, node: &str) -> Result<Self, GraphError> {
+        match config {
+            GraphConfig::Ros1(config) => Ok(Self::Ros1(ros1::Master::join(config, node).await?)),
+            GraphConfig::Ros2(config) => Ok(Self::Ros2(Domain::join(config.domain_id.get(), node)?)),
+        }
+    }
+
+    pub fn dialect(&self) -> Dialect {
+        match self {
+            Self::Ros1(_) => Dialect::Ros1,
+            Self::Ros2(_) => Dialect::Ros2,
+        }
+    }
+
+    /// A type as this graph calls it.
+    pub fn kind(&self, kind: &TypeName) -> Kind {
+        let name = match self.dialect() {
+            Dialect::Ros1 => kind.to_ros1(),
+            Dialect::Ros2 => kind.to_string(),
+        };
+        Kind { dialect: self.dialect(), name, hash: vec![] }
+    }
+
+    /// Reads a topic: of this type, or of that of the first publisher; with this quality of service, or with that which lets it hear all
+    /// publishers.
+    pub fn reader(
+        &self,
+        topic: &TopicName,
+        kind: Option<&TypeName>,
+        qos: Option<Qos>,
+    ) -> Result<Reader<'_>, GraphError> {
+        match self {
+            Self::Ros1(master) => Ok(Reader::Ros1(ros1::Reader::new(master, topic)?)),
+            Self::Ros2(domain) => Ok(Reader::Ros2(ros2::Reader::new(domain, topic, kind, qos))),
+        }
+    }
+
+    /// Publishes a topic. `definition`: of the type, which ROS 1 tells its subscribers.
+    pub async fn writer(
+        &self,
+        types: &Types,
+        topic: &TopicName,
+        kind: &Kind,
+        definition: Option<&str>,
+        offers: Offer,
+    ) -> Result<Writer, GraphError> {
+        match self {
+            Self::Ros1(master) => {
+                let md5sum = types.md5sum(kind, definition)?;
+                Ok(Writer::Ros1(ros1::Writer::new(master, topic, kind, definition, md5sum, offers).await?))
+            }
+            Self::Ros2(domain) => Ok(Writer::Ros2(ros2::Writer::new(domain, topic, kind, offers)?)),
+        }
+    }
+
+    async fn leave(self) {
+        match self {
+            Self::Ros1(master) => master.leave().await,
+            Self::Ros2(domain) => domain.leave().await,
+        }
+    }
+}
+
+impl Reader<'_> {
+    /// What happens next. Safe to cancel.
+    pub async fn next(&mut self) -> Result<Event, GraphError> {
+        match self {
+            Self::Ros1(reader) => reader.next().await.ok_or(GraphError::Left),
+            Self::Ros2(reader) => Ok(reader.next().await?),
+        }
+    }
+
+    /// Of the topic's type, if its publishers tell.
+    pub fn definition(&self) -> Option<&str> {
+        match self {
+            Self::Ros1(reader) => reader.definition(),
+            Self::Ros2(_) => None,
+        }
+    }
+}
+
+impl Writer {
+    /// Writes one message as of `timestamp_ns` (nanoseconds since 1970).
+    pub async fn write(&mut self, bytes: Bytes, timestamp_ns: u64) -> Result<(), WriteError> {
+        match self {
+            Self::Ros1(writer) => writer.write(bytes),
+            Self::Ros2(writer) => writer.write(bytes, timestamp_ns).await,
+        }
+    }
+}

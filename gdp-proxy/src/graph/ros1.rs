@@ -1,0 +1,191 @@
+//! A topic at a ROS 1 master.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+
+use bytes::Bytes;
+use gdp_ros1::{
+    MessageType, Node, NodeConfig, NodeError, PublishOptions, PublisherInfo, QueueLimits, SourceState, SourceStates,
+    SubscribeOptions, Subscription,
+};
+use tokio::sync::watch;
+
+use super::{Arrived, Event, Key, WriteError};
+use crate::config::Ros1Config;
+use crate::roster::{Dialect, Kind, Offer};
+use crate::ros2::TopicName;
+
+/// What a publisher of ROS 1 comes to: it waits for nobody, and its subscribers take a queue full.
+const OFFER: Offer = Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0 };
+
+/// The proxy at a master.
+pub struct Master {
+    node: Node,
+    config: NodeConfig,
+    /// What this node publishes: whoever writes the same topic shares it, for a node of ROS 1 publishes a topic once.
+    shared: Mutex<HashMap<String, Weak<gdp_ros1::Publisher>>>,
+    /// Of nodes that were made for one publisher.
+    made: AtomicU32,
+}
+
+impl Master {
+    /// As the ROS node `name`, without a slash in front. The master need not be there yet.
+    pub async fn join(config: &Ros1Config, name: &str) -> Result<Self, NodeError> {
+        let variable = |variable: &str| match variable {
+            "ROS_MASTER_URI" => Some(config.master.clone()),
+            "ROS_IP" | "ROS_HOSTNAME" if config.host.is_some() => config.host.clone(),
+            other => std::env::var(other).ok(),
+        };
+        let machine = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+        let config = NodeConfig::from_variables(&format!("/{name}"), variable, machine.trim());
+        let node = Node::start(config.clone()).await?;
+        Ok(Self { node, config, shared: Mutex::default(), made: AtomicU32::new(0) })
+    }
+
+    pub async fn leave(self) {
+        self.node.leave().await;
+    }
+
+    /// Whether a node is this one, or one that it made.
+    fn is_own(&self, caller_id: &str) -> bool {
+        caller_id.strip_prefix(&self.config.name).is_some_and(|rest| rest.is_empty() || rest.starts_with("_at_"))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, Weak<gdp_ros1::Publisher>>> {
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// One publisher for all who write the topic, as long as any does.
+    fn share(&self, topic: &str, kind: MessageType, options: PublishOptions) -> Result<Arc<gdp_ros1::Publisher>, NodeError> {
+        let mut shared = self.lock();
+        if let Some(publisher) = shared.get(topic).and_then(Weak::upgrade) {
+            return Ok(publisher);
+        }
+        let publisher = Arc::new(self.node.publish(topic, kind, options)?);
+        shared.insert(topic.to_owned(), Arc::downgrade(&publisher));
+        Ok(publisher)
+    }
+}
+
+/// Reads a topic.
+pub struct Reader<'a> {
+    master: &'a Master,
+    subscription: Subscription,
+    sources: watch::Receiver<SourceStates>,
+    /// By their URIs.
+    known: BTreeMap<String, (Key, Arc<PublisherInfo>)>,
+    next_key: Key,
+    definition: Option<String>,
+    events: VecDeque<Event>,
+}
+
+impl<'a> Reader<'a> {
+    pub fn new(master: &'a Master, topic: &TopicName) -> Result<Self, NodeError> {
+        let subscription = master.node.subscribe(topic.as_str(), SubscribeOptions::default())?;
+        let mut sources = subscription.sources();
+        sources.mark_changed();
+        let (known, events) = (BTreeMap::new(), VecDeque::new());
+        Ok(Self { master, subscription, sources, known, next_key: 0, definition: None, events })
+    }
+
+    pub fn definition(&self) -> Option<&str> {
+        self.definition.as_deref()
+    }
+
+    /// Safe to cancel. `None` once the node has left.
+    pub async fn next(&mut self) -> Option<Event> {
+        loop {
+            if let Some(event) = self.events.pop_front() {
+                return Some(event);
+            }
+            tokio::select! {
+                biased;
+                Ok(()) = self.sources.changed() => self.look(),
+                message = self.subscription.next() => {
+                    let message = message?;
+                    if self.master.is_own(&message.publisher.caller_id) {
+                        continue;
+                    }
+                    // It may be here before its connection was told of.
+                    self.joined(&message.publisher);
+                    let from = self.known.get(&message.publisher.uri).map(|(key, _)| *key);
+                    self.events.push_back(Event::Message(Arrived { from, bytes: message.data, written_ns: None }));
+                }
+            }
+        }
+    }
+
+    fn look(&mut self) {
+        let sources = self.sources.borrow_and_update().clone();
+        let connected = |uri: &String| matches!(sources.get(uri), Some(SourceState::Connected(_)));
+        let gone: Vec<String> = self.known.keys().filter(|uri| !connected(uri)).cloned().collect();
+        for uri in gone {
+            let key = self.known.remove(&uri).map(|(key, _)| key);
+            self.events.extend(key.map(Event::Left));
+        }
+        for source in sources.values() {
+            match source {
+                SourceState::Connected(publisher) if !self.master.is_own(&publisher.caller_id) => self.joined(publisher),
+                _ => {}
+            }
+        }
+    }
+
+    fn joined(&mut self, publisher: &Arc<PublisherInfo>) {
+        let key = match self.known.get(&publisher.uri) {
+            Some((_, before)) if before == publisher => return,
+            Some((key, _)) => *key,
+            None => {
+                self.next_key += 1;
+                self.next_key
+            }
+        };
+        self.known.insert(publisher.uri.clone(), (key, publisher.clone()));
+        if self.definition.is_none() && !publisher.definition.is_empty() {
+            self.definition = Some(publisher.definition.clone());
+        }
+        let hash = hex::decode(&publisher.md5sum).unwrap_or_default();
+        let kind = Kind { dialect: Dialect::Ros1, name: publisher.kind.clone(), hash };
+        let offers = match publisher.latching {
+            true => Offer { transient_local: true, depth: 1, ..OFFER },
+            false => OFFER,
+        };
+        self.events.push_back(Event::Joined { key, kind, offers });
+    }
+}
+
+/// Stands for a publisher elsewhere.
+pub struct Writer {
+    publisher: Arc<gdp_ros1::Publisher>,
+    /// One that latches has a node for itself: of a node's topic only the last message is latched, and so only one publisher's.
+    _node: Option<Node>,
+}
+
+impl Writer {
+    pub async fn new(
+        master: &Master,
+        topic: &TopicName,
+        kind: &Kind,
+        definition: Option<&str>,
+        md5sum: String,
+        offers: Offer,
+    ) -> Result<Self, NodeError> {
+        let (name, definition) = (kind.name.clone(), definition.unwrap_or_default().to_owned());
+        let kind = MessageType { name, md5sum, definition };
+        let messages = if offers.depth == 0 { QueueLimits::default().messages } else { offers.depth as usize };
+        let queue = QueueLimits { messages: messages.max(10), ..QueueLimits::default() };
+        let options = PublishOptions { latch: offers.transient_local, queue };
+        if !options.latch {
+            return Ok(Self { publisher: master.share(topic.as_str(), kind, options)?, _node: None });
+        }
+        let number = master.made.fetch_add(1, Ordering::Relaxed);
+        let name = format!("{}_at_{number}", master.config.name);
+        let node = Node::start(NodeConfig { name, ..master.config.clone() }).await?;
+        Ok(Self { publisher: Arc::new(node.publish(topic.as_str(), kind, options)?), _node: Some(node) })
+    }
+
+    pub fn write(&self, bytes: Bytes) -> Result<(), WriteError> {
+        self.publisher.publish(bytes).map_err(|error| WriteError::Failed(error.to_string()))
+    }
+}

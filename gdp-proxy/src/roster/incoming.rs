@@ -1,0 +1,140 @@
+//! The side that is told: which publishers the writers of a name have, and what is held back until that is known.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::time::Instant;
+
+use gdp::Name;
+use gdp::seal::Message;
+
+use super::{Kind, LEASE, Offer, Roster, RosterError, number};
+
+/// Writers of a name that are told apart.
+const MAX_PEERS: usize = 256;
+
+/// Messages that wait for the roster of their writer, and bytes of them, for all writers of a name. Beyond, the oldest go.
+const MAX_HELD: usize = 1024;
+const MAX_HELD_BYTES: usize = 32 << 20;
+
+/// Of a name that is read.
+#[derive(Default)]
+pub struct Incoming {
+    peers: HashMap<Name, Peer>,
+    held: VecDeque<Message>,
+    held_bytes: usize,
+}
+
+struct Peer {
+    kind: Kind,
+    definition: Option<String>,
+    writers: BTreeMap<u32, Offer>,
+    /// The message that said so, in its session.
+    said: ([u8; 16], u64),
+    heard: Instant,
+}
+
+/// What becomes of a publisher's counterpart here.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// It is to be there, and to offer this; also if it was there and offered something else, or another type.
+    Joined { writer: Name, number: u32, kind: Kind, definition: Option<String>, offers: Offer },
+    Left { writer: Name, number: u32 },
+}
+
+/// What is to be done with a message.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Taken {
+    /// It is from this publisher, which has [joined](Change::Joined).
+    From(u32, Message),
+    /// Its writer tells no publishers apart.
+    Plain(Message),
+    /// It waits for the roster.
+    Held,
+    /// It waits, and so many others do not any more.
+    Crowded(usize),
+}
+
+impl Incoming {
+    /// A roster came. What changes, and the messages that waited for it, in their order.
+    pub fn roster(&mut self, now: Instant, message: &Message) -> Result<(Vec<Change>, Vec<Message>), RosterError> {
+        let Roster { kind, definition, writers, .. } = Roster::from_bytes(&message.body)?;
+        let (writer, said) = (message.writer, (message.session, message.sequence));
+        let before = self.peers.get(&writer);
+        let same_session = before.is_some_and(|peer| peer.said.0 == said.0);
+        if before.is_some_and(|peer| same_session && peer.said.1 > said.1) {
+            return Ok((vec![], vec![]));
+        }
+        if before.is_none() && self.peers.len() >= MAX_PEERS {
+            return Err(RosterError::TooMuch { what: "writers of a name", got: MAX_PEERS + 1, most: MAX_PEERS });
+        }
+        let same_kind = before.is_some_and(|peer| same_session && peer.kind == kind);
+        let known = before.filter(|_| same_kind).and_then(|peer| peer.definition.clone());
+        // A brief one leaves the definition as it is.
+        let definition_is_new = definition.is_some() && definition != known;
+        let definition = definition.or(known);
+        let writers: BTreeMap<u32, Offer> = writers.iter().map(|writer| (writer.number, writer.offers)).collect();
+        let empty = BTreeMap::new();
+        let there = before.map_or(&empty, |peer| &peer.writers);
+        // Another session's numbers are other publishers.
+        let stays = |number: &u32| same_session && writers.contains_key(number);
+        let left = there.keys().filter(|number| !stays(number)).map(|number| Change::Left { writer, number: *number });
+        let stands = same_kind && !definition_is_new;
+        let joined = writers.iter().filter(|(number, offers)| !(stands && there.get(number) == Some(offers)));
+        let joined = joined.map(|(number, offers)| {
+            let (kind, definition) = (kind.clone(), definition.clone());
+            Change::Joined { writer, number: *number, kind, definition, offers: *offers }
+        });
+        let changes = left.chain(joined).collect();
+        self.peers.insert(writer, Peer { kind, definition, writers, said, heard: now });
+        Ok((changes, self.release(writer)))
+    }
+
+    /// What came with a name, other than a roster.
+    pub fn message(&mut self, message: Message) -> Taken {
+        let Some(number) = number(&message.origin) else { return Taken::Plain(message) };
+        let peer = self.peers.get(&message.writer);
+        if peer.is_some_and(|peer| peer.said.0 == message.session && peer.writers.contains_key(&number)) {
+            return Taken::From(number, message);
+        }
+        self.held_bytes += message.body.len();
+        self.held.push_back(message);
+        let mut gone = 0;
+        while self.held.len() > MAX_HELD || (self.held_bytes > MAX_HELD_BYTES && self.held.len() > 1) {
+            let oldest = self.held.pop_front().map_or(0, |oldest| oldest.body.len());
+            self.held_bytes -= oldest;
+            gone += 1;
+        }
+        if gone == 0 { Taken::Held } else { Taken::Crowded(gone) }
+    }
+
+    /// Publishers whose writers are not heard of any more have left.
+    pub fn poll(&mut self, now: Instant) -> Vec<Change> {
+        let silent = |peer: &Peer| now.saturating_duration_since(peer.heard) >= LEASE;
+        let gone: Vec<Name> = self.peers.iter().filter(|(_, peer)| silent(peer)).map(|(writer, _)| *writer).collect();
+        let mut changes = Vec::new();
+        for writer in gone {
+            let peer = self.peers.remove(&writer);
+            let numbers = peer.into_iter().flat_map(|peer| peer.writers.into_keys());
+            changes.extend(numbers.map(|number| Change::Left { writer, number }));
+        }
+        changes
+    }
+
+    /// Whether messages wait for a roster that should be there by now.
+    pub fn waits(&self) -> bool {
+        !self.held.is_empty()
+    }
+
+    /// Those of a writer that wait, of publishers that are known by now; what is from others of an earlier roster waits on.
+    fn release(&mut self, writer: Name) -> Vec<Message> {
+        let Some(peer) = self.peers.get(&writer) else { return vec![] };
+        let is_known = |message: &Message| {
+            message.writer == writer
+                && message.session == peer.said.0
+                && number(&message.origin).is_some_and(|number| peer.writers.contains_key(&number))
+        };
+        let (released, held) = std::mem::take(&mut self.held).into_iter().partition::<VecDeque<_>, _>(is_known);
+        self.held = held;
+        self.held_bytes = self.held.iter().map(|message| message.body.len()).sum();
+        released.into()
+    }
+}

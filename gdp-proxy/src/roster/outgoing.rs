@@ -1,0 +1,83 @@
+//! The side that tells: numbers the publishers of a topic in a ROS graph, and says when a roster is to be sent.
+
+use std::collections::{BTreeMap, HashMap};
+use std::time::Instant;
+
+use gdp::cbor::CborError;
+
+use super::{Kind, MAX_WRITERS, Offer, REFRESH, Roster, VERSION, Writer};
+
+/// Of a topic that goes out. `K` is what tells publishers apart in the ROS graph.
+pub struct Outgoing<K> {
+    kind: Kind,
+    definition: Option<String>,
+    numbers: HashMap<K, u32>,
+    writers: BTreeMap<u32, Offer>,
+    /// Of the next one that comes.
+    next: u32,
+    changed: bool,
+    /// When a roster is due though nothing has changed.
+    due: Option<Instant>,
+}
+
+/// A roster that is to be sent.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Announcement {
+    /// And pinned, in place of the one before.
+    Whole(Vec<u8>),
+    /// To those who know what is pinned.
+    Brief(Vec<u8>),
+}
+
+impl<K: std::hash::Hash + Eq> Outgoing<K> {
+    pub fn new(kind: Kind, definition: Option<String>) -> Self {
+        let (numbers, writers) = (HashMap::new(), BTreeMap::new());
+        Self { kind, definition, numbers, writers, next: 0, changed: true, due: None }
+    }
+
+    /// A publisher is there, or offers something else. Of too many, what comes later has no number.
+    pub fn joined(&mut self, key: K, offers: Offer) {
+        let number = match self.numbers.get(&key) {
+            Some(number) => *number,
+            None if self.numbers.len() >= MAX_WRITERS => return,
+            None => {
+                let number = self.next;
+                self.next = self.next.wrapping_add(1);
+                self.numbers.insert(key, number);
+                number
+            }
+        };
+        self.changed |= self.writers.insert(number, offers) != Some(offers);
+    }
+
+    /// A publisher has gone: what number it had.
+    pub fn left(&mut self, key: &K) -> Option<u32> {
+        let number = self.numbers.remove(key)?;
+        self.writers.remove(&number);
+        self.changed = true;
+        Some(number)
+    }
+
+    /// The name is published anew: nobody knows what was told.
+    pub fn again(&mut self) {
+        self.changed = true;
+    }
+
+    /// Of a publisher that is there.
+    pub fn number(&self, key: &K) -> Option<u32> {
+        self.numbers.get(key).copied()
+    }
+
+    /// What is to be sent now, if anything is.
+    pub fn poll(&mut self, now: Instant) -> Result<Option<Announcement>, CborError> {
+        let whole = std::mem::take(&mut self.changed);
+        if !whole && self.due.is_some_and(|due| now < due) {
+            return Ok(None);
+        }
+        self.due = Some(now + REFRESH);
+        let writers = self.writers.iter().map(|(number, offers)| Writer { number: *number, offers: *offers }).collect();
+        let definition = self.definition.clone().filter(|_| whole);
+        let bytes = Roster { version: VERSION, kind: self.kind.clone(), definition, writers }.to_bytes()?;
+        Ok(Some(if whole { Announcement::Whole(bytes) } else { Announcement::Brief(bytes) }))
+    }
+}

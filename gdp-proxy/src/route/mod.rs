@@ -1,0 +1,197 @@
+//! One topic in one direction. Each route has a thread of its own, so a slow topic holds up nobody else's; within it a
+//! message goes straight from one side to the other, without a queue or a wake-up in between. A topic whose right has ended is
+//! asked for again and again, and the others go on.
+
+mod inward;
+mod outward;
+mod pace;
+
+use std::convert::Infallible;
+use std::fmt::Display;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use gdp::node::{Ended, NodeError, Publisher};
+use gdp::{Name, Node};
+use tokio::time::{Interval, MissedTickBehavior};
+
+use crate::cert_file::CertFile;
+use crate::config::{Side, TopicConfig};
+use crate::graph::{Graph, GraphError};
+use crate::material::{Permission, RouteMaterial};
+use crate::ros2::TopicName;
+use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
+use crate::types::Types;
+
+/// Between attempts to have a name published or subscribed: doubled from the first to the second.
+const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(30));
+
+/// How often it is looked for another certificate, and whether a roster is due.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// How long a route that ends waits for what it has sent to arrive.
+const FLUSH: Duration = Duration::from_secs(3);
+
+pub struct Route {
+    config: TopicConfig,
+    graph: String,
+    side: Side,
+    name: Name,
+    types: Arc<Types>,
+    counters: RouteCounters,
+    progress: Mutex<Progress>,
+}
+
+/// How far a route has come, for people and tests.
+struct Progress {
+    kind: Option<String>,
+    status: String,
+    fabric: FabricCounters,
+}
+
+impl Route {
+    /// `graph`: what the configuration calls it.
+    pub fn new(config: &TopicConfig, graph: &str, material: &RouteMaterial, types: Arc<Types>) -> Self {
+        Self {
+            config: config.clone(),
+            graph: graph.into(),
+            side: material.side,
+            name: material.card.name(),
+            types,
+            counters: RouteCounters::default(),
+            progress: Mutex::new(Progress {
+                kind: material.kind.as_ref().map(ToString::to_string),
+                status: "starting".into(),
+                fabric: FabricCounters::None,
+            }),
+        }
+    }
+
+    pub fn stats(&self) -> RouteStats {
+        let progress = self.progress();
+        RouteStats {
+            topic: self.config.topic.to_string(),
+            graph: self.graph.clone(),
+            kind: progress.kind.clone(),
+            status: progress.status.clone(),
+            direction: self.side,
+            name: self.name,
+            fabric: progress.fabric.read(),
+            counted: self.counters.read(),
+        }
+    }
+
+    pub fn topic(&self) -> &TopicName {
+        &self.config.topic
+    }
+
+    /// Carries messages until `stop` ends, or the graph fails or the node is closed. What has been sent by then arrives, if it can.
+    pub async fn run(
+        &self,
+        graph: &Graph,
+        node: &Node,
+        material: RouteMaterial,
+        stop: impl Future<Output = ()>,
+    ) -> Result<(), RouteError> {
+        let mut publisher = None;
+        let result = tokio::select! {
+            Err(error) = self.carry(graph, node, material, &mut publisher) => Err(error),
+            () = stop => Ok(()),
+        };
+        if let Some(publisher) = publisher {
+            self.close(publisher).await;
+        }
+        result
+    }
+
+    async fn carry(
+        &self,
+        graph: &Graph,
+        node: &Node,
+        material: RouteMaterial,
+        publisher: &mut Option<Publisher>,
+    ) -> Result<Infallible, RouteError> {
+        let RouteMaterial { card, kind, permission, file, .. } = material;
+        match permission {
+            Permission::Publish(cert) => {
+                self.run_out(graph, node, kind.as_ref(), &card, outward::Right { cert, file }, publisher).await
+            }
+            Permission::Read(grant) => {
+                self.run_in(graph, node, kind.as_ref(), &card, inward::Right { grant, file }).await
+            }
+        }
+    }
+
+    async fn close(&self, publisher: Publisher) {
+        if let Err(error) = publisher.close(FLUSH).await {
+            tracing::warn!(topic = %self.config.topic, name = %self.name, "left with messages under way: {error}");
+        }
+    }
+
+    /// What came of showing the RIB another certificate. Whether it is in force.
+    fn renewed(&self, file: &mut CertFile, result: Result<(), NodeError>) -> bool {
+        match &result {
+            Ok(()) => {
+                file.taken();
+                tracing::info!(topic = %self.config.topic, name = %self.name, "the certificate was renewed");
+            }
+            Err(error) => file.refused(error),
+        }
+        result.is_ok()
+    }
+
+    /// A refusal is no reason to end: other topics may be fine, and owners, RIBs and clocks mend.
+    async fn pause_after(&self, error: NodeError, pause: &mut Duration) {
+        let message = error.to_string();
+        tracing::warn!(topic = %self.config.topic, name = %self.name, "{message}; asking again in {pause:?}");
+        self.set_status(&message);
+        tokio::time::sleep(*pause).await;
+        *pause = (*pause * 2).min(RETRY.1);
+    }
+
+    /// Counts every drop; the first one for a reason is worth a line in the log, the counters have the rest.
+    fn drop(&self, reason: Drop, why: impl Display) {
+        self.drop_all(reason, 1, why);
+    }
+
+    fn drop_all(&self, reason: Drop, count: usize, why: impl Display) {
+        if self.counters.dropped(reason, count) {
+            tracing::warn!(topic = %self.config.topic, reason = reason.as_str(), "a message was dropped: {why}");
+        }
+    }
+
+    fn progress(&self) -> MutexGuard<'_, Progress> {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn is_up(&self) {
+        tracing::info!(topic = %self.config.topic, side = ?self.side, name = %self.name, "carrying");
+        self.set_status("up");
+    }
+
+    fn set_status(&self, status: &str) {
+        self.progress().status = status.into();
+    }
+}
+
+fn ended_because(why: Ended) -> Result<NodeError, RouteError> {
+    match why {
+        Ended::Right(error) => Ok(error.into()),
+        Ended::Closed => Err(RouteError::NodeClosed),
+    }
+}
+
+fn ticks() -> Interval {
+    let mut ticks = tokio::time::interval(LOOK);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    ticks
+}
+
+/// Why a route ended.
+#[derive(Debug, thiserror::Error)]
+pub enum RouteError {
+    #[error(transparent)]
+    Graph(#[from] GraphError),
+    #[error("the node is closed")]
+    NodeClosed,
+}

@@ -1,0 +1,246 @@
+//! From a ROS graph into the fabric.
+
+use std::collections::BTreeSet;
+use std::convert::Infallible;
+use std::pin::pin;
+use std::time::Instant;
+
+use gdp::cert::{AdCert, Issued};
+use gdp::node::{ErrorCode, FrameError, NodeError, Publisher};
+use gdp::seal::Draft;
+use gdp::{NameCard, Node};
+
+use super::pace::Pace;
+use super::{RETRY, Route, RouteError, ended_because, ticks};
+use crate::cert_file::CertFile;
+use crate::delivery::{publish_options, stronger};
+use crate::graph::{Arrived, Event, Graph, Key, Reader};
+use crate::material::Permission;
+use crate::roster::{self, Announcement, Kind, Offer, Outgoing};
+use crate::ros2::TypeName;
+use crate::stats::{Drop, FabricCounters};
+use crate::types::{Converter, Form, TypeError, sealed};
+
+/// The right to publish, and where it came from.
+pub struct Right {
+    pub cert: Issued<AdCert>,
+    pub file: CertFile,
+}
+
+/// Why messages are not carried on as they were.
+enum Turn {
+    /// The right to publish has ended.
+    Ended(NodeError),
+    /// A publisher offers more than the name does.
+    More(Offer),
+}
+
+/// What is known of the topic once it has a publisher, or the configuration says all.
+struct Out<'a> {
+    reader: Reader<'a>,
+    roster: Outgoing<Key>,
+    kind: Kind,
+    encoding: gdp::seal::Encoding,
+    converter: Converter,
+    pace: Pace,
+    offers: Offer,
+}
+
+impl Route {
+    pub(super) async fn run_out(
+        &self,
+        graph: &Graph,
+        node: &Node,
+        kind: Option<&TypeName>,
+        card: &NameCard,
+        mut right: Right,
+        publisher: &mut Option<Publisher>,
+    ) -> Result<Infallible, RouteError> {
+        let mut offers = self.config.qos.map(Offer::from);
+        let mut pause = RETRY.0;
+        loop {
+            let mut out = self.learn(graph, kind, offers).await?;
+            loop {
+                let error = match node.publish(card.proof(), right.cert.clone(), publish_options(&out.offers, &self.config)).await {
+                    Ok(new) => {
+                        self.progress().fabric = FabricCounters::Out(new.meter());
+                        pause = RETRY.0;
+                        self.is_up();
+                        out.roster.again();
+                        match self.carry_out(&mut out, publisher.insert(new), &mut right).await? {
+                            Turn::More(more) => {
+                                offers = Some(more);
+                                break;
+                            }
+                            Turn::Ended(error) => error,
+                        }
+                    }
+                    Err(error) => error,
+                };
+                *publisher = None;
+                self.pause_after(error, &mut pause).await;
+                if let Some(new) = right.file.changed().and_then(Permission::publish) {
+                    right.cert = new;
+                    right.file.taken();
+                }
+            }
+            // Published anew, with all that is latched in the graph.
+            if let Some(publisher) = publisher.take() {
+                self.close(publisher).await;
+            }
+        }
+    }
+
+    /// Reads the topic; returns when it is known how to publish it. A type that cannot be converted as the configuration wants is waited
+    /// with: there may be other publishers, or another configuration.
+    async fn learn<'a>(
+        &self,
+        graph: &'a Graph,
+        kind: Option<&TypeName>,
+        offers: Option<Offer>,
+    ) -> Result<Out<'a>, RouteError> {
+        let mut reader = graph.reader(&self.config.topic, kind, self.config.qos)?;
+        let stated = kind.filter(|_| self.config.qos.is_some()).map(|kind| graph.kind(kind));
+        let (first, kind, offered) = match (stated, self.config.qos) {
+            (Some(kind), Some(qos)) => (None, kind, qos.into()),
+            _ => {
+                self.set_status("waiting for a local publisher");
+                loop {
+                    match reader.next().await? {
+                        Event::Joined { key, kind, offers } => break (Some(key), kind, offers),
+                        Event::Unreadable(why) => self.drop(Drop::Unreadable, why),
+                        Event::Left(_) | Event::Message(_) => {}
+                    }
+                }
+            }
+        };
+        self.progress().kind = Some(kind.name.clone());
+        let definition = reader.definition().map(str::to_owned).or_else(|| self.types.definition(&kind));
+        let converter = loop {
+            match self.converter_out(&kind, definition.as_deref()) {
+                Ok(converter) => break converter,
+                Err(error) => {
+                    self.set_status(&error.to_string());
+                    tracing::warn!(topic = %self.config.topic, kind = %kind.name, "not carried: {error}");
+                    std::future::pending::<()>().await;
+                }
+            }
+        };
+        let encoding = sealed(self.config.encoding.encoding(kind.dialect));
+        let mut roster = Outgoing::new(kind.clone(), definition);
+        first.into_iter().for_each(|key| roster.joined(key, offered));
+        let offers = offers.map_or(offered, |before| stronger(before, offered));
+        Ok(Out { reader, roster, kind, encoding, converter, pace: Pace::new(self.config.max_hz), offers })
+    }
+
+    fn converter_out(&self, kind: &Kind, definition: Option<&str>) -> Result<Converter, TypeError> {
+        let form = |encoding| Form { kind, definition, encoding };
+        let native = kind.dialect.native();
+        self.types.converter(&form(native), &form(self.config.encoding.encoding(kind.dialect)))
+    }
+
+    async fn carry_out(&self, out: &mut Out<'_>, publisher: &mut Publisher, right: &mut Right) -> Result<Turn, RouteError> {
+        let (mut told, mut ticks, mut ended) = (BTreeSet::new(), ticks(), pin!(publisher.ended()));
+        loop {
+            if let Some(error) = publisher.feedback().last()
+                && told.insert(error.code.as_str())
+            {
+                self.tell(error);
+            }
+            self.announce(out, publisher);
+            let event = tokio::select! {
+                event = out.reader.next() => event?,
+                why = &mut ended => return ended_because(why).map(Turn::Ended),
+                _ = ticks.tick() => {
+                    if let Some(new) = right.file.changed().and_then(Permission::publish)
+                        && self.renewed(&mut right.file, publisher.renew(new.clone()).await)
+                    {
+                        right.cert = new;
+                    }
+                    continue;
+                }
+            };
+            match event {
+                Event::Joined { key, kind, offers } => {
+                    if kind != out.kind {
+                        tracing::warn!(topic = %self.config.topic, "a publisher of {} is not carried: the topic is of {}", kind.name, out.kind.name);
+                        continue;
+                    }
+                    let offers = self.config.qos.map_or(offers, Offer::from);
+                    out.roster.joined(key, offers);
+                    let more = stronger(out.offers, offers);
+                    if more != out.offers {
+                        return Ok(Turn::More(more));
+                    }
+                }
+                Event::Left(key) => {
+                    out.pace.left(key);
+                    if let Some(number) = out.roster.left(&key) {
+                        publisher.forget(&roster::origin(number));
+                    }
+                }
+                Event::Unreadable(why) => self.drop(Drop::Unreadable, why),
+                Event::Message(arrived) => {
+                    if let Some(error) = self.send(out, publisher, arrived).await? {
+                        return Ok(Turn::Ended(error));
+                    }
+                }
+            }
+        }
+    }
+
+    /// Sends a roster, if one is due.
+    fn announce(&self, out: &mut Out<'_>, publisher: &Publisher) {
+        match out.roster.poll(Instant::now()) {
+            Ok(None) => {}
+            Ok(Some(Announcement::Whole(body))) => publisher.pin(roster::ROSTER, &body),
+            Ok(Some(Announcement::Brief(body))) => publisher.mention(roster::ROSTER, &body),
+            Err(error) => tracing::error!(topic = %self.config.topic, "no roster: {error}"),
+        }
+    }
+
+    /// What has ended the right to send it, if something has.
+    async fn send(&self, out: &mut Out<'_>, publisher: &mut Publisher, arrived: Arrived) -> Result<Option<NodeError>, RouteError> {
+        let began = Instant::now();
+        let Arrived { from, bytes, written_ns } = arrived;
+        if let Some(written_ns) = written_ns {
+            self.counters.arrival.record_since(written_ns);
+        }
+        if !out.pace.takes(began, from) {
+            self.counters.dropped(Drop::MaxHz, 1);
+            return Ok(None);
+        }
+        let body = match out.converter.convert(bytes) {
+            Ok(body) => body,
+            Err(error) => {
+                self.drop(Drop::Unconvertible, error);
+                return Ok(None);
+            }
+        };
+        let origin = from.and_then(|key| out.roster.number(&key)).map(roster::origin);
+        let origin = origin.as_ref().map_or(&[][..], |origin| &origin[..]);
+        // Waits for nothing: what finds no room replaces older messages.
+        match publisher.send_batch(&[Draft { origin, ..Draft::new(out.encoding, &body) }]).await {
+            Ok(_) => {
+                self.counters.handling.record(began.elapsed());
+                self.counters.passed(body.len());
+                Ok(None)
+            }
+            Err(NodeError::Closed) => Err(RouteError::NodeClosed),
+            Err(error) => {
+                self.drop(Drop::SendFailed, &error);
+                Ok(matches!(error, NodeError::Cert(_)).then_some(error))
+            }
+        }
+    }
+
+    fn tell(&self, error: FrameError) {
+        match error.code {
+            // As long as nobody subscribes.
+            ErrorCode::NoRoute => {
+                tracing::info!(topic = %self.config.topic, name = %self.name, "not carried on: {error}")
+            }
+            _ => tracing::warn!(topic = %self.config.topic, name = %self.name, "the switch refused a frame: {error}"),
+        }
+    }
+}

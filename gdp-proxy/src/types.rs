@@ -1,0 +1,210 @@
+//! Message types: what is known of them, and converters from one form to another.
+
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use bytes::Bytes;
+use gdp::seal;
+use gdp_msg::{Encoding, LoadError, MapError, Mapping, NameError, Options, Registry, Schema, SchemaError, TypeName};
+
+use crate::config::Conversion;
+use crate::roster::{Dialect, Kind, MAX_DEFINITION};
+
+/// What this proxy itself knows: the common interfaces, and what its configuration names.
+pub struct Types(Mutex<Registry>);
+
+/// Messages of a type, laid out in some way.
+#[derive(Clone, Debug)]
+pub struct Form<'a> {
+    pub kind: &'a Kind,
+    /// By whoever sends them. Otherwise it must be known here.
+    pub definition: Option<&'a str>,
+    pub encoding: Encoding,
+}
+
+/// Why messages cannot be converted.
+#[derive(Debug, thiserror::Error)]
+pub enum TypeError {
+    #[error(transparent)]
+    Name(#[from] NameError),
+    #[error(transparent)]
+    Schema(#[from] SchemaError),
+    #[error(transparent)]
+    Map(#[from] MapError),
+    #[error("messages in an encoding of number {0}, which this release does not know")]
+    Encoding(u16),
+}
+
+/// Turns messages of one form into another.
+pub enum Converter {
+    /// They are the same.
+    None,
+    Some { mapping: Mapping, options: Options },
+}
+
+impl From<Dialect> for gdp_msg::Dialect {
+    fn from(dialect: Dialect) -> Self {
+        match dialect {
+            Dialect::Ros1 => Self::Ros1,
+            Dialect::Ros2 => Self::Ros2,
+        }
+    }
+}
+
+impl Dialect {
+    /// What its nodes exchange.
+    pub fn native(self) -> Encoding {
+        match self {
+            Self::Ros1 => Encoding::Ros1,
+            Self::Ros2 => Encoding::Cdr,
+        }
+    }
+}
+
+impl Conversion {
+    /// What messages of a graph of this dialect travel in.
+    pub fn encoding(self, dialect: Dialect) -> Encoding {
+        match self {
+            Self::Auto => dialect.native(),
+            Self::Cdr => Encoding::Cdr,
+            Self::Ros1 => Encoding::Ros1,
+            Self::Json => Encoding::Json,
+        }
+    }
+}
+
+/// How a message says what it is in.
+pub fn sealed(encoding: Encoding) -> seal::Encoding {
+    match encoding {
+        Encoding::Cdr | Encoding::CdrBigEndian => seal::Encoding::Cdr,
+        Encoding::Ros1 => seal::Encoding::Ros1,
+        Encoding::Json => seal::Encoding::Json,
+    }
+}
+
+/// What a message says it is in.
+pub fn unsealed(encoding: seal::Encoding) -> Result<Encoding, TypeError> {
+    match encoding {
+        seal::Encoding::Cdr => Ok(Encoding::Cdr),
+        seal::Encoding::Ros1 => Ok(Encoding::Ros1),
+        seal::Encoding::Json => Ok(Encoding::Json),
+        other => Err(TypeError::Encoding(other.into())),
+    }
+}
+
+impl Types {
+    pub fn embedded() -> Self {
+        Self(Registry::embedded().into())
+    }
+
+    /// Adds a share folder of an installation of ROS: `dialect` is which.
+    pub fn load(&self, dialect: Dialect, folder: &Path) -> Result<gdp_msg::Loaded, LoadError> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).load_share(dialect.into(), folder)
+    }
+
+    /// A type that is known here.
+    fn known(&self, kind: &Kind) -> Result<Arc<Schema>, TypeError> {
+        let registry = self.0.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        Ok(Schema::resolve(&registry, kind.dialect.into(), &TypeName::parse(&kind.name)?)?)
+    }
+
+    fn schema(&self, form: &Form<'_>) -> Result<Arc<Schema>, TypeError> {
+        match form.definition {
+            Some(text) => Ok(Schema::from_text(form.kind.dialect.into(), &TypeName::parse(&form.kind.name)?, text)?),
+            None => self.known(form.kind),
+        }
+    }
+
+    /// The text that a type is defined by with all that it contains, if it is known here and not too long to be told.
+    pub fn definition(&self, kind: &Kind) -> Option<String> {
+        self.known(kind).ok().map(|schema| schema.text()).filter(|text| text.len() <= MAX_DEFINITION)
+    }
+
+    /// The same type in another graph's terms, with the definition that its subscribers need; the one that is known here, or else one made
+    /// from that of the sender.
+    pub fn counterpart(&self, form: &Form<'_>, dialect: Dialect) -> Result<(Kind, Option<String>), TypeError> {
+        if form.kind.dialect == dialect {
+            return Ok((form.kind.clone(), form.definition.map(str::to_owned)));
+        }
+        let name = TypeName::parse(&form.kind.name)?.display(dialect.into());
+        let kind = Kind { dialect, name, hash: vec![] };
+        let definition = self.known(&kind)?.text();
+        Ok((kind, Some(definition)))
+    }
+
+    /// What ROS 1 compares of a type of its own.
+    pub fn md5sum(&self, kind: &Kind, definition: Option<&str>) -> Result<String, TypeError> {
+        if !kind.hash.is_empty() {
+            return Ok(hex::encode(&kind.hash));
+        }
+        let form = Form { kind, definition, encoding: Encoding::Ros1 };
+        Ok(gdp_msg::hash::md5sum(&*self.schema(&form)?))
+    }
+
+    pub fn converter(&self, from: &Form<'_>, to: &Form<'_>) -> Result<Converter, TypeError> {
+        if from.encoding == to.encoding && from.kind.dialect == to.kind.dialect {
+            return Ok(Converter::None);
+        }
+        let mapping = Mapping::new(&*self.schema(from)?, from.encoding, &*self.schema(to)?, to.encoding)?;
+        for note in mapping.notes() {
+            tracing::info!(from = %from.kind.name, to = %to.kind.name, "{note}");
+        }
+        Ok(Converter::Some { mapping, options: Options::default() })
+    }
+}
+
+impl Converter {
+    /// Of a message in the one form that in the other.
+    pub fn convert(&mut self, bytes: Bytes) -> Result<Bytes, gdp_msg::TranscodeError> {
+        match self {
+            Self::None => Ok(bytes),
+            Self::Some { mapping, options } => {
+                options.header_seq = options.header_seq.wrapping_add(1);
+                let mut output = Vec::new();
+                mapping.transcode(&bytes, &mut output, options)?;
+                Ok(output.into())
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn kind(dialect: Dialect, name: &str) -> Kind {
+        Kind { dialect, name: name.into(), hash: vec![] }
+    }
+
+    #[test]
+    fn what_one_ros_version_says_the_other_understands() {
+        let types = Types::embedded();
+        let ros1 = kind(Dialect::Ros1, "std_msgs/String");
+        let from = Form { kind: &ros1, definition: Some("string data\n"), encoding: Encoding::Ros1 };
+        let (ros2, definition) = types.counterpart(&from, Dialect::Ros2).unwrap();
+        assert_eq!(ros2.name, "std_msgs/msg/String");
+        let to = Form { kind: &ros2, definition: definition.as_deref(), encoding: Encoding::Cdr };
+        let mut there = types.converter(&from, &to).unwrap();
+        let mut back = types.converter(&to, &from).unwrap();
+        let message = Bytes::from_static(b"\x02\0\0\0hi");
+        let cdr = there.convert(message.clone()).unwrap();
+        assert_eq!(&cdr[..], b"\0\x01\0\0\x03\0\0\0hi\0");
+        assert_eq!(back.convert(cdr).unwrap(), message);
+        assert!(there.convert(Bytes::from_static(b"\xff\0\0\0hi")).is_err());
+    }
+
+    #[test]
+    fn what_is_the_same_needs_no_definition() {
+        let own = kind(Dialect::Ros2, "my_robot/msg/Unheard");
+        let form = Form { kind: &own, definition: None, encoding: Encoding::Cdr };
+        assert!(matches!(Types::embedded().converter(&form, &form), Ok(Converter::None)));
+        let json = Form { encoding: Encoding::Json, ..form.clone() };
+        let refusal = Types::embedded().converter(&form, &json).err().unwrap().to_string();
+        assert!(refusal.contains("my_robot/msg/Unheard"), "{refusal}");
+        let defined = Form { definition: Some("int32 a\nstring b\n"), ..form };
+        let json = Form { encoding: Encoding::Json, ..defined.clone() };
+        let mut converter = Types::embedded().converter(&json, &defined).unwrap();
+        let cdr = converter.convert(Bytes::from_static(br#"{"a":7,"b":"x"}"#)).unwrap();
+        assert_eq!(&cdr[..], b"\0\x01\0\0\x07\0\0\0\x02\0\0\0x\0");
+    }
+}
