@@ -1,4 +1,4 @@
-//! Carries ROS 2 topics over the Global Data Plane, with the applications unchanged.
+//! Carries ROS topics, of ROS 1 and ROS 2, over the Global Data Plane, with the applications unchanged.
 //!
 //! [`config`] says which topics; [`graph`] is the ROS graph they are of, and [`ros2`] the DDS beneath it; [`route`] joins one topic to one name, in one
 //! direction, as `delivery` says, and tells the other side by [`roster`] what it carries, which `types` converts where it must; [`proxy`] puts

@@ -13,7 +13,7 @@ use gdp_proxy::stats::StatsFile;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
-/// Carries ROS 2 topics over the Global Data Plane, as a YAML file says; without one it exposes nothing.
+/// Carries ROS topics over the Global Data Plane, as a YAML file says; without one it exposes nothing.
 ///
 /// Exit codes: 0 ended by a signal or checked, 1 failed, 2 wrong usage. RUST_LOG sets what is logged, on stderr.
 #[derive(Parser)]

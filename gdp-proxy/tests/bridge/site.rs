@@ -1,0 +1,129 @@
+//! A switch with its RIB, owners of topics, and proxies as programs.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp::link::RekeySchedule;
+use gdp::node::{SubscribeOptions, Subscription};
+use gdp::{Identity, Name, NameCard, Node, NodeConfig, SigningKey};
+use gdp_ctl::config::{Config, DataPlane};
+use gdp_ctl::serve::{Running, start};
+
+pub struct Site {
+    folder: tempfile::TempDir,
+    hub: Running,
+}
+
+/// A topic, and its owner.
+pub struct Topic {
+    topic: String,
+    owner: SigningKey,
+    card: NameCard,
+}
+
+/// A proxy as a program, that ends with the test.
+pub struct Proxy(Child);
+
+impl Drop for Proxy {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        _ = self.0.kill();
+        _ = self.0.wait();
+    }
+}
+
+impl Site {
+    pub async fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let hub = start(hub_config(folder.path())).await.unwrap();
+        Self { folder, hub }
+    }
+
+    /// Processes that test at the same time get other domains, as far as there are enough.
+    pub fn domain_id(&self) -> u16 {
+        100 + (std::process::id() % 100) as u16
+    }
+
+    pub fn topic(&self, topic: &str, kind: &str) -> Topic {
+        let owner = SigningKey::generate().unwrap();
+        let card = NameCard::create(owner.verify_key(), "topic", topic, kind, None).unwrap();
+        Topic { topic: topic.into(), owner, card }
+    }
+
+    /// In this graph, with these topics, of each of which `says` is said.
+    pub fn proxy(&self, label: &str, graph: &str, topics: &[Topic], says: &str) -> Proxy {
+        let folder = self.folder.path().join(label);
+        fs::create_dir_all(&folder).unwrap();
+        let identity = Identity::load_or_generate(&folder.join("key.pem"), "proxy").unwrap();
+        let mut config = format!(
+            "version: 1\nidentity: key.pem\nlinks: [{{to: 'udp://{}'}}]\ngraphs: {{a: {graph}}}\ntopics:\n",
+            self.hub.udp_addr().unwrap()
+        );
+        for (i, topic) in topics.iter().enumerate() {
+            let mut rights = String::new();
+            if !says.contains("direction: in") {
+                fs::write(folder.join(format!("{i}.ad")), topic.ad_cert(identity.name())).unwrap();
+                rights += &format!("cert: {i}.ad, ");
+            }
+            if !says.contains("direction: out") {
+                fs::write(folder.join(format!("{i}.grant")), topic.grant(identity.name()).to_pem()).unwrap();
+                rights += &format!("grant: {i}.grant, ");
+            }
+            fs::write(folder.join(format!("{i}.card")), topic.card.to_json()).unwrap();
+            config += &format!("  - {{topic: {}, card: {i}.card, {rights}{says}}}\n", topic.topic);
+        }
+        fs::write(folder.join("proxy.yaml"), config).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_gdp-proxy"));
+        command.arg("--config").arg(folder.join("proxy.yaml")).stdin(Stdio::null()).stdout(Stdio::null());
+        Proxy(command.spawn().unwrap())
+    }
+
+    /// Reads a topic's name without a proxy.
+    pub async fn subscribe(&self, topic: &Topic) -> Subscription {
+        let identity = Identity::generate("proxy").unwrap();
+        let target = format!("udp://{}", self.hub.udp_addr().unwrap()).parse().unwrap();
+        let node = Node::connect(NodeConfig::new(identity.clone(), target)).await.unwrap();
+        let (proof, grant) = (topic.card.proof(), topic.grant(identity.name()));
+        node.subscribe(proof, grant.into(), SubscribeOptions::as_offered()).await.unwrap()
+    }
+}
+
+impl Topic {
+    fn ad_cert(&self, entity: Name) -> String {
+        let (name, mode, scope, serial) = (self.card.name(), Mode::Multicast, vec![], now());
+        let cert = AdCert { name, entity, mode, scope, serial, not_before: 0, not_after: u64::MAX };
+        issue(&self.owner, &cert).unwrap().to_pem()
+    }
+
+    fn grant(&self, entity: Name) -> gdp::cert::Signed<ReadGrant> {
+        let (name, to, serial) = (self.card.name(), Grantee::Entity(entity), now());
+        issue(&self.owner, &ReadGrant { name, to, serial, not_before: 0, not_after: u64::MAX }).unwrap()
+    }
+}
+
+fn now() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos() as u64
+}
+
+fn hub_config(folder: &Path) -> Config {
+    let path = |file: &str| -> PathBuf { folder.join(file) };
+    Config {
+        identity: path("hub.pem"),
+        socket: path("hub.sock"),
+        interfaces: Some(Vec::new()),
+        udp: Some("127.0.0.1:0".parse().unwrap()),
+        data_plane: DataPlane::Userspace,
+        rib: true,
+        neighbours: Vec::new(),
+        ebpf_object: None,
+        fib_capacity: 1024,
+        bpffs: None,
+        domain: None,
+        public: Vec::new(),
+        etcd: None,
+        rekey: RekeySchedule::default(),
+    }
+}
