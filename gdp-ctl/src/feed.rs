@@ -11,6 +11,10 @@ use gdp::control::Extent;
 /// How long after a push that failed the other side is sent the whole.
 const RETRY: Duration = Duration::from_millis(500);
 
+/// After so long the other side is told again what it took only a part of; each time in a row twice as long, and at most this long.
+const TELL_AGAIN: Duration = Duration::from_secs(60);
+const TELL_AGAIN_AT_MOST: Duration = Duration::from_secs(16 * 60);
+
 /// The desired entries of one other side, and how far it is known to hold them.
 #[derive(Debug)]
 pub struct Feed<K, V> {
@@ -23,6 +27,18 @@ pub struct Feed<K, V> {
     failures: u32,
     /// The push that has not been answered.
     in_flight: Option<InFlight<K>>,
+    partly: Partly<K>,
+}
+
+/// What the other side took only a part of, and may take later, though nothing changes here: when it has room.
+#[derive(Debug)]
+struct Partly<K> {
+    /// Of all such pushes; which of them were refused is not said.
+    keys: BTreeSet<K>,
+    /// When they are told again.
+    at: Option<Duration>,
+    /// How often in a row they were.
+    times: u32,
 }
 
 /// One push.
@@ -61,7 +77,8 @@ impl<K, V> Default for Feed<K, V> {
     fn default() -> Self {
         let phase = Phase::Full { part: 0, after: None };
         let (entries, dirty) = Default::default();
-        Self { entries, dirty, generation: 0, phase, failures: 0, in_flight: None }
+        let partly = Partly { keys: BTreeSet::new(), at: None, times: 0 };
+        Self { entries, dirty, generation: 0, phase, failures: 0, in_flight: None, partly }
     }
 }
 
@@ -86,6 +103,8 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
     pub fn restart(&mut self) {
         self.phase = Phase::Full { part: 0, after: None };
         self.in_flight = None;
+        // All that is told with the whole.
+        (self.partly.keys, self.partly.at) = (BTreeSet::new(), None);
     }
 
     /// The next push, unless one is out or there is nothing to say. `size`: bytes of an entry, or of a key that is removed. An empty
@@ -96,6 +115,11 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
         }
         if matches!(self.phase, Phase::Failed { retry } if now >= retry) {
             self.restart();
+        }
+        if self.partly.at.take_if(|at| now >= *at).is_some() {
+            self.partly.times += 1;
+            let again = std::mem::take(&mut self.partly.keys).into_iter();
+            self.dirty.extend(again.filter(|key| self.entries.contains_key(key)));
         }
         let (entries, dirty) = (&self.entries, &mut self.dirty);
         let mut filling = Filling { whole: room, left: room };
@@ -144,15 +168,30 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
     /// What became of the push of this generation; whether it is the one that was out. If it failed, the whole is sent, a
     /// little later.
     pub fn answered(&mut self, now: Duration, generation: u64, done: bool) -> bool {
-        if self.in_flight.as_ref().is_none_or(|push| push.generation != generation) {
+        if self.in_flight.take_if(|push| push.generation == generation).is_none() {
             return false;
         }
-        self.in_flight = None;
         self.failures = if done { 0 } else { self.failures.saturating_add(1) };
         if !done {
             self.phase = Phase::Failed { retry: now + RETRY };
+        } else if !self.lacks() && self.dirty.is_empty() && self.phase == Phase::Following {
+            self.partly.times = 0;
         }
         true
+    }
+
+    /// As [`Self::answered`], of a push that was taken but for some of its entries: they are told again later.
+    pub fn answered_partly(&mut self, now: Duration, generation: u64) {
+        let Some(push) = self.in_flight.take_if(|push| push.generation == generation) else { return };
+        self.failures = 0;
+        self.partly.keys.extend(push.keys);
+        let pause = TELL_AGAIN.saturating_mul(1 << self.partly.times.min(16)).min(TELL_AGAIN_AT_MOST);
+        self.partly.at.get_or_insert(now + pause);
+    }
+
+    /// Whether the other side is known not to have taken all that it was told.
+    pub fn lacks(&self) -> bool {
+        self.partly.at.is_some()
     }
 
     /// Whether the other side has answered what there is to say of this key; or has failed to more than once, so that waiting is of no
@@ -175,7 +214,7 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
     pub fn retry_at(&self) -> Option<Duration> {
         match self.phase {
             Phase::Failed { retry } => Some(retry),
-            _ => None,
+            _ => self.partly.at,
         }
     }
 }

@@ -62,9 +62,9 @@ pub enum Request {
     /// on their way carry it, so a RIB that does not know the switch gives it the same one if nobody else has it.
     /// `shown`: what other domains may see of it, if it is a member of a domain.
     Report { switch: NameProof, attached: Vec<Name>, own_bit: Option<u8>, shown: Option<Box<Host>> },
-    /// RIB → its border switch: have links with these border switches of other domains, which can be reached there, and with no others that
-    /// I wanted.
-    Peerings { wanted: Vec<(Name, SocketAddr)> },
+    /// RIB → its border switch: have links with these border switches of other domains, which may be reached at these addresses, best first,
+    /// and with no others that I wanted. `run`: as in [`FibPush`].
+    Peerings { run: u64, wanted: Vec<(Name, Vec<SocketAddr>)> },
     /// RIB → its border switch → the border switch of a neighbouring domain → that domain's RIB.
     Tier(Box<TierMessage>),
     /// Switch → neighbouring switch: what switches of the domain state of their links, as far as the neighbour is not known to

@@ -434,6 +434,11 @@ impl Rib {
 
 /// What `gdp-ctl status` and `rib dump` show.
 impl Rib {
+    /// The number of its [run](Run).
+    pub fn run(&self) -> u64 {
+        self.run.id
+    }
+
     /// The newest that is known of what the owner of a name has taken back.
     pub fn revocation(&self, name: &Name) -> Option<&Revocation> {
         self.revocations.claims(name.as_bytes())

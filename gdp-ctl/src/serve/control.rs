@@ -104,9 +104,9 @@ impl Core {
         let request = match request {
             Request::Tier(message) => return self.tier_arrived(*message),
             Request::TraceOn(request) => return self.trace_leaves(request),
-            Request::Peerings { wanted } => {
-                self.set_peerings(wanted.into_iter().collect());
-                return Next::Answer(Response::Done);
+            Request::Peerings { run, wanted } => {
+                let taken = self.set_peerings(run, wanted.into_iter().collect());
+                return Next::Answer(taken.map_or_else(Response::from, |()| Response::Done));
             }
             request => request,
         };

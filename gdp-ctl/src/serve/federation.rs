@@ -22,6 +22,9 @@ use crate::rib::{Foreign, Now, Rib};
 use crate::tiers::peering::{Peering, Peerings, choose};
 use crate::tiers::{self, Change, Held, Item, Limits, Reply, Revoked, Ticket, Tiers};
 
+/// After so long a border that lacks a wanted peering is told again.
+const REMINDER: Duration = Duration::from_secs(10);
+
 /// What the RIB here has to do with other domains.
 pub struct Federation {
     pub(super) tiers: Tiers,
@@ -83,7 +86,8 @@ impl Federation {
     /// When it has something to do by itself.
     pub fn next_tick(&self) -> Option<Duration> {
         let ends = self.hosts.values().map(|host| host.ends);
-        ends.chain(self.tiers.next_tick()).chain(self.retries.next_tick()).min()
+        let reminders = self.wanted.values().filter_map(|(_, due)| *due);
+        ends.chain(reminders).chain(self.tiers.next_tick()).chain(self.retries.next_tick()).min()
     }
 
     /// A switch shows that it is of the domain: what was stated there may be told with it.
@@ -158,10 +162,10 @@ impl Federation {
         for domain in needed.into_iter().filter(may_peer) {
             let peering = self.tiers.locator(domain).and_then(|locator| choose(&own, &claims(locator)));
             // While it is idle, as before: who is there is not told any more.
-            let before = || self.wanted_for.get(&domain).copied();
+            let before = || self.wanted_for.get(&domain).cloned();
             let Some(peering) = peering.or_else(before).filter(|peering| !is_linked(domain, peering)) else { continue };
+            wanted.entry(peering.border).or_default().insert(peering.peer, peering.addrs.clone());
             self.wanted_for.insert(domain, peering);
-            wanted.entry(peering.border).or_default().insert(peering.peer, peering.addr);
         }
         let all: BTreeSet<Name> = wanted.values().flat_map(BTreeMap::keys).copied().collect();
         self.wanted_for.retain(|_, peering| all.contains(&peering.peer));
@@ -169,6 +173,16 @@ impl Federation {
             let (held, due) = self.wanted.entry(border).or_default();
             if *held != wanted {
                 (*held, *due) = (wanted, Some(now.clock));
+            }
+        }
+    }
+
+    /// As long as a border lacks a link that is wanted of it, it is told again what is: what it was told may be lost, by a border that has
+    /// begun anew or that another RIB has told something else. `is_linked`: a border and its peer.
+    pub(super) fn remind_borders(&mut self, now: Duration, is_linked: impl Fn(Name, Name) -> bool) {
+        for (border, (wanted, due)) in &mut self.wanted {
+            if due.is_none() && wanted.keys().any(|peer| !is_linked(*border, *peer)) {
+                *due = Some(now + REMINDER);
             }
         }
     }
@@ -261,7 +275,7 @@ impl Federation {
             None => Refusal::new(RefusalCode::Limit, "there was no room when it was to take the place of another"),
         };
         let is_first = if may_be_taken_later(&refusal) {
-            self.retries.refused(now.clock, place) == 1
+            self.retries.refused(now.clock, next, place) == 1
         } else {
             self.retries.settled(&place);
             if is_refused {

@@ -12,18 +12,18 @@ use tokio::task::{AbortHandle, JoinSet};
 
 use super::Daemon;
 use super::ports::keep_link;
-use crate::config::{Place, Via};
+use crate::config::Via;
 
-/// The border switches of other domains that this one is to have links with, and where they are.
-pub type Wanted = BTreeMap<Name, SocketAddr>;
+/// The border switches of other domains that this one is to have links with, and where each may be, best first.
+pub type Wanted = BTreeMap<Name, Vec<SocketAddr>>;
 
 /// Keeps the wanted links until the daemon ends.
 pub async fn run(daemon: Arc<Daemon>, port: Arc<Port>, mut wanted: watch::Receiver<Wanted>) {
-    let (mut tasks, mut kept) = (JoinSet::new(), BTreeMap::<Name, (SocketAddr, AbortHandle)>::new());
+    let (mut tasks, mut kept) = (JoinSet::new(), BTreeMap::<Name, (Vec<SocketAddr>, AbortHandle)>::new());
     loop {
         let now = wanted.borrow_and_update().clone();
-        kept.retain(|switch, (addr, task)| {
-            let stays = now.get(switch) == Some(addr);
+        kept.retain(|switch, (addrs, task)| {
+            let stays = now.get(switch) == Some(addrs);
             if !stays {
                 task.abort();
                 let link = daemon.core().link_to(switch);
@@ -31,10 +31,11 @@ pub async fn run(daemon: Arc<Daemon>, port: Arc<Port>, mut wanted: watch::Receiv
             }
             stays
         });
-        for (switch, addr) in now {
+        for (switch, addrs) in now {
             kept.entry(switch).or_insert_with(|| {
-                let (daemon, port, place) = (daemon.clone(), port.clone(), Place { switch, via: Via::Udp(addr) });
-                (addr, tasks.spawn(async move { keep_link(&daemon, &port, place).await }))
+                let (daemon, port) = (daemon.clone(), port.clone());
+                let ways = addrs.iter().copied().map(Via::Udp).collect();
+                (addrs, tasks.spawn(async move { keep_link(&daemon, &port, switch, ways).await }))
             });
         }
         while tasks.try_join_next().is_some() {}

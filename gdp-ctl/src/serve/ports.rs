@@ -1,6 +1,7 @@
 //! The places links are made on: opens a port and a data plane on each, takes in the links that peers make, makes those to
 //! configured neighbours, and starts over when an interface is made anew.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -173,7 +174,7 @@ async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
         let near = core.neighbours.iter().filter(|n| n.place.via.same_port(via));
         near.filter(|n| n.dial || own.as_bytes() < n.place.switch.as_bytes()).map(|n| n.place.clone()).collect()
     };
-    let dials = futures::future::join_all(to_dial.into_iter().map(|place| keep_link(daemon, port, place)));
+    let dials = futures::future::join_all(to_dial.into_iter().map(|place| keep_link(daemon, port, place.switch, vec![place.via])));
     tokio::join!(accept(daemon, port, via), dials);
 }
 
@@ -199,12 +200,13 @@ async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     }
 }
 
-/// Makes the link to a neighbour, and again whenever it is lost. One that does not last, as when the neighbour does not want
-/// it, is not made again at once.
-pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, place: Place) {
-    let (mut wait, mut told) = (BACKOFF.0, String::new());
-    loop {
-        let existing = daemon.core().link_to(&place.switch);
+/// Makes the link to a neighbour, and again whenever it is lost: by one of the ways to it after the other, from the one that was good
+/// last. One that does not last, as when the neighbour does not want it, is not made again at once. Ends at once if there is no way.
+pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, ways: Vec<Via>) {
+    let (mut wait, mut told) = (BACKOFF.0, HashMap::new());
+    let mut turns = ways.iter().cycle().peekable();
+    while let Some(via) = turns.peek().copied() {
+        let existing = daemon.core().link_to(&switch);
         let problem = match existing {
             Some(link) => {
                 let up = Instant::now();
@@ -214,30 +216,33 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, place: Place) {
                 }
                 reason
             }
-            None => match dial(port, &place).await {
-                Ok(link) => match links::take(daemon, link, place.via.clone()).await {
-                    Ok(()) => continue,
-                    Err(reason) => format!("refused a link: {reason}"),
-                },
-                Err(error) => error.to_string(),
-            },
+            None => {
+                let problem = match dial(port, switch, via).await {
+                    Ok(link) => match links::take(daemon, link, via.clone()).await {
+                        Ok(()) => continue,
+                        Err(reason) => format!("refused a link: {reason}"),
+                    },
+                    Err(error) => error.to_string(),
+                };
+                turns.next();
+                problem
+            }
         };
-        if problem != told {
-            daemon.core().refused(place.switch, &place.via, &problem);
-            tracing::warn!(switch = %format_args!("{:#}", place.switch), via = %place.via, "no link: {problem}; trying on");
-            told = problem;
+        if told.insert(via, problem.clone()).is_none_or(|before| before != problem) {
+            daemon.core().refused(switch, via, &problem);
+            tracing::warn!(switch = %format_args!("{switch:#}"), %via, "no link: {problem}; trying on");
         }
         sleep(jittered(wait)).await;
         wait = (wait * 2).min(BACKOFF.1);
     }
 }
 
-async fn dial(port: &Port, place: &Place) -> Result<Link, LinkError> {
-    let to = match &place.via {
+async fn dial(port: &Port, switch: Name, via: &Via) -> Result<Link, LinkError> {
+    let to = match via {
         Via::Udp(addr) => LinkAddr::udp(*addr),
-        Via::Interface(_) => find(port, place.switch).await?,
+        Via::Interface(_) => find(port, switch).await?,
     };
-    port.dial(to, Some(place.switch)).await
+    port.dial(to, Some(switch)).await
 }
 
 async fn find(port: &Port, switch: Name) -> Result<LinkAddr, LinkError> {

@@ -169,17 +169,23 @@ pub async fn run(daemon: Arc<Daemon>) {
 
 async fn follow_and_lead(daemon: &Arc<Daemon>, replica: &Replica) {
     loop {
+        let mut lease = None;
         let elected = tokio::select! {
-            elected = stand_by(daemon, replica) => elected,
-            () = replica.until(Stage::Resigning) => return,
+            elected = stand_by(daemon, replica, &mut lease) => Some(elected),
+            () = replica.until(Stage::Resigning) => None,
         };
         let error = match elected {
-            Ok((copy, elected)) => match lead(daemon, replica, copy, elected).await {
-                Some(error) => error,
-                None => return,
-            },
-            Err(error) => error,
+            Some(Ok((copy, elected))) => lead(daemon, replica, copy, elected).await,
+            not_elected => {
+                // It may have been elected and not know: then it leads no more.
+                if let Some(lease) = lease {
+                    give_up(&mut replica.gateway(), lease).await;
+                }
+                not_elected.and_then(Result::err)
+            }
         };
+        // It is to resign.
+        let Some(error) = error else { return };
         if !matches!(error, StoreError::Compacted) {
             tracing::warn!(%error, "this replica of the RIB is behind");
             daemon.core().no_rib = Some(error.to_string());
@@ -188,15 +194,19 @@ async fn follow_and_lead(daemon: &Arc<Daemon>, replica: &Replica) {
     }
 }
 
-/// Keeps a copy of what is stored until there is no leader, and this replica is elected.
-async fn stand_by(daemon: &Daemon, replica: &Replica) -> Result<(Copy, Elected), StoreError> {
+/// Keeps a copy of what is stored until there is no leader, and this replica is elected. `lease`: with which it stands, from before it does.
+async fn stand_by(
+    daemon: &Daemon,
+    replica: &Replica,
+    lease: &mut Option<i64>,
+) -> Result<(Copy, Elected), StoreError> {
     let (mut gateway, place, own) = (replica.gateway(), &replica.place, daemon.name);
     let mut copy = Copy::list(place, &mut gateway).await?;
     let mut watch = gateway.watch(place.prefix(), copy.revision() + 1).await?;
     loop {
         let is_led = place.has_leader(&mut gateway).await?;
         daemon.core().no_rib = (!is_led).then(|| "no replica of it leads; one is about to".into());
-        if !is_led && let Some(elected) = Elected::stand(place, &mut gateway, &own).await? {
+        if !is_led && let Some(elected) = Elected::stand(place, &mut gateway, &own, lease).await? {
             let caught_up = async {
                 while copy.revision() < elected.revision {
                     copy.apply(watch.next().await?)?;
@@ -205,15 +215,9 @@ async fn stand_by(daemon: &Daemon, replica: &Replica) -> Result<(Copy, Elected),
             };
             match timeout(MARGIN, caught_up).await {
                 Ok(Ok(())) => return Ok((copy, elected)),
-                Ok(Err(error)) => {
-                    elected.resign(&mut gateway).await;
-                    return Err(error);
-                }
+                Ok(Err(error)) => return Err(error),
                 // Listed anew, it is whole again.
-                Err(_) => {
-                    elected.resign(&mut gateway).await;
-                    return Err(StoreError::Compacted);
-                }
+                Err(_) => return Err(StoreError::Compacted),
             }
         }
         let look = Instant::now() + BEAT;
@@ -227,24 +231,24 @@ async fn stand_by(daemon: &Daemon, replica: &Replica) -> Result<(Copy, Elected),
 }
 
 impl Elected {
-    async fn stand(place: &Place, gateway: &mut Gateway, own: &Name) -> Result<Option<Self>, StoreError> {
+    async fn stand(
+        place: &Place,
+        gateway: &mut Gateway,
+        own: &Name,
+        stands_with: &mut Option<i64>,
+    ) -> Result<Option<Self>, StoreError> {
         let asked = Instant::now();
         let lease = gateway.grant(TTL).await?;
+        *stands_with = Some(lease);
         let term = Arc::new(Term::new(asked + Duration::from_secs(TTL) - MARGIN));
         match place.stand(gateway, own, lease).await? {
             Some(revision) => Ok(Some(Self { lease, revision, term })),
             None => {
                 // Another was elected.
                 gateway.revoke(lease).await?;
+                *stands_with = None;
                 Ok(None)
             }
-        }
-    }
-
-    /// So that others need not wait until the lease is over.
-    async fn resign(&self, gateway: &mut Gateway) {
-        if let Err(error) = gateway.revoke(self.lease).await {
-            tracing::debug!(%error, "the lease is over only when its time is");
         }
     }
 
@@ -285,8 +289,15 @@ async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elec
     let why = error.as_ref().map_or_else(|| "this replica resigns".into(), ToString::to_string);
     daemon.core().put_down(&elected.term, &why);
     daemon.topology_changed();
-    elected.resign(&mut gateway).await;
+    give_up(&mut gateway, elected.lease).await;
     error
+}
+
+/// So that others need not wait until the lease is over.
+async fn give_up(gateway: &mut Gateway, lease: i64) {
+    if let Err(error) = gateway.revoke(lease).await {
+        tracing::debug!(%error, "the lease is over only when its time is");
+    }
 }
 
 async fn serve_term(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: &Elected) -> StoreError {

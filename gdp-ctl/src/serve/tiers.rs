@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use gdp::cert::domain::roles;
-use gdp::cert::{Host, SwitchStatement, issue};
+use gdp::cert::{Host, MAX_ADDRESSES, SwitchStatement, issue};
 use gdp::control::{
-    EntityRequest, RefusalCode, Request, Response, TierEntry, TierLeg, TierMessage, TierRequest, TierResponse,
+    EntityRequest, Refusal, RefusalCode, Request, Response, TierEntry, TierLeg, TierMessage, TierRequest, TierResponse,
 };
 use gdp::domain::Standing;
 use gdp::link::Link;
@@ -93,6 +93,10 @@ impl Core {
             let mut links = topology.borders().filter(|(_, adjoining)| adjoining.domain == domain);
             links.any(|(border, adjoining)| (border, adjoining.switch) != (peering.border, peering.peer))
         });
+        federation.remind_borders(now.clock, |border, peer| {
+            topology.borders().any(|(at, adjoining)| (at, adjoining.switch) == (border, peer))
+        });
+        let run = rib.run();
         let due = federation.wanted.iter_mut().filter_map(|(border, (wanted, due))| {
             due.take_if(|due| *due <= now.clock).map(|_| (*border, wanted.clone()))
         });
@@ -101,10 +105,12 @@ impl Core {
             outgoing.into_iter().map(|(to, sent, request)| self.to_domain(to, sent, request)).collect();
         for (border, wanted) in due {
             if border == own {
-                self.set_peerings(wanted);
+                if let Err(refusal) = self.set_peerings(run, wanted) {
+                    tracing::warn!(%refusal, "this switch makes none of the peerings that the RIB here wants");
+                }
                 continue;
             }
-            let request = onward(border, Request::Peerings { wanted: wanted.into_iter().collect() });
+            let request = onward(border, Request::Peerings { run, wanted: wanted.into_iter().collect() });
             let (link, expects) = (self.link_toward(&border).ok(), Expects::Peerings(border));
             outgoing.push(Outgoing { link, request, expects });
         }
@@ -127,13 +133,16 @@ impl Core {
         self.shown.clone()
     }
 
-    /// The RIB wants this switch to have these links into other domains.
-    pub(super) fn set_peerings(&mut self, wanted: Wanted) {
+    /// The RIB of this run wants this switch to have these links into other domains.
+    pub(super) fn set_peerings(&mut self, run: u64, mut wanted: Wanted) -> Result<(), Refusal> {
+        self.heed(run)?;
+        wanted.values_mut().for_each(|addrs| addrs.truncate(MAX_ADDRESSES));
         self.peerings.send_if_modified(|held| {
             let changed = *held != wanted;
             *held = wanted;
             changed
         });
+        Ok(())
     }
 
     /// Whether a border has heard which peerings are wanted of it; if not, it is told again.

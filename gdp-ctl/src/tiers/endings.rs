@@ -1,7 +1,9 @@
 //! What ends: by its time, with a neighbour that is gone, or because it was taken back.
 
+use std::sync::Arc;
 use std::time::Duration;
 
+use gdp::cert::Locator;
 use gdp::control::{TierEntry, TierKey};
 use gdp_wire::Name;
 
@@ -48,7 +50,10 @@ impl Tiers {
 
     pub fn tick(&mut self, now: Now) {
         while let Some((domain, key)) = self.endings.take_due(now.clock) {
-            self.forget(domain, key);
+            match key {
+                TierKey::Locator(about) => self.border_ended(now, domain, about),
+                key => self.forget(domain, key),
+            }
         }
         let mut gone = Vec::new();
         for (domain, side) in &mut self.sides {
@@ -91,6 +96,28 @@ impl Tiers {
             [hello, retry, silence, hold].into_iter().flatten()
         });
         sides.chain(self.endings.next()).chain(self.queries.next_tick()).min()
+    }
+
+    /// Of what a neighbour said of where domain `about` is reached, a border is over: the others stay. What was taken back of them is gone
+    /// already.
+    fn border_ended(&mut self, now: Now, domain: Name, about: Name) {
+        let key = TierKey::Locator(about);
+        let Some(side) = self.sides.get_mut(&domain) else { return };
+        let Some(Item::Locator { locator, .. }) = side.table.get(&key) else { return };
+        let verified = locator.verify(about, None, now.unix).unwrap_or_default();
+        let (mut borders, mut ends) = (Vec::new(), Duration::MAX);
+        for (border, verified) in locator.borders.iter().zip(verified) {
+            if let Ok(statement) = verified {
+                borders.push(border.clone());
+                ends = ends.min(now.clock_at(statement.not_after));
+            }
+        }
+        if borders.is_empty() {
+            return self.forget(domain, key);
+        }
+        side.table.insert(key, Item::Locator { domain: about, locator: Arc::new(Locator { borders }) });
+        self.endings.set((domain, key), Some(ends));
+        self.changed(key);
     }
 
     /// Forgets all that a neighbour said.

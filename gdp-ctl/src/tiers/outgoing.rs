@@ -80,7 +80,7 @@ impl Tiers {
         match (sent, response) {
             (Sent::Hello { .. }, Some(TierResponse::Hello { run, holds, ancestors })) => {
                 side.hello(now.clock, run, holds);
-                side.lacking = None;
+                side.lacking.take_if(|_| !side.told.feed.lacks());
                 self.judge_parent(now, to, ancestors);
             }
             (Sent::Hello { .. }, Some(TierResponse::Refused(refusal))) => {
@@ -92,11 +92,15 @@ impl Tiers {
                 side.lose(now.clock);
             }
             (Sent::Push(TierHolds { generation, .. }), response) => {
-                let done = matches!(response, Some(TierResponse::Done | TierResponse::Partly { .. }));
+                if let Some(TierResponse::Partly { reason, .. }) = response {
+                    side.told.feed.answered_partly(now.clock, generation);
+                    side.lacking = Some(reason);
+                    return;
+                }
+                let done = matches!(response, Some(TierResponse::Done));
                 side.told.feed.answered(now.clock, generation, done);
                 match response {
-                    Some(TierResponse::Done) => side.lacking = None,
-                    Some(TierResponse::Partly { reason, .. }) => side.lacking = Some(reason),
+                    Some(TierResponse::Done) if !side.told.feed.lacks() => side.lacking = None,
                     Some(TierResponse::Refused(refusal)) => side.lacking = Some(refusal.reason),
                     _ => {}
                 }

@@ -12,11 +12,12 @@ use gdp_wire::Name;
 pub const IDLE: Duration = Duration::from_secs(60);
 
 /// A link that a border of this domain is to make.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Peering {
     pub border: Name,
     pub peer: Name,
-    pub addr: SocketAddr,
+    /// Where the peer may be reached, best first; at least one.
+    pub addrs: Vec<SocketAddr>,
 }
 
 /// The domains that are to be reached directly.
@@ -35,13 +36,14 @@ impl Peerings {
 /// The link that this domain is to make to another, if it is the one to make it. Each names the border that can be reached, then the one
 /// with the lower name; of two that can be reached the one with the lower name dials.
 pub fn choose(own: &[SwitchStatement], other: &[SwitchStatement]) -> Option<Peering> {
-    let best = |all: &'_ [SwitchStatement]| {
-        let best = all.iter().min_by_key(|border| (border.addresses.is_empty(), border.switch));
-        best.map(|border| (border.switch, border.addresses.first().copied()))
-    };
-    let ((border, own_addr), (peer, addr)) = (best(own)?, best(other)?);
-    let addr = addr?;
-    (own_addr.is_none() || border < peer).then_some(Peering { border, peer, addr })
+    let (own, other) = (best(own)?, best(other)?);
+    let (border, peer) = (own.switch, other.switch);
+    let is_dialler = !other.addresses.is_empty() && (own.addresses.is_empty() || border < peer);
+    is_dialler.then(|| Peering { border, peer, addrs: other.addresses.clone() })
+}
+
+fn best(borders: &[SwitchStatement]) -> Option<&SwitchStatement> {
+    borders.iter().min_by_key(|border| (border.addresses.is_empty(), border.switch))
 }
 
 #[cfg(test)]
@@ -58,7 +60,7 @@ mod tests {
             assert!(from_a.is_some() != from_b.is_some(), "{from_a:?} {from_b:?}");
             let peering = from_a.or(from_b).unwrap();
             let dialled = a.iter().chain(&b).find(|border| border.switch == peering.peer).unwrap();
-            assert_eq!(dialled.addresses, [peering.addr]);
+            assert_eq!(dialled.addresses, peering.addrs);
         }
         assert_eq!(choose(&borders(&[-1]), &borders(&[-2])), None, "behind NAT on both sides");
         assert_eq!(choose(&borders(&[]), &borders(&[2])), None);
@@ -75,8 +77,9 @@ mod tests {
     /// One for each number; those with a negative one can only dial.
     fn borders(numbers: &[i8]) -> Vec<SwitchStatement> {
         let border = |number: &i8| {
-            let addresses = (*number > 0).then(|| SocketAddr::from(([192, 0, 2, *number as u8], 31415)));
-            let (switch, addresses) = (name(number.unsigned_abs()), addresses.into_iter().collect());
+            let at = |port| SocketAddr::from(([192, 0, 2, *number as u8], port));
+            let addresses = if *number > 0 { vec![at(31415), at(443)] } else { Vec::new() };
+            let switch = name(number.unsigned_abs());
             SwitchStatement { switch, domain: name(0), addresses, serial: 1, not_after: 1 }
         };
         numbers.iter().map(border).collect()

@@ -1,6 +1,7 @@
 //! A switch whose RIB is played by the test, beside the switch's only neighbour: whose word counts when several say that they are
-//! the RIB.
+//! the RIB, and what the switch does of what that wants.
 
+use std::net::UdpSocket;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -15,8 +16,9 @@ use gdp_ctl::config::{Config, Neighbour, Place, Via};
 use gdp_ctl::serve::{Running, start};
 use gdp_wire::Name;
 use tempfile::TempDir;
+use tokio::time::timeout;
 
-use crate::switch::{config, wait};
+use crate::switch::{PATIENCE, config, wait};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_leader_of_yesterday_is_refused_once_another_has_said_something() {
@@ -28,7 +30,8 @@ async fn a_leader_of_yesterday_is_refused_once_another_has_said_something() {
     rib.refuses(rib.fib(7, 2, Extent::Delta)).await;
     rib.refuses(rib.fib(7, 3, WHOLE)).await;
     rib.refuses(rib.peers(7)).await;
-    assert_eq!(rib.switch.status().await["control"]["fenced"], 3);
+    rib.refuses(Request::Peerings { run: 7, wanted: vec![] }).await;
+    assert_eq!(rib.switch.status().await["control"]["fenced"], 4);
     wait("the switch to ask who it is", async || rib.reports.load(Ordering::Relaxed) >= 2).await;
     rib.takes(rib.fib(9, 2, Extent::Delta)).await;
     assert_eq!(rib.switch.status().await["fib"]["generation"], 2);
@@ -46,6 +49,20 @@ async fn a_switch_follows_a_rib_whose_runs_begin_anew() {
     wait("the report", async || rib.switch.status().await["control"]["ready"] == true).await;
     rib.takes(rib.fib(5, 2, WHOLE)).await;
     rib.takes(rib.fib(5, 3, Extent::Delta)).await;
+    rib.switch.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_wanted_peering_is_made_at_the_address_that_answers() {
+    let rib = Rib::beside_a_switch(7).await;
+    let silent = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let border = Identity::generate("switch").unwrap();
+    let port =
+        Port::udp("127.0.0.1:0".parse().unwrap(), &PortConfig::switch(border.clone(), LinkIds::new())).unwrap();
+    let addrs = vec![silent.local_addr().unwrap(), port.udp_addr().unwrap()];
+    rib.takes(Request::Peerings { run: 7, wanted: vec![(border.name(), addrs)] }).await;
+    let link = timeout(PATIENCE, port.accept()).await.expect("it is dialled").unwrap().unwrap();
+    assert_eq!(link.peer().name, rib.switch.name());
     rib.switch.stop().await;
 }
 

@@ -14,6 +14,7 @@ mod member;
 mod owner;
 mod probes;
 mod replicas;
+mod resigning;
 mod revocations;
 mod services;
 mod switch;

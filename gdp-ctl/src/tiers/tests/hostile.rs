@@ -122,32 +122,36 @@ fn boxes_and_locators_are_verified_and_go_forward_only() {
 }
 
 #[test]
+fn a_locator_goes_on_with_the_borders_that_are_left() {
+    let mut v = Victim::new();
+    let child = v.w.domains[2].identity.name();
+    let names = [30, 31, 32].map(|index| identity("border", index).name());
+    let borders = [(30, 50), (31, 20), (32, 90)].map(|(index, lasts)| v.border(index, 7, UNIX + lasts));
+    v.push(vec![TierEntry::Locator { domain: child, locator: Locator { borders: borders.to_vec() } }]);
+    assert_eq!(v.borders(), names);
+    for (at, left) in [(20, &[0, 1, 2][..]), (21, &[0, 2]), (50, &[0, 2]), (51, &[2]), (90, &[2]), (91, &[])] {
+        let now = Now { unix: UNIX + at, clock: Duration::from_secs(1001 + at) };
+        v.w.domains[0].tiers.tick(now);
+        let left: Vec<Name> = left.iter().map(|index| names[*index]).collect();
+        assert_eq!(v.borders(), left, "after {at} s");
+        // The child goes on to be there.
+        v.w.now = now;
+        v.ask(2, TierRequest::Hello { run: 77, holds: None });
+    }
+}
+
+#[test]
 fn a_border_that_does_not_verify_hides_no_other() {
     let mut v = Victim::new();
-    let (domain, child) = (v.w.domains[2].identity.clone(), v.w.domains[2].identity.name());
-    let border = |index: usize, serial, until| {
-        let border = identity("border", index);
-        let (role, not_before, not_after) = (roles::BORDER.into(), UNIX - 100, until);
-        let cert = MemberCert { domain: child, entity: border.name(), role, serial, not_before, not_after };
-        let (switch, not_after) = (border.name(), UNIX + 200);
-        let claims = SwitchStatement { switch, domain: child, addresses: vec![], serial, not_after };
-        let (proof, statement) = (border.proof(), issue(border.key(), &claims).unwrap());
-        Host { proof, statement, membership: Membership::issue(&domain, &cert).unwrap() }
-    };
-    let held = |v: &Victim| -> Vec<Name> {
-        match v.w.domains[0].tiers.sides[&child].table.get(&TierKey::Locator(child)) {
-            Some(Item::Locator { locator, .. }) => locator.borders.iter().map(|it| it.proof.name().unwrap()).collect(),
-            _ => vec![],
-        }
-    };
+    let child = v.w.domains[2].identity.name();
     let push = |v: &mut Victim, borders: &[&Host]| {
         let borders = borders.iter().map(|border| (**border).clone()).collect();
         let response = v.push(vec![TierEntry::Locator { domain: child, locator: Locator { borders } }]);
-        (held(v), response)
+        (v.borders(), response)
     };
     let [name, other_name] = [30, 31].map(|index| identity("border", index).name());
-    let (good, other, over) = (border(30, 7, UNIX + 100), border(31, 9, UNIX + 100), border(32, 7, UNIX - 1));
-    let mut spoilt = border(33, 7, UNIX + 100);
+    let (good, other, over) = (v.border(30, 7, UNIX + 100), v.border(31, 9, UNIX + 100), v.border(32, 7, UNIX - 1));
+    let mut spoilt = v.border(33, 7, UNIX + 100);
     spoilt.statement = flipped(&spoilt.statement);
 
     let (names, response) = push(&mut v, &[&over, &good, &spoilt, &other]);
@@ -155,7 +159,8 @@ fn a_border_that_does_not_verify_hides_no_other() {
     assert!(matches!(response, TierResponse::Partly { refused: 2, .. }), "{response:?}");
     assert_eq!((v.counted("expired"), v.counted("signature")), (1, 1));
     // What one says goes forward only, whatever the others say.
-    let (names, _) = push(&mut v, &[&border(30, 6, UNIX + 100), &other]);
+    let older = v.border(30, 6, UNIX + 100);
+    let (names, _) = push(&mut v, &[&older, &other]);
     assert_eq!((names, v.counted("replayed")), (vec![other_name], 1));
     assert_eq!(push(&mut v, &[&good, &other]).0, [name, other_name]);
 
@@ -163,7 +168,7 @@ fn a_border_that_does_not_verify_hides_no_other() {
     v.w.revocations.0.insert(child, revocation);
     let now = v.w.now;
     v.w.domains[0].tiers.reconsider(now, child, &v.w.revocations);
-    assert_eq!((held(&v), v.counted("revoked")), (vec![other_name], 1));
+    assert_eq!((v.borders(), v.counted("revoked")), (vec![other_name], 1));
     let (names, response) = push(&mut v, &[&over, &good]);
     assert!(names.is_empty() && v.entries() == 0, "none is left: {response:?}");
     assert!(push(&mut v, &[&other; 9]).0.is_empty(), "more than are allowed");
@@ -339,6 +344,26 @@ impl Victim {
         let extent = if self.generation == 1 { Extent::Full { part: 0, last: true } } else { Extent::Delta };
         let push = TierPush { run: 77, generation: self.generation, extent, set, remove };
         self.ask(2, TierRequest::Push(Box::new(push)))
+    }
+
+    /// A border of the child, whose membership has this serial and lasts until then.
+    fn border(&self, index: usize, serial: u64, until: u64) -> Host {
+        let (border, domain) = (identity("border", index), &self.w.domains[2].identity);
+        let (role, not_before, not_after) = (roles::BORDER.into(), UNIX - 100, until);
+        let cert = MemberCert { domain: domain.name(), entity: border.name(), role, serial, not_before, not_after };
+        let (switch, not_after) = (border.name(), UNIX + 200);
+        let claims = SwitchStatement { switch, domain: domain.name(), addresses: vec![], serial, not_after };
+        let (proof, statement) = (border.proof(), issue(border.key(), &claims).unwrap());
+        Host { proof, statement, membership: Membership::issue(domain, &cert).unwrap() }
+    }
+
+    /// Where the child is said to be reached.
+    fn borders(&self) -> Vec<Name> {
+        let child = self.w.domains[2].identity.name();
+        match self.w.domains[0].tiers.sides[&child].table.get(&TierKey::Locator(child)) {
+            Some(Item::Locator { locator, .. }) => locator.borders.iter().map(|it| it.proof.name().unwrap()).collect(),
+            _ => vec![],
+        }
     }
 
     pub fn ask(&mut self, from: usize, request: TierRequest) -> TierResponse {

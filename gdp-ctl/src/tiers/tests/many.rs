@@ -1,8 +1,9 @@
 //! Many parts in one name: what each is told of stays right, and the work is about domains.
 
 use std::sync::Arc;
+use std::time::Duration;
 
-use gdp::control::{NameRole, TierEntry, TierKey, TierRequest, TierResponse};
+use gdp::control::{NameRole, RecordPlace, TierEntry, TierKey, TierRequest, TierResponse};
 use gdp::name::Name;
 
 use super::hostile::Victim;
@@ -61,6 +62,39 @@ fn one_neighbour_fills_no_name() {
     v.remove(vec![gone]);
     assert!(matches!(v.push(vec![all[2].clone()]), TierResponse::Done), "there is room again");
     assert_eq!((v.entries(), v.counted("name_limit")), (3, 2));
+}
+
+#[test]
+fn what_there_was_no_room_for_is_told_again() {
+    let mut w = World::new(1, &[&[], &[0]]);
+    let (home, adjacent) = (w.domains[0].identity.name(), w.adjacent(0));
+    let limits = Limits { parts_per_name: 1, ..Limits::default() };
+    w.domains[0].tiers = Tiers::new(home, 9, limits);
+    w.domains[0].tiers.set_adjacent(w.now, adjacent);
+    let places = [1, 2, 3].map(|entity| w.state(1, 0, entity, Publisher, &[0]));
+    w.run(Duration::from_secs(10));
+    let name = places[0].name;
+    let held = |w: &World| -> Vec<RecordPlace> {
+        let sides = w.domains[0].tiers.sides.values();
+        sides.flat_map(|side| side.table.parts_of(name)).map(|held| held.place).collect()
+    };
+    let lacking = |w: &World| w.domains[1].tiers.neighbours().next().unwrap().lacking;
+    assert_eq!(held(&w).len(), 1);
+    let reason = lacking(&w).expect("it says so for as long as it is so");
+    assert!(reason.contains("1 parts in"), "{reason}");
+    let pushes = w.pushes;
+    w.run(Duration::from_secs(3600));
+    assert!((2..10).contains(&(w.pushes - pushes)), "it is told again, ever more rarely");
+    for left in [2, 1] {
+        let gone = held(&w)[0];
+        w.withdraw(gone);
+        w.run(Duration::from_secs(16 * 60 + 30));
+        assert_eq!((held(&w).len(), lacking(&w).is_some()), (1, left > 1), "there was room for another");
+        assert_ne!(held(&w)[0], gone);
+    }
+    let pushes = w.pushes;
+    w.run(Duration::from_secs(3600));
+    assert_eq!(w.pushes, pushes, "all is taken");
 }
 
 #[test]

@@ -1,0 +1,76 @@
+//! A replica of the RIB that is told to stop at the moment at which etcd elects it: without the answer, it does not know.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use gdp_ctl::config::{Config, EtcdConfig};
+use gdp_ctl::serve::start;
+use gdp_ctl::store::Endpoint;
+use gdp_ctl::store::gateway::Gateway;
+use gdp_ctl::store::items::Place;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Notify;
+use tokio::time::timeout;
+
+use crate::cluster::Cluster;
+use crate::switch::{PATIENCE, config, wait};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_replica_that_resigns_while_it_is_elected_leaves_no_leader() {
+    let (cluster, folder, stands) = (Cluster::start(1), tempfile::tempdir().unwrap(), Arc::new(Notify::new()));
+    let endpoints = vec![relay(cluster.endpoints()[0].clone(), stands.clone()).await];
+    let etcd = Some(EtcdConfig { endpoints, prefix: "test/".into() });
+    let switch = start(Config { etcd, ..config(folder.path(), "s1") }).await.unwrap();
+    timeout(PATIENCE, stands.notified()).await.expect("it stands for election");
+    let (place, gateway) = (Place::new("test/"), async || Gateway::new(&cluster.endpoints()));
+    wait("the election", async || place.has_leader(&mut gateway().await).await.unwrap()).await;
+    switch.resign().await;
+    // Its lease would last for seconds.
+    assert!(!place.has_leader(&mut gateway().await).await.unwrap(), "others may stand");
+    switch.stop().await;
+}
+
+/// Passes on to a member of etcd what is asked of it, and its answers, but for those on a connection by which something was to be put.
+async fn relay(to: Endpoint, puts: Arc<Notify>) -> Endpoint {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let port = listener.local_addr().unwrap().port();
+    tokio::spawn(async move {
+        while let Ok((near, _)) = listener.accept().await {
+            let (to, puts) = (to.clone(), puts.clone());
+            tokio::spawn(async move {
+                let far = TcpStream::connect((to.host.as_str(), to.port)).await.unwrap();
+                pass_on(near, far, &puts).await;
+            });
+        }
+    });
+    Endpoint { host: "127.0.0.1".into(), port }
+}
+
+async fn pass_on(near: TcpStream, far: TcpStream, puts: &Notify) {
+    let ((mut from_near, mut to_near), (mut from_far, mut to_far)) = (near.into_split(), far.into_split());
+    let is_held = AtomicBool::new(false);
+    let ask = async {
+        let mut bytes = vec![0; 64 << 10];
+        while let Ok(length @ 1..) = from_near.read(&mut bytes).await {
+            let is_put = bytes[..length].windows(11).any(|window| window == b"request_put");
+            is_held.fetch_or(is_put, Ordering::SeqCst);
+            if to_far.write_all(&bytes[..length]).await.is_err() {
+                break;
+            }
+            if is_put {
+                puts.notify_one();
+            }
+        }
+    };
+    let answer = async {
+        let mut bytes = vec![0; 64 << 10];
+        while let Ok(length @ 1..) = from_far.read(&mut bytes).await {
+            if !is_held.load(Ordering::SeqCst) && to_near.write_all(&bytes[..length]).await.is_err() {
+                break;
+            }
+        }
+    };
+    // A connection ends with what either side has to say.
+    tokio::select! { () = ask => {} () = answer => {} }
+}
