@@ -27,11 +27,12 @@ pub struct Kept {
     pub origin: Option<Origin>,
 }
 
-/// Where a RIB took something in: through this switch, from a tool there or from an entity.
+/// Where a RIB took something in: through a switch, from a tool there or from an entity; or from the RIB of a neighbouring domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Origin {
-    pub switch: Name,
+    /// The switch, or the neighbouring domain.
+    pub through: Name,
     pub by_tool: bool,
 }
 
@@ -137,7 +138,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = RevocationFile::new(folder.path().join("revocations"), 1 << 20);
         assert_eq!(file.load().unwrap(), []);
-        let origin = Some(Origin { switch: Name::from_bytes([9; 32]), by_tool: true });
+        let origin = Some(Origin { through: Name::from_bytes([9; 32]), by_tool: true });
         let (one, full) = (kept(1, 1, vec![7]), kept(2, 3, (0..MAX_REVOKED as u64).collect()));
         let full = Kept { origin, ..full };
         // Signed by another owner.

@@ -41,7 +41,7 @@ use gdp::control::{
     EntityRequest, FibPush, NameRole, PeersPush, Record, RecordPlace, Refusal, RefusalCode, Response, Route,
 };
 use gdp::name::{NamePrefix, NameProof};
-use gdp::revocations::Origin;
+use gdp::revocations::{Kept, Origin};
 use gdp_wire::Name;
 
 use crate::topology::Paths;
@@ -269,7 +269,7 @@ impl Rib {
         let answer = match request {
             EntityRequest::Query { prefix, after } => self.query(now, origin, entity, prefix, after.as_ref()),
             EntityRequest::Revoke { proof, revocation } => {
-                self.revoke(now, Origin { switch: origin, by_tool }, proof, revocation)
+                self.revoke(now, Origin { through: origin, by_tool }, proof, revocation)
             }
             _ => self.entity_request(now, origin, entity, by_tool, request),
         };
@@ -442,6 +442,11 @@ impl Rib {
     /// The newest that is known of what the owner of a name has taken back.
     pub fn revocation(&self, name: &Name) -> Option<&Revocation> {
         self.revocations.claims(name.as_bytes())
+    }
+
+    /// The same, as its owner signed it.
+    pub fn kept_revocation(&self, name: &Name) -> Option<&Kept> {
+        self.revocations.get(name.as_bytes()).map(|held| &held.kept)
     }
 
     /// Egress bit of a switch.

@@ -5,6 +5,7 @@ use gdp::cert::{CertError, Revocation, Signed};
 use gdp::control::{NameRole, Refusal, Response};
 use gdp::name::NameProof;
 use gdp::revocations::{Kept, Origin};
+use gdp_wire::Name;
 
 use super::telling::Stake;
 use super::{Now, Rib, refusal};
@@ -47,6 +48,12 @@ impl Rib {
             }
         }
         Ok(Response::Done)
+    }
+
+    /// Takes in what the RIB of the neighbouring domain `next` told.
+    pub fn revoke_abroad(&mut self, now: Now, next: Name, told: &Kept) -> Result<(), Refusal> {
+        self.tick(now);
+        self.revoke(now, Origin { through: next, by_tool: false }, &told.proof, &told.revocation).map(drop)
     }
 
     /// Takes in what an earlier RIB kept, verified again, as [`Self::kept_revocations`] has it.

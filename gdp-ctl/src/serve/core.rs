@@ -173,7 +173,7 @@ pub enum Next {
     /// The RIB here has accepted the statement; switches are still to be given the routes that follow.
     Settle(Response, Statement),
     /// The RIB here has taken a revocation in; it is to be kept before that is said.
-    Keep,
+    Keep(Response),
     /// The RIB here admits somebody by an invitation; likewise. `new`: its serial, if it had admitted nobody before.
     KeepInvitation {
         new: Option<u64>,
@@ -838,7 +838,7 @@ pub(super) fn ask(
     let response = rib.request(now, switch, entity, by_tool, request);
     let stated = match request {
         EntityRequest::Advertise { advert, .. } | EntityRequest::Subscribe { advert, .. } => Some(advert),
-        EntityRequest::Revoke { .. } if matches!(response, Response::Done) => return Next::Keep,
+        EntityRequest::Revoke { .. } if matches!(response, Response::Done) => return Next::Keep(response),
         _ => None,
     };
     let statement = stated.and_then(|advert| {

@@ -176,7 +176,7 @@ impl Daemon {
         tracing::info!("a domain has revoked some of what it issued");
         self.recheck_links(false);
         if let Ok(domain) = proof.name() {
-            self.core().reconsider(domain);
+            self.core().reconsider(domain, None);
             self.send_effects();
         }
         let others: Vec<Link> = {

@@ -10,6 +10,7 @@ use gdp::cert::{CertError, Host, Locator, MAX_LOCATED, MAX_LOCATOR, Revocation, 
 use gdp::control::{RecordPlace, Refusal, RefusalCode, Response, TierKey, TierResponse};
 use gdp::domain::Trust;
 use gdp::keys::KeyBox;
+use gdp::revocations::Kept;
 use gdp_wire::Name;
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
@@ -63,6 +64,10 @@ pub(super) struct Known<'a> {
 impl Revoked for Known<'_> {
     fn newest(&self, name: &Name) -> Option<&Revocation> {
         self.trust.revocation(name).or_else(|| self.rib.revocation(name))
+    }
+
+    fn kept(&self, name: &Name) -> Option<&Kept> {
+        if self.trust.knows(name) { None } else { self.rib.kept_revocation(name) }
     }
 }
 
@@ -246,7 +251,7 @@ impl Federation {
                     places.extend(parts.map(|(held, _)| held.place));
                 }
                 // The RIB lets go of boxes by itself, and of places it is told with which they go.
-                Change::Set(Item::Locator { .. }) | Change::Remove(_) => {}
+                Change::Set(Item::Locator { .. } | Item::Revocation(_)) | Change::Remove(_) => {}
             }
         }
         let mut boxes = BTreeMap::new();

@@ -312,7 +312,7 @@ impl Daemon {
         match next {
             Next::Answer(response) => response,
             Next::Store(ticket, next) => self.store(ticket, *next).await,
-            Next::Keep => self.keep_revocations().await.map_or_else(Response::from, |()| Response::Done),
+            Next::Keep(response) => self.keep_revocations().await.map_or_else(Response::from, |()| response),
             Next::Await { waiting, is_query } => match timeout(tiers::PATIENCE, waiting).await {
                 Ok(Ok(response)) if is_query => tiers::records(response),
                 Ok(Ok(response)) => Response::Tier(Box::new(response)),

@@ -12,6 +12,7 @@ use gdp::control::{
 use gdp::domain::Standing;
 use gdp::link::Link;
 use gdp::name::NameProof;
+use gdp::revocations::Kept;
 use gdp_wire::Name;
 
 use super::control::onward;
@@ -223,7 +224,31 @@ impl Core {
         };
         let known = Known { rib, trust: &domain.trust };
         let reply = federation.tiers.request(now, from, request, &known);
-        federation.wait(reply, false)
+        let (heard, next) = (federation.tiers.take_revoked(), federation.wait(reply, false));
+        let mut is_news = false;
+        for kept in heard {
+            is_news |= self.take_revoked(from, &kept);
+        }
+        match next {
+            Next::Answer(response) if is_news => Next::Keep(response),
+            next => next,
+        }
+    }
+
+    /// Takes in what the owner of a name has taken back, as the domain `from` said. Whether it did.
+    fn take_revoked(&mut self, from: Name, kept: &Kept) -> bool {
+        let now = self.now();
+        let (Some(rib), Some(domain), Ok(name)) = (&mut self.rib, &self.domain, kept.proof.name()) else { return false };
+        // What domains take back goes from switch to switch.
+        if domain.trust.knows(&name) {
+            return false;
+        }
+        if let Err(refusal) = rib.revoke_abroad(now, from, kept) {
+            tracing::debug!(%refusal, domain = %format_args!("{from:#}"), "the RIB does not take what was revoked");
+            return false;
+        }
+        self.reconsider(name, Some(from));
+        true
     }
 
     /// What became of a message to another domain's RIB.
@@ -258,11 +283,11 @@ impl Core {
         }
     }
 
-    /// An owner of a name, or a domain, has taken something back.
-    pub(super) fn reconsider(&mut self, about: Name) {
+    /// An owner of a name, or a domain, has taken something back. `said_by`: the domain that told, if another one did.
+    pub(super) fn reconsider(&mut self, about: Name, said_by: Option<Name>) {
         let now = self.now();
         if let (Some(rib), Some(federation), Some(domain)) = (&self.rib, &mut self.federation, &self.domain) {
-            federation.tiers.reconsider(now, about, &Known { rib, trust: &domain.trust });
+            federation.tiers.reconsider(now, about, said_by, &Known { rib, trust: &domain.trust });
             let home = domain.trust.home();
             if about == home {
                 federation.recheck_hosts(domain.trust.revocation(&home));
@@ -291,9 +316,9 @@ impl Core {
                 let reply = federation.tiers.query(now, name);
                 federation.wait(reply, true)
             }
-            (EntityRequest::Revoke { proof, .. }, Next::Keep) => {
+            (EntityRequest::Revoke { proof, .. }, Next::Keep(_)) => {
                 if let Ok(name) = proof.name() {
-                    self.reconsider(name);
+                    self.reconsider(name, None);
                 }
                 next
             }

@@ -15,8 +15,16 @@ use super::table::Item;
 use crate::rib::Now;
 
 impl Tiers {
-    /// An owner of a name, or a domain, has taken something back: what rests on it goes.
-    pub fn reconsider(&mut self, now: Now, about: Name, revoked: &impl Revoked) {
+    /// An owner of a name, or a domain, has taken something back: what rests on it goes, and neighbours that have to do with the name are
+    /// told, but for the one that said so.
+    pub fn reconsider(&mut self, now: Now, about: Name, said_by: Option<Name>, revoked: &impl Revoked) {
+        for (_, side) in self.sides.iter_mut().filter(|(domain, _)| said_by != Some(**domain)) {
+            if let Some(kept) = revoked.kept(&about)
+                && (side.told.tells_of(about) || side.table.parts_of(about).next().is_some())
+            {
+                side.told.tell_revoked(about, kept);
+            }
+        }
         let judge = Judge { home: self.home, now, revoked };
         let (mut gone, mut fewer) = (Vec::new(), Vec::new());
         for (domain, side) in &self.sides {

@@ -8,7 +8,7 @@ use gdp::control::{
 };
 use gdp_wire::Name;
 
-use super::judge::{Judge, Judged, Revoked, check_path};
+use super::judge::{Heard, Judge, Judged, Revoked, check_path};
 use super::queries::Climbing;
 use super::side::{Kind, Side, Standing};
 use super::table::{Held, Item};
@@ -82,6 +82,8 @@ impl Tiers {
         side.heard = now.clock;
         let judge = Judge { home: self.home, now, revoked };
         let (mut changed, mut refusals) = (BTreeSet::new(), Vec::new());
+        // Of these it is told what was taken back.
+        let mut unaware = BTreeSet::new();
         for key in push.remove {
             if side.table.remove(&key).is_some() {
                 self.endings.set((from, key), None);
@@ -89,6 +91,21 @@ impl Tiers {
             }
         }
         for entry in push.set {
+            let entry = match entry {
+                TierEntry::Revocation { proof, revocation } => {
+                    match judge.revocation(proof, revocation) {
+                        Ok(Heard::News(kept)) => self.heard_revoked.push(kept),
+                        Ok(Heard::Known) => {}
+                        Ok(Heard::Older(name)) => drop(unaware.insert(name)),
+                        Err(refusal) => {
+                            side.count(refusal.as_str());
+                            refusals.push(refusal);
+                        }
+                    }
+                    continue;
+                }
+                entry => entry,
+            };
             // What it said before about the same it says no more, even if what it says now is refused.
             let key = key_of(&entry);
             let judged = judge.entry(from, &side.table, entry);
@@ -104,6 +121,7 @@ impl Tiers {
                 }
                 Err(refusal) => {
                     side.count(refusal.as_str());
+                    unaware.extend(refusal.revoked());
                     refusals.push(refusal);
                     if let Some(key) = key.filter(|key| side.table.remove(key).is_some()) {
                         self.endings.set((from, key), None);
@@ -116,6 +134,9 @@ impl Tiers {
             side.table.remove(&key);
             self.endings.set((from, key), None);
             changed.insert(key);
+        }
+        for (name, kept) in unaware.iter().filter_map(|name| Some((name, revoked.kept(name)?))) {
+            side.told.tell_revoked(*name, kept);
         }
         changed.into_iter().for_each(|key| self.changed(key));
         Ok(match refusals.first() {
@@ -205,6 +226,7 @@ fn key_of(entry: &TierEntry) -> Option<TierKey> {
             epoch: claims.epoch,
         }),
         TierEntry::Locator { domain, .. } => Some(TierKey::Locator(*domain)),
+        TierEntry::Revocation { .. } => None,
     }
 }
 

@@ -5,8 +5,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::cert::{CertError, Host, Locator, Revocation, SwitchStatement};
+use gdp::cert::{CertError, Host, Locator, Revocation, Signed, SwitchStatement};
 use gdp::control::{Abroad, MAX_PATH, Record, TierEntry, TierKey};
+use gdp::name::NameProof;
+use gdp::revocations::Kept;
 use gdp_wire::Name;
 
 use super::table::{Held, Item, Table};
@@ -16,6 +18,9 @@ use crate::rib::Now;
 pub trait Revoked {
     /// The newest revocation of a name, which may be a domain's.
     fn newest(&self, name: &Name) -> Option<&Revocation>;
+
+    /// That of a name which is no domain's, as its owner signed it.
+    fn kept(&self, name: &Name) -> Option<&Kept>;
 }
 
 /// Why something that a neighbouring domain says is not taken in.
@@ -47,6 +52,10 @@ pub enum TierRefusal {
         "the locator of domain {0:#} names no border switch: who can be reached nowhere is to take its locator back"
     )]
     Nowhere(Name),
+    #[error("domain {0:#} says what was taken back where it is to say who has a part in a name")]
+    Misplaced(Name),
+    #[error("what the owner of {name:#} is said to have taken back: {source}")]
+    Revocation { name: Name, source: Box<CertError> },
     #[error("{limit} {what} of one domain are kept: that is the limit of this RIB")]
     Full { what: &'static str, limit: usize },
     #[error("{limit} parts in {name:#} of one domain are kept: that is the limit of this RIB")]
@@ -54,6 +63,14 @@ pub enum TierRefusal {
 }
 
 impl TierRefusal {
+    /// The name whose owner has taken back what was said.
+    pub fn revoked(&self) -> Option<Name> {
+        match self {
+            Self::Record { name, source } if matches!(**source, CertError::Revoked { .. }) => Some(*name),
+            _ => None,
+        }
+    }
+
     /// By which it is counted.
     pub fn as_str(&self) -> &'static str {
         match self {
@@ -64,11 +81,13 @@ impl TierRefusal {
             Self::Ended(_) => "ended",
             Self::NoWriter(_) => "no_writer",
             Self::Nowhere(_) => "nowhere",
+            Self::Misplaced(_) => "misplaced",
             Self::Full { .. } => "limit",
             Self::NameFull { .. } => "name_limit",
             Self::Record { source, .. }
             | Self::Host { source, .. }
             | Self::Box { source, .. }
+            | Self::Revocation { source, .. }
             | Self::Locator { source, .. } => match **source {
                 CertError::BadSignature { .. } | CertError::WrongKey { .. } => "signature",
                 CertError::NotYetValid { .. } => "not_yet_valid",
@@ -80,6 +99,15 @@ impl TierRefusal {
             },
         }
     }
+}
+
+/// What a revocation that a neighbour tells is worth.
+#[derive(Debug)]
+pub enum Heard {
+    News(Kept),
+    Known,
+    /// A newer one of this name is known here.
+    Older(Name),
 }
 
 /// Who judges, and when.
@@ -100,7 +128,7 @@ pub struct Judged {
 }
 
 impl<R: Revoked> Judge<'_, R> {
-    /// Judges what `from` says, of which `table` is held already.
+    /// Judges what `from` says and is to be held, of which `table` is already; of [revocations](Self::revocation) nothing is.
     pub fn entry(&self, from: Name, table: &Table, entry: TierEntry) -> Result<Judged, TierRefusal> {
         match entry {
             TierEntry::Part(abroad) => {
@@ -123,7 +151,24 @@ impl<R: Revoked> Judge<'_, R> {
                 Ok(Judged { key, item, ends: Duration::MAX, left_out: Vec::new() })
             }
             TierEntry::Locator { domain, locator } => self.locator(table, domain, locator),
+            TierEntry::Revocation { .. } => Err(TierRefusal::Misplaced(from)),
         }
+    }
+
+    /// Judges what an owner is said to have taken back. Nobody else can have signed it, so it does not matter who says it.
+    pub fn revocation(&self, proof: NameProof, revocation: Signed<Revocation>) -> Result<Heard, TierRefusal> {
+        let unnamed = |source: CertError| TierRefusal::Revocation { name: Name::default(), source: source.into() };
+        let name = proof.name().map_err(|error| unnamed(error.into()))?;
+        let held = self.revoked.kept(&name);
+        if held.is_some_and(|held| held.revocation == revocation) {
+            return Ok(Heard::Known);
+        }
+        let kept = Kept { proof, revocation, origin: None };
+        let claims = kept.verify().map_err(|source| TierRefusal::Revocation { name, source: source.into() })?;
+        Ok(match claims.check_replaces(self.revoked.newest(&name)) {
+            Ok(()) => Heard::News(kept),
+            Err(_) => Heard::Older(name),
+        })
     }
 
     fn locator(&self, table: &Table, domain: Name, locator: Locator) -> Result<Judged, TierRefusal> {

@@ -28,6 +28,7 @@ use std::time::Duration;
 use gdp::cert::{CertError, Host, Locator, Signed};
 use gdp::control::{Record, RecordPlace, TierHolds, TierKey, TierRequest, TierResponse};
 use gdp::keys::KeyBox;
+use gdp::revocations::Kept;
 use gdp_wire::Name;
 
 use crate::deadlines::Deadlines;
@@ -135,6 +136,8 @@ pub struct Tiers {
     endings: Deadlines<(Name, TierKey)>,
     queries: Queries,
     answers: Vec<(Ticket, TierResponse)>,
+    /// What owners have taken back, as neighbours have said since somebody last asked.
+    heard_revoked: Vec<Kept>,
     /// Messages of domains that are neither parent nor child.
     strangers: u64,
 }
@@ -159,6 +162,7 @@ impl Tiers {
             endings: Deadlines::default(),
             queries: Queries::default(),
             answers: Vec::new(),
+            heard_revoked: Vec::new(),
             strangers: 0,
         }
     }
@@ -259,6 +263,12 @@ impl Tiers {
         removed.chain(parcel.set.into_iter().map(Change::Set)).collect()
     }
 
+    /// What owners of names have taken back, as a neighbour has said in the last [request](Self::request); verified. The own RIB is to
+    /// keep it, and then [reconsider](Self::reconsider) each of these names.
+    pub fn take_revoked(&mut self) -> Vec<Kept> {
+        std::mem::take(&mut self.heard_revoked)
+    }
+
     /// What the own RIB may know of an entity of another domain, with the keys it has for readers here.
     pub fn known_of(&self, entity: Name) -> OfEntity {
         self.known.of(entity)
@@ -317,6 +327,8 @@ impl Tiers {
             }
             TierKey::Box { writer, .. } => drop(self.changed_writers.insert(writer)),
             TierKey::Locator(domain) => drop(self.changed_locators.insert(domain)),
+            // Of these no side holds any.
+            TierKey::Revocation(_) => {}
         }
     }
 

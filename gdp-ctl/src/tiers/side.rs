@@ -1,6 +1,6 @@
 //! One neighbouring domain, as this RIB sees it: what it says, what it is to be told, and how the two stand.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ops::Bound::{Included, Unbounded};
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,6 +8,7 @@ use std::time::Duration;
 use gdp::cert::Signed;
 use gdp::control::{RecordPlace, TierHolds, TierKey};
 use gdp::keys::KeyBox;
+use gdp::revocations::Kept;
 use gdp_wire::Name;
 
 use super::table::{Held, Item, Table, count_out, first_box, first_place, is_box_of};
@@ -22,6 +23,9 @@ pub const SILENCE: Duration = Duration::from_secs(15);
 /// Between two hellos to a parent, and after one that failed.
 pub const HELLO: Duration = Duration::from_secs(5);
 pub const HELLO_AGAIN: Duration = Duration::from_secs(1);
+
+/// Names of which one neighbour is told what was taken back.
+pub const MAX_REVOKED_NAMES: usize = 1024;
 
 /// What a neighbouring domain is to this one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -153,6 +157,8 @@ pub struct Told {
     entities: BTreeMap<Name, BTreeMap<RecordPlace, Name>>,
     /// Of each domain how many of the parts stated there were said by whom.
     origins: BTreeMap<Name, BTreeMap<Name, usize>>,
+    /// The names of which it is told what was taken back, in the order in which that came.
+    revoked: VecDeque<Name>,
 }
 
 impl Told {
@@ -218,6 +224,25 @@ impl Told {
         let gone: Vec<TierKey> = held.map(|(key, _)| *key).filter(|key| !boxes.contains_key(key)).collect();
         gone.into_iter().for_each(|key| self.feed.set(key, None));
         boxes.into_iter().for_each(|(key, item)| self.feed.set(key, Some(item)));
+    }
+
+    /// Whether a part in this name is told.
+    pub fn tells_of(&self, name: Name) -> bool {
+        let first = self.feed.entries().range(first_place(name)..).next();
+        matches!(first, Some((TierKey::Part(place), _)) if place.name == name)
+    }
+
+    /// Tells what the owner of a name has taken back. Of too many such the first is told no more; whoever has heard it keeps it all the same.
+    pub fn tell_revoked(&mut self, name: Name, kept: &Kept) {
+        if !self.feed.entries().contains_key(&TierKey::Revocation(name)) {
+            self.revoked.push_back(name);
+        }
+        self.feed.set(TierKey::Revocation(name), Some(Item::Revocation(Arc::new(kept.clone()))));
+        if self.revoked.len() > MAX_REVOKED_NAMES
+            && let Some(first) = self.revoked.pop_front()
+        {
+            self.feed.set(TierKey::Revocation(first), None);
+        }
     }
 
     /// The parts of an entity that are told, and its boxes.

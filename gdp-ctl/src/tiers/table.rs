@@ -8,6 +8,7 @@ use std::time::Duration;
 use gdp::cert::{Host, Locator, Signed};
 use gdp::control::{Abroad, Extent, NameRole, Record, RecordPlace, TierEntry, TierHolds, TierKey};
 use gdp::keys::KeyBox;
+use gdp::revocations::Kept;
 use gdp_wire::Name;
 
 use super::Limits;
@@ -84,6 +85,8 @@ pub enum Item {
         domain: Name,
         locator: Arc<Locator>,
     },
+    /// Only told: what a side says goes to the RIB, which keeps it.
+    Revocation(Arc<Kept>),
 }
 
 impl Item {
@@ -96,6 +99,9 @@ impl Item {
             Self::Part { held, .. } => TierEntry::Part(Box::new(held.told(now, home))),
             Self::Box(signed) => TierEntry::Box((**signed).clone()),
             Self::Locator { domain, locator } => TierEntry::Locator { domain: *domain, locator: (**locator).clone() },
+            Self::Revocation(kept) => {
+                TierEntry::Revocation { proof: kept.proof, revocation: kept.revocation.clone() }
+            }
         }
     }
 
@@ -111,6 +117,7 @@ impl Item {
                     + (path.len() + 1) * NAME_SIZE
             }
             Self::Box(signed) => BOX_OVERHEAD + signed.as_bytes().len(),
+            Self::Revocation(kept) => REVOCATION_OVERHEAD + kept.revocation.as_bytes().len(),
             Self::Locator { locator, .. } => PART_OVERHEAD * locator.borders.len().max(1) + locator.size(),
         }
     }
@@ -120,6 +127,8 @@ impl Item {
 const PART_OVERHEAD: usize = 640;
 const NAME_SIZE: usize = 34;
 const BOX_OVERHEAD: usize = 32;
+/// A proof and field names.
+const REVOCATION_OVERHEAD: usize = 160;
 
 /// Where parts are, by something that many may have in common.
 #[derive(Debug, Default)]

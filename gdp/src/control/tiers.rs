@@ -7,8 +7,9 @@ use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
 use super::{Extent, Record, RecordPlace, Refusal};
-use crate::cert::{Host, Locator, Signed};
+use crate::cert::{Host, Locator, Revocation, Signed};
 use crate::keys::KeyBox;
+use crate::name::NameProof;
 
 /// Domains that a record comes through, or a query, at most.
 pub const MAX_PATH: usize = 16;
@@ -99,6 +100,8 @@ pub enum TierKey {
     },
     /// Where this domain can be reached.
     Locator(Name),
+    /// What the owner of this name has taken back.
+    Revocation(Name),
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -106,6 +109,8 @@ pub enum TierEntry {
     Part(Box<Abroad>),
     Box(Signed<KeyBox>),
     Locator { domain: Name, locator: Locator },
+    /// Of a name; what domains take back goes from switch to switch.
+    Revocation { proof: NameProof, revocation: Signed<Revocation> },
 }
 
 /// One entity's part in a name, in another domain, with all that is needed to verify it.

@@ -167,7 +167,7 @@ fn a_border_that_does_not_verify_hides_no_other() {
     let revocation = Revocation { name: child, number: 1, floor: 8, revoked: vec![] };
     v.w.revocations.0.insert(child, revocation);
     let now = v.w.now;
-    v.w.domains[0].tiers.reconsider(now, child, &v.w.revocations);
+    v.w.domains[0].tiers.reconsider(now, child, None, &v.w.revocations);
     assert_eq!((v.borders(), v.counted("revoked")), (vec![other_name], 1));
     let (names, response) = push(&mut v, &[&over, &good]);
     assert!(names.is_empty() && v.entries() == 0, "none is left: {response:?}");

@@ -4,6 +4,7 @@
 mod drawn;
 mod hostile;
 mod many;
+mod revoked;
 pub mod world;
 
 use std::collections::BTreeSet;
@@ -214,13 +215,13 @@ fn what_is_taken_back_is_forgotten_on_the_way() {
     let domain = w.domains[3].identity.name();
     w.revocations.0.insert(domain, Revocation { name: domain, number: 1, floor: 8, revoked: vec![] });
     let now = w.now;
-    w.domains[0].tiers.reconsider(now, domain, &w.revocations);
+    w.domains[0].tiers.reconsider(now, domain, None, &w.revocations);
     w.run(MOMENT);
     assert_eq!(w.domains[5].known.values().filter(is_own_part).count(), 0);
     // The part, and the border that is named in the locator.
     assert!(w.domains[0].tiers.neighbours().any(|neighbour| neighbour.refused.get("revoked") == Some(&2)));
     let name = owner(0).1.name().unwrap();
-    w.domains[0].tiers.reconsider(now, name, &w.revocations);
+    w.domains[0].tiers.reconsider(now, name, None, &w.revocations);
 }
 
 #[test]

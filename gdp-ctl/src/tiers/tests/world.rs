@@ -14,6 +14,7 @@ use gdp::control::{self, Credential, NameRole, Record, RecordPlace, TierEntry, T
 use gdp::identity::{Identity, SigningKey};
 use gdp::keys::KeyBox;
 use gdp::name::{Name, NameProof};
+use gdp::revocations::Kept;
 
 use crate::rib::Now;
 use crate::tiers::{Change, Effect, Item, Kind, Limits, Reply, Revoked, Sent, Standing, Ticket, Tiers};
@@ -32,6 +33,26 @@ impl Revoked for Revocations {
     fn newest(&self, name: &Name) -> Option<&Revocation> {
         self.0.get(name)
     }
+
+    fn kept(&self, _: &Name) -> Option<&Kept> {
+        None
+    }
+}
+
+/// What all know, and besides what the RIB of one domain has heard of owners.
+struct Heard<'a> {
+    all: &'a Revocations,
+    own: &'a BTreeMap<Name, (Kept, Revocation)>,
+}
+
+impl Revoked for Heard<'_> {
+    fn newest(&self, name: &Name) -> Option<&Revocation> {
+        self.all.newest(name).or_else(|| Some(&self.own.get(name)?.1))
+    }
+
+    fn kept(&self, name: &Name) -> Option<&Kept> {
+        self.own.get(name).map(|(kept, _)| kept)
+    }
 }
 
 pub struct Domain {
@@ -45,6 +66,8 @@ pub struct Domain {
     pub boxes: BTreeMap<Name, Vec<Signed<KeyBox>>>,
     /// What the own RIB was told, with whether it only passes.
     pub known: BTreeMap<TierKey, Item>,
+    /// What its RIB keeps of what owners have taken back.
+    pub owners: BTreeMap<Name, (Kept, Revocation)>,
 }
 
 /// What an entity has stated.
@@ -306,6 +329,7 @@ impl World {
                         Item::Part { held, .. } => TierKey::Part(held.place),
                         Item::Box(signed) => box_key(signed),
                         Item::Locator { domain, .. } => TierKey::Locator(*domain),
+                        Item::Revocation(_) => panic!("it has it of the requests"),
                     };
                     self.domains[index].known.insert(key, item);
                 }
@@ -343,7 +367,11 @@ impl World {
             Travelling::Request { from, to, sent, bytes } => {
                 let request: TierRequest = control::decode(&bytes).unwrap();
                 let asker = self.domains[from].identity.name();
-                match self.domains[to].tiers.request(self.now, asker, request, &self.revocations) {
+                let Domain { tiers, owners, .. } = &mut self.domains[to];
+                let heard = Heard { all: &self.revocations, own: owners };
+                let reply = tiers.request(self.now, asker, request, &heard);
+                tiers.take_revoked().into_iter().for_each(|kept| self.take_revoked(to, kept, Some(asker)));
+                match reply {
                     Reply::Now(response) => self.respond(to, from, sent, response),
                     Reply::Later(ticket) => drop(self.waiting.insert((to, ticket), (from, sent))),
                 }
@@ -351,9 +379,33 @@ impl World {
             Travelling::Response { from, to, sent, bytes } => {
                 let response = bytes.map(|bytes| control::decode(&bytes).unwrap());
                 let name = self.domains[from].identity.name();
-                self.domains[to].tiers.answered(self.now, name, sent, response, &self.revocations);
+                let Domain { tiers, owners, .. } = &mut self.domains[to];
+                let heard = Heard { all: &self.revocations, own: owners };
+                tiers.answered(self.now, name, sent, response, &heard);
             }
         }
+    }
+
+    /// The RIB of a domain is given what the owner of a topic has taken back: all with these serials.
+    pub fn revoke(&mut self, at: usize, topic: usize, number: u64, revoked: Vec<u64>) {
+        let kept = revocation(topic, number, revoked);
+        self.take_revoked(at, kept, None);
+    }
+
+    /// As a RIB does: what it holds of its own domain goes, too.
+    fn take_revoked(&mut self, at: usize, kept: Kept, said_by: Option<Name>) {
+        let claims = kept.verify().unwrap();
+        let (now, name) = (self.now, claims.name);
+        let Domain { tiers, owners, parts, .. } = &mut self.domains[at];
+        assert!(owners.get(&name).is_none_or(|(_, held)| held.number < claims.number), "it is no news");
+        let holds = |part: &Part| {
+            let serials = part.record.credential.serials().unwrap();
+            serials.into_iter().all(|(what, serial)| claims.check(what, serial).is_ok())
+        };
+        let gone = parts.extract_if(.., |place, part| place.name == name && !holds(part));
+        gone.for_each(|(place, _)| tiers.remove_own(place));
+        owners.insert(name, (kept, claims));
+        tiers.reconsider(now, name, said_by, &Heard { all: &self.revocations, own: owners });
     }
 
     /// The parents of each domain that it has accepted, over links that are up.
@@ -443,6 +495,7 @@ fn domain(index: usize, parents: &[usize]) -> Domain {
         parts: BTreeMap::new(),
         boxes: BTreeMap::new(),
         known: BTreeMap::new(),
+        owners: BTreeMap::new(),
     }
 }
 
@@ -458,6 +511,13 @@ pub fn host(domain: &Identity, switch: &Identity, role: &str, not_after: u64) ->
         statement: issue(switch.key(), &claims).unwrap(),
         membership: Membership::issue(domain, &member).unwrap(),
     }
+}
+
+/// That the owner of a topic has taken back all with these serials.
+pub fn revocation(topic: usize, number: u64, revoked: Vec<u64>) -> Kept {
+    let (owner, proof) = owner(topic);
+    let claims = Revocation { name: proof.name().unwrap(), number, floor: 0, revoked };
+    Kept { proof, revocation: issue(&owner, &claims).unwrap(), origin: None }
 }
 
 pub fn pair(a: usize, b: usize) -> (usize, usize) {
