@@ -267,6 +267,22 @@ impl Credential {
         }
     }
 
+    /// The membership that it asks for, if it asks for one.
+    pub fn member(&self) -> Option<&Membership> {
+        match self {
+            Self::Writer(_) => None,
+            Self::Reader(grant) => grant.member.as_ref(),
+        }
+    }
+
+    /// As [`Reading::check_member`]; a writer needs no membership.
+    pub fn check_member<'a>(&self, newest: impl FnOnce(&Name) -> Option<&'a Revocation>) -> Result<(), CertError> {
+        match self {
+            Self::Writer(_) => Ok(()),
+            Self::Reader(grant) => grant.check_member(newest),
+        }
+    }
+
     /// Of what a revocation can take back: what it is, and its serial. Believe it once the credential is verified.
     pub fn serials(&self) -> Result<Vec<(&'static str, u64)>, CertError> {
         match self {
@@ -309,7 +325,8 @@ impl Record {
     }
 
     /// Verifies the record as if nobody had before: derivation of both names, the credential at `now` (Unix seconds) under
-    /// the newest revocation that is known of the name, and the entity's own statement.
+    /// the newest revocation that is known of the name, and the entity's own statement. What domains have taken back,
+    /// [`Credential::check_member`] says.
     pub fn verify(&self, revocation: Option<&Revocation>, now: u64) -> Result<Verified, CertError> {
         let name = self.proof.name()?;
         if name != self.name {

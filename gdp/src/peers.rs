@@ -8,7 +8,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::cert::{CertError, Revocation, Signed};
+use crate::cert::{CertError, Membership, Revocation, Signed};
 use crate::control::{NameRole, Peers, PeersExtent, Record};
 use crate::crypto::PUBLIC_KEY_LEN;
 use crate::identity::VerifyKey;
@@ -31,13 +31,23 @@ pub struct Counterpart {
     /// When its right ends, in Unix seconds.
     pub not_after: u64,
     serials: Vec<(&'static str, u64)>,
+    /// What its right rests on, if that was for a role in a domain.
+    member: Option<Membership>,
 }
 
 impl Counterpart {
     /// As if a certificate with this serial had been verified.
     #[cfg(test)]
     pub fn for_test(entity: Name, switch: Name, key: VerifyKey, not_after: u64, serial: u64) -> Self {
-        Self { entity, switch, key, box_key: [0; PUBLIC_KEY_LEN], not_after, serials: vec![("AdCert", serial)] }
+        Self {
+            entity,
+            switch,
+            key,
+            box_key: [0; PUBLIC_KEY_LEN],
+            not_after,
+            serials: vec![("AdCert", serial)],
+            member: None,
+        }
     }
 
     /// Whether its right holds under this revocation of the name.
@@ -53,6 +63,8 @@ pub enum PeerEvent {
     Joined(Counterpart),
     /// It withdrew, is not attached any more, or its right has ended or was revoked.
     Left(Name),
+    /// Its domain has taken back the membership that its right rests on.
+    Expelled(Name),
     /// The owner has revoked something. It may be the entity's own right.
     Revoked(Revocation),
     /// The RIB does not know this revocation, as after it has lost its memory: give it to it, so that it enforces it again.
@@ -78,6 +90,8 @@ pub struct Counterparts {
     proof: NameProof,
     role: NameRole,
     revocation: Option<(Signed<Revocation>, Revocation)>,
+    /// What domains have taken back, by domain: of those that whoever feeds this has to do with.
+    domains: BTreeMap<Name, Revocation>,
     known: BTreeMap<Name, Counterpart>,
     /// Run and generation of what came last.
     told: Option<(u64, u64)>,
@@ -88,8 +102,8 @@ pub struct Counterparts {
 impl Counterparts {
     /// None yet. `role` is what the entity itself is to the name that `proof` shows.
     pub fn new(proof: NameProof, role: NameRole) -> Result<Self, CertError> {
-        let (name, known) = (proof.name()?, BTreeMap::new());
-        Ok(Self { name, proof, role, revocation: None, known, told: None, whole: None })
+        let (name, domains, known) = (proof.name()?, BTreeMap::new(), BTreeMap::new());
+        Ok(Self { name, proof, role, revocation: None, domains, known, told: None, whole: None })
     }
 
     pub fn known(&self) -> impl Iterator<Item = &Counterpart> {
@@ -163,6 +177,18 @@ impl Counterparts {
         Ok(events)
     }
 
+    /// A domain has taken something back, which was verified: lets go of counterparts whose right rests on it, now and from now on.
+    pub fn domain_revoked(&mut self, claims: &Revocation) -> Vec<PeerEvent> {
+        self.domains.insert(claims.name, claims.clone());
+        let is_over = |counterpart: &Counterpart| {
+            let of_domain = |member: &&Membership| member.domain.name().is_ok_and(|domain| domain == claims.name);
+            counterpart.member.as_ref().filter(of_domain).is_some_and(|it| it.check_revoked(Some(claims)).is_err())
+        };
+        let gone: Vec<Name> = self.known().filter(|c| is_over(c)).map(|c| c.entity).collect();
+        gone.iter().for_each(|entity| drop(self.known.remove(entity)));
+        gone.into_iter().map(PeerEvent::Expelled).collect()
+    }
+
     /// Lets go of counterparts whose right has ended.
     pub fn expire(&mut self, now: u64) -> Vec<PeerEvent> {
         let mut events = Vec::new();
@@ -177,6 +203,7 @@ impl Counterparts {
             return Err(CertError::WrongName { expected: self.name, got: record.name });
         }
         let verified = record.verify(self.revocation(), now)?;
+        record.credential.check_member(|domain| self.domains.get(domain))?;
         let role = self.role.counterpart();
         if verified.advert.op != role.op() {
             return Err(CertError::Malformed(format!("a statement to {} is not of a {role}", verified.advert.op)));
@@ -191,6 +218,7 @@ impl Counterparts {
             box_key: verified.advert.box_key,
             not_after: verified.not_after,
             serials: record.credential.serials()?,
+            member: record.credential.member().cloned(),
         })
     }
 

@@ -111,6 +111,7 @@ impl Rib {
         // Before signatures are verified: what there is no room for is told again and again.
         self.check_told(&place, &next)?;
         let verified = record.verify(self.revocations.claims(&key), now.unix).map_err(refusal)?;
+        record.credential.check_member(|domain| self.domains.get(domain)).map_err(refusal)?;
         let (entity, advert) = (verified.entity, verified.advert);
         let stake = Stake { name: key, entity, role };
         self.check_foreign(stake, &place.switch, &next, advert.serial)?;
@@ -263,7 +264,8 @@ impl Rib {
         let revocation = self.revocations.claims(&key);
         let stands = |spare: &Registration| {
             let holds = |r: &Revocation| spare.serials.iter().all(|(what, serial)| r.check(what, *serial).is_ok());
-            spare.ends > now.clock && revocation.is_none_or(holds)
+            let is_member = || spare.credential.check_member(|domain| self.domains.get(domain)).is_ok();
+            spare.ends > now.clock && revocation.is_none_or(holds) && is_member()
         };
         let spare = self.abroad.spare.get(&place).into_iter().flatten().filter(|(_, (_, spare))| stands(spare));
         let Some((next, (_, best))) = spare.min_by_key(|(_, (_, spare))| rank(spare)) else { return Ok(()) };

@@ -180,6 +180,8 @@ pub struct Rib {
     inboxes: Inboxes,
     boxes: Boxes,
     revocations: Revocations,
+    /// What domains have taken back, by domain: of those that this one has to do with.
+    domains: BTreeMap<Name, Revocation>,
     telling: Telling,
     ways: Ways,
     abroad: Abroad,
@@ -245,6 +247,7 @@ impl Rib {
             inboxes: Inboxes::default(),
             boxes: Boxes::default(),
             revocations: Revocations::default(),
+            domains: BTreeMap::new(),
             telling: Telling::default(),
             ways: Ways::default(),
             abroad: Abroad::default(),

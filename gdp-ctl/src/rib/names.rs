@@ -328,6 +328,17 @@ impl Names {
         all.filter(|(_, r)| !holds(r)).map(|((entity, switch), r)| (entity, r.role, switch)).collect()
     }
 
+    /// Those whose credential rests on a membership that this revocation of a domain takes back, each with its switch.
+    pub fn expelled(&self, of_domain: &Revocation) -> Vec<(Stake, Name)> {
+        let newest = |domain: &Name| (*domain == of_domain.name).then_some(of_domain);
+        let all = self.all.iter().flat_map(|(name, topic)| {
+            let parts = topic.parts().flat_map(Registrations::iter);
+            parts.map(|((entity, switch), r)| (Stake { name: *name, entity, role: r.role }, switch, r))
+        });
+        let gone = all.filter(|(.., r)| r.credential.check_member(newest).is_err());
+        gone.map(|(stake, switch, _)| (stake, switch)).collect()
+    }
+
     /// The switches whose route changes because registrations of the name `at` these switches did, or ways over them.
     pub fn reroute(&mut self, name: &Key, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
         match self.all.get_mut(name) {

@@ -33,14 +33,7 @@ impl Rib {
         let kept = Kept { proof: *proof, revocation: signed.clone(), origin: Some(origin) };
         self.revocations.put(key, kept, claims, self.names.contains(&key), &self.limits);
         for (entity, role, switch) in revoked {
-            let stake = Stake { name: key, entity, role };
-            let is_told =
-                self.names.get_at(&key, &entity, role, &switch).is_some_and(|r| r.bound && r.abroad.is_none());
-            self.end(now, stake, switch);
-            // Through the last of its switches.
-            if is_told && self.names.get(&key, &entity, role).is_none() {
-                self.telling.farewell(stake, switch);
-            }
+            self.end_revoked(now, Stake { name: key, entity, role }, switch);
         }
         for role in NameRole::ALL {
             for (entity, _) in self.names.bound(&key, role) {
@@ -48,6 +41,26 @@ impl Rib {
             }
         }
         Ok(Response::Done)
+    }
+
+    /// Somebody has no part in a name any more, and is told so.
+    fn end_revoked(&mut self, now: Now, stake: Stake, switch: Name) {
+        let Stake { name, entity, role } = stake;
+        let is_told = self.names.get_at(&name, &entity, role, &switch).is_some_and(|r| r.bound && r.abroad.is_none());
+        self.end(now, stake, switch);
+        // Through the last of its switches.
+        if is_told && self.names.get(&name, &entity, role).is_none() {
+            self.telling.farewell(stake, switch);
+        }
+    }
+
+    /// Takes in what a domain has taken back, which was verified: by a grant to a role, only those read that have it still.
+    pub fn domain_revoked(&mut self, now: Now, claims: &Revocation) {
+        self.tick(now);
+        self.domains.insert(claims.name, claims.clone());
+        for (stake, switch) in self.names.expelled(claims) {
+            self.end_revoked(now, stake, switch);
+        }
     }
 
     /// Takes in what the RIB of the neighbouring domain `next` told.

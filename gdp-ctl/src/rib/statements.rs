@@ -84,6 +84,7 @@ impl Rib {
                 let revocation = name.name().ok().and_then(|name| self.revocations.claims(name.as_bytes()));
                 let authorised = authorise_subscribe(&speaker, name, grant, advert, revocation);
                 let (cert, statement) = authorised.map_err(refusal)?;
+                grant.check_member(|domain| self.domains.get(domain)).map_err(refusal)?;
                 let verified = Verified {
                     name: *name,
                     credential: Credential::Reader(grant.clone()),

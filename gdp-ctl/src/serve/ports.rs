@@ -174,7 +174,9 @@ async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
         let near = core.neighbours.iter().filter(|n| n.place.via.same_port(via));
         near.filter(|n| n.dial || own.as_bytes() < n.place.switch.as_bytes()).map(|n| n.place.clone()).collect()
     };
-    let dials = futures::future::join_all(to_dial.into_iter().map(|place| keep_link(daemon, port, place.switch, vec![place.via])));
+    let dials = futures::future::join_all(
+        to_dial.into_iter().map(|place| keep_link(daemon, port, place.switch, vec![place.via])),
+    );
     tokio::join!(accept(daemon, port, via), dials);
 }
 

@@ -195,11 +195,7 @@ async fn follow_and_lead(daemon: &Arc<Daemon>, replica: &Replica) {
 }
 
 /// Keeps a copy of what is stored until there is no leader, and this replica is elected. `lease`: with which it stands, from before it does.
-async fn stand_by(
-    daemon: &Daemon,
-    replica: &Replica,
-    lease: &mut Option<i64>,
-) -> Result<(Copy, Elected), StoreError> {
+async fn stand_by(daemon: &Daemon, replica: &Replica, lease: &mut Option<i64>) -> Result<(Copy, Elected), StoreError> {
     let (mut gateway, place, own) = (replica.gateway(), &replica.place, daemon.name);
     let mut copy = Copy::list(place, &mut gateway).await?;
     let mut watch = gateway.watch(place.prefix(), copy.revision() + 1).await?;

@@ -30,9 +30,13 @@ const PEERINGS_AGAIN: Duration = Duration::from_secs(2);
 pub const PATIENCE: Duration = Duration::from_secs(10);
 
 impl Core {
-    /// The RIB here tells other domains, and hears of them, as a member of its own.
+    /// The RIB here tells other domains, and hears of them, as a member of its own; it knows what they have taken back.
     pub fn federate(&mut self, run: u64) {
-        if let (Some(_), Some(domain)) = (&self.rib, &self.domain) {
+        let now = self.now();
+        if let (Some(rib), Some(domain)) = (&mut self.rib, &self.domain) {
+            let trust = &domain.trust;
+            let known = trust.revocations().filter_map(|kept| trust.revocation(&kept.proof.name().ok()?));
+            known.for_each(|claims| rib.domain_revoked(now, claims));
             self.federation = Some(Federation::new(domain.trust.home(), run));
         }
     }
@@ -238,7 +242,9 @@ impl Core {
     /// Takes in what the owner of a name has taken back, as the domain `from` said. Whether it did.
     fn take_revoked(&mut self, from: Name, kept: &Kept) -> bool {
         let now = self.now();
-        let (Some(rib), Some(domain), Ok(name)) = (&mut self.rib, &self.domain, kept.proof.name()) else { return false };
+        let (Some(rib), Some(domain), Ok(name)) = (&mut self.rib, &self.domain, kept.proof.name()) else {
+            return false;
+        };
         // What domains take back goes from switch to switch.
         if domain.trust.knows(&name) {
             return false;
@@ -286,6 +292,11 @@ impl Core {
     /// An owner of a name, or a domain, has taken something back. `said_by`: the domain that told, if another one did.
     pub(super) fn reconsider(&mut self, about: Name, said_by: Option<Name>) {
         let now = self.now();
+        if let (Some(rib), Some(domain)) = (&mut self.rib, &self.domain)
+            && let Some(claims) = domain.trust.revocation(&about)
+        {
+            rib.domain_revoked(now, claims);
+        }
         if let (Some(rib), Some(federation), Some(domain)) = (&self.rib, &mut self.federation, &self.domain) {
             federation.tiers.reconsider(now, about, said_by, &Known { rib, trust: &domain.trust });
             let home = domain.trust.home();

@@ -11,7 +11,7 @@ use super::Tiers;
 use super::judge::{Judge, Judged, Revoked};
 use super::queries::PATIENCE;
 use super::side::{HOLD, Kind, SILENCE, Standing};
-use super::table::Item;
+use super::table::{Held, Item};
 use crate::rib::Now;
 
 impl Tiers {
@@ -36,7 +36,14 @@ impl Tiers {
                     Err(refusal) => gone.push((*domain, TierKey::Locator(about), refusal)),
                 }
             }
-            for held in side.table.parts_about(about) {
+            let is_of_member = |held: &&Arc<Held>| {
+                let member = held.record.credential.member();
+                member.is_some_and(|member| member.domain.name().is_ok_and(|domain| domain == about))
+            };
+            let elsewhere = |held: &&Arc<Held>| held.place.name != about && held.path.first() != Some(&about);
+            // There is no index of those who read for a role in a domain that they are not in.
+            let of_members = side.table.parts().filter(elsewhere).filter(is_of_member);
+            for held in side.table.parts_about(about).chain(of_members) {
                 if let Err(refusal) = judge.still_holds(held) {
                     gone.push((*domain, TierKey::Part(held.place), refusal));
                 }

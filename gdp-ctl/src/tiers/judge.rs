@@ -211,10 +211,12 @@ impl<R: Revoked> Judge<'_, R> {
         let (name, switch, domain) = (held.place.name, held.place.switch, held.origin(self.home));
         let wrong_host = |source: CertError| TierRefusal::Host { switch, domain, source: source.into() };
         held.host.membership.check_revoked(self.revoked.newest(&domain)).map_err(wrong_host)?;
+        let wrong = |source: CertError| TierRefusal::Record { name, source: source.into() };
+        held.record.credential.check_member(|domain| self.revoked.newest(domain)).map_err(wrong)?;
         let Some(revocation) = self.revoked.newest(&name) else { return Ok(()) };
         let serials = held.record.credential.serials();
         let check = |serials: Vec<_>| serials.into_iter().try_for_each(|(what, serial)| revocation.check(what, serial));
-        serials.and_then(check).map_err(|source| TierRefusal::Record { name, source: source.into() })
+        serials.and_then(check).map_err(wrong)
     }
 
     fn part(&self, from: Name, table: &Table, abroad: Abroad) -> Result<Held, TierRefusal> {
@@ -255,9 +257,9 @@ impl<R: Revoked> Judge<'_, R> {
         if host.switch != record.switch {
             return Err(wrong_host(CertError::WrongSwitch { expected: record.switch, got: host.switch }));
         }
-        let verified = record
-            .verify(self.revoked.newest(&record.name), unix)
-            .map_err(|source: CertError| TierRefusal::Record { name: record.name, source: source.into() })?;
+        let wrong = |source: CertError| TierRefusal::Record { name: record.name, source: source.into() };
+        let verified = record.verify(self.revoked.newest(&record.name), unix).map_err(wrong)?;
+        record.credential.check_member(|domain| self.revoked.newest(domain)).map_err(wrong)?;
         Ok((verified.advert.lifetime, verified.not_after.min(host.not_after)))
     }
 }

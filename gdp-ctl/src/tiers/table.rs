@@ -99,9 +99,7 @@ impl Item {
             Self::Part { held, .. } => TierEntry::Part(Box::new(held.told(now, home))),
             Self::Box(signed) => TierEntry::Box((**signed).clone()),
             Self::Locator { domain, locator } => TierEntry::Locator { domain: *domain, locator: (**locator).clone() },
-            Self::Revocation(kept) => {
-                TierEntry::Revocation { proof: kept.proof, revocation: kept.revocation.clone() }
-            }
+            Self::Revocation(kept) => TierEntry::Revocation { proof: kept.proof, revocation: kept.revocation.clone() },
         }
     }
 

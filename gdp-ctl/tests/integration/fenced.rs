@@ -57,8 +57,7 @@ async fn a_wanted_peering_is_made_at_the_address_that_answers() {
     let rib = Rib::beside_a_switch(7).await;
     let silent = UdpSocket::bind("127.0.0.1:0").unwrap();
     let border = Identity::generate("switch").unwrap();
-    let port =
-        Port::udp("127.0.0.1:0".parse().unwrap(), &PortConfig::switch(border.clone(), LinkIds::new())).unwrap();
+    let port = Port::udp("127.0.0.1:0".parse().unwrap(), &PortConfig::switch(border.clone(), LinkIds::new())).unwrap();
     let addrs = vec![silent.local_addr().unwrap(), port.udp_addr().unwrap()];
     rib.takes(Request::Peerings { run: 7, wanted: vec![(border.name(), addrs)] }).await;
     let link = timeout(PATIENCE, port.accept()).await.expect("it is dialled").unwrap().unwrap();

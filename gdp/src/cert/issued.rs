@@ -116,7 +116,7 @@ impl<T: Into<Issued<ReadGrant>>> From<T> for Reading {
 
 impl Reading {
     /// As [`Issued::verify`], and that the grant reaches `entity`. The validity of what is returned is that of all that was
-    /// shown.
+    /// shown. Whether the domain still stands behind a membership, [`Self::check_member`] says.
     pub fn verify(
         &self,
         proof: &NameProof,
@@ -147,6 +147,13 @@ impl Reading {
             }
         }
         Ok(grant)
+    }
+
+    /// Whether the domain has not taken back the membership that the grant asks for, if it asks for one. `newest`: the newest revocation
+    /// that is known of a domain.
+    pub fn check_member<'a>(&self, newest: impl FnOnce(&Name) -> Option<&'a Revocation>) -> Result<(), CertError> {
+        let Some(member) = &self.member else { return Ok(()) };
+        member.check_revoked(newest(&member.domain.name()?))
     }
 
     /// Bytes of what is signed in it.

@@ -108,9 +108,15 @@ pub enum TierKey {
 pub enum TierEntry {
     Part(Box<Abroad>),
     Box(Signed<KeyBox>),
-    Locator { domain: Name, locator: Locator },
+    Locator {
+        domain: Name,
+        locator: Locator,
+    },
     /// Of a name; what domains take back goes from switch to switch.
-    Revocation { proof: NameProof, revocation: Signed<Revocation> },
+    Revocation {
+        proof: NameProof,
+        revocation: Signed<Revocation>,
+    },
 }
 
 /// One entity's part in a name, in another domain, with all that is needed to verify it.

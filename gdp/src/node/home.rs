@@ -14,6 +14,7 @@ use crate::domain::{Admission, CurrentPapers, DomainError, Papers, Trust};
 use crate::identity::Identity;
 use crate::link::{Link, Role};
 use crate::name::NameProof;
+use crate::revocations::Kept;
 
 /// How often links are looked at, whether what they rest on has ended.
 const LOOK: Duration = Duration::from_millis(250);
@@ -71,13 +72,26 @@ impl Home {
         Ok(())
     }
 
-    pub fn take_revocation(&self, proof: &NameProof, revocation: &Signed<Revocation>) -> Result<(), CertError> {
-        if let Some(trust) = &self.trust
-            && lock(trust).take_revocation(proof, revocation)?
-        {
-            self.changed();
+    /// A domain has taken something back. Returns what, if that is news and of a domain that the node has to do with.
+    pub fn take_revocation(
+        &self,
+        proof: &NameProof,
+        revocation: &Signed<Revocation>,
+    ) -> Result<Option<Revocation>, CertError> {
+        let Some(trust) = &self.trust else { return Ok(None) };
+        if !lock(trust).take_revocation(proof, revocation)? {
+            return Ok(None);
         }
-        Ok(())
+        self.changed();
+        Ok(self.revocations().into_iter().find(|claims| Ok(claims.name) == proof.name()))
+    }
+
+    /// What the domains have taken back that the node has to do with, as far as it has heard.
+    pub fn revocations(&self) -> Vec<Revocation> {
+        let Some(trust) = &self.trust else { return Vec::new() };
+        let trust = lock(trust);
+        let of = |kept: &Kept| trust.revocation(&kept.proof.name().ok()?).cloned();
+        trust.revocations().filter_map(of).collect()
     }
 
     /// Closes the link once what it rests on has ended or was taken back, and says why.

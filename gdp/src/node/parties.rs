@@ -123,6 +123,9 @@ impl Parties {
                 PeerEvent::Left(entity) => {
                     self.known.get_mut(entity).into_iter().for_each(|party| party.leave(now));
                 }
+                PeerEvent::Expelled(entity) => {
+                    self.known.get_mut(entity).into_iter().for_each(|party| party.right.not_after = 0);
+                }
                 PeerEvent::Revoked(revocation) => self.revocation = Some(revocation.clone()),
                 PeerEvent::Refused(error) => {
                     tracing::warn!(%service, %error, "the RIB told of one that does not verify");

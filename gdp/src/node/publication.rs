@@ -400,6 +400,9 @@ impl Publication {
                         entry.absent = entry.absent.or(Some(outlet.clock.now()));
                     }
                 }
+                PeerEvent::Expelled(reader) => {
+                    readers.known.get_mut(&reader).into_iter().for_each(|entry| entry.right.not_after = 0);
+                }
                 PeerEvent::Revoked(revocation) => readers.revocation = Some(revocation),
                 PeerEvent::Refused(error) => {
                     tracing::warn!(name = %self.name, %error, "the RIB told of a reader that does not verify");

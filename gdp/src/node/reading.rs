@@ -69,8 +69,9 @@ impl Reading {
                 PeerEvent::Refused(error) => {
                     tracing::warn!(name = %self.name, %error, "the RIB told of a writer that does not verify");
                 }
-                // A writer is believed as long as its right holds; a RIB that is behind is the supervisor's business.
-                PeerEvent::Left(_) | PeerEvent::RibIsBehind(_) => {}
+                // A writer is believed as long as its right holds, for which it need be nobody's member; a RIB that is behind is the
+                // supervisor's business.
+                PeerEvent::Left(_) | PeerEvent::Expelled(_) | PeerEvent::RibIsBehind(_) => {}
             }
         }
         effects.extend(self.expire(now));

@@ -307,6 +307,8 @@ impl State {
         let mut counterparts = Counterparts::new(*statement.proof(), stated.role())?;
         self.revoked.of(&name).into_iter().for_each(|revocation| counterparts.recall(revocation));
         let (mut known, mut statements) = (lock(&self.counterparts), lock(&self.statements));
+        // Under the lock: what comes from now on, `domain_revoked` tells.
+        self.home.revocations().iter().for_each(|claims| drop(counterparts.domain_revoked(claims)));
         if statements.contains_key(&(name, stated)) {
             return Err(NodeError::Already { name, stated });
         }

@@ -700,7 +700,10 @@ async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request
             Err(error) => Refusal::new(RefusalCode::NotEntitled, error.to_string()).into(),
         },
         Request::DomainRevoked { proof, revocation } => match state.home.take_revocation(&proof, &revocation) {
-            Ok(()) => Response::Done,
+            Ok(news) => {
+                news.iter().for_each(|claims| state.domain_revoked(claims));
+                Response::Done
+            }
             Err(error) => Refusal::new(RefusalCode::ReplayedSerial, error.to_string()).into(),
         },
         _ => Refusal::new(

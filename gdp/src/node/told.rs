@@ -15,6 +15,7 @@ use super::reading::Effect;
 use super::receiver::Command;
 use super::state::{State, ask, lock};
 use super::supervisor::{Attachment, Event};
+use crate::cert::Revocation;
 use crate::control::{EntityRequest, NameRole, Peers, RefusalCode, Response};
 use crate::peers::{OutOfStep, PeerEvent};
 
@@ -52,6 +53,19 @@ impl State {
             }
             Err(error) => Some(Err(error)),
         }
+    }
+
+    /// A domain has taken something back.
+    pub fn domain_revoked(&self, claims: &Revocation) {
+        // As in `take_peers`.
+        let mut all = lock(&self.counterparts);
+        for ((name, role), counterparts) in all.iter_mut() {
+            let events = counterparts.domain_revoked(claims);
+            if !events.is_empty() {
+                self.act(*name, *role, events);
+            }
+        }
+        self.sweep_parties();
     }
 
     fn act(&self, name: Name, role: NameRole, events: Vec<PeerEvent>) {

@@ -1,7 +1,7 @@
 //! What an entity believes of what its RIB tells, and what it does not.
 
 use super::*;
-use crate::cert::{AdCert, Advert, AdvertOp, Grantee, Mode, ReadGrant, Revocation, issue};
+use crate::cert::{AdCert, Advert, AdvertOp, Grantee, MemberCert, Mode, ReadGrant, Reading, Revocation, issue};
 use crate::control::Credential;
 use crate::identity::{Identity, SigningKey};
 
@@ -40,6 +40,33 @@ fn a_rib_that_has_just_started_takes_nobody_away_by_not_knowing_him() {
     assert_eq!(w.take(gone), [PeerEvent::Left(a.name())], "it says so");
     let settled = Peers { run: 2, extent, ..w.nothing() };
     assert_eq!(w.take(settled), [PeerEvent::Left(b.name())]);
+}
+
+#[test]
+fn who_reads_for_a_role_reads_no_more_once_its_domain_takes_it_back() {
+    let (mut w, domain) = (World::new(), Identity::generate("domain").unwrap());
+    let [stolen, other, named] = [0, 1, 2].map(|_| Identity::generate("proxy").unwrap());
+    let by_role = |entity: &Identity, serial| {
+        let (role, not_before, not_after) = ("operator".to_owned(), 100, 200);
+        let to = Grantee::Role { domain: domain.name(), role: role.clone() };
+        let grant = ReadGrant { name: w.name, to, serial: 1, not_before, not_after };
+        let (domain_name, entity_name) = (domain.name(), entity.name());
+        let cert = MemberCert { domain: domain_name, entity: entity_name, role, serial, not_before, not_after };
+        let member = Some(Membership::issue(&domain, &cert).unwrap());
+        let reading = Reading { grant: issue(&w.owner, &grant).unwrap().into(), member };
+        w.record(entity, AdvertOp::Subscribe, Credential::Reader(reading))
+    };
+    let [first, second, again] = [by_role(&stolen, 7), by_role(&other, 8), by_role(&stolen, 9)];
+    let all = [first.clone(), second, w.reader(&named, 7)];
+    assert_eq!(w.whole(&all).len(), 3);
+    let claims = Revocation { name: domain.name(), number: 1, floor: 0, revoked: vec![7] };
+    let of_another = Revocation { name: Name::from_bytes([1; 32]), ..claims.clone() };
+    assert_eq!(w.held.domain_revoked(&of_another), []);
+    assert_eq!(w.held.domain_revoked(&claims), [PeerEvent::Expelled(stolen.name())]);
+    assert!(w.held.get(&other.name()).is_some() && w.held.get(&named.name()).is_some());
+    let events = w.changes(&[first], &[]);
+    assert!(matches!(&events[..], [PeerEvent::Refused(CertError::Revoked { serial: 7, .. })]), "{events:?}");
+    assert!(matches!(&w.changes(&[again], &[])[..], [PeerEvent::Joined(_)]), "it is a member anew");
 }
 
 #[test]

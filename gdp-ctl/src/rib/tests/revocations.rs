@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use gdp::cert::{Delegation, Issued, Revocation, issue};
+use gdp::cert::{Delegation, Grantee, Issued, MemberCert, Membership, ReadGrant, Reading, Revocation, issue};
 use gdp::control::{EntityRequest, NameRole, RefusalCode, Response};
 use gdp::identity::{Identity, SigningKey};
 
@@ -41,6 +41,42 @@ fn what_is_revoked_is_dropped_at_once_and_all_are_told() {
     w.settle();
     w.check_model();
     w.check_told();
+}
+
+#[test]
+fn what_a_domain_takes_back_of_a_member_ends_what_it_reads_as_one() {
+    let mut w = World::chain(2);
+    let (robot, stolen, cloud) = (w.attached("robot", 0), w.attached("stolen", 1), w.attached("cloud", 1));
+    let domain = Identity::generate("domain").unwrap();
+    w.publish(&robot, 0, 1);
+    let subscribe = |w: &mut World, entity: &Identity, statement, serial| {
+        let mut request = w.subscription(entity, 1, statement);
+        let EntityRequest::Subscribe { grant, .. } = &mut request else { panic!("{request:?}") };
+        let (role, not_before, not_after) = ("operator".to_owned(), UNIX, UNIX + 1000);
+        let to = Grantee::Role { domain: domain.name(), role: role.clone() };
+        let named = grant.grant.cert.claims_unverified().unwrap();
+        let (of_domain, member) = (domain.name(), entity.name());
+        let cert = MemberCert { domain: of_domain, entity: member, role, serial, not_before, not_after };
+        let member = Some(Membership::issue(&domain, &cert).unwrap());
+        *grant = Reading { grant: issue(&w.owner, &ReadGrant { to, ..named }).unwrap().into(), member };
+        w.ask(entity, 1, request)
+    };
+    for (entity, serial) in [(&stolen, 7), (&cloud, 8)] {
+        assert!(matches!(subscribe(&mut w, entity, 1, serial), Response::Peers(_)));
+    }
+    w.tell_all();
+    assert_eq!(w.counterparts(&robot, NameRole::Publisher), 2);
+    let claims = Revocation { name: domain.name(), number: 1, floor: 0, revoked: vec![7] };
+    let now = w.now;
+    w.rib.domain_revoked(now, &claims);
+    w.tell_all();
+    assert!(!w.knows(&robot, NameRole::Publisher, &stolen) && w.knows(&robot, NameRole::Publisher, &cloud));
+    assert_eq!(w.inbox_routes(&stolen), [], "nor is it reached any more");
+    let refused = subscribe(&mut w, &stolen, 2, 7);
+    expect_refused(&refused, "again", RefusalCode::Revoked, "MemberCert with serial 7");
+    assert!(matches!(subscribe(&mut w, &stolen, 3, 9), Response::Peers(_)), "it is a member anew");
+    w.settle();
+    w.check_model();
 }
 
 #[test]

@@ -376,7 +376,7 @@ impl World {
                 behind.push(revocation.clone());
                 None
             }
-            PeerEvent::Revoked(_) | PeerEvent::Joined(_) | PeerEvent::Left(_) => None,
+            PeerEvent::Revoked(_) | PeerEvent::Joined(_) | PeerEvent::Left(_) | PeerEvent::Expelled(_) => None,
         });
         self.keep_boxes(entity, name, boxes);
         for revocation in behind {

@@ -2,13 +2,14 @@
 
 use std::time::Duration;
 
-use gdp::control::{NameRole, TierEntry, TierKey, TierResponse};
+use gdp::cert::{Advert, AdvertOp, Grantee, MemberCert, Membership, ReadGrant, Reading, Revocation, issue};
+use gdp::control::{Credential, NameRole, TierEntry, TierKey, TierResponse};
 use gdp::revocations::Kept;
 use gdp_wire::Name;
 
 use super::HOLD;
 use super::hostile::Victim;
-use super::world::{World, owner, revocation};
+use super::world::{DAY, UNIX, World, identity, owner, revocation};
 use crate::tiers::side::{MAX_REVOKED_NAMES, Told};
 
 use NameRole::{Publisher, Subscriber};
@@ -95,6 +96,31 @@ fn what_an_owner_did_not_sign_is_refused_and_what_is_older_is_answered() {
     assert!(matches!(v.push(tell(known.clone())), TierResponse::Done));
     assert_eq!(v.w.domains[0].tiers.take_revoked(), [known]);
     assert_eq!(v.entries(), 0, "nothing of it is held here");
+}
+
+#[test]
+fn who_reads_for_a_role_that_its_domain_takes_back_is_forgotten() {
+    let mut v = Victim::new();
+    let (third, entity) = (v.w.domains[3].identity.clone(), identity("proxy", 100));
+    let mut part = v.part(2, &[]);
+    let name = part.record.name;
+    let (role, serial, not_before, not_after) = ("operator".to_owned(), 7, UNIX - DAY, UNIX + DAY);
+    let to = Grantee::Role { domain: third.name(), role: role.clone() };
+    let grant = ReadGrant { name, to, serial, not_before, not_after };
+    let cert = MemberCert { domain: third.name(), entity: entity.name(), role, serial, not_before, not_after };
+    let member = Some(Membership::issue(&third, &cert).unwrap());
+    let reading = Reading { grant: issue(&owner(0).0, &grant).unwrap().into(), member };
+    let advert = Advert { op: AdvertOp::Subscribe, ..part.record.advert.claims_unverified().unwrap() };
+    part.record.credential = Credential::Reader(reading);
+    part.record.advert = issue(entity.key(), &advert).unwrap();
+    let entry = || vec![TierEntry::Part(Box::new(part.clone()))];
+    assert!(matches!(v.push(entry()), TierResponse::Done));
+    v.w.revocations.0.insert(third.name(), Revocation { name: third.name(), number: 1, floor: 8, revoked: vec![] });
+    let now = v.w.now;
+    v.w.domains[0].tiers.reconsider(now, third.name(), None, &v.w.revocations);
+    assert_eq!((v.entries(), v.counted("revoked")), (0, 1));
+    v.push(entry());
+    assert_eq!((v.entries(), v.counted("revoked")), (0, 2));
 }
 
 #[test]
