@@ -13,6 +13,7 @@ use anyhow::{Context, Result, bail, ensure};
 use gdp::cert::domain::roles;
 use gdp::cert::{Host, MemberCert, Membership, Revocation, SwitchStatement, issue};
 use gdp::control::{self, EntityRequest, RecordPlace, Response, TierRequest, TierResponse};
+use gdp::revocations::Kept;
 use gdp::{Identity, Name};
 use gdp_ctl::rib::{Limits, Now, Rib, Run};
 use gdp_ctl::tiers::{self, Change, Effect, Item, Reply, Revoked, Sent, Tiers};
@@ -94,6 +95,10 @@ struct Nothing;
 
 impl Revoked for Nothing {
     fn newest(&self, _name: &Name) -> Option<&Revocation> {
+        None
+    }
+
+    fn kept(&self, _name: &Name) -> Option<&Kept> {
         None
     }
 }
