@@ -385,6 +385,18 @@ impl Federation {
         Ok(())
     }
 
+    /// Another daemon for a switch that has none any more.
+    pub fn start_again(&mut self, label: &str) -> Result<()> {
+        let plan = PLANS.iter().find(|plan| plan.label == label).with_context(|| format!("no switch {label}"))?;
+        let names: Vec<_> = self.switches.iter().map(|(label, switch)| (*label, switch.name.clone())).collect();
+        let (folder, name) = (self.files.path(), self.switch(label)?.name.clone());
+        let who = (plan.label, name.as_str());
+        let started = Switch::start(&self.tools, self.node(label)?, folder, who, config(plan, &names, folder))?;
+        let place = self.switches.iter_mut().find(|(of, _)| *of == label);
+        place.with_context(|| format!("no switch {label}"))?.1 = started;
+        Ok(())
+    }
+
     /// Waits until a condition holds; errors, as of a daemon that does not answer yet, count as no.
     pub fn wait(&self, what: &str, condition: impl Fn(&Self) -> Result<bool>) -> Result<()> {
         wait_for(what, PATIENCE, || Ok(condition(self).unwrap_or(false).then_some(()))).with_context(|| self.report())

@@ -28,6 +28,7 @@ mod ring;
 mod roaming;
 mod same_host;
 mod selfheal;
+mod selfheal_domains;
 mod star;
 mod trace;
 mod traffic;

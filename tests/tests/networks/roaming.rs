@@ -122,7 +122,7 @@ fn flow_on(federation: &Federation, flows: &[(&str, Flow)]) -> Result<()> {
     Ok(())
 }
 
-fn party(federation: &Federation, label: &str, at: &Namespace, links: &[&str]) -> Result<Party> {
+pub fn party(federation: &Federation, label: &str, at: &Namespace, links: &[&str]) -> Result<Party> {
     federation.admit(label)?;
     let folder = federation.folder_of(label);
     let visit = folder.join("visit.peer");
