@@ -32,7 +32,7 @@ pub struct Counterpart {
     pub not_after: u64,
     serials: Vec<(&'static str, u64)>,
     /// What its right rests on, if that was for a role in a domain.
-    member: Option<Membership>,
+    member: Option<Box<Membership>>,
 }
 
 impl Counterpart {
@@ -182,7 +182,7 @@ impl Counterparts {
         self.domains.insert(claims.name, claims.clone());
         let is_over = |counterpart: &Counterpart| {
             let of_domain = |member: &&Membership| member.domain.name().is_ok_and(|domain| domain == claims.name);
-            counterpart.member.as_ref().filter(of_domain).is_some_and(|it| it.check_revoked(Some(claims)).is_err())
+            counterpart.member.as_deref().filter(of_domain).is_some_and(|it| it.check_revoked(Some(claims)).is_err())
         };
         let gone: Vec<Name> = self.known().filter(|c| is_over(c)).map(|c| c.entity).collect();
         gone.iter().for_each(|entity| drop(self.known.remove(entity)));
@@ -218,7 +218,7 @@ impl Counterparts {
             box_key: verified.advert.box_key,
             not_after: verified.not_after,
             serials: record.credential.serials()?,
-            member: record.credential.member().cloned(),
+            member: record.credential.member().cloned().map(Box::new),
         })
     }
 

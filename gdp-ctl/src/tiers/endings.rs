@@ -27,6 +27,7 @@ impl Tiers {
         }
         let judge = Judge { home: self.home, now, revoked };
         let (mut gone, mut fewer) = (Vec::new(), Vec::new());
+        let is_domain = revoked.kept(&about).is_none();
         for (domain, side) in &self.sides {
             if let Some(Item::Locator { locator, .. }) = side.table.get(&TierKey::Locator(about)) {
                 let entry = TierEntry::Locator { domain: about, locator: (**locator).clone() };
@@ -41,8 +42,9 @@ impl Tiers {
                 member.is_some_and(|member| member.domain.name().is_ok_and(|domain| domain == about))
             };
             let elsewhere = |held: &&Arc<Held>| held.place.name != about && held.path.first() != Some(&about);
-            // There is no index of those who read for a role in a domain that they are not in.
-            let of_members = side.table.parts().filter(elsewhere).filter(is_of_member);
+            // There is no index of those who read for a role in a domain that they are not in: domains take something back rarely.
+            let all = is_domain.then(|| side.table.parts()).into_iter().flatten();
+            let of_members = all.filter(elsewhere).filter(is_of_member);
             for held in side.table.parts_about(about).chain(of_members) {
                 if let Err(refusal) = judge.still_holds(held) {
                     gone.push((*domain, TierKey::Part(held.place), refusal));
