@@ -60,7 +60,7 @@ pub enum Fault {
     Range(i64, &'static str),
     #[error("the message would be larger than {0} bytes: raise the limit, if such messages are meant")]
     Output(usize),
-    #[error("more than {0} elements that take no bytes: nobody needs them")]
+    #[error("more than {0} steps over empty messages: nobody needs so many")]
     Nothing(u32),
     #[error("an encapsulation of {0:#06x}: only classic CDR (0x0000, 0x0001) is read, no XCDR2 and no parameter lists")]
     Encapsulation(u16),

@@ -3,6 +3,9 @@
 use super::{Block, Result, Sink, Source};
 use crate::definition::{Count, Scalar};
 
+/// For arrays in one piece; longer ones are given number by number.
+static ZEROS: [u8; 1 << 16] = [0; 1 << 16];
+
 /// Gives zeros, empty texts and empty sequences: what a ROS 1 node begins a message with.
 pub(crate) struct Zeros;
 
@@ -11,8 +14,10 @@ impl Source for Zeros {
         Ok(0)
     }
 
-    fn array(&mut self, _kind: Scalar, _count: Count, _per: u32) -> Result<Option<Block<'_>>> {
-        Ok(None)
+    fn array(&mut self, kind: Scalar, count: Count, per: u32) -> Result<Option<Block<'_>>> {
+        let scalars = if let Count::Fixed(length) = count { length as usize * per as usize } else { 0 };
+        let bytes = scalars.checked_mul(kind.size()).and_then(|length| ZEROS.get(..length));
+        Ok(bytes.map(|bytes| Block { bytes, big_endian: false }))
     }
 
     fn text(&mut self, _wide: bool) -> Result<&[u8]> {
