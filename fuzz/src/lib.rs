@@ -8,6 +8,7 @@ mod decide;
 mod domains;
 mod feedback;
 mod key_box;
+mod msg;
 mod seeds;
 mod segments;
 
@@ -20,6 +21,7 @@ pub use control::control;
 pub use decide::decide;
 pub use feedback::feedback;
 pub use key_box::key_box;
+pub use msg::msg;
 pub use seeds::seeds;
 pub use segments::segments;
 
@@ -27,13 +29,14 @@ pub use segments::segments;
 pub type Target = fn(&[u8]);
 
 /// All targets, by the names of their executables and corpora.
-pub const TARGETS: [(&str, Target); 6] = [
+pub const TARGETS: [(&str, Target); 7] = [
     ("decide", decide),
     ("control", control),
     ("cert", cert),
     ("feedback", feedback),
     ("key_box", key_box),
     ("segments", segments),
+    ("msg", msg),
 ];
 
 /// Names the folder that [`write_seeds`] writes to.

@@ -19,7 +19,7 @@ use serde::Serialize;
 use crate::decide::{TAGGED, TWICE};
 use crate::domains::Domain;
 use crate::frames::fixtures;
-use crate::key_box;
+use crate::{key_box, msg};
 
 type Seeds = Vec<(String, Vec<u8>)>;
 
@@ -32,6 +32,7 @@ pub fn seeds(target: &str) -> Seeds {
         "feedback" => feedback(),
         "key_box" => key_box::seeds(),
         "segments" => payloads(),
+        "msg" => msg::seeds(),
         _ => Vec::new(),
     }
 }

@@ -90,6 +90,11 @@ impl TypeName {
         name.map_err(|_| refused())
     }
 
+    /// Of request and response of the service with this package and name, whatever kind this name says.
+    pub fn service_halves(&self) -> [Self; 2] {
+        ["_Request", "_Response"].map(|half| self.with(Kind::Service, half))
+    }
+
     pub fn package(&self) -> &str {
         &self.package
     }
@@ -172,6 +177,7 @@ mod tests {
         assert_eq!(name.display(Dialect::Ros1), "std_msgs/String");
         let half = TypeName::parse("std_srvs::srv::dds_::SetBool_Request_").unwrap();
         assert_eq!(half, TypeName::parse("std_srvs/srv/SetBool_Request").unwrap());
+        assert_eq!(half, TypeName::parse("std_srvs/SetBool").unwrap().service_halves()[0]);
         assert_eq!(half.display(Dialect::Ros1), "std_srvs/SetBoolRequest");
     }
 

@@ -117,7 +117,7 @@ fn message(schema: &Schema, definition: &Definition, random: &mut Random, json: 
 fn value(schema: &Schema, base: &Base, random: &mut Random, json: &mut String) {
     let bits = random.next();
     let _ = match base {
-        Base::Scalar(Scalar::Bool) => write!(json, "{}", bits % 2 == 0),
+        Base::Scalar(Scalar::Bool) => write!(json, "{}", bits.is_multiple_of(2)),
         Base::Scalar(Scalar::Byte) if schema.dialect() == Ros2 => write!(json, "{}", bits as u8),
         Base::Scalar(Scalar::Byte | Scalar::Int8) => write!(json, "{}", bits as i8),
         Base::Scalar(Scalar::Char | Scalar::UInt8) => write!(json, "{}", bits as u8),

@@ -21,7 +21,7 @@ pub enum MapError {
         "{from} and {to} differ{}: {} against {}; fields pair by name, or by position if their types agree",
         if path.is_empty() { String::new() } else { format!(" in `{path}`") }, listed(from_only), listed(to_only)
     )]
-    Fields { path: String, from: TypeName, to: TypeName, from_only: Vec<Box<str>>, to_only: Vec<Box<str>> },
+    Fields { path: String, from: Box<str>, to: Box<str>, from_only: Vec<Box<str>>, to_only: Vec<Box<str>> },
     #[error("`{path}` comes earlier on one side than on the other: bring the fields into the same order")]
     Order { path: String },
     #[error("a message of {0} takes more than {MAX_OPS} steps to read: split it")]
@@ -39,10 +39,11 @@ pub(super) fn compile(
     to_encoding: Encoding,
 ) -> Result<(Program, Vec<Note>), MapError> {
     let json = [from_encoding, to_encoding].contains(&Encoding::Json);
-    let mut compiler = Compiler { json, program: Program::default(), notes: Vec::new(), field: 0, barrier: 0 };
+    let mut compiler =
+        Compiler { root: from.name(), json, program: Program::default(), notes: Vec::new(), field: 0, barrier: 0 };
     compiler.program.fields.push(FieldPlace { parent: 0, name: "".into(), repeated: false });
     let (from_shape, to_shape) = (Shape::of_message(from.root()), Shape::of_message(to.root()));
-    compiler.shape(from, from_shape, to, to_shape).map_err(|error| error.named(from.name()))?;
+    compiler.shape(from, from_shape, to, to_shape)?;
     Ok((compiler.program, compiler.notes))
 }
 
@@ -102,7 +103,9 @@ impl Shape<'_> {
     }
 }
 
-struct Compiler {
+struct Compiler<'a> {
+    /// Of the message.
+    root: &'a TypeName,
     /// One of the encodings has names and brackets.
     json: bool,
     program: Program,
@@ -113,29 +116,14 @@ struct Compiler {
     barrier: usize,
 }
 
-/// What stops compilation: the error, or that the program is too large, which is said of the whole message.
-enum Stop {
-    Error(MapError),
-    TooLarge,
-}
-
-impl Stop {
-    fn named(self, name: &TypeName) -> MapError {
-        match self {
-            Self::Error(error) => error,
-            Self::TooLarge => MapError::TooLarge(name.clone()),
-        }
-    }
-}
-
 /// How many bytes a value takes at least where it comes from.
 type Least = u64;
 
-impl Compiler {
-    fn push(&mut self, op: Op) -> Result<usize, Stop> {
+impl Compiler<'_> {
+    fn push(&mut self, op: Op) -> Result<usize, MapError> {
         let Program { ops, of, .. } = &mut self.program;
         if ops.len() >= MAX_OPS {
-            return Err(Stop::TooLarge);
+            return Err(MapError::TooLarge(self.root.clone()));
         }
         ops.push(op);
         of.push(self.field);
@@ -143,7 +131,7 @@ impl Compiler {
     }
 
     /// Begins a body; [`Compiler::body`] says how long it has become.
-    fn push_bodied(&mut self, op: Op) -> Result<usize, Stop> {
+    fn push_bodied(&mut self, op: Op) -> Result<usize, MapError> {
         let at = self.push(op)?;
         self.barrier = at + 1;
         Ok(at)
@@ -154,7 +142,7 @@ impl Compiler {
         (self.program.ops.len() - at - 1) as u32
     }
 
-    fn scalars(&mut self, from: Scalar, to: Scalar, count: u32) -> Result<Least, Stop> {
+    fn scalars(&mut self, from: Scalar, to: Scalar, count: u32) -> Result<Least, MapError> {
         let least = from.size() as u64 * u64::from(count);
         let is_open = self.program.ops.len() > self.barrier;
         if let Some(Op::Scalars { from: before, count: so_far, .. }) = self.program.ops.last_mut()
@@ -172,7 +160,7 @@ impl Compiler {
         Ok(least)
     }
 
-    fn shape(&mut self, from: &Schema, a: Shape<'_>, to: &Schema, b: Shape<'_>) -> Result<Least, Stop> {
+    fn shape(&mut self, from: &Schema, a: Shape<'_>, to: &Schema, b: Shape<'_>) -> Result<Least, MapError> {
         match (a, b) {
             (Shape::Scalar { kind: from, .. }, Shape::Scalar { kind: to, .. }) if a.is_same_scalar(b) => {
                 self.scalars(from, to, 1)
@@ -184,15 +172,15 @@ impl Compiler {
         }
     }
 
-    fn differ(&self, from: String, to: String) -> Stop {
-        Stop::Error(MapError::Type { path: self.path(), from, to })
+    fn differ(&self, from: String, to: String) -> MapError {
+        MapError::Type { path: self.path(), from, to }
     }
 
     fn path(&self) -> String {
         self.program.path_of(self.field, &[])
     }
 
-    fn stamp(&mut self, a: [(&'static str, Scalar); 2], b: [(&'static str, Scalar); 2]) -> Result<Least, Stop> {
+    fn stamp(&mut self, a: [(&'static str, Scalar); 2], b: [(&'static str, Scalar); 2]) -> Result<Least, MapError> {
         let members = [a, b].map(|stamp| self.members(stamp.map(|(name, _)| name.into()).into()));
         self.open(members)?;
         for (member, ((_, from), (_, to))) in a.into_iter().zip(b).enumerate() {
@@ -208,7 +196,7 @@ impl Compiler {
         Ok(8)
     }
 
-    fn message(&mut self, from: &Schema, a: &Definition, to: &Schema, b: &Definition) -> Result<Least, Stop> {
+    fn message(&mut self, from: &Schema, a: &Definition, to: &Schema, b: &Definition) -> Result<Least, MapError> {
         let steps = pair((from.dialect(), a), (to.dialect(), b)).map_err(|unpaired| self.unpaired(a, b, unpaired))?;
         let names = |definition: &Definition| definition.fields.iter().map(|field| field.name.clone()).collect();
         let members = if self.json { [a, b].map(|definition| self.members(names(definition))) } else { [0; 2] };
@@ -238,13 +226,13 @@ impl Compiler {
         Ok(least)
     }
 
-    fn unpaired(&self, a: &Definition, b: &Definition, unpaired: Unpaired) -> Stop {
+    fn unpaired(&self, a: &Definition, b: &Definition, unpaired: Unpaired) -> MapError {
         let path = self.path();
         let names = |definition: &Definition, left: Vec<usize>| {
             left.into_iter().map(|index| definition.fields[index].name.clone()).collect()
         };
-        let (from, to) = (a.name.clone(), b.name.clone());
-        Stop::Error(match unpaired {
+        let [from, to] = [a, b].map(|definition| definition.name.to_string().into());
+        match unpaired {
             Unpaired::Left(from_only, to_only) => {
                 MapError::Fields { path, from, to, from_only: names(a, from_only), to_only: names(b, to_only) }
             }
@@ -252,10 +240,10 @@ impl Compiler {
                 let name = &a.fields[index].name;
                 MapError::Order { path: if path.is_empty() { name.to_string() } else { format!("{path}.{name}") } }
             }
-        })
+        }
     }
 
-    fn field(&mut self, from: &Schema, a: &Field, to: &Schema, b: &Field) -> Result<Least, Stop> {
+    fn field(&mut self, from: &Schema, a: &Field, to: &Schema, b: &Field) -> Result<Least, MapError> {
         let parent = std::mem::replace(&mut self.field, self.program.fields.len() as u32);
         let repeated = a.count != Count::One;
         self.program.fields.push(FieldPlace { parent, name: a.name.clone(), repeated });
@@ -270,7 +258,14 @@ impl Compiler {
         least
     }
 
-    fn counted(&mut self, from: &Schema, a: Shape<'_>, to: &Schema, b: Shape<'_>, count: Count) -> Result<Least, Stop> {
+    fn counted(
+        &mut self,
+        from: &Schema,
+        a: Shape<'_>,
+        to: &Schema,
+        b: Shape<'_>,
+        count: Count,
+    ) -> Result<Least, MapError> {
         if count == Count::One {
             return self.shape(from, a, to, b);
         }
@@ -303,7 +298,7 @@ impl Compiler {
         Ok(if let Count::Fixed(length) = count { least.saturating_mul(length.into()) } else { 4 })
     }
 
-    fn dropped(&mut self, schema: &Schema, of: &Definition, field: &Field, other: Dialect) -> Result<Least, Stop> {
+    fn dropped(&mut self, schema: &Schema, of: &Definition, field: &Field, other: Dialect) -> Result<Least, MapError> {
         if !is_seq(schema, of, field, other) {
             self.notes.push(Note::Dropped(self.path_to(field)));
         }
@@ -313,7 +308,7 @@ impl Compiler {
         Ok(least)
     }
 
-    fn filled(&mut self, schema: &Schema, of: &Definition, field: &Field, other: Dialect) -> Result<(), Stop> {
+    fn filled(&mut self, schema: &Schema, of: &Definition, field: &Field, other: Dialect) -> Result<(), MapError> {
         if is_seq(schema, of, field, other) {
             // The header is a field of the message itself.
             let is_first = self.field != 0 && self.program.fields[self.field as usize].parent == 0;
@@ -338,19 +333,19 @@ impl Compiler {
         (self.program.members.len() as u32).saturating_sub(1)
     }
 
-    fn open(&mut self, [from, _]: [u32; 2]) -> Result<(), Stop> {
+    fn open(&mut self, [from, _]: [u32; 2]) -> Result<(), MapError> {
         if self.json { self.push(Op::Open { from }).map(|_| ()) } else { Ok(()) }
     }
 
-    fn take(&mut self, [from, _]: [u32; 2], member: usize) -> Result<(), Stop> {
+    fn take(&mut self, [from, _]: [u32; 2], member: usize) -> Result<(), MapError> {
         if self.json { self.push(Op::Take { from, member: member as u32 }).map(|_| ()) } else { Ok(()) }
     }
 
-    fn put(&mut self, [_, to]: [u32; 2], member: usize) -> Result<(), Stop> {
+    fn put(&mut self, [_, to]: [u32; 2], member: usize) -> Result<(), MapError> {
         if self.json { self.push(Op::Put { to, member: member as u32 }).map(|_| ()) } else { Ok(()) }
     }
 
-    fn close(&mut self, [from, _]: [u32; 2]) -> Result<(), Stop> {
+    fn close(&mut self, [from, _]: [u32; 2]) -> Result<(), MapError> {
         if self.json { self.push(Op::Close { from }).map(|_| ()) } else { Ok(()) }
     }
 }
