@@ -54,7 +54,7 @@
 //!
 //! Everything: texts of definitions are bounded in length, fields, types and depth; messages in what their lengths may claim (never more than
 //! the rest of the input can hold), in elements that take no bytes, and in what they may grow to. Memory is taken as input is read, never for
-//! a length that was only claimed. A refusal says which field, at which byte, and why.
+//! a length that was only claimed. A refusal says which field, at which byte, and why. Nothing may follow a message but the padding of CDR.
 //!
 //! # What is left out
 //!

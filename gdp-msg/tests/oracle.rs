@@ -10,7 +10,7 @@ use gdp_msg::{Dialect, Encoding, Mapping, Options, Registry, Schema, TypeName, h
 use serde_json::Value;
 
 const SEED: u32 = 1;
-const MESSAGES_PER_TYPE: u32 = 5;
+const MESSAGES_PER_TYPE: u32 = 4;
 
 #[test]
 fn definitions_hashes_and_bytes_are_those_of_rosbags() {

@@ -9,7 +9,9 @@ use crate::definition::{Count, Scalar};
 
 /// Bytes in front of every payload: representation and options.
 const ENCAPSULATION: usize = 4;
-/// A writer may fill its payload up to a multiple of four.
+/// A writer may fill its payload up to a multiple of four. What is serialized apart from being sent, as by `rclpy.serialization` for a bag
+/// that is played later, may have more behind it: `rmw_fastrtps` makes it as long as its estimate of the size, which counts the alignment of
+/// sequences that are empty, and a terminator of wide texts that is never written.
 const MAX_PADDING: usize = 3;
 
 pub(crate) struct CdrSource<'a> {
@@ -17,6 +19,8 @@ pub(crate) struct CdrSource<'a> {
     big_endian: bool,
     /// The last wide text.
     text: String,
+    /// How many bytes may follow the last field.
+    padding: usize,
 }
 
 impl<'a> CdrSource<'a> {
@@ -28,7 +32,7 @@ impl<'a> CdrSource<'a> {
             1 => false,
             other => return Err(Fault::Encapsulation(other)),
         };
-        Ok(Self { input, big_endian, text: String::new() })
+        Ok(Self { input, big_endian, text: String::new(), padding: MAX_PADDING })
     }
 
     fn align(&mut self, size: usize) -> Result<()> {
@@ -50,6 +54,7 @@ impl<'a> CdrSource<'a> {
 
     fn wide_text(&mut self) -> Result<&[u8]> {
         let units = self.word()?;
+        self.padding += 4;
         let bytes = self.input.scalars(Scalar::UInt32, units.into())?;
         let unit = |word: &[u8; 4]| {
             let word = if self.big_endian { u32::from_be_bytes(*word) } else { u32::from_le_bytes(*word) };
@@ -76,6 +81,8 @@ impl Source for CdrSource<'_> {
         let scalars = u64::from(self.count(count)?) * u64::from(per);
         if scalars > 0 {
             self.align(kind.size())?;
+        } else {
+            self.padding += kind.size() - 1;
         }
         let bytes = self.input.scalars(kind, scalars)?;
         Ok(Some(Block { bytes, big_endian: self.big_endian }))
@@ -111,7 +118,7 @@ impl Source for CdrSource<'_> {
     }
 
     fn finish(&mut self) -> Result<()> {
-        if self.input.left() <= MAX_PADDING { Ok(()) } else { Err(Fault::Trailing(self.input.left())) }
+        if self.input.left() <= self.padding { Ok(()) } else { Err(Fault::Trailing(self.input.left())) }
     }
 }
 
