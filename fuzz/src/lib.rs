@@ -9,6 +9,7 @@ mod domains;
 mod feedback;
 mod key_box;
 mod msg;
+mod ros1;
 mod seeds;
 mod segments;
 
@@ -22,6 +23,7 @@ pub use decide::decide;
 pub use feedback::feedback;
 pub use key_box::key_box;
 pub use msg::msg;
+pub use ros1::{ros1_header, xmlrpc};
 pub use seeds::seeds;
 pub use segments::segments;
 
@@ -29,7 +31,7 @@ pub use segments::segments;
 pub type Target = fn(&[u8]);
 
 /// All targets, by the names of their executables and corpora.
-pub const TARGETS: [(&str, Target); 7] = [
+pub const TARGETS: [(&str, Target); 9] = [
     ("decide", decide),
     ("control", control),
     ("cert", cert),
@@ -37,6 +39,8 @@ pub const TARGETS: [(&str, Target); 7] = [
     ("key_box", key_box),
     ("segments", segments),
     ("msg", msg),
+    ("xmlrpc", xmlrpc),
+    ("ros1_header", ros1_header),
 ];
 
 /// Names the folder that [`write_seeds`] writes to.

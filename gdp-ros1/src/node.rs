@@ -309,7 +309,7 @@ impl Subscription {
     }
 }
 
-/// A service that this node serves, until it is dropped. Calls that run then fail.
+/// A service that this node serves, until it is dropped. Calls that run then are answered.
 pub struct ServiceServer {
     registered: Registered,
 }

@@ -6,7 +6,7 @@ use quick_xml::Reader;
 use quick_xml::escape::resolve_xml_entity;
 use quick_xml::events::Event;
 
-use super::{Call, Fault, Value};
+use super::{Call, Fault, Value, is_allowed};
 
 /// Arrays and structures in each other; `getSystemState` needs five.
 pub const MAX_DEPTH: usize = 16;
@@ -144,6 +144,9 @@ impl<'a> Tokens<'a> {
             };
             if text.is_empty() {
                 return Ok(token);
+            }
+            if !text.chars().all(is_allowed) {
+                return self.unexpected("a character that XML has");
             }
             self.ahead = Some(token);
             return Ok(Token::Text(text));

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use quick_xml::escape::escape;
 
-use super::{Call, Fault, Value};
+use super::{Call, Fault, Value, is_allowed};
 
 const DECLARATION: &str = "<?xml version=\"1.0\"?>\n";
 
@@ -65,9 +65,8 @@ fn value(xml: &mut String, value: &Value) {
     xml.push_str("</value>");
 }
 
-/// Escaped. A carriage return would be read as a line feed, and most other control characters cannot stand in XML at all.
+/// Escaped. A carriage return would be read as a line feed; what cannot stand in XML at all is left out.
 fn text(raw: &str) -> String {
-    let allowed = |&c: &char| matches!(c, '\t' | '\n' | '\r' | '\u{20}'..) && !matches!(c, '\u{fffe}' | '\u{ffff}');
-    let kept: String = raw.chars().filter(allowed).collect();
+    let kept: String = raw.chars().filter(|&c| is_allowed(c)).collect();
     escape(&kept).replace('\r', "&#13;")
 }

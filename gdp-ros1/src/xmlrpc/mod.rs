@@ -14,6 +14,11 @@ pub use decode::{MAX_DEPTH, MAX_VALUES, XmlRpcError, decode_call, decode_respons
 pub use encode::{encode_call, encode_response};
 pub use value::{Mismatch, Value};
 
+/// Whether a character can stand in XML at all, escaped or not (XML 1.0, section 2.2).
+fn is_allowed(c: char) -> bool {
+    matches!(c, '\t' | '\n' | '\r' | '\u{20}'..) && !matches!(c, '\u{fffe}' | '\u{ffff}')
+}
+
 /// A method and what it is called with.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Call {

@@ -49,6 +49,8 @@ fn hostile_documents_are_refused() {
     assert!(matches!(call("<base64>AAAA</base64>"), Err(XmlRpcError::Type(_))));
     assert!(call("<int>2147483648</int>").is_err());
     assert!(call("<int>1</i4>").is_err());
+    assert!(call("&#1;").is_err());
+    assert!(call("\u{1}").is_err());
     assert!(call("text<int>1</int>").is_err());
     assert!(call("<int>1</int><int>1</int>").is_err());
     let bomb = b"<!DOCTYPE b [<!ENTITY a \"aaaa\"><!ENTITY b \"&a;&a;&a;\">]><methodCall><methodName>&b;</methodName></methodCall>";
