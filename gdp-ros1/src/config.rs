@@ -14,7 +14,7 @@ pub struct NodeConfig {
     pub host: String,
     /// Where this node takes connections, both those of the slave API and of TCPROS, at ports that the system chooses.
     pub bind: IpAddr,
-    /// How often the master is asked for its state: to find out that it has forgotten this node, and what there is.
+    /// How often the master is asked for its state: to find out that it has forgotten this node, and what there is. Taken as 50 ms to 60 s.
     pub poll: Duration,
     /// For each call of the master or another node's slave API, and for each handshake.
     pub timeout: Duration,

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::io;
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use bytes::Bytes;
 use tokio::net::TcpListener;
@@ -26,6 +27,9 @@ use crate::topic::link::Common;
 use crate::topic::publication::{MessageType, Publication, PublishOptions, Subscriber};
 use crate::topic::sources::Sources;
 use crate::topic::subscription::{Keeper, Listed, Message, SourceStates, SubscribeOptions};
+
+/// How often and how rarely a master may be asked for its state.
+const POLL: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(60));
 
 /// Why a node, or something of it, cannot be.
 #[derive(Debug, thiserror::Error)]
@@ -65,6 +69,8 @@ impl Node {
     /// Begins to listen, and looks for the master in the background: whether it is there shows in [`Node::status`]. To be called within a tokio runtime.
     pub async fn start(config: NodeConfig) -> Result<Self, NodeError> {
         validate_node(&config.name)?;
+        let poll = config.poll.clamp(POLL.0, POLL.1);
+        let config = NodeConfig { poll, ..config };
         let (api, api_port) = bind(&config).await?;
         let (tcpros, port) = bind(&config).await?;
         let master = Master { uri: config.master_uri.clone(), caller_id: config.name.clone(), timeout: config.timeout };

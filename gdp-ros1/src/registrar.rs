@@ -30,6 +30,18 @@ impl Registrar {
     /// Until the node leaves and everything is taken back, as far as the master can be reached.
     pub async fn run(mut self) {
         let mut leaving = self.shared.leaving.subscribe();
+        tokio::select! {
+            () = self.keep() => {}
+            // A call that is cut off here may have been carried out: it is taken back with the others.
+            _ = leaving.wait_for(|leaving| *leaving) => {}
+        }
+        self.shared.registrations().leave_all();
+        // What cannot be taken back in time stays with a master that does not answer.
+        _ = timeout(LEAVE, self.work_off()).await;
+    }
+
+    /// Does not end.
+    async fn keep(&mut self) {
         let (mut master, mut next_look) = (MasterState::Unknown, Instant::now());
         loop {
             if Instant::now() >= next_look {
@@ -44,12 +56,8 @@ impl Registrar {
             tokio::select! {
                 () = self.shared.wake.notified() => {}
                 () = sleep_until(next_look) => {}
-                _ = leaving.wait_for(|leaving| *leaving) => break,
             }
         }
-        self.shared.registrations().leave_all();
-        // What cannot be taken back in time stays with a master that does not answer.
-        _ = timeout(LEAVE, self.work_off()).await;
     }
 
     /// Whether the master still knows this node as it should; what it has forgotten is wanted again.

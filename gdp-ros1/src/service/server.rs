@@ -2,14 +2,19 @@
 
 use std::pin::Pin;
 use std::sync::Arc;
+use std::time::Duration;
 
 use bytes::{BufMut, Bytes, BytesMut};
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt};
 use tokio::sync::{Semaphore, watch};
+use tokio::time::timeout;
 
 use crate::tcpros::listener::refuse;
 use crate::tcpros::{Header, Stream, TcprosError};
 use crate::topic::publication::check;
+
+/// Time for a caller to take its response.
+const TAKEN: Duration = Duration::from_secs(60);
 
 /// A service's type.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -86,8 +91,10 @@ impl Service {
                     // Nobody waits for the answer any more.
                     () = closed(&mut stream.reader) => return Ok(()),
                 };
+                let written = timeout(TAKEN, stream.writer.write_all(&encode(answer))).await;
+                written.map_err(|_| TcprosError::Timeout(TAKEN))??;
+                // Only now, so that it is answered even if the service is given up meanwhile.
                 drop(service);
-                stream.writer.write_all(&encode(answer)).await?;
                 if !header.is_set("persistent") {
                     return Ok(());
                 }

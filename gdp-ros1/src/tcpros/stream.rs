@@ -38,7 +38,7 @@ pub enum TcprosError {
     #[error("the peer's {field} is {theirs:?} and not {ours:?}")]
     Differs { field: &'static str, theirs: String, ours: String },
     #[error("a message of {length} bytes, and at most {max} are taken: raise `max_message` if it was meant")]
-    TooLong { length: u32, max: usize },
+    TooLong { length: usize, max: usize },
     #[error("not finished within {0:?}")]
     Timeout(Duration),
 }
@@ -87,10 +87,11 @@ impl Stream {
 
     pub async fn read_message(&mut self, max: usize) -> Result<Bytes, TcprosError> {
         let length = self.reader.read_u32_le().await.map_err(closed)?;
-        if length as usize > max {
+        let length = length as usize;
+        if length > max {
             return Err(TcprosError::TooLong { length, max });
         }
-        read_bytes(&mut self.reader, length as usize).await
+        read_bytes(&mut self.reader, length).await
     }
 
     pub async fn write_message(&mut self, message: &Bytes) -> Result<(), TcprosError> {
@@ -98,9 +99,10 @@ impl Stream {
     }
 }
 
-/// `message` has less than 4 GiB.
+/// At most 4 GiB.
 pub async fn write_message(writer: &mut OwnedWriteHalf, message: &Bytes) -> Result<(), TcprosError> {
-    let length = (message.len() as u32).to_le_bytes();
+    let too_long = |_| TcprosError::TooLong { length: message.len(), max: u32::MAX as usize };
+    let length = u32::try_from(message.len()).map_err(too_long)?.to_le_bytes();
     Ok(writer.write_all_buf(&mut Buf::chain(&length[..], &message[..])).await?)
 }
 

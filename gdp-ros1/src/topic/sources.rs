@@ -33,6 +33,7 @@ struct Source {
 
 enum State {
     Waiting { until: Instant },
+    Connecting,
     Connected { since: Instant },
 }
 
@@ -76,7 +77,7 @@ impl Sources {
         self.known.retain(|publisher, source| {
             let kept = match source.state {
                 State::Waiting { .. } => source.wanted,
-                State::Connected { .. } => source.wanted || source.listed != run,
+                State::Connecting | State::Connected { .. } => source.wanted || source.listed != run,
             };
             if !kept {
                 dropped.push(Action::Drop(publisher.clone()));
@@ -92,7 +93,7 @@ impl Sources {
         let mut actions = Vec::new();
         for (publisher, source) in &mut self.known {
             if matches!(source.state, State::Waiting { until } if until <= now) {
-                source.state = State::Connected { since: now };
+                source.state = State::Connecting;
                 actions.push(Action::Connect(publisher.clone()));
             }
         }
@@ -103,9 +104,16 @@ impl Sources {
     pub fn next_due(&self) -> Option<Instant> {
         let waiting = |source: &Source| match source.state {
             State::Waiting { until } => Some(until),
-            State::Connected { .. } => None,
+            State::Connecting | State::Connected { .. } => None,
         };
         self.known.values().filter_map(waiting).min()
+    }
+
+    /// A connection is made.
+    pub fn connected(&mut self, publisher: &str, now: Instant) {
+        if let Some(source) = self.known.get_mut(publisher) {
+            source.state = State::Connected { since: now };
+        }
     }
 
     /// A connection has ended, or was never made. Returns whether it will be tried again.
@@ -165,6 +173,11 @@ mod tests {
             assert_eq!(sources.due(now), [connect("a")]);
         }
         assert_eq!(waits, [200, 400, 800, 1600, 3200, 6400, 10_000, 10_000]);
+        now += HELD;
+        assert!(sources.ended("http://a:1/", now));
+        assert_eq!(sources.next_due(), Some(now + Duration::from_secs(10)), "it took long to fail");
+        sources.due(now + Duration::from_secs(10));
+        sources.connected("http://a:1/", now);
         now += HELD;
         assert!(sources.ended("http://a:1/", now));
         assert_eq!(sources.next_due(), Some(now + Duration::from_millis(200)), "it held");

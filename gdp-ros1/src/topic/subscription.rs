@@ -92,6 +92,8 @@ impl Keeper {
         loop {
             let due = self.sources.next_due();
             let actions = tokio::select! {
+                // That a connection was made is heard before that it ended.
+                biased;
                 changed = self.listed.changed() => {
                     if changed.is_err() {
                         return;
@@ -139,9 +141,10 @@ impl Keeper {
         }
     }
 
-    fn connected(&self, links: &Links, info: Arc<PublisherInfo>) {
+    fn connected(&mut self, links: &Links, info: Arc<PublisherInfo>) {
         if links.by_uri.contains_key(&info.uri) {
             tracing::debug!(topic = self.common.topic, publisher = info.caller_id, "connected");
+            self.sources.connected(&info.uri, Instant::now());
             self.states.send_modify(|states| _ = states.insert(info.uri.clone(), SourceState::Connected(info)));
         }
     }
