@@ -5,6 +5,7 @@ use std::net::TcpListener;
 use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -30,7 +31,7 @@ pub struct Master {
 impl Master {
     pub async fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let port = free_port();
         let process = Self::process(port, folder.path()).await;
         Self { process, port, folder }
     }
@@ -82,6 +83,15 @@ impl Master {
         command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/rospy/peer.py")).arg(name).args(arguments);
         Process::spawn(name, command, self.port, self.folder.path())
     }
+}
+
+/// For a server that is started and started again. Below those that the system gives to outgoing connections: one of these could
+/// take it in between.
+fn free_port() -> u16 {
+    static NEXT: AtomicU16 = AtomicU16::new(0);
+    let first = 12_000 + std::process::id() % 16_000;
+    let mut ports = std::iter::from_fn(|| Some(first as u16 + NEXT.fetch_add(1, Ordering::Relaxed)));
+    ports.find(|&port| TcpListener::bind(("127.0.0.1", port)).is_ok()).unwrap()
 }
 
 /// A running program.

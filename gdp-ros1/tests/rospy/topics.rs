@@ -30,10 +30,9 @@ async fn what_rospy_publishes_comes_with_all_that_is_known_of_it() {
     let kind = Some(("std_msgs/Int32".to_owned(), "da5909fbe378aeaf85e547e830cc1bb7".to_owned()));
     let subscription = node.subscribe("/chatter", SubscribeOptions { kind, ..SubscribeOptions::default() }).unwrap();
     until("the type is refused", async || {
-        subscription.sources().borrow().values().find_map(|state| match state {
-            SourceState::Failed(reason) => Some(assert!(reason.contains("std_msgs/Int32"), "{reason}")),
-            _ => None,
-        })
+        let says_why =
+            |state: &SourceState| matches!(state, SourceState::Failed(why) if why.contains("std_msgs/Int32"));
+        subscription.sources().borrow().values().any(says_why).then_some(())
     })
     .await;
 }
