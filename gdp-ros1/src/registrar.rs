@@ -20,11 +20,13 @@ pub struct Registrar {
     /// The graph, as it was last looked at, with the types of topics.
     state: SystemState,
     kinds: BTreeMap<String, String>,
+    /// Whether the master has taken anything that is not taken back.
+    is_known: bool,
 }
 
 impl Registrar {
     pub fn new(shared: Arc<Shared>) -> Self {
-        Self { shared, state: SystemState::default(), kinds: BTreeMap::new() }
+        Self { shared, state: SystemState::default(), kinds: BTreeMap::new(), is_known: false }
     }
 
     /// Until the node leaves and everything is taken back, as far as the master can be reached.
@@ -67,8 +69,10 @@ impl Registrar {
 
     async fn try_to_look(&mut self) -> Result<MasterState, MasterError> {
         let Shared { master, config, uri, .. } = &*self.shared;
-        let is_registered = self.shared.registrations().any_registered();
-        if is_registered {
+        let state = master.system_state().await?;
+        // After the state: if the name is this node's now, the state does not lack it because another has taken it. Who has nothing
+        // registered yet takes the name itself, perhaps from its own run before.
+        if self.is_known {
             match master.lookup_node(&config.name).await {
                 Ok(other) if other != *uri => return Ok(MasterState::NameTaken(other)),
                 // Unknown: all is forgotten, as the state will show.
@@ -76,7 +80,6 @@ impl Registrar {
                 Err(error) => return Err(error),
             }
         }
-        let state = master.system_state().await?;
         let forgotten = self.shared.registrations().observe(&config.name, &state);
         if forgotten > 0 {
             tracing::warn!(forgotten, uri = master.uri, "the master has forgotten this node, and is told again");
@@ -109,13 +112,21 @@ impl Registrar {
     /// Tells the master what it has to know. Ends early if it cannot be reached.
     async fn work_off(&mut self) -> MasterState {
         loop {
-            let Some(step) = self.shared.registrations().next() else { return MasterState::Reached };
+            let (next, is_empty) = {
+                let registrations = self.shared.registrations();
+                (registrations.next(), registrations.is_empty())
+            };
+            self.is_known &= !is_empty;
+            let Some(step) = next else { return MasterState::Reached };
             let result = match &step {
                 Step::Register { key, kind } => self.shared.register_at_master(key, kind).await,
                 Step::Unregister { key } => self.shared.unregister_at_master(key).await,
             };
             match result {
-                Ok(()) => self.shared.registrations().done(&step),
+                Ok(()) => {
+                    self.is_known |= matches!(step, Step::Register { .. });
+                    self.shared.registrations().done(&step);
+                }
                 Err(MasterError::Refused { text, .. }) => self.shared.registrations().refused(&step, text),
                 Err(error) => return MasterState::Unreachable(error.to_string()),
             }

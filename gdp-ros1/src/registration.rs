@@ -152,9 +152,9 @@ impl Registrations {
         self.entries.get(key).map_or(0, |entry| entry.run)
     }
 
-    /// Whether the master has taken any.
-    pub fn any_registered(&self) -> bool {
-        self.entries.values().any(|entry| entry.state == State::Registered)
+    /// Whether there are none, not even such as are being taken back.
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
     }
 
     /// How many the master has still to be told of, or has refused.
