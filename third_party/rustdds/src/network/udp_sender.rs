@@ -17,6 +17,7 @@ use crate::{
   network::util::get_local_multicast_ip_addrs_filtered,
   rtps::{
     outbound::{ControlQueue, Datagram, SendOutcome, SocketId, CONTROL_QUEUE_WARN_LEN},
+    pacer::Pacer,
     transmit::InterfaceSelector,
   },
   structure::locator::Locator,
@@ -38,6 +39,9 @@ pub struct UDPSender {
   // sent immediately. Drained on write readiness by `flush_control`.
   // (see src/rtps/nonblocking_transmit_design.md)
   control_queues: RefCell<HashMap<SocketId, ControlQueue>>,
+
+  // GDP patch: shared by all writers of the participant.
+  pacer: Pacer,
 }
 
 impl UDPSender {
@@ -160,6 +164,7 @@ impl UDPSender {
       unicast_socket,
       multicast_sockets,
       control_queues: RefCell::new(HashMap::new()),
+      pacer: Pacer::new(),
     };
     info!("UDPSender::new() --> {sender:?}");
     Ok(sender)
@@ -171,6 +176,10 @@ impl UDPSender {
   }
 
   // --- nonblocking-transmit: socket enumeration & raw non-blocking send ------
+
+  pub(crate) fn pacer(&self) -> &Pacer {
+    &self.pacer
+  }
 
   fn socket_ref(&self, id: SocketId) -> Option<&UdpSocket> {
     match id {

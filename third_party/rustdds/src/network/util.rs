@@ -120,6 +120,16 @@ pub fn local_interface_table() -> Vec<IfAddr> {
 /// An overestimate is a soft failure (IP fragmentation), never data loss, so
 /// this errs toward the safe default when unsure.
 pub fn path_mtu_payload_for_peer(ifaces: &[IfAddr], peer_ip: IpAddr) -> usize {
+  // GDP patch: an address of our own is reached over loopback, whichever interface has it.
+  if ifaces.iter().any(|ifa| ifa.ip == peer_ip) {
+    if let Some(mtu) = ifaces
+      .iter()
+      .find(|ifa| ifa.ip.is_loopback())
+      .and_then(|ifa| ifa.mtu)
+    {
+      return payload_budget_for_mtu(mtu);
+    }
+  }
   if let IpAddr::V4(peer) = peer_ip {
     for ifa in ifaces {
       let (IpAddr::V4(local), Some(mask)) = (ifa.ip, ifa.netmask) else {

@@ -107,7 +107,10 @@ pub const DATAGRAM_HEADER_OVERHEAD: usize = 48;
 // Readers (v2.5 Section 8.4.14.1.1), so this is a constant and must NOT be
 // varied per peer. Per-peer path MTU only controls how many fragments we pack
 // into each DATAFRAG submessage / datagram, never the fragment size itself.
-pub const FRAGMENT_SIZE: usize = 256;
+//
+// GDP patch: 640 instead of 256. Two fill an Ethernet datagram as well as five did, one fits the smallest MTU of IPv6,
+// and a NACK_FRAG, which names at most 256 fragments, asks for 160 kB instead of 64 kB.
+pub const FRAGMENT_SIZE: usize = 640;
 
 /// Convert an interface MTU into the RTPS-message (UDP payload) budget usable
 /// for submessage/fragment packing: `mtu - DATAGRAM_HEADER_OVERHEAD`, floored

@@ -595,6 +595,17 @@ impl RtpsReaderProxy {
     }
   }
 
+  // GDP patch: the reader misses the whole sample.
+  pub fn mark_all_frags_requested(&mut self, seq_num: SequenceNumber, num_frags: u32) {
+    let all = BitVec::from_elem(num_frags as usize, true);
+    self.frags_requested.insert(seq_num, all);
+  }
+
+  // GDP patch: nothing of the sample is sent any more.
+  pub fn forget_frags_requested(&mut self, seq_num: SequenceNumber) {
+    self.frags_requested.remove(&seq_num);
+  }
+
   pub fn repair_frags_requested(&self) -> bool {
     self.frags_requested.values().any(|rf| rf.any())
   }

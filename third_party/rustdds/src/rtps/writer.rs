@@ -108,10 +108,17 @@ pub(crate) enum SendProgress {
     cursor: SampleCursor,
     blocked: BTreeSet<SocketId>,
   },
+  /// GDP patch: the pacer wants a pause of `wait` before `cursor`.
+  Paced {
+    cursor: SampleCursor,
+    wait: std::time::Duration,
+  },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum TimedEvent {
+  /// GDP patch: go on with the sample that the pacer interrupted.
+  ResumePaced,
   Heartbeat,
   CacheCleaning,
   SendRepairData { to_reader: GUID },
@@ -250,6 +257,8 @@ pub(crate) struct Writer {
   /// WouldBlock. Drained by the event loop, which enqueues this writer on those
   /// sockets' round-robin queues and arms write readiness.
   blocked_sockets: BTreeSet<SocketId>,
+  /// GDP patch: a `ResumePaced` is on its way.
+  resume_scheduled: bool,
 
   /// Contains timer that needs to be set to timeout with duration of
   /// self.heartbeat_period timed_event_handler sends notification when timer
@@ -357,6 +366,7 @@ impl Writer {
       last_sent: SequenceNumber::zero(),
       sample_cursor: SampleCursor::Fresh,
       blocked_sockets: BTreeSet::new(),
+      resume_scheduled: false,
       timed_event_timer,
       like_stateless: i.like_stateless,
       qos_policies: i.qos_policies,
@@ -480,6 +490,10 @@ impl Writer {
   // which dispatches each expired event to the addressed Writer.
   pub fn handle_timed_event(&mut self, event: TimedEvent) {
     match event {
+      TimedEvent::ResumePaced => {
+        self.resume_scheduled = false;
+        self.process_pending();
+      }
       TimedEvent::Heartbeat => {
         let readers_behind = self.handle_heartbeat_tick(false);
         // ^^ false = This is automatic heartbeat by timer, not manual by application
@@ -522,6 +536,14 @@ impl Writer {
         {
           self.schedule_repair_data(reader_guid, self.repair_interval());
         }
+        // GDP patch: large samples are repaired by fragments.
+        if self
+          .readers
+          .get(&reader_guid)
+          .is_some_and(RtpsReaderProxy::repair_frags_requested)
+        {
+          self.schedule_repair_frags(reader_guid, std::time::Duration::ZERO);
+        }
       }
       TimedEvent::SendRepairFrags {
         to_reader: reader_guid,
@@ -538,7 +560,9 @@ impl Writer {
           .get(&reader_guid)
           .is_some_and(RtpsReaderProxy::repair_frags_requested)
         {
-          self.schedule_repair_frags(reader_guid, self.repair_interval());
+          // GDP patch: as soon as the pacer allows.
+          let wait = self.udp_sender.pacer().wait();
+          self.schedule_repair_frags(reader_guid, wait.unwrap_or(REPAIR_INTERVAL_MIN));
         }
       } // SendRepairFrags
     } // match
@@ -853,7 +877,7 @@ impl Writer {
         // every DATA). Only reliable writers piggyback a heartbeat here;
         // best-effort skips it entirely.
         let send_also_heartbeat = self.is_reliable();
-        let (_fragmented, progress) = {
+        let (fragmented, progress) = {
           let target_reader_opt = match write_options.to_single_reader() {
             Some(guid) => self.readers.get(&guid), // Sending only to this reader
             None => None,                          // Sending to all matched readers
@@ -882,11 +906,23 @@ impl Writer {
           )
         };
         match progress {
+          SendProgress::Paced { cursor, wait } => {
+            self.sample_cursor = cursor;
+            if !self.resume_scheduled {
+              self.resume_scheduled = true;
+              self.schedule_timed_event(wait, TimedEvent::ResumePaced);
+            }
+            return;
+          }
           SendProgress::Complete => {
             self.last_sent = sequence_number;
             self.sample_cursor = SampleCursor::Fresh;
             self.send_buffer.set_sent_frontier(sequence_number);
             self.mark_change_sent_to_all_readers(sequence_number);
+            // GDP patch: large samples do not wait for the periodic cleaning.
+            if fragmented {
+              self.handle_cache_cleaning();
+            }
           }
           SendProgress::Blocked { cursor, blocked } => {
             // Reliable writers always back-pressure. Best-effort writers only if
@@ -1012,9 +1048,27 @@ impl Writer {
     // Send the messages, either to all readers or just one, stopping at the
     // first message that a socket could not accept.
     for (resume_cursor, msg) in messages_to_send {
+      // GDP patch: fragments go out in bursts.
+      let paced = matches!(resume_cursor, SampleCursor::Frag(_)) && class == TrafficClass::Bulk;
+      if paced {
+        if let Some(wait) = self.udp_sender.pacer().wait() {
+          let cursor = resume_cursor;
+          return (fragmentation_needed, SendProgress::Paced { cursor, wait });
+        }
+        self
+          .udp_sender
+          .pacer()
+          .sent(self.datagram_budget(target_reader_opt));
+      }
       let blocked = match target_reader_opt {
         None => self.send_message_to_readers(
-          DeliveryMode::Multicast,
+          // GDP patch: large samples by unicast, as Fast DDS does: multicast goes at the base rate over a radio
+          // link, and to everybody on it.
+          if fragmentation_needed {
+            DeliveryMode::Unicast
+          } else {
+            DeliveryMode::Multicast
+          },
           msg,
           &mut self.readers.values(),
           class,
@@ -1299,6 +1353,20 @@ impl Writer {
       AckSubmessage::NackFrag(ref nackfrag) => {
         // NackFrag is negative acknowledgement only, i.e. requesting missing fragments.
         let reader_guid = GUID::new(reader_guid_prefix, nackfrag.reader_id);
+        // GDP patch: what is still being sent is asked for too early; what is gone, or beyond the
+        // sample's end, is not asked for in earnest.
+        let size = match self.send_buffer.get_by_sn(nackfrag.writer_sn) {
+          Some(cc) if nackfrag.writer_sn <= self.last_sent => cc.data_value.payload_size(),
+          _ => return,
+        };
+        let (num_frags, _) = self.num_frags_and_frag_size(size);
+        if nackfrag
+          .fragment_number_state
+          .iter()
+          .any(|frag| u32::from(frag) == 0 || u32::from(frag) > num_frags)
+        {
+          return;
+        }
         let Some(reader_proxy) = self.lookup_reader_proxy_mut(reader_guid) else {
           return;
         };
@@ -1315,6 +1383,9 @@ impl Writer {
         self.schedule_repair_frags(reader_guid, self.nackfrag_response_delay);
       }
     }
+
+    // GDP patch: large samples do not wait for the periodic cleaning.
+    self.handle_cache_cleaning();
 
     // Acknowledgement frontier may have advanced: push it into the shared send
     // buffer so any back-pressured producer (or `wait_for_acknowledgments`
@@ -1429,6 +1500,10 @@ impl Writer {
       let Some(unsent_sn) = reader_proxy.first_unsent_change() else {
         break;
       };
+      // GDP patch: what the push has not come to, or is in the middle of, is not lost.
+      if unsent_sn > self.last_sent {
+        break;
+      }
       let first_available = self.send_buffer.first_change_sequence_number();
       let pending_gaps = reader_proxy.get_pending_gap().clone();
 
@@ -1496,9 +1571,13 @@ impl Writer {
         // Keep the order: whatever is packed so far goes first.
         self.flush_repair_datagram(&mut datagram, reader_proxy);
         ts_active = false;
-        // This emits the whole sample, including every fragment when it does
-        // not fit one datagram. A later NACK_FRAG is what arms SendRepairFrags.
-        self.send_cache_change(&cc, false, Some(reader_proxy));
+        if payload_size > self.max_unfragmented_serialized_payload(Some(reader_proxy)) {
+          // GDP patch: all of its fragments, in bursts.
+          let (num_frags, _) = self.num_frags_and_frag_size(payload_size);
+          reader_proxy.mark_all_frags_requested(unsent_sn, num_frags);
+        } else {
+          self.send_cache_change(&cc, false, Some(reader_proxy));
+        }
         round_bytes += payload_size + DATA_SUBMESSAGE_OVERHEAD;
       } else {
         let source_timestamp = cc.write_options.source_timestamp();
@@ -1577,79 +1656,102 @@ impl Writer {
     }
   }
 
+  // GDP patch: sends requested fragments of the oldest sample, contiguous ones in one datagram, until the
+  // pacer wants a pause. Once all have gone, a HEARTBEAT lets the reader acknowledge or ask again.
   fn handle_repair_frags_send_worker(
     &mut self,
     reader_proxy: &mut RtpsReaderProxy, /* This is mutable proxy temporarily detached from the
                                          * set of reader proxies */
   ) {
-    // Decide the (max) number of frags to be sent
-    let max_send_count = 8;
-
     let reader_guid = reader_proxy.remote_reader_guid;
-
-    // Get (an iterator to) frags requested but not yet sent
-    // reader_proxy.
-    // Iterate over frags to be sent
-    for (seq_num, frag_num) in reader_proxy.frags_requested_iterator().take(max_send_count) {
-      // Sanity check request
-      // ^^^ TODO
-
-      if let Some(cache_change) = self.send_buffer.get_by_sn(seq_num) {
-        // If the data is meant for a single reader only, make sure it is the one we're
-        // about to send frags to.
-        if let Some(single_reader_guid) = cache_change.write_options.to_single_reader() {
-          if single_reader_guid != reader_guid {
-            error!(
-              "We were asked to send datafrags meant for the reader {single_reader_guid:?} to a \
-               different reader {reader_guid:?}. Not gonna happen."
-            );
-            return;
-          }
-        }
-
-        // Generate datafrag message
-        let mut message_builder = MessageBuilder::new();
-        if let Some(src_ts) = cache_change.write_options.source_timestamp() {
-          message_builder = message_builder.ts_msg(self.endianness, Some(src_ts));
-        }
-
-        let fragment_size: u32 = FRAGMENT_SIZE as u32;
-        let data_size: u32 = cache_change.data_value.payload_size() as u32; // TODO: overflow check
-
-        message_builder = message_builder.data_frag_msg(
-          &cache_change,
-          reader_guid.entity_id, // reader
-          self.my_guid,          // writer
-          frag_num,
-          // Repair responds to specifically-NACKed fragment numbers (possibly
-          // non-contiguous), so retransmit one fragment per submessage.
-          1,
-          fragment_size as u16, // TODO: overflow check
-          data_size,
-          self.endianness,
-          self.security_plugins.as_ref(),
-        );
-
-        // Repair frags are a reliability action (response to a NACK_FRAG), so
-        // they must actually reach the reader. Use the never-dropped `Control`
-        // queue: dropping repair on WouldBlock livelocks under sustained send
-        // congestion (reader re-NACKs, retransmit dropped again, forever).
-        let _blocked = self.send_message_to_readers(
-          DeliveryMode::Unicast,
-          message_builder.add_header_and_build(self.my_guid.prefix),
-          &mut std::iter::once(&*reader_proxy),
-          TrafficClass::Control,
-        );
-      } else {
-        error!(
-          "handle_repair_frags_send_worker: {:?} missing from send buffer. topic={:?}",
-          seq_num, self.my_topic_name
-        );
-        // TODO: Should we send a GAP message then?
+    let mut requested = reader_proxy.frags_requested_iterator().peekable();
+    let Some((seq_num, _)) = requested.peek().copied() else {
+      return;
+    };
+    let cache_change = match self.send_buffer.get_by_sn(seq_num) {
+      Some(cc)
+        if cc
+          .write_options
+          .to_single_reader()
+          .is_none_or(|single| single == reader_guid) =>
+      {
+        cc
       }
+      // Gone, or not for this reader: its next ACKNACK is answered by a GAP.
+      _ => return reader_proxy.forget_frags_requested(seq_num),
+    };
+    let data_size = cache_change.data_value.payload_size();
+    let (num_frags, frag_size) = self.num_frags_and_frag_size(data_size);
 
-      reader_proxy.mark_frag_sent(seq_num, &frag_num);
-    } // for
+    while let Some((_, first)) = requested.peek().copied() {
+      if self.udp_sender.pacer().wait().is_some() {
+        return;
+      }
+      let start = u32::from(first);
+      let mut message = MessageBuilder::new();
+      if let Some(src_ts) = cache_change.write_options.source_timestamp() {
+        message = message.ts_msg(self.endianness, Some(src_ts));
+      }
+      message = message.dst_submessage(self.endianness, reader_guid.prefix);
+      let budget = reader_proxy.max_datagram_payload();
+      let most = frags_per_datafrag(
+        message.len_serialized(),
+        budget,
+        start,
+        num_frags,
+        frag_size,
+        data_size,
+      );
+      let mut count = 0;
+      while count < most
+        && requested
+          .next_if(|(_, frag)| u32::from(*frag) == start + count)
+          .is_some()
+      {
+        reader_proxy.mark_frag_sent(seq_num, &FragmentNumber::new(start + count));
+        count += 1;
+      }
+      message = message.data_frag_msg(
+        &cache_change,
+        reader_guid.entity_id, // reader
+        self.my_guid,          // writer
+        first,
+        count as u16,
+        frag_size,
+        data_size as u32,
+        self.endianness,
+        self.security_plugins.as_ref(),
+      );
+      self.udp_sender.pacer().sent(budget);
+      // Repair frags are a reliability action (response to a NACK_FRAG), so
+      // they must actually reach the reader. Use the never-dropped `Control`
+      // queue: dropping repair on WouldBlock livelocks under sustained send
+      // congestion (reader re-NACKs, retransmit dropped again, forever).
+      self.send_control_to_readers(
+        DeliveryMode::Unicast,
+        message.add_header_and_build(self.my_guid.prefix),
+        &mut std::iter::once(&*reader_proxy),
+      );
+    }
+
+    let heartbeat = MessageBuilder::new()
+      .dst_submessage(self.endianness, reader_guid.prefix)
+      .heartbeat_msg(
+        self.entity_id(),
+        self.send_buffer.first_change_sequence_number(),
+        self.send_buffer.last_change_sequence_number(),
+        self.next_heartbeat_count(),
+        self.endianness,
+        reader_guid.entity_id,
+        false, // final_flag: request ACKNACK
+        false, // liveliness_flag
+      )
+      .add_header_and_build(self.my_guid.prefix);
+    self.send_control_to_readers(
+      DeliveryMode::Unicast,
+      heartbeat,
+      &mut std::iter::once(&*reader_proxy),
+    );
   } // fn
 
   /// Removes permanently cacheChanges from DDSCache.
@@ -1665,12 +1767,14 @@ impl Writer {
     let first_keeper = if !self.like_stateless {
       // Regular stateful writer behavior
       // All readers have acked up to this point (SequenceNumber)
+      // GDP patch: a best-effort reader acknowledges nothing, and is sent nothing again.
       let acked_by_all_readers = self
         .readers
         .values()
+        .filter(|rp| rp.qos().is_reliable())
         .map(RtpsReaderProxy::acked_up_to_before)
         .min()
-        .unwrap_or_else(SequenceNumber::zero);
+        .unwrap_or_else(|| self.last_sent.plus_1());
       // If all readers have acked all up to before 5, and depth is 5, we need
       // to keep samples 0..4, i.e. from acked_up_to_before - depth .
       let depth_keeper = if let Some(depth) = depth {

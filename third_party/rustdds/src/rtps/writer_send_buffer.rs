@@ -14,6 +14,9 @@ use crate::{
   structure::{cache_change::CacheChange, guid::GUID, sequence_number::SequenceNumber},
 };
 
+/// GDP patch: bytes of samples that are not sent, or not acknowledged by a reliable reader, from which on a writer waits.
+const MAX_PENDING_BYTES: usize = 64 << 20;
+
 /// Result of an admission attempt into the [`WriterSendBuffer`].
 pub(crate) enum Admission {
   /// The sample was admitted and given this sequence number. It now lives in
@@ -168,6 +171,16 @@ impl WriterSendBuffer {
     // (sent_frontier, last_seq].
     let unsent = i64::from(inner.last_seq) - i64::from(inner.sent_frontier);
     if unsent >= inner.backlog_limit as i64 {
+      return false;
+    }
+
+    // GDP patch: and by bytes, since a few hundred large samples would fill the memory.
+    let unacked_from = match shared.reliable_writer && inner.reliable_readers_present {
+      true => inner.acked_before,
+      false => inner.sent_frontier.plus_1(),
+    };
+    let pending = inner.changes.range(unacked_from..);
+    if pending.map(|(_, cc)| cc.data_value.payload_size()).sum::<usize>() >= MAX_PENDING_BYTES {
       return false;
     }
 
