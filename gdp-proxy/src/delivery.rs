@@ -3,8 +3,8 @@
 use gdp::node::{Overflow, PublishOptions, Reliability, SubscribeOptions, Wants};
 
 use crate::config::TopicConfig;
-use crate::roster::Offer;
 use crate::ros2;
+use crate::roster::Offer;
 
 /// Messages of a reliable topic that a remote reader may ask for again, whatever the depth. ROS 2's usual depth of 10 is meant for one
 /// machine; over a network, more is under way before a gap is noticed.

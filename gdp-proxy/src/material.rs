@@ -172,13 +172,7 @@ pub(crate) fn unix_now() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_secs())
 }
 
-fn check_permission(
-    side: Side,
-    text: &str,
-    card: &NameCard,
-    entity: Name,
-    now: u64,
-) -> Result<Permission, CertError> {
+fn check_permission(side: Side, text: &str, card: &NameCard, entity: Name, now: u64) -> Result<Permission, CertError> {
     match side {
         Side::Out => {
             let cert = Issued::<AdCert>::from_pem(text)?;

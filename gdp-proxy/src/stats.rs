@@ -18,6 +18,8 @@ use crate::timing::{Percentiles, Timing};
 pub enum Drop {
     /// A local message is not XCDR version 1.
     Unreadable,
+    /// A local message was lost between its writer and the proxy: what best effort drops, and what came too fast.
+    Lost,
     /// The fabric did not take the message.
     SendFailed,
     /// A local message came sooner than the configuration wants them.
@@ -37,8 +39,9 @@ pub enum Drop {
 }
 
 impl Drop {
-    const ALL: [Self; 9] = [
+    const ALL: [Self; 10] = [
         Self::Unreadable,
+        Self::Lost,
         Self::SendFailed,
         Self::MaxHz,
         Self::Unconvertible,
@@ -52,6 +55,7 @@ impl Drop {
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Unreadable => "unreadable",
+            Self::Lost => "lost",
             Self::SendFailed => "send_failed",
             Self::MaxHz => "max_hz",
             Self::Unconvertible => "unconvertible",
@@ -84,15 +88,18 @@ impl RouteCounters {
     }
 
     /// So many did not. True if they are the first ones for this reason, which deserves a line in the log.
-    pub fn dropped(&self, reason: Drop, count: usize) -> bool {
-        self.drops[reason as usize].fetch_add(count as u64, Relaxed) == 0
+    pub fn dropped(&self, reason: Drop, count: u64) -> bool {
+        self.drops[reason as usize].fetch_add(count, Relaxed) == 0
     }
 
     pub fn read(&self) -> Counted {
         Counted {
             messages: self.messages.load(Relaxed),
             bytes: self.bytes.load(Relaxed),
-            drops: Drop::ALL.iter().map(|reason| (reason.as_str(), self.drops[*reason as usize].load(Relaxed))).collect(),
+            drops: Drop::ALL
+                .iter()
+                .map(|reason| (reason.as_str(), self.drops[*reason as usize].load(Relaxed)))
+                .collect(),
             latency_us: StageLatency { arrival: self.arrival.percentiles(), handling: self.handling.percentiles() },
         }
     }
@@ -228,7 +235,7 @@ mod tests {
     const KEYS: [&str; 9] = [
         "entity links node switch topics version",
         "bytes direction drops fabric graph latency_us messages name status topic type",
-        "malformed max_hz own send_failed stalled unannounced unconvertible unreadable write_failed",
+        "lost malformed max_hz own send_failed stalled unannounced unconvertible unreadable write_failed",
         "arrival handling",
         "p50 p99",
         "copies_dropped copies_sent frames_sent frames_unsent main reason state switch target",
@@ -295,7 +302,7 @@ mod tests {
             copies_dropped: 0,
         };
         let (topics, links, node) = (vec![route], vec![link], NodeCounters::default());
-        let stats = Stats { version: VERSION, entity: name,  switch: None, topics, links, node };
+        let stats = Stats { version: VERSION, entity: name, switch: None, topics, links, node };
         let shown = serde_json::to_value(stats).unwrap();
         let keys = |of: &serde_json::Value| of.as_object().unwrap().keys().cloned().collect::<Vec<_>>().join(" ");
         let of_fabric = |of: FabricStats| keys(&serde_json::to_value(of).unwrap());
@@ -327,7 +334,7 @@ mod tests {
             file.replace(&Stats {
                 version: VERSION,
                 entity: name,
-                
+
                 switch: None,
                 topics,
                 links: Vec::new(),

@@ -39,7 +39,10 @@ pub enum TypeError {
 pub enum Converter {
     /// They are the same.
     None,
-    Some { mapping: Mapping, options: Options },
+    Some {
+        mapping: Mapping,
+        options: Options,
+    },
 }
 
 impl From<Dialect> for gdp_msg::Dialect {

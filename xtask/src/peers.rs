@@ -8,12 +8,17 @@ use anyhow::{Context, Result};
 
 use crate::{shell, workspace};
 
-/// Compiles the Fast DDS peer to `target/peers/fastdds-peer`, if a source is newer.
+/// Compiles the Fast DDS peers to `target/peers`, where a source is newer.
 pub fn build() -> Result<()> {
+    compile("fastdds-peer", "String", "fastdds.cpp")?;
+    compile("fastdds-service-peer", "AddTwoInts", "fastdds_service.cpp")
+}
+
+fn compile(name: &str, interface: &str, source: &str) -> Result<()> {
     let sources = workspace::root().join("tests/peers");
     let out = workspace::target().join("peers");
-    let program = out.join("fastdds-peer");
-    let inputs = [sources.join("String.idl"), sources.join("fastdds.cpp")];
+    let program = out.join(name);
+    let inputs = [sources.join(format!("{interface}.idl")), sources.join(source)];
     if is_newer(&program, &inputs) {
         return Ok(());
     }
@@ -22,7 +27,7 @@ pub fn build() -> Result<()> {
         Command::new("fastddsgen").arg("-replace").arg("-d").arg(&out).arg(&inputs[0]).current_dir(&out),
     )?;
     // Linked under another name and renamed, so that a failed build leaves nothing that looks current.
-    let partial = out.join("fastdds-peer.new");
+    let partial = out.join(format!("{name}.new"));
     shell::say_and_run(
         Command::new("c++")
             .args(["-std=c++17", "-O1", "-Wall", "-Wno-deprecated-declarations", "-I"])
@@ -30,7 +35,7 @@ pub fn build() -> Result<()> {
             .arg("-o")
             .arg(&partial)
             .arg(&inputs[1])
-            .args([out.join("String.cxx"), out.join("StringPubSubTypes.cxx")])
+            .args([out.join(format!("{interface}.cxx")), out.join(format!("{interface}PubSubTypes.cxx"))])
             .args(["-lfastrtps", "-lfastcdr", "-lpthread"]),
     )?;
     std::fs::rename(&partial, &program).with_context(|| format!("cannot rename {}", partial.display()))

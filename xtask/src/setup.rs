@@ -39,7 +39,8 @@ pub enum Part {
 }
 
 pub fn run(options: Options) -> Result<()> {
-    let all = [Part::Workspace, Part::Ebpf, Part::Lints, Part::Namespaces, Part::Etcd, Part::Dds, Part::Rosbags, Part::Ros1];
+    let all =
+        [Part::Workspace, Part::Ebpf, Part::Lints, Part::Namespaces, Part::Etcd, Part::Dds, Part::Rosbags, Part::Ros1];
     let missing = missing(&all);
     if missing.is_empty() {
         println!("Nothing to do: everything is installed.");

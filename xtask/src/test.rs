@@ -19,7 +19,8 @@ pub struct Options {
 }
 
 pub fn run(options: Options) -> Result<()> {
-    setup::ensure(&[Part::Workspace, Part::Etcd, Part::Rosbags, Part::Ros1])?;
+    setup::ensure(&[Part::Workspace, Part::Etcd, Part::Rosbags, Part::Ros1, Part::Dds])?;
+    peers::build()?;
     if !options.root {
         shell::say_and_run(tests(&options).args(["--no-fail-fast"]))?;
     }
@@ -30,10 +31,9 @@ pub fn run(options: Options) -> Result<()> {
         // Skipping would look like success, above all in CI.
         bail!("the kernel and namespace tests need root: run as root, or `cargo xtask test --unit` for the rest");
     }
-    setup::ensure(&[Part::Ebpf, Part::Namespaces, Part::Dds])?;
+    setup::ensure(&[Part::Ebpf, Part::Namespaces])?;
     build::all(Profile::Checked)?;
     build::ebpf_rebuilt(Profile::Checked)?;
-    peers::build()?;
     let mut command = tests(&options);
     // Of the whole workspace, and not with `-p gdp-tests`: Cargo would choose other features for the dependencies, and compile
     // them all again.

@@ -68,7 +68,9 @@ impl TryFrom<u64> for Version {
     fn try_from(version: u64) -> Result<Self, String> {
         match version {
             1 => Ok(Self),
-            other => Err(format!("version {other} of the configuration is not known to this release; write version: 1")),
+            other => {
+                Err(format!("version {other} of the configuration is not known to this release; write version: 1"))
+            }
         }
     }
 }
@@ -173,7 +175,10 @@ impl Config {
             let wrong = |key: &str, reason: String| (format!("topics[{i}].{key}"), reason);
             topic.check(&self.graphs).map_err(|(key, reason)| wrong(key, reason))?;
             if topic.duplicate && self.links.len() < 2 {
-                return Err(wrong("duplicate", "there is no second link for it; add one to links, or remove this".into()));
+                return Err(wrong(
+                    "duplicate",
+                    "there is no second link for it; add one to links, or remove this".into(),
+                ));
             }
             if let Some(first) = self.topics[..i].iter().position(|other| other.overlaps(topic)) {
                 let reason =

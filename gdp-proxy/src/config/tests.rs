@@ -6,8 +6,7 @@ const MINIMAL: &str = "{version: 1, identity: robot.pem, links: [{to: 'eth://r0'
 
 #[test]
 fn a_membership_is_in_files_beside_the_configuration() {
-    let text =
-        "{version: 1, identity: robot.pem, links: [{to: 'eth://r0'}], domain: {card: domain.card, membership: /m, peers: [p]}}";
+    let text = "{version: 1, identity: robot.pem, links: [{to: 'eth://r0'}], domain: {card: domain.card, membership: /m, peers: [p]}}";
     let config = Config::parse(text, Path::new("/etc/gdp/proxy.yaml")).unwrap();
     let files = PaperFiles::from(config.domain.as_ref().unwrap());
     assert_eq!(
@@ -64,10 +63,7 @@ fn everything_can_be_said() {
     );
     let config = parse(&text).unwrap();
     let [first, second] = &config.links[..] else { panic!("{:?}", config.links) };
-    assert_eq!(
-        (first.switch.unwrap().to_string(), first.to.to_string()),
-        (name, "udp://127.0.0.1:31415%wlan0".into())
-    );
+    assert_eq!((first.switch.unwrap().to_string(), first.to.to_string()), (name, "udp://127.0.0.1:31415%wlan0".into()));
     assert_eq!(LinkConfig::from(second).budget, Some(250_000));
     let (name, graph) = config.graphs.get(None).unwrap();
     let domain_id = DomainId::try_from(42).unwrap();
@@ -107,10 +103,7 @@ fn what_is_wrong_is_refused_and_named() {
         (&MINIMAL.replace("links:", "lnks:"), "lnks"),
         (&MINIMAL.replace("to:", "via:"), "via"),
         (&MINIMAL.replace("to: 'eth://r0'", "to: 'eth://r0', budget: 0"), "nonzero"),
-        (
-            &MINIMAL.replace("direction:", "duplicate: true, direction:"),
-            "topics[0].duplicate: there is no second link",
-        ),
+        (&MINIMAL.replace("direction:", "duplicate: true, direction:"), "topics[0].duplicate: there is no second link"),
         (&MINIMAL.replace("direction:", "duplicate: twice, direction:"), "boolean"),
         (&MINIMAL.replace("eth://r0", "tcp://r0"), "is no link"),
         (&MINIMAL.replace("cert:", "certs:"), "certs"),

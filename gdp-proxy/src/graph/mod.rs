@@ -10,8 +10,8 @@ use std::sync::Arc;
 use bytes::Bytes;
 
 use crate::config::{GraphConfig, Graphs};
-use crate::roster::{Dialect, Kind, Offer};
 use crate::ros2::{Domain, Qos, RosError, TopicName, TypeName};
+use crate::roster::{Dialect, Kind, Offer};
 use crate::types::{TypeError, Types};
 
 /// One graph, until it is [left](Self::leave).
@@ -39,7 +39,11 @@ pub type Key = u128;
 /// What happens to a topic that is read.
 pub enum Event {
     /// A publisher is there, or offers something else than it did.
-    Joined { key: Key, kind: Kind, offers: Offer },
+    Joined {
+        key: Key,
+        kind: Kind,
+        offers: Offer,
+    },
     Left(Key),
     Message(Arrived),
     /// A message that cannot be carried, with the reason.
@@ -52,6 +56,8 @@ pub struct Arrived {
     pub bytes: Bytes,
     /// When its publisher wrote it, on its clock, in nanoseconds since 1970; if it said so.
     pub written_ns: Option<u64>,
+    /// Messages of the same publisher that were lost on the way, just before this one.
+    pub lost: u64,
 }
 
 /// Why a message was not written.

@@ -13,8 +13,8 @@ use tokio::sync::watch;
 
 use super::{Arrived, Event, Key, WriteError};
 use crate::config::Ros1Config;
-use crate::roster::{Dialect, Kind, Offer};
 use crate::ros2::TopicName;
+use crate::roster::{Dialect, Kind, Offer};
 
 /// What a publisher of ROS 1 comes to: it waits for nobody, and its subscribers take a queue full.
 const OFFER: Offer = Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0 };
@@ -57,7 +57,12 @@ impl Master {
     }
 
     /// One publisher for all who write the topic, as long as any does.
-    fn share(&self, topic: &str, kind: MessageType, options: PublishOptions) -> Result<Arc<gdp_ros1::Publisher>, NodeError> {
+    fn share(
+        &self,
+        topic: &str,
+        kind: MessageType,
+        options: PublishOptions,
+    ) -> Result<Arc<gdp_ros1::Publisher>, NodeError> {
         let mut shared = self.lock();
         if let Some(publisher) = shared.get(topic).and_then(Weak::upgrade) {
             return Ok(publisher);
@@ -110,7 +115,7 @@ impl<'a> Reader<'a> {
                     // It may be here before its connection was told of.
                     self.joined(&message.publisher);
                     let from = self.known.get(&message.publisher.uri).map(|(key, _)| *key);
-                    self.events.push_back(Event::Message(Arrived { from, bytes: message.data, written_ns: None }));
+                    self.events.push_back(Event::Message(Arrived { from, bytes: message.data, written_ns: None, lost: 0 }));
                 }
             }
         }
@@ -126,7 +131,9 @@ impl<'a> Reader<'a> {
         }
         for source in sources.values() {
             match source {
-                SourceState::Connected(publisher) if !self.master.is_own(&publisher.caller_id) => self.joined(publisher),
+                SourceState::Connected(publisher) if !self.master.is_own(&publisher.caller_id) => {
+                    self.joined(publisher)
+                }
                 _ => {}
             }
         }

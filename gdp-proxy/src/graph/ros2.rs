@@ -1,27 +1,29 @@
 //! A topic in a DDS domain.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+use std::time::Duration;
 
 use bytes::Bytes;
 use tokio::sync::watch;
 
 use super::{Event, Key, WriteError};
-use crate::roster::{Kind, Offer};
 use crate::ros2::{
-    self, Domain, Publisher, Publishers, Qos, RawReader, RawSample, RawWriter, RosError, TopicName, TypeName,
+    self, Domain, Durability, Endpoint, Graph, Qos, RawReader, RawSample, RawWriter, Reliability, RosError, ShownQos,
+    TopicName, TypeName,
 };
+use crate::roster::{Dialect, Kind, Offer};
 
 /// Reads a topic, of which it makes its readers as publishers appear. Those that latch have one of their own: it asks for what they keep,
 /// and others would not match that.
 pub struct Reader<'a> {
     domain: &'a Domain,
     topic: TopicName,
-    dds_topic: String,
     /// Of the configuration, or of the first publisher.
     kind: Option<TypeName>,
     qos: Option<Qos>,
-    publishers: watch::Receiver<Publishers>,
-    known: BTreeMap<Key, Publisher>,
+    graph: watch::Receiver<Arc<Graph>>,
+    known: BTreeMap<Key, (Kind, Offer)>,
     live: Option<Half>,
     latched: Option<Half>,
     events: VecDeque<Event>,
@@ -37,15 +39,14 @@ pub struct Writer(RawWriter);
 
 impl<'a> Reader<'a> {
     pub fn new(domain: &'a Domain, topic: &TopicName, kind: Option<&TypeName>, qos: Option<Qos>) -> Self {
-        let mut publishers = domain.publishers();
-        publishers.mark_changed();
+        let mut graph = domain.graph();
+        graph.mark_changed();
         Self {
             domain,
             topic: topic.clone(),
-            dds_topic: topic.to_dds(),
             kind: kind.cloned(),
             qos,
-            publishers,
+            graph,
             known: BTreeMap::new(),
             live: None,
             latched: None,
@@ -59,10 +60,10 @@ impl<'a> Reader<'a> {
             if let Some(event) = self.events.pop_front() {
                 return Ok(event);
             }
-            let Self { publishers, live, latched, .. } = self;
+            let Self { graph, live, latched, .. } = self;
             let (is_latched, arrived) = tokio::select! {
                 biased;
-                changed = publishers.changed() => {
+                changed = graph.changed() => {
                     if changed.is_err() {
                         // Nobody discovers any more: the domain is being left.
                         std::future::pending::<()>().await;
@@ -78,11 +79,12 @@ impl<'a> Reader<'a> {
                     let key = Key::from_be_bytes(arrived.writer.to_bytes());
                     let from = self.known.contains_key(&key).then_some(key);
                     // The other reader has it, too.
-                    let latches = self.known.get(&key).is_some_and(|publisher| publisher.offers.transient_local);
+                    let latches = self.known.get(&key).is_some_and(|(_, offers)| offers.transient_local);
                     if self.qos.is_none() && latches != is_latched {
                         continue;
                     }
-                    Event::Message(super::Arrived { from, bytes: arrived.sample.bytes, written_ns: arrived.written_ns })
+                    let ros2::Arrived { sample, written_ns, lost, .. } = arrived;
+                    Event::Message(super::Arrived { from, bytes: sample.bytes, written_ns, lost })
                 }
                 Err(error) => Event::Unreadable(error.to_string()),
             };
@@ -92,35 +94,32 @@ impl<'a> Reader<'a> {
 
     /// Compares what is discovered with what is known.
     fn look(&mut self) -> Result<(), RosError> {
-        let publishers = self.publishers.borrow_and_update().clone();
-        let found = publishers.get(&self.dds_topic).map_or(&[][..], Vec::as_slice);
-        let gone: Vec<Key> =
-            self.known.keys().filter(|key| !found.iter().any(|publisher| publisher.key == **key)).copied().collect();
-        for key in gone {
-            self.known.remove(&key);
-            self.events.push_back(Event::Left(key));
-        }
-        for publisher in found {
-            if self.known.get(&publisher.key) != Some(publisher) {
-                let Publisher { key, kind, offers } = publisher.clone();
-                self.known.insert(key, publisher.clone());
-                self.events.push_back(Event::Joined { key, kind, offers });
+        let graph = self.graph.borrow_and_update().clone();
+        let found = graph.topics.get(&self.topic).map_or(&[][..], |topic| &topic.publishers);
+        let found: BTreeMap<Key, (Kind, Offer)> =
+            found.iter().map(|publisher| (Key::from_be_bytes(publisher.id), described(publisher))).collect();
+        let gone = self.known.keys().filter(|key| !found.contains_key(key)).map(|key| Event::Left(*key));
+        self.events.extend(gone);
+        for (key, (kind, offers)) in &found {
+            if self.known.get(key).is_none_or(|(kind_before, before)| (kind_before, before) != (kind, offers)) {
+                self.events.push_back(Event::Joined { key: *key, kind: kind.clone(), offers: *offers });
             }
         }
+        self.known = found;
         self.ask()
     }
 
     /// Makes the readers that the known publishers need.
     fn ask(&mut self) -> Result<(), RosError> {
         if self.kind.is_none()
-            && let Some(publisher) = self.known.values().next()
+            && let Some((kind, _)) = self.known.values().next()
         {
-            self.kind = Some(TypeName::parse(&publisher.kind.name)?);
+            self.kind = Some(TypeName::parse(&kind.name)?);
         }
         let Some(kind) = &self.kind else { return Ok(()) };
         let name = kind.to_string();
         let of = |latches: bool| {
-            let offers = self.known.values().filter(|publisher| publisher.kind.name == name).map(|it| it.offers);
+            let offers = self.known.values().filter(|(kind, _)| kind.name == name).map(|(_, offers)| *offers);
             let offers: Vec<Offer> = offers.filter(|offers| offers.transient_local == latches).collect();
             // A reader that asks for more than somebody offers does not hear it.
             let reliable = offers.iter().all(|offers| offers.reliable);
@@ -138,6 +137,24 @@ impl<'a> Reader<'a> {
         }
         Ok(())
     }
+}
+
+/// What discovery says of a publisher. It does not say how many messages it keeps: 10 as ROS 2 has it by default, or of what is latched the
+/// last one.
+fn described(publisher: &Endpoint) -> (Kind, Offer) {
+    let Endpoint { kind, hash, qos, .. } = publisher;
+    let ShownQos { reliability, durability, deadline, lifespan, .. } = *qos;
+    let hash = hash.as_ref().and_then(|hash| hex::decode(hash.as_str().strip_prefix("RIHS01_")?).ok());
+    let ns = |time: Option<Duration>| time.map_or(0, |time| u64::try_from(time.as_nanos()).unwrap_or(0));
+    let transient_local = durability == Durability::TransientLocal;
+    let offers = Offer {
+        reliable: reliability == Reliability::Reliable,
+        transient_local,
+        depth: if transient_local { 1 } else { 10 },
+        deadline_ns: ns(deadline),
+        lifespan_ns: ns(lifespan),
+    };
+    (Kind { dialect: Dialect::Ros2, name: kind.to_string(), hash: hash.unwrap_or_default() }, offers)
 }
 
 async fn recv(half: &Option<Half>) -> Result<ros2::Arrived, ros2::Unreadable> {

@@ -1,48 +1,40 @@
 //! What other participants of the domain announce: the types of topics, and why an endpoint does not match ours.
 
-use std::collections::{HashMap, HashSet};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
-use futures::{FutureExt, StreamExt};
+use futures::StreamExt;
 use rustdds::{
     DomainParticipant, DomainParticipantStatusEvent as Event, EndpointDescription, GUID, QosPolicies, RTPSEntity,
     StatusEvented,
 };
 use tokio::sync::watch;
 
-use super::qos::offered;
-use super::{TopicName, TypeName};
-use crate::graph::Key;
-use crate::roster::{Dialect, Kind, Offer};
+use super::TypeName;
+use super::graph::{Graph, Seen};
+
+/// How long news are gathered before the graph is made anew: a node that comes brings a dozen endpoints.
+const GATHER: Duration = Duration::from_millis(20);
+
+/// How often the graph is made without news: the queue of events is short, and one may have found it full.
+const LOOK: Duration = Duration::from_secs(1);
 
 #[derive(Default)]
 pub(super) struct Discovery {
     /// The DDS types of the DDS topics that the proxy has endpoints for.
     expected: Mutex<HashMap<String, String>>,
-    publishers: watch::Sender<Publishers>,
-    /// Of types that are not of ROS 2, which has been said.
-    odd: Mutex<HashSet<GUID>>,
-}
-
-pub(crate) type Publishers = Arc<HashMap<String, Vec<Publisher>>>;
-
-/// A publisher of a topic, in another participant.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Publisher {
-    pub key: Key,
-    pub kind: Kind,
-    pub offers: Offer,
+    graph: watch::Sender<Arc<Graph>>,
 }
 
 impl Discovery {
     /// Remembers which type a topic ought to have, so that it can be said when somebody's differs.
-    pub fn expect(&self, topic: &TopicName, kind: &TypeName) {
-        self.expected.lock().unwrap_or_else(PoisonError::into_inner).insert(topic.to_dds(), kind.to_dds());
+    pub fn expect(&self, dds_topic: &str, kind: &TypeName) {
+        self.expected.lock().unwrap_or_else(PoisonError::into_inner).insert(dds_topic.to_owned(), kind.to_dds());
     }
 
-    /// The publishers of the topics of the domain, by DDS topic; always the newest.
-    pub fn publishers(&self) -> watch::Receiver<Publishers> {
-        self.publishers.subscribe()
+    pub fn graph(&self) -> watch::Receiver<Arc<Graph>> {
+        self.graph.subscribe()
     }
 
     /// Follows what is discovered, for as long as the participant lives. A participant has one queue of events: whoever
@@ -50,48 +42,42 @@ impl Discovery {
     pub async fn watch(self: Arc<Self>, participant: DomainParticipant) {
         let listener = participant.status_listener();
         let mut events = listener.as_async_status_stream();
-        while let Some(event) = events.next().await {
-            self.handle(&participant, event);
-            while let Some(Some(event)) = events.next().now_or_never() {
-                self.handle(&participant, event);
-            }
-            // Whatever it was: the queue is short, and an event may have found it full.
-            let now = self.list(&participant);
-            self.publishers.send_if_modified(|before| {
-                let differs = *before != now;
-                *before = now;
-                differs
-            });
-        }
-    }
-
-    fn list(&self, participant: &DomainParticipant) -> Publishers {
-        let mut publishers = HashMap::<String, Vec<Publisher>>::new();
-        for writer in participant.discovered_writers() {
-            let (data, guid) = (&writer.publication_topic_data, writer.writer_proxy.remote_writer_guid);
-            if !is_application(participant, guid) || !data.topic_name.starts_with("rt/") {
-                continue;
-            }
-            let kind = match TypeName::from_dds(&data.type_name) {
-                Ok(kind) => kind,
-                Err(error) => {
-                    if self.lock_odd().insert(guid) {
-                        tracing::warn!(topic = data.topic_name, "a publisher is ignored: {error}");
-                    }
-                    continue;
+        let mut due = tokio::time::Instant::now();
+        loop {
+            tokio::select! {
+                event = events.next() => {
+                    let Some(event) = event else { return };
+                    self.handle(&participant, event);
+                    due = due.min(tokio::time::Instant::now() + GATHER);
                 }
-            };
-            let hash = type_hash(&writer.user_data).unwrap_or_default();
-            let kind = Kind { dialect: Dialect::Ros2, name: kind.to_string(), hash };
-            let found = Publisher { key: u128::from_be_bytes(guid.to_bytes()), kind, offers: offered(data) };
-            publishers.entry(data.topic_name.clone()).or_default().push(found);
+                () = tokio::time::sleep_until(due) => {
+                    due += LOOK;
+                    self.look(&participant);
+                }
+            }
         }
-        publishers.values_mut().for_each(|found| found.sort_by_key(|publisher| publisher.key));
-        publishers.into()
     }
 
-    fn lock_odd(&self) -> MutexGuard<'_, HashSet<GUID>> {
-        self.odd.lock().unwrap_or_else(PoisonError::into_inner)
+    fn look(&self, participant: &DomainParticipant) {
+        let own = participant.guid().prefix;
+        let writers = participant.discovered_writers().into_iter().map(|writer| {
+            let (data, guid) = (writer.publication_topic_data, writer.writer_proxy.remote_writer_guid);
+            let qos = data.qos();
+            Seen { guid, writes: true, topic: data.topic_name, kind: data.type_name, qos, user_data: writer.user_data }
+        });
+        let readers = participant.discovered_readers().into_iter().map(|reader| {
+            let (data, guid) = (reader.subscription_topic_data, reader.reader_proxy.remote_reader_guid);
+            let (topic, kind, qos) = (data.topic_name().clone(), data.type_name().clone(), data.qos());
+            Seen { guid, writes: false, topic, kind, qos, user_data: reader.user_data }
+        });
+        let graph = Graph::new(writers.chain(readers).filter(|seen| seen.guid.prefix != own));
+        self.graph.send_if_modified(|current| {
+            let is_news = **current != graph;
+            if is_news {
+                *current = Arc::new(graph);
+            }
+            is_news
+        });
     }
 
     fn handle(&self, participant: &DomainParticipant, event: Event) {
@@ -152,26 +138,4 @@ fn incompatible(whose: &str, topic: Option<String>, requested: &QosPolicies, off
         topic,
         "the QoS of a {whose} here does not fit the proxy's ({policy:?}): they do not see each other; correct `qos`",
     );
-}
-
-/// What a participant of ROS 2 Iron or later says of its type: `typehash=RIHS01_…;`, with hexadecimal digits.
-fn type_hash(user_data: &[u8]) -> Option<Vec<u8>> {
-    const KEY: &[u8] = b"typehash=RIHS01_";
-    let at = user_data.windows(KEY.len()).position(|window| window == KEY)? + KEY.len();
-    hex::decode(user_data.get(at..at + 64)?).ok()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn type_hashes_are_found_behind_whatever_is_said_before() {
-        let hash = "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
-        let said = format!("\x50\0\0\0enclave=/;typehash=RIHS01_{hash};");
-        assert_eq!(type_hash(said.as_bytes()).map(hex::encode).as_deref(), Some(hash));
-        for odd in ["", "typehash=RIHS01_", "typehash=RIHS01_df66", &said.replace("RIHS01", "RIHS02"), &said.replace("df", "xx")] {
-            assert_eq!(type_hash(odd.as_bytes()), None, "{odd}");
-        }
-    }
 }

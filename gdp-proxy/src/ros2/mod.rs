@@ -3,14 +3,21 @@
 //! The node, which is how ROS tools see the proxy, is ros2-client's; readers and writers of types unknown at compile time
 //! are made on the RustDDS participant beneath it. Nothing here knows of the fabric; `route` joins the two.
 
+mod action;
 mod discovery;
+mod graph;
 mod names;
-pub(crate) mod qos;
+mod qos;
 mod raw;
+mod service;
 
-pub use names::{NameError, TopicName, TypeName};
+pub use action::Action;
+pub use graph::{ActionInfo, Endpoint, Graph, ServiceInfo, ServicePeer, ShownQos, TopicInfo, TypeHash};
+pub use names::{NameError, Part, TopicName, TypeName};
 pub use qos::{Depth, Durability, Qos, Reliability};
 pub use raw::{Arrived, ENCAPSULATION, RawReader, RawSample, RawWriter, Representation, Unreadable, WriteError};
+
+pub use service::{BadRequest, CallError, Client, Headless, Mapping, Request, RequestId, Server};
 
 use std::sync::Arc;
 
@@ -19,8 +26,6 @@ use rustdds::dds::CreateError;
 use rustdds::{DomainParticipant, DomainParticipantBuilder, QosPolicies, TopicKind};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
-
-pub(crate) use discovery::{Publisher, Publishers};
 
 use crate::roster::Offer;
 use discovery::Discovery;
@@ -69,28 +74,37 @@ impl Domain {
         Ok(Self { participant, publisher, subscriber, discovery, node, watch })
     }
 
-    /// The publishers of the other participants, by DDS topic.
-    pub(crate) fn publishers(&self) -> watch::Receiver<Publishers> {
-        self.discovery.publishers()
+    /// What the others in the domain publish, subscribe to, serve and call, and every change of it.
+    pub fn graph(&self) -> watch::Receiver<Arc<Graph>> {
+        self.discovery.graph()
     }
 
     pub fn reader(&self, topic: &TopicName, kind: &TypeName, offers: &Offer) -> Result<RawReader, RosError> {
-        let refused = |source| RosError::Endpoint { what: "reader", topic: topic.clone(), source };
-        let policies = qos::reader(offers);
-        let dds_topic = self.topic(topic, kind, &policies).map_err(refused)?;
-        RawReader::new(&self.subscriber, &dds_topic, policies).map_err(refused)
+        self.raw_reader(topic, &topic.to_dds(), kind, offers)
     }
 
     pub fn writer(&self, topic: &TopicName, kind: &TypeName, offers: &Offer) -> Result<RawWriter, RosError> {
-        let refused = |source| RosError::Endpoint { what: "writer", topic: topic.clone(), source };
-        let policies = qos::writer(offers);
-        let dds_topic = self.topic(topic, kind, &policies).map_err(refused)?;
-        RawWriter::new(&self.publisher, &dds_topic, policies).map_err(refused)
+        self.raw_writer(topic, &topic.to_dds(), kind, offers)
     }
 
-    fn topic(&self, topic: &TopicName, kind: &TypeName, qos: &QosPolicies) -> Result<rustdds::Topic, CreateError> {
-        self.discovery.expect(topic, kind);
-        self.participant.create_topic(topic.to_dds(), kind.to_dds(), qos, TopicKind::NoKey)
+    /// A reader of a DDS topic that belongs to `name`.
+    fn raw_reader(&self, name: &TopicName, dds: &str, kind: &TypeName, offers: &Offer) -> Result<RawReader, RosError> {
+        let refused = |source| RosError::Endpoint { what: "reader", topic: name.clone(), source };
+        let policies = qos::reader(offers);
+        let topic = self.topic(dds, kind, &policies).map_err(refused)?;
+        RawReader::new(&self.subscriber, &topic, policies).map_err(refused)
+    }
+
+    fn raw_writer(&self, name: &TopicName, dds: &str, kind: &TypeName, offers: &Offer) -> Result<RawWriter, RosError> {
+        let refused = |source| RosError::Endpoint { what: "writer", topic: name.clone(), source };
+        let policies = qos::writer(offers);
+        let topic = self.topic(dds, kind, &policies).map_err(refused)?;
+        RawWriter::new(&self.publisher, &topic, policies).map_err(refused)
+    }
+
+    fn topic(&self, dds: &str, kind: &TypeName, qos: &QosPolicies) -> Result<rustdds::Topic, CreateError> {
+        self.discovery.expect(dds, kind);
+        self.participant.create_topic(dds.to_owned(), kind.to_dds(), qos, TopicKind::NoKey)
     }
 
     /// Says goodbye to the other participants, so that they do not wait for a lease to end. Readers and writers of the

@@ -47,9 +47,40 @@ impl TopicName {
         format!("rt{}", self.0)
     }
 
+    /// The DDS topics of the service of this name: requests (`rq/add_two_intsRequest`) and replies
+    /// (`rr/add_two_intsReply`).
+    pub fn to_dds_service(&self) -> [String; 2] {
+        [format!("rq{}Request", self.0), format!("rr{}Reply", self.0)]
+    }
+
+    /// What a DDS topic is to ROS, if ROS 2 made it.
+    pub fn from_dds(dds: &str) -> Option<(Part, Self)> {
+        let (part, name) = match dds.split_at_checked(2)? {
+            ("rt", name) => (Part::Topic, name),
+            ("rq", name) => (Part::Requests, name.strip_suffix("Request")?),
+            ("rr", name) => (Part::Replies, name.strip_suffix("Reply")?),
+            _ => return None,
+        };
+        Some((part, Self::parse(name).ok()?))
+    }
+
+    /// A name beneath this one: `/fibonacci` and `_action/status`.
+    pub(super) fn join(&self, rest: &str) -> Result<Self, NameError> {
+        Self::parse(&format!("{}/{rest}", self.0))
+    }
+
     pub fn as_str(&self) -> &str {
         &self.0
     }
+}
+
+/// What a DDS topic carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Part {
+    Topic,
+    /// Of a service, of the same name.
+    Requests,
+    Replies,
 }
 
 impl TypeName {
@@ -73,6 +104,21 @@ impl TypeName {
             }
             _ => Err(refusal()),
         }
+    }
+
+    /// The types of a service's requests and replies: of `example_interfaces/srv/AddTwoInts`, `…_Request` and `…_Response`.
+    pub fn of_service(&self) -> [Self; 2] {
+        [Self(format!("{}_Request", self.0)), Self(format!("{}_Response", self.0))]
+    }
+
+    /// This type without an ending that ROS gives to generated ones.
+    pub(super) fn without(&self, ending: &str) -> Option<Self> {
+        Self::parse(self.0.strip_suffix(ending)?).ok()
+    }
+
+    /// This type with an ending.
+    pub(super) fn with(&self, ending: &str) -> Self {
+        Self(format!("{}{ending}", self.0))
     }
 
     /// The DDS type name: `std_msgs::msg::dds_::String_`.

@@ -1,6 +1,5 @@
 //! Quality of service as the configuration states it, and as DDS takes it.
 
-use rustdds::discovery::PublicationBuiltinTopicData;
 use rustdds::{QosPolicies, QosPolicyBuilder, policy};
 use serde::Deserialize;
 
@@ -50,6 +49,8 @@ pub struct Depth(u16);
 impl Depth {
     pub const MAX: u16 = 10_000;
 
+    pub const ONE: Self = Self(1);
+
     pub fn get(self) -> u16 {
         self.0
     }
@@ -85,12 +86,12 @@ impl From<Qos> for Offer {
 }
 
 /// For a DDS reader that takes what publishers of this offer and of lesser ones send.
-pub(crate) fn reader(offers: &Offer) -> QosPolicies {
+pub(super) fn reader(offers: &Offer) -> QosPolicies {
     builder(offers, READER_SAMPLES).build()
 }
 
 /// For a DDS writer that offers this.
-pub(crate) fn writer(offers: &Offer) -> QosPolicies {
+pub(super) fn writer(offers: &Offer) -> QosPolicies {
     let duration = |ns: u64| rustdds::Duration::from_nanos(i64::try_from(ns).unwrap_or(i64::MAX));
     let mut builder = builder(offers, WRITER_SAMPLES);
     if offers.deadline_ns > 0 {
@@ -124,21 +125,4 @@ fn builder(offers: &Offer, samples: u16) -> QosPolicyBuilder {
         .durability(durability)
         .history(policy::History::KeepLast { depth })
         .resource_limits(limits)
-}
-
-/// What a discovered writer offers. DDS does not tell how many messages it keeps: 10 as ROS 2 has it by default, or of what is latched the
-/// last one.
-pub(super) fn offered(data: &PublicationBuiltinTopicData) -> Offer {
-    let ns = |duration: rustdds::Duration| {
-        // Infinite ones are no promise.
-        u64::try_from(duration.to_nanoseconds()).ok().filter(|_| duration < rustdds::Duration::INFINITE).unwrap_or(0)
-    };
-    let transient_local = data.durability.is_some_and(|durability| durability >= policy::Durability::TransientLocal);
-    Offer {
-        reliable: matches!(data.reliability, Some(policy::Reliability::Reliable { .. })),
-        transient_local,
-        depth: if transient_local { 1 } else { 10 },
-        deadline_ns: data.deadline.map_or(0, |deadline| ns(deadline.0)),
-        lifespan_ns: data.lifespan.map_or(0, |lifespan| ns(lifespan.duration)),
-    }
 }

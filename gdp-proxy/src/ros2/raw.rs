@@ -1,9 +1,11 @@
 //! Readers and writers of topics whose type is known by name only: a message is the bytes of its CDR encapsulation, the
 //! four-byte header that says how it is encoded (RTPS 2.5 §10.2) and the encoded body, carried as they are.
 
+use std::collections::HashMap;
 use std::convert::Infallible;
 use std::future::poll_fn;
 use std::pin::pin;
+use std::sync::{Mutex, PoisonError};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -11,7 +13,11 @@ use bytes::Bytes;
 use rustdds::dds::adapters::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter};
 use rustdds::dds::{CreateError, ReadError};
 use rustdds::no_key::{DataWriter, SimpleDataReader};
-use rustdds::{GUID, Publisher, QosPolicies, RepresentationIdentifier, Timestamp, Topic};
+use rustdds::rpc::SampleIdentity;
+use rustdds::{
+    GUID, Publisher, QosPolicies, RTPSEntity, RepresentationIdentifier, SequenceNumber, Timestamp, Topic, WriteOptions,
+    WriteOptionsBuilder,
+};
 
 /// Bytes of the encapsulation header: representation (2), options (2).
 pub const ENCAPSULATION: usize = 4;
@@ -34,6 +40,19 @@ pub struct Arrived {
     pub sample: RawSample,
     /// When its writer wrote it, on the writer's clock, in nanoseconds since 1970.
     pub written_ns: Option<u64>,
+    /// How many messages of the same writer were lost just before this one: on the way here, or because they came
+    /// faster than they were taken.
+    pub lost: u64,
+}
+
+/// A message with what services need to tell whose it is.
+pub(super) struct Change {
+    pub sample: RawSample,
+    pub writer: GUID,
+    pub sequence: SequenceNumber,
+    /// What the message answers, by its writer's word.
+    pub related: Option<SampleIdentity>,
+    written_ns: Option<u64>,
 }
 
 /// The encodings that ROS 2 uses: XCDR version 1, either byte order.
@@ -72,15 +91,48 @@ pub struct Unreadable(String);
 /// Reads a topic of any type. Messages that this participant itself wrote are not seen.
 pub struct RawReader {
     reader: SimpleDataReader<RawSample, Adapter>,
+    gaps: Mutex<Gaps>,
+}
+
+/// Which message of each writer came last.
+#[derive(Default)]
+struct Gaps(HashMap<GUID, SequenceNumber>);
+
+/// Writers whose gaps are counted. Beyond that all are forgotten, and the next gap of each is not seen.
+const MAX_WRITERS: usize = 4096;
+
+impl Gaps {
+    /// The messages between this one and the last of the same writer.
+    fn before(&mut self, writer: GUID, sequence: SequenceNumber) -> u64 {
+        if self.0.len() >= MAX_WRITERS && !self.0.contains_key(&writer) {
+            self.0.clear();
+        }
+        let last = self.0.entry(writer).or_insert(sequence);
+        let ahead = i64::from(sequence).saturating_sub(i64::from(*last));
+        *last = sequence.max(*last);
+        ahead.saturating_sub(1).try_into().unwrap_or(0)
+    }
 }
 
 impl RawReader {
     pub(super) fn new(subscriber: &rustdds::Subscriber, topic: &Topic, qos: QosPolicies) -> Result<Self, CreateError> {
-        Ok(Self { reader: subscriber.create_simple_datareader_no_key::<RawSample, Adapter>(topic, Some(qos))? })
+        let reader = subscriber.create_simple_datareader_no_key::<RawSample, Adapter>(topic, Some(qos))?;
+        Ok(Self { reader, gaps: Mutex::default() })
+    }
+
+    pub(super) fn guid(&self) -> GUID {
+        self.reader.guid()
     }
 
     /// The next message. Wakes when it arrives, without polling; may be cancelled without losing one.
     pub async fn recv(&self) -> Result<Arrived, Unreadable> {
+        let Change { sample, writer, sequence, written_ns, .. } = self.change().await?;
+        let lost = self.gaps.lock().unwrap_or_else(PoisonError::into_inner).before(writer, sequence);
+        Ok(Arrived { writer, sample, written_ns, lost })
+    }
+
+    /// As [`recv`](Self::recv), with the message's identity.
+    pub(super) async fn change(&self) -> Result<Change, Unreadable> {
         poll_fn(|context| {
             if let Some(taken) = self.take() {
                 return Poll::Ready(taken);
@@ -92,15 +144,19 @@ impl RawReader {
         .await
     }
 
-    fn take(&self) -> Option<Result<Arrived, Unreadable>> {
+    fn take(&self) -> Option<Result<Change, Unreadable>> {
         loop {
             match self.reader.try_take_one() {
                 Ok(None) => return None,
                 Ok(Some(change)) if self.is_own(change.writer_guid()) => {}
                 Ok(Some(change)) => {
-                    let written_ns = change.source_timestamp().map(nanoseconds);
-                    let writer = change.writer_guid();
-                    return Some(Ok(Arrived { writer, sample: change.into_value(), written_ns }));
+                    return Some(Ok(Change {
+                        writer: change.writer_guid(),
+                        sequence: change.sequence_number,
+                        related: change.related_sample_identity(),
+                        written_ns: change.source_timestamp().map(nanoseconds),
+                        sample: change.into_value(),
+                    }));
                 }
                 Err(ReadError::UnknownKey { .. }) => {}
                 Err(error) => return Some(Err(Unreadable(error.to_string()))),
@@ -147,11 +203,21 @@ impl RawWriter {
     /// Writes one message as of `timestamp_ns` (nanoseconds since 1970), which readers see as its source timestamp.
     /// Waits a bounded time for reliable readers that do not keep up.
     pub async fn write(&mut self, sample: RawSample, timestamp_ns: u64) -> Result<(), WriteError> {
-        let stamp = Some(timestamp(timestamp_ns));
+        // A best-effort writer waits as well, rather than to throw away unseen what it has not sent yet.
+        let options = WriteOptionsBuilder::new().source_timestamp(timestamp(timestamp_ns)).best_effort_may_block(true);
+        self.write_with(sample, options.build()).await.map(drop)
+    }
+
+    /// Writes one message, and says how others will name it.
+    pub(super) async fn write_with(
+        &mut self,
+        sample: RawSample,
+        options: WriteOptions,
+    ) -> Result<SampleIdentity, WriteError> {
         let write = async {
             match sample.representation {
-                Representation::CdrLe => self.little_endian.async_write(sample, stamp).await,
-                Representation::CdrBe => self.big_endian()?.async_write(sample, stamp).await,
+                Representation::CdrLe => self.little_endian.async_write_with_options(sample, options).await,
+                Representation::CdrBe => self.big_endian()?.async_write_with_options(sample, options).await,
             }
             .map_err(|error| match error {
                 rustdds::dds::WriteError::WouldBlock { .. } => WriteError::Stalled,
@@ -164,6 +230,11 @@ impl RawWriter {
             return written;
         }
         tokio::time::timeout(WRITE_DEADLINE, write).await.unwrap_or(Err(WriteError::Stalled))
+    }
+
+    /// Of the writer of little-endian messages.
+    pub(super) fn guid(&self) -> GUID {
+        self.little_endian.guid()
     }
 
     fn big_endian(&mut self) -> Result<&DataWriter<RawSample, Encoder<false>>, WriteError> {
@@ -261,6 +332,16 @@ mod tests {
         for bytes in [&[][..], &[0, 1, 0], &[0, 7, 0, 0, 1], &[0, 3, 0, 0], &[1, 1, 0, 0]] {
             assert_eq!(parse(bytes), None, "{bytes:?}");
         }
+    }
+
+    #[test]
+    fn a_gap_counts_once_and_late_messages_count_nothing() {
+        let mut gaps = Gaps::default();
+        let writer = GUID::from_bytes([1; 16]);
+        let before = [7, 8, 11, 9, 12].map(|sequence| gaps.before(writer, SequenceNumber::new(sequence)));
+        assert_eq!(before, [0, 0, 2, 0, 0]);
+        assert_eq!(gaps.before(GUID::from_bytes([2; 16]), SequenceNumber::new(100)), 0, "a writer heard from now on");
+        assert_eq!(gaps.before(writer, SequenceNumber::new(i64::MIN)), 0);
     }
 
     #[test]

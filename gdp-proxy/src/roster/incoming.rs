@@ -36,8 +36,17 @@ struct Peer {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Change {
     /// It is to be there, and to offer this; also if it was there and offered something else, or another type.
-    Joined { writer: Name, number: u32, kind: Kind, definition: Option<String>, offers: Offer },
-    Left { writer: Name, number: u32 },
+    Joined {
+        writer: Name,
+        number: u32,
+        kind: Kind,
+        definition: Option<String>,
+        offers: Offer,
+    },
+    Left {
+        writer: Name,
+        number: u32,
+    },
 }
 
 /// What is to be done with a message.

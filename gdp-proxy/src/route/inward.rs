@@ -16,8 +16,8 @@ use crate::cert_file::CertFile;
 use crate::delivery::subscribe_options;
 use crate::graph::{Graph, WriteError, Writer};
 use crate::material::Permission;
-use crate::roster::{Change, Incoming, Kind, Offer, ROSTER, Taken};
 use crate::ros2::{Qos, TypeName};
+use crate::roster::{Change, Incoming, Kind, Offer, ROSTER, Taken};
 use crate::stats::{Drop, FabricCounters};
 use crate::types::{Converter, Form, unsealed};
 
@@ -141,7 +141,9 @@ impl Route {
                 self.write(to.plain.as_mut().and_then(Option::as_mut), message).await;
             }
             Taken::Held => {}
-            Taken::Crowded(gone) => self.drop_all(Drop::Unannounced, gone, "their writer does not say of what they are"),
+            Taken::Crowded(gone) => {
+                self.drop_all(Drop::Unannounced, gone as u64, "their writer does not say of what they are")
+            }
         }
     }
 

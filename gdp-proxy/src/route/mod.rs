@@ -154,8 +154,8 @@ impl Route {
         self.drop_all(reason, 1, why);
     }
 
-    fn drop_all(&self, reason: Drop, count: usize, why: impl Display) {
-        if self.counters.dropped(reason, count) {
+    fn drop_all(&self, reason: Drop, count: u64, why: impl Display) {
+        if count > 0 && self.counters.dropped(reason, count) {
             tracing::warn!(topic = %self.config.topic, reason = reason.as_str(), "a message was dropped: {why}");
         }
     }

@@ -16,8 +16,8 @@ use crate::cert_file::CertFile;
 use crate::delivery::{publish_options, stronger};
 use crate::graph::{Arrived, Event, Graph, Key, Reader};
 use crate::material::Permission;
-use crate::roster::{self, Announcement, Kind, Offer, Outgoing};
 use crate::ros2::TypeName;
+use crate::roster::{self, Announcement, Kind, Offer, Outgoing};
 use crate::stats::{Drop, FabricCounters};
 use crate::types::{Converter, Form, TypeError, sealed};
 
@@ -61,7 +61,10 @@ impl Route {
         loop {
             let mut out = self.learn(graph, kind, offers).await?;
             loop {
-                let error = match node.publish(card.proof(), right.cert.clone(), publish_options(&out.offers, &self.config)).await {
+                let error = match node
+                    .publish(card.proof(), right.cert.clone(), publish_options(&out.offers, &self.config))
+                    .await
+                {
                     Ok(new) => {
                         self.progress().fabric = FabricCounters::Out(new.meter());
                         pause = RETRY.0;
@@ -139,7 +142,12 @@ impl Route {
         self.types.converter(&form(native), &form(self.config.encoding.encoding(kind.dialect)))
     }
 
-    async fn carry_out(&self, out: &mut Out<'_>, publisher: &mut Publisher, right: &mut Right) -> Result<Turn, RouteError> {
+    async fn carry_out(
+        &self,
+        out: &mut Out<'_>,
+        publisher: &mut Publisher,
+        right: &mut Right,
+    ) -> Result<Turn, RouteError> {
         let (mut told, mut ticks, mut ended) = (BTreeSet::new(), ticks(), pin!(publisher.ended()));
         loop {
             if let Some(error) = publisher.feedback().last()
@@ -200,9 +208,15 @@ impl Route {
     }
 
     /// What has ended the right to send it, if something has.
-    async fn send(&self, out: &mut Out<'_>, publisher: &mut Publisher, arrived: Arrived) -> Result<Option<NodeError>, RouteError> {
+    async fn send(
+        &self,
+        out: &mut Out<'_>,
+        publisher: &mut Publisher,
+        arrived: Arrived,
+    ) -> Result<Option<NodeError>, RouteError> {
         let began = Instant::now();
-        let Arrived { from, bytes, written_ns } = arrived;
+        let Arrived { from, bytes, written_ns, lost } = arrived;
+        self.drop_all(Drop::Lost, lost, "messages were lost before they came to the proxy");
         if let Some(written_ns) = written_ns {
             self.counters.arrival.record_since(written_ns);
         }

@@ -67,7 +67,8 @@ impl Process {
         command.env("ROS_MASTER_URI", format!("http://localhost:{port}")).env("ROS_HOSTNAME", "localhost");
         command.env_remove("ROS_IP").env("ROS_HOME", folder).env("ROS_LOG_DIR", folder);
         let started = command.spawn();
-        let child = started.unwrap_or_else(|error| panic!("{PYTHON}: {error}; run `cargo xtask setup`, which installs rospy"));
+        let child =
+            started.unwrap_or_else(|error| panic!("{PYTHON}: {error}; run `cargo xtask setup`, which installs rospy"));
         Self { name: name.to_owned(), child, output, seen: 0 }
     }
 

@@ -93,8 +93,8 @@ async fn what_both_sites_say_each_hears_once() {
     for listener in &mut listeners {
         listener.event("ready").await;
     }
-    let _talkers =
-        [(&here, "here"), (&there, "there")].map(|(master, text)| master.begin("talker", &["publish", "/chatter", text]));
+    let _talkers = [(&here, "here"), (&there, "there")]
+        .map(|(master, text)| master.begin("talker", &["publish", "/chatter", text]));
     for listener in &mut listeners {
         let mut last = [("here", -1), ("there", -1)];
         while last.iter().any(|(_, number)| *number < 40) {

@@ -116,7 +116,8 @@ impl Readers {
 
     /// Whether one is attached that asks for every message, as far as it has said.
     fn asks_for_all(&self, reader: &Name) -> bool {
-        let asks = |reader: &Reader| reader.absent.is_none() && (reader.wants != Wants::Newest || reader.greeted.is_none());
+        let asks =
+            |reader: &Reader| reader.absent.is_none() && (reader.wants != Wants::Newest || reader.greeted.is_none());
         self.known.get(reader).is_some_and(asks)
     }
 }
@@ -183,7 +184,11 @@ impl Publication {
 
     /// Those of them that ask for every message, where the newest is offered.
     pub fn incompatible_readers(&self) -> usize {
-        if self.is_reliable { 0 } else { lock(&self.readers).attached().filter(|(_, reader)| reader.wants == Wants::Every).count() }
+        if self.is_reliable {
+            0
+        } else {
+            lock(&self.readers).attached().filter(|(_, reader)| reader.wants == Wants::Every).count()
+        }
     }
 
     /// What has not gone yet, and what of it whom has not reached.

@@ -1,0 +1,286 @@
+//! Who publishes, subscribes to, serves and calls what in a DDS domain: what its discovery shows, in the words of ROS.
+//!
+//! A [`Graph`] is made anew from the participant's tables whenever something changes, so nothing can be missed or kept too
+//! long. The proxy's own endpoints are not in it.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use rustdds::{GUID, QosPolicies, policy};
+
+use super::names::Part;
+use super::{Action, Durability, Mapping, Reliability, TopicName, TypeName};
+
+/// All that is announced, by name.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Graph {
+    /// Without those of actions.
+    pub topics: BTreeMap<TopicName, TopicInfo>,
+    /// Without those of actions.
+    pub services: BTreeMap<TopicName, ServiceInfo>,
+    pub actions: BTreeMap<TopicName, ActionInfo>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TopicInfo {
+    pub publishers: Vec<Endpoint>,
+    pub subscribers: Vec<Endpoint>,
+}
+
+/// A publisher or a subscription.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Endpoint {
+    /// The GUID of RTPS: 12 bytes of the participant, 4 of the endpoint.
+    pub id: [u8; 16],
+    pub kind: TypeName,
+    /// If its middleware announces it (Iron and later).
+    pub hash: Option<TypeHash>,
+    pub qos: ShownQos,
+}
+
+/// What discovery shows of an endpoint's QoS; history and depth stay with it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShownQos {
+    pub reliability: Reliability,
+    pub durability: Durability,
+    /// `None`: without end, as for the two below.
+    pub deadline: Option<Duration>,
+    pub lifespan: Option<Duration>,
+    pub liveliness_lease: Option<Duration>,
+    /// The endpoint says itself that it is alive, by topic.
+    pub manual_liveliness: bool,
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ServiceInfo {
+    pub servers: Vec<ServicePeer>,
+    pub clients: Vec<ServicePeer>,
+}
+
+/// A participant that serves or calls: both of the service's DDS topics have an endpoint of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ServicePeer {
+    /// The endpoint of the requests.
+    pub id: [u8; 16],
+    /// `example_interfaces/srv/AddTwoInts`.
+    pub kind: TypeName,
+    pub mapping: Mapping,
+}
+
+/// An action is there as far as its service `send_goal` is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ActionInfo {
+    /// `example_interfaces/action/Fibonacci`.
+    pub kind: TypeName,
+    /// Their `kind` is the action's.
+    pub servers: Vec<ServicePeer>,
+    pub clients: Vec<ServicePeer>,
+}
+
+/// The hash of a type's definition (REP 2016): `RIHS01_` and 64 hexadecimal digits.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TypeHash(String);
+
+impl TypeHash {
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+
+    /// From an endpoint's user data, `key=value;` again and again; RustDDS leaves the length of four bytes before it.
+    fn from_user_data(user_data: &[u8]) -> Option<Self> {
+        let text = String::from_utf8_lossy(user_data.get(4..)?);
+        let hash = text.split(';').find_map(|entry| entry.strip_prefix("typehash="))?;
+        let digits = hash.strip_prefix("RIHS01_")?;
+        let good = digits.len() == 64 && digits.bytes().all(|c| matches!(c, b'0'..=b'9' | b'a'..=b'f'));
+        good.then(|| Self(hash.to_owned()))
+    }
+}
+
+/// An endpoint as discovery has it.
+pub(super) struct Seen {
+    pub guid: GUID,
+    pub writes: bool,
+    pub topic: String,
+    pub kind: String,
+    pub qos: QosPolicies,
+    pub user_data: Vec<u8>,
+}
+
+/// The endpoints of a service at one participant.
+#[derive(Default)]
+struct Pair {
+    requests: Option<(GUID, TypeName)>,
+    has_replies: bool,
+}
+
+impl Graph {
+    pub(super) fn new(seen: impl Iterator<Item = Seen>) -> Self {
+        let mut graph = Self::default();
+        // By service, by participant, by whether it serves.
+        let mut pairs: BTreeMap<(TopicName, [u8; 12], bool), Pair> = BTreeMap::new();
+        for seen in seen {
+            // Whatever is not ROS's is not for the proxy.
+            let Some((part, name)) = TopicName::from_dds(&seen.topic) else { continue };
+            let Ok(kind) = TypeName::from_dds(&seen.kind) else { continue };
+            let key = |serves| (name.clone(), participant(seen.guid), serves);
+            match part {
+                Part::Topic if Action::part_of(&name).is_some() => {}
+                Part::Topic => graph.add_to_topic(name, kind, &seen),
+                Part::Requests => {
+                    if let Some(kind) = kind.without("_Request") {
+                        pairs.entry(key(!seen.writes)).or_default().requests = Some((seen.guid, kind));
+                    }
+                }
+                Part::Replies => pairs.entry(key(seen.writes)).or_default().has_replies = true,
+            }
+        }
+        for ((name, _, serves), pair) in pairs {
+            let Pair { requests: Some((guid, kind)), has_replies: true } = pair else { continue };
+            let id = guid.to_bytes();
+            graph.add_peer(&name, serves, ServicePeer { id, kind, mapping: Mapping::of(id) });
+        }
+        for topic in graph.topics.values_mut() {
+            topic.publishers.sort_by_key(|endpoint| endpoint.id);
+            topic.subscribers.sort_by_key(|endpoint| endpoint.id);
+        }
+        graph
+    }
+
+    fn add_to_topic(&mut self, name: TopicName, kind: TypeName, seen: &Seen) {
+        let hash = TypeHash::from_user_data(&seen.user_data);
+        let endpoint = Endpoint { id: seen.guid.to_bytes(), kind, hash, qos: ShownQos::new(&seen.qos, seen.writes) };
+        let topic = self.topics.entry(name).or_default();
+        if seen.writes { &mut topic.publishers } else { &mut topic.subscribers }.push(endpoint);
+    }
+
+    fn add_peer(&mut self, name: &TopicName, serves: bool, mut peer: ServicePeer) {
+        let (servers, clients) = match Action::part_of(name) {
+            Some((action, "send_goal")) => {
+                let Some(kind) = Action::kind_of(&peer.kind) else { return };
+                peer.kind = kind.clone();
+                let action = self.actions.entry(action);
+                let action = action.or_insert(ActionInfo { kind, servers: Vec::new(), clients: Vec::new() });
+                (&mut action.servers, &mut action.clients)
+            }
+            Some(_) => return,
+            None => {
+                let service = self.services.entry(name.clone()).or_default();
+                (&mut service.servers, &mut service.clients)
+            }
+        };
+        if serves { servers } else { clients }.push(peer);
+    }
+}
+
+impl ShownQos {
+    /// What is not announced has DDS's default, which differs between writers and readers.
+    fn new(qos: &QosPolicies, of_writer: bool) -> Self {
+        let reliability = match qos.reliability() {
+            Some(policy::Reliability::Reliable { .. }) => Reliability::Reliable,
+            Some(policy::Reliability::BestEffort) => Reliability::BestEffort,
+            None if of_writer => Reliability::Reliable,
+            None => Reliability::BestEffort,
+        };
+        let durability = match qos.durability() {
+            Some(policy::Durability::Volatile) | None => Durability::Volatile,
+            Some(_) => Durability::TransientLocal,
+        };
+        let (manual_liveliness, lease) = match qos.liveliness() {
+            Some(policy::Liveliness::ManualByTopic { lease_duration }) => (true, Some(lease_duration)),
+            Some(
+                policy::Liveliness::Automatic { lease_duration }
+                | policy::Liveliness::ManualByParticipant { lease_duration },
+            ) => (false, Some(lease_duration)),
+            None => (false, None),
+        };
+        Self {
+            reliability,
+            durability,
+            deadline: qos.deadline().and_then(|deadline| finite(deadline.0)),
+            lifespan: qos.lifespan().and_then(|lifespan| finite(lifespan.duration)),
+            liveliness_lease: lease.and_then(finite),
+            manual_liveliness,
+        }
+    }
+}
+
+/// Anything from the network may be negative.
+fn finite(duration: rustdds::Duration) -> Option<Duration> {
+    let ns = duration.to_nanoseconds();
+    // Vendors differ in what they call infinite by a fraction of a second; 68 years is the last second that fits.
+    let infinite = duration >= rustdds::Duration::from_secs(i32::MAX);
+    u64::try_from(ns).ok().filter(|_| !infinite).map(Duration::from_nanos)
+}
+
+fn participant(guid: GUID) -> [u8; 12] {
+    let bytes = guid.to_bytes();
+    std::array::from_fn(|i| bytes[i])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn endpoints_become_topics_services_and_actions() {
+        let graph = Graph::new(
+            [
+                seen(1, 1, true, "rt/chatter", "std_msgs::msg::dds_::String_"),
+                seen(2, 2, false, "rt/chatter", "std_msgs::msg::dds_::String_"),
+                seen(1, 3, false, "rq/addRequest", "pkg::srv::dds_::Add_Request_"),
+                seen(1, 4, true, "rr/addReply", "pkg::srv::dds_::Add_Response_"),
+                seen(2, 5, true, "rq/addRequest", "pkg::srv::dds_::Add_Request_"),
+                seen(2, 6, false, "rr/addReply", "pkg::srv::dds_::Add_Response_"),
+                seen(1, 7, false, "rq/fib/_action/send_goalRequest", "pkg::action::dds_::Fib_SendGoal_Request_"),
+                seen(1, 8, true, "rr/fib/_action/send_goalReply", "pkg::action::dds_::Fib_SendGoal_Response_"),
+                seen(1, 9, true, "rt/fib/_action/feedback", "pkg::action::dds_::Fib_FeedbackMessage_"),
+                seen(1, 10, true, "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"),
+                seen(3, 11, false, "rq/halfRequest", "pkg::srv::dds_::Add_Request_"),
+            ]
+            .into_iter(),
+        );
+        assert_eq!(graph.topics.len(), 1, "{graph:?}");
+        let chatter = &graph.topics[&TopicName::parse("/chatter").unwrap()];
+        assert_eq!((chatter.publishers.len(), chatter.subscribers.len()), (1, 1));
+        assert_eq!(chatter.publishers[0].hash.as_ref().map(TypeHash::as_str), Some(HASH));
+        assert_eq!(graph.services.len(), 1, "one half of a service is none");
+        let add = &graph.services[&TopicName::parse("/add").unwrap()];
+        assert_eq!(add.servers[0].kind, TypeName::parse("pkg/srv/Add").unwrap());
+        assert_eq!((add.servers[0].id[0], add.clients[0].id[0]), (1, 2));
+        let fib = &graph.actions[&TopicName::parse("/fib").unwrap()];
+        assert_eq!(fib.kind, TypeName::parse("pkg/action/Fib").unwrap());
+        assert_eq!((fib.servers.len(), fib.clients.len()), (1, 0));
+    }
+
+    #[test]
+    fn only_a_well_formed_hash_is_believed() {
+        let of = |text: &str| TypeHash::from_user_data(&[&[0; 4], text.as_bytes()].concat());
+        assert_eq!(of(&format!("a=b;typehash={HASH};")).map(|hash| hash.0), Some(HASH.to_owned()));
+        for bad in ["", "typehash=", "typehash=RIHS01_00;", "typehash=RIHS02_00", &HASH.replace('0', "G")] {
+            assert_eq!(of(bad), None, "{bad}");
+        }
+        assert_eq!(TypeHash::from_user_data(&[1, 2]), None);
+    }
+
+    #[test]
+    fn durations_without_end_are_none() {
+        assert_eq!(finite(rustdds::Duration::INFINITE), None);
+        assert_eq!(finite(rustdds::Duration::from_secs(-1)), None);
+        assert_eq!(finite(rustdds::Duration::from_millis(1500)), Some(Duration::from_millis(1500)));
+    }
+
+    const HASH: &str = "RIHS01_0000000000000000000000000000000000000000000000000000000000000000";
+
+    fn seen(participant: u8, endpoint: u8, writes: bool, topic: &str, kind: &str) -> Seen {
+        let mut guid = [participant; 16];
+        guid[15] = endpoint;
+        Seen {
+            guid: GUID::from_bytes(guid),
+            writes,
+            topic: topic.into(),
+            kind: kind.into(),
+            qos: QosPolicies::qos_none(),
+            user_data: format!("\0\0\0\0typehash={HASH};").into_bytes(),
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! The side that asks.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rustdds::{GUID, WriteOptionsBuilder};
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
+
+use super::mapping::{Id, Mapping, RequestId, asker, header, reply, with_header};
+use crate::ros2::raw::{RawReader, RawSample, RawWriter, Representation, WriteError};
+
+/// Calls that may be under way at a time.
+const MAX_CALLS: usize = 1024;
+
+/// A client of a service that local servers offer. Calls may run at the same time.
+pub struct Client {
+    mapping: Mapping,
+    /// The reader of replies.
+    ears: GUID,
+    asking: tokio::sync::Mutex<Asking>,
+    calls: Arc<Mutex<Calls>>,
+    listening: JoinHandle<()>,
+}
+
+struct Asking {
+    requests: RawWriter,
+    number: u64,
+}
+
+/// The calls that wait, and replies that came before the write had said what its request is called.
+#[derive(Default)]
+struct Calls {
+    waiting: HashMap<Key, oneshot::Sender<RawSample>>,
+    /// At most one request is being written at a time, and until then its key is not known.
+    writing: bool,
+    early: HashMap<Key, RawSample>,
+}
+
+/// A request of this client.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Key {
+    Header([u8; super::mapping::HEADER]),
+    Sequence(i64),
+}
+
+/// Why there is no reply.
+#[derive(Debug, thiserror::Error)]
+pub enum CallError {
+    #[error("{MAX_CALLS} calls of the service are under way: does its server answer at all?")]
+    Busy,
+    #[error("the request is big-endian CDR: encode it little-endian")]
+    BigEndian,
+    #[error("the request was not sent: {0}")]
+    Write(#[from] WriteError),
+    #[error("the client was closed while a call was under way")]
+    Closed,
+}
+
+impl Client {
+    pub(super) fn new(replies: RawReader, requests: RawWriter, mapping: Mapping) -> Self {
+        let (calls, ears) = (Arc::new(Mutex::new(Calls::default())), replies.guid());
+        let own = [ears, requests.guid()];
+        let listening = tokio::spawn(listen(replies, own, mapping, calls.clone()));
+        let asking = tokio::sync::Mutex::new(Asking { requests, number: 0 });
+        Self { mapping, ears, asking, calls, listening }
+    }
+
+    /// Asks, and waits for the reply as long as it takes. Dropping the future gives the call up: a reply that comes later
+    /// is nobody's.
+    pub async fn call(&self, request: RawSample) -> Result<RawSample, CallError> {
+        let (pending, arrival) = self.ask(request).await?;
+        let answer = arrival.await.map_err(|_| CallError::Closed);
+        drop(pending);
+        answer
+    }
+
+    async fn ask(&self, request: RawSample) -> Result<(Pending, oneshot::Receiver<RawSample>), CallError> {
+        // It would go out from another DDS writer, which replies would not name.
+        if request.representation == Representation::CdrBe {
+            return Err(CallError::BigEndian);
+        }
+        let mut asking = self.asking.lock().await;
+        let _writing = Writing::begin(&self.calls)?;
+        asking.number += 1;
+        let key = match self.mapping {
+            Mapping::Cyclone => {
+                let header = header(asking.requests.guid(), asking.number);
+                let options = WriteOptionsBuilder::new().build();
+                asking.requests.write_with(with_header(&request, header), options).await?;
+                Key::Header(header)
+            }
+            Mapping::Enhanced => {
+                let options = WriteOptionsBuilder::new().related_sample_identity(asker(self.ears)).build();
+                let written = asking.requests.write_with(request, options).await?;
+                Key::Sequence(written.sequence_number.into())
+            }
+        };
+        let (sender, arrival) = oneshot::channel();
+        let mut calls = lock(&self.calls);
+        match calls.early.remove(&key) {
+            Some(reply) => _ = sender.send(reply),
+            None => _ = calls.waiting.insert(key, sender),
+        }
+        Ok((Pending { key, calls: self.calls.clone() }, arrival))
+    }
+}
+
+impl Drop for Client {
+    fn drop(&mut self) {
+        self.listening.abort();
+    }
+}
+
+/// While a request is written, replies to unknown requests are kept.
+struct Writing<'a>(&'a Mutex<Calls>);
+
+impl<'a> Writing<'a> {
+    fn begin(calls: &'a Mutex<Calls>) -> Result<Self, CallError> {
+        let mut locked = lock(calls);
+        if locked.waiting.len() >= MAX_CALLS {
+            return Err(CallError::Busy);
+        }
+        locked.writing = true;
+        Ok(Self(calls))
+    }
+}
+
+impl Drop for Writing<'_> {
+    fn drop(&mut self) {
+        let mut calls = lock(self.0);
+        calls.writing = false;
+        calls.early.clear();
+    }
+}
+
+/// A call that waits; when dropped, it does so no more.
+struct Pending {
+    key: Key,
+    calls: Arc<Mutex<Calls>>,
+}
+
+impl Drop for Pending {
+    fn drop(&mut self) {
+        lock(&self.calls).waiting.remove(&self.key);
+    }
+}
+
+async fn listen(replies: RawReader, own: [GUID; 2], mapping: Mapping, calls: Arc<Mutex<Calls>>) {
+    loop {
+        let heard = match replies.change().await {
+            Ok(change) => reply(change, mapping).map_err(|error| error.to_string()),
+            Err(error) => Err(error.to_string()),
+        };
+        let (id, sample) = match heard {
+            Ok(Some(heard)) => heard,
+            // Of a server of another mapping, to another client.
+            Ok(None) => continue,
+            Err(error) => {
+                tracing::debug!("a reply is ignored: {error}");
+                continue;
+            }
+        };
+        let Some(key) = own_key(&id, own) else { continue };
+        let mut calls = lock(&calls);
+        match calls.waiting.remove(&key) {
+            Some(call) => _ = call.send(sample),
+            None if calls.writing && calls.early.len() < MAX_EARLY => _ = calls.early.insert(key, sample),
+            None => {}
+        }
+    }
+}
+
+/// Replies kept while one request is written: its own, and late ones to calls that were given up.
+const MAX_EARLY: usize = 16;
+
+/// Replies go to all clients of a service: whether this is to one of ours.
+fn own_key(id: &RequestId, own: [GUID; 2]) -> Option<Key> {
+    match id.0 {
+        Id::Header(header) => (header[..8] == own[1].to_bytes()[8..]).then_some(Key::Header(header)),
+        Id::Sample(asked) => own.contains(&asked.writer_guid).then_some(Key::Sequence(asked.sequence_number.into())),
+    }
+}
+
+fn lock(calls: &Mutex<Calls>) -> std::sync::MutexGuard<'_, Calls> {
+    calls.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,133 @@
+//! How the two families of DDS services say which request a reply answers.
+
+use bytes::{BufMut, Bytes, BytesMut};
+use rustdds::rpc::SampleIdentity;
+use rustdds::{GUID, SequenceNumber};
+
+use super::super::raw::{Change, ENCAPSULATION, RawSample, Representation};
+
+/// Where a service's messages carry the identity of the request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mapping {
+    /// In the sample's metadata, as rmw_fastrtps does ("enhanced", DDS-RPC 1.0 §7.8.2): the body is ROS's alone.
+    Enhanced,
+    /// In a header of 16 bytes before the body, as rmw_cyclonedds does: the client's number and a sequence number.
+    Cyclone,
+}
+
+impl Mapping {
+    /// What an endpoint speaks, by the vendor's number that its GUID begins with (RTPS 2.5 §9.3.1.1).
+    pub fn of(endpoint: [u8; 16]) -> Self {
+        match endpoint {
+            [1, 0x10, ..] => Self::Cyclone,
+            _ => Self::Enhanced,
+        }
+    }
+}
+
+/// Which request a reply answers. Opaque: it goes back to the server that gave it out.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct RequestId(pub(super) Id);
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(super) enum Id {
+    Sample(SampleIdentity),
+    /// Two words of eight bytes, little-endian whatever the message is.
+    Header([u8; HEADER]),
+}
+
+pub(super) const HEADER: usize = 16;
+
+/// A message of a service is too short for its mapping.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a service message has no request header: is its vendor's mapping another than {0:?}?")]
+pub struct Headless(Mapping);
+
+/// What a server is to answer with, and the request without its header.
+pub(super) fn request(change: Change, mapping: Mapping) -> Result<(RequestId, RawSample), Headless> {
+    match mapping {
+        Mapping::Cyclone => behead(change.sample),
+        Mapping::Enhanced => {
+            // rmw_fastrtps names its reader of replies here, so that servers can see whether that is matched yet.
+            let asker = change.related.map(|related| related.writer_guid).filter(|guid| *guid != GUID::GUID_UNKNOWN);
+            let writer_guid = asker.unwrap_or(change.writer);
+            let id = SampleIdentity { writer_guid, sequence_number: change.sequence };
+            Ok((RequestId(Id::Sample(id)), change.sample))
+        }
+    }
+}
+
+/// What a reply says it answers, and the reply without its header; `None` if it says nothing.
+pub(super) fn reply(change: Change, mapping: Mapping) -> Result<Option<(RequestId, RawSample)>, Headless> {
+    match mapping {
+        Mapping::Cyclone => behead(change.sample).map(Some),
+        Mapping::Enhanced => Ok(change.related.map(|id| (RequestId(Id::Sample(id)), change.sample))),
+    }
+}
+
+/// The header of the `number`-th request of a client.
+pub(super) fn header(client: GUID, number: u64) -> [u8; HEADER] {
+    let mut header = [0; HEADER];
+    // As rmw_cyclonedds: the half of the GUID that differs between the clients of a process.
+    header[..8].copy_from_slice(&client.to_bytes()[8..]);
+    header[8..].copy_from_slice(&number.to_le_bytes());
+    header
+}
+
+fn behead(sample: RawSample) -> Result<(RequestId, RawSample), Headless> {
+    let (RawSample { representation, bytes }, short) = (sample, Headless(Mapping::Cyclone));
+    let header = bytes.get(ENCAPSULATION..ENCAPSULATION + HEADER).ok_or(short)?;
+    let mut words: [u8; HEADER] = header.try_into().map_err(|_| short)?;
+    orient(&mut words, representation);
+    // The header is as long as the largest alignment of XCDR1 twice: the body is aligned without it as with it.
+    let mut body = BytesMut::with_capacity(bytes.len() - HEADER);
+    body.put_slice(&bytes[..ENCAPSULATION]);
+    body.put_slice(&bytes[ENCAPSULATION + HEADER..]);
+    Ok((RequestId(Id::Header(words)), RawSample { representation, bytes: body.freeze() }))
+}
+
+pub(super) fn with_header(sample: &RawSample, mut header: [u8; HEADER]) -> RawSample {
+    orient(&mut header, sample.representation);
+    let (encapsulation, body) = sample.bytes.split_at(ENCAPSULATION);
+    let bytes: Bytes = [encapsulation, &header, body].concat().into();
+    RawSample { representation: sample.representation, bytes }
+}
+
+fn orient(header: &mut [u8; HEADER], representation: Representation) {
+    if representation == Representation::CdrBe {
+        let (client, sequence) = header.split_at_mut(8);
+        client.reverse();
+        sequence.reverse();
+    }
+}
+
+/// What a request of rmw_fastrtps's kind says of its client.
+pub(super) fn asker(replies: GUID) -> SampleIdentity {
+    SampleIdentity { writer_guid: replies, sequence_number: SequenceNumber::UNKNOWN }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_header_comes_off_as_it_was_put_on_in_either_byte_order() {
+        for encapsulation in [[0, 1, 0, 0], [0, 0, 0, 0]] {
+            let sample = RawSample::parse([&encapsulation[..], b"body"].concat().into()).unwrap();
+            let header: [u8; HEADER] = std::array::from_fn(|i| i as u8);
+            let whole = with_header(&sample, header);
+            assert_eq!(whole.bytes[4] == 0, encapsulation[1] == 1, "the words are in the message's byte order");
+            assert_eq!(behead(whole), Ok((RequestId(Id::Header(header)), sample)));
+        }
+        let short = RawSample::parse(Bytes::from_static(&[0, 1, 0, 0, 1, 2, 3])).unwrap();
+        assert_eq!(behead(short), Err(Headless(Mapping::Cyclone)));
+    }
+
+    #[test]
+    fn the_vendor_in_a_guid_tells_the_mapping() {
+        let guid = |vendor: [u8; 2]| std::array::from_fn(|i| *vendor.get(i).unwrap_or(&7));
+        assert_eq!(Mapping::of(guid([1, 0x10])), Mapping::Cyclone);
+        assert_eq!(Mapping::of(guid([1, 0x0f])), Mapping::Enhanced);
+        assert_eq!(Mapping::of(guid([1, 0x12])), Mapping::Enhanced);
+    }
+}

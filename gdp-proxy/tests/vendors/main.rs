@@ -1,0 +1,245 @@
+//! A participant of the proxy among real Cyclone DDS and Fast DDS programs (`tests/peers`), over loopback and with the
+//! system's default socket buffers. No root, no fabric. `cargo xtask test` builds the programs.
+//!
+//! Every test has a DDS domain of its own.
+
+mod peer;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use gdp_proxy::ros2::{
+    Domain, Graph, Mapping, Qos, RawReader, RawSample, RawWriter, Reliability, Server, ServiceInfo, TopicName, TypeName,
+};
+
+use peer::{Peer, Vendor, within};
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_service_of_cyclone_is_called_and_one_is_offered_to_it() {
+    service_both_ways(Vendor::Cyclone, domain(0)).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_service_of_fast_dds_is_called_and_one_is_offered_to_it() {
+    service_both_ways(Vendor::FastDds, domain(1)).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn clients_of_both_vendors_are_answered_by_one_server_while_it_lives() {
+    let domain = Domain::join(domain(2), "gdp_proxy_test").unwrap();
+    let onlooker = Domain::join(self::domain(2), "onlooker").unwrap();
+    let server = domain.server(&service(), &add_two_ints(), None).unwrap();
+    seen(&onlooker, "the server", |service| service.servers.len() == 1).await;
+    let answering = tokio::spawn(add(server));
+    for vendor in [Vendor::Cyclone, Vendor::FastDds] {
+        let mut client = Peer::call(vendor, self::domain(2), 20, 22);
+        assert_eq!(client.event("reply").await["sum"], 42, "{vendor:?}");
+    }
+    answering.abort();
+    let _ = answering.await;
+    seen(&onlooker, "no server any more", |service| service.servers.is_empty()).await;
+    domain.leave().await;
+    onlooker.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_graph_has_what_vendors_announce_and_loses_what_leaves() {
+    let domain = Domain::join(domain(3), "gdp_proxy_test").unwrap();
+    let mut talker = Peer::topic(Vendor::Cyclone, "talk", self::domain(3), &["--transient-local", "--no-wait"]);
+    let mut listener = Peer::topic(Vendor::FastDds, "listen", self::domain(3), &["--best-effort"]);
+    talker.event("ready").await;
+    listener.event("ready").await;
+    let chatter = topic();
+    let graph = until(&domain, "both ends", |graph| {
+        graph.topics.get(&chatter).is_some_and(|topic| topic.publishers.len() == 1 && topic.subscribers.len() == 1)
+    })
+    .await;
+    let found = &graph.topics[&chatter];
+    assert_eq!(found.publishers[0].kind, string());
+    assert_eq!(found.publishers[0].qos.durability, gdp_proxy::ros2::Durability::TransientLocal);
+    assert_eq!(found.subscribers[0].qos.reliability, Reliability::BestEffort);
+    assert_eq!(graph.topics.len(), 1, "{graph:?}");
+    // Killed, it says nothing: its lease has to end.
+    listener.kill().await;
+    until(&domain, "the subscriber's end", |graph| {
+        graph.topics.get(&chatter).is_some_and(|topic| topic.subscribers.is_empty())
+    })
+    .await;
+    domain.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn large_messages_reach_both_vendors() {
+    let domain = Domain::join(domain(4), "gdp_proxy_test").unwrap();
+    let mut writer = domain.writer(&topic(), &string(), &Qos::default().into()).unwrap();
+    for vendor in [Vendor::FastDds, Vendor::Cyclone] {
+        let mut listener = Peer::topic(vendor, "listen", self::domain(4), &[]);
+        warm_up(&mut writer, &mut listener).await;
+        for size in LARGE {
+            for sequence in 0..5 {
+                write(&mut writer, sequence, size).await;
+                tokio::time::sleep(Duration::from_millis(33)).await;
+            }
+            for sequence in 0..5 {
+                let message = listener.message().await;
+                let got = (message["seq"].as_i64(), message["intact"].as_bool(), message["bytes"].as_u64());
+                assert_eq!(got, (Some(sequence), Some(true), Some(size as u64)), "{vendor:?}");
+            }
+        }
+        listener.kill().await;
+    }
+    domain.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn large_messages_come_from_both_vendors() {
+    for (index, vendor) in [Vendor::FastDds, Vendor::Cyclone].into_iter().enumerate() {
+        for (offset, size) in LARGE.into_iter().enumerate() {
+            let id = self::domain(5 + (3 * index + offset) as u16);
+            let domain = Domain::join(id, "gdp_proxy_test").unwrap();
+            let reader = domain.reader(&topic(), &string(), &Qos::default().into()).unwrap();
+            let size_text = size.to_string();
+            let _talker = Peer::topic(vendor, "talk", id, &["--rate", "5", "--size", &size_text]);
+            let mut came = Vec::new();
+            while came.len() < 3 {
+                came.push(within("a large message", receive(&reader)).await);
+            }
+            assert!(came.windows(2).all(|pair| pair[1].0 == pair[0].0 + 1), "{vendor:?} {size}: {came:?}");
+            assert!(came.iter().all(|(_, bytes)| *bytes == size), "{vendor:?}: {came:?}");
+            domain.leave().await;
+        }
+    }
+}
+
+const LARGE: [usize; 3] = [1_000_000, 3_000_000, 10_000_000];
+
+async fn service_both_ways(vendor: Vendor, id: u16) {
+    let domain = Domain::join(id, "gdp_proxy_test").unwrap();
+    let mut server = Peer::serve(vendor, id);
+    server.event("ready").await;
+    let found = seen(&domain, "the server", |service| service.servers.len() == 1).await;
+    assert_eq!(found.servers[0].kind, add_two_ints());
+    let mapping = found.servers[0].mapping;
+    assert_eq!(mapping, vendor.mapping());
+    let client = domain.client(&service(), &add_two_ints(), mapping).unwrap();
+    let sum = within("an answer", async {
+        loop {
+            // What is asked before both ends have matched is answered by nobody; to give a call up harms no other.
+            let call = client.call(request(40, 2));
+            if let Ok(reply) = tokio::time::timeout(Duration::from_millis(500), call).await {
+                return number(&reply.unwrap(), 0);
+            }
+        }
+    })
+    .await;
+    assert_eq!(sum, 42);
+    let (one, other) = tokio::join!(client.call(request(1, 2)), client.call(request(10, 20)));
+    assert_eq!((number(&one.unwrap(), 0), number(&other.unwrap(), 0)), (3, 30));
+    server.kill().await;
+    drop(client);
+
+    let answering = tokio::spawn(add(domain.server(&service(), &add_two_ints(), None).unwrap()));
+    let mut client = Peer::call(vendor, id, 7, 8);
+    assert_eq!(client.event("reply").await["sum"], 15);
+    answering.abort();
+    let _ = answering.await;
+    domain.leave().await;
+}
+
+/// Answers until it is stopped.
+async fn add(server: Server) {
+    loop {
+        let request = server.recv().await.unwrap();
+        let sum = number(&request.sample, 0) + number(&request.sample, 1);
+        server.respond(&request.id, cdr(&sum.to_le_bytes())).await.unwrap();
+    }
+}
+
+/// Waits until the service is so.
+async fn seen(domain: &Domain, what: &str, is_so: impl Fn(&ServiceInfo) -> bool) -> ServiceInfo {
+    let of = |graph: &Graph| graph.services.get(&service()).cloned().unwrap_or_default();
+    of(&*until(domain, what, |graph| is_so(&of(graph))).await)
+}
+
+async fn until(domain: &Domain, what: &str, is_so: impl Fn(&Graph) -> bool) -> Arc<Graph> {
+    let mut graph = domain.graph();
+    within(what, async { graph.wait_for(|graph| is_so(graph)).await.unwrap().clone() }).await
+}
+
+/// Writes until the listener hears.
+async fn warm_up(writer: &mut RawWriter, listener: &mut Peer) {
+    within("a first message", async {
+        loop {
+            write(writer, -1, 64).await;
+            if listener.hears_within(Duration::from_millis(50)).await {
+                return;
+            }
+        }
+    })
+    .await;
+}
+
+/// A message as the programs write and check it (`tests/peers/README.md`).
+async fn write(writer: &mut RawWriter, sequence: i64, size: usize) {
+    let filler = "x".repeat(size - 43);
+    let text = format!("{sequence:010} {:020} {:010} {filler}\0", 0, crc32fast::hash(filler.as_bytes()));
+    let body = [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat();
+    writer.write(cdr(&body), 0).await.unwrap();
+}
+
+/// The sequence number and the bytes of the string.
+async fn receive(reader: &RawReader) -> (i64, usize) {
+    let sample = reader.recv().await.unwrap().sample;
+    let length = u32::from_le_bytes(sample.bytes[4..8].try_into().unwrap()) as usize - 1;
+    let text = std::str::from_utf8(&sample.bytes[8..8 + length]).unwrap();
+    let mut parts = text.splitn(4, ' ');
+    let mut part = || parts.next().unwrap();
+    let (sequence, _, crc, filler) = (part(), part(), part(), part());
+    assert_eq!(crc.parse::<u32>().unwrap(), crc32fast::hash(filler.as_bytes()), "{sequence}");
+    (sequence.parse().unwrap(), length)
+}
+
+fn request(a: i64, b: i64) -> RawSample {
+    cdr(&[a.to_le_bytes(), b.to_le_bytes()].concat())
+}
+
+fn cdr(body: &[u8]) -> RawSample {
+    RawSample::parse(Bytes::from([&[0, 1, 0, 0], body].concat())).unwrap()
+}
+
+/// The `index`-th int64 of a body.
+fn number(sample: &RawSample, index: usize) -> i64 {
+    let at = 4 + 8 * index;
+    i64::from_le_bytes(sample.bytes[at..at + 8].try_into().unwrap())
+}
+
+/// Processes that test at the same time most likely get others: 16 domains for each.
+fn domain(test: u16) -> u16 {
+    100 + (std::process::id() % 8) as u16 * 16 + test
+}
+
+fn service() -> TopicName {
+    TopicName::parse(peer::SERVICE).unwrap()
+}
+
+fn add_two_ints() -> TypeName {
+    TypeName::parse("example_interfaces/srv/AddTwoInts").unwrap()
+}
+
+fn topic() -> TopicName {
+    TopicName::parse("/chatter").unwrap()
+}
+
+fn string() -> TypeName {
+    TypeName::parse("std_msgs/msg/String").unwrap()
+}
+
+impl Vendor {
+    fn mapping(self) -> Mapping {
+        match self {
+            Self::Cyclone => Mapping::Cyclone,
+            Self::FastDds => Mapping::Enhanced,
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! The programs of `tests/peers`, started and listened to.
+
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::Duration;
+
+use serde_json::Value;
+use tokio::io::{AsyncBufReadExt, BufReader, Lines};
+use tokio::process::{Child, ChildStdout, Command};
+
+pub const SERVICE: &str = "/add_two_ints";
+
+#[derive(Clone, Copy, Debug)]
+pub enum Vendor {
+    Cyclone,
+    FastDds,
+}
+
+/// A running program, until it is dropped.
+pub struct Peer {
+    child: Child,
+    output: Lines<BufReader<ChildStdout>>,
+}
+
+impl Peer {
+    /// A talker or listener of `/chatter`.
+    pub fn topic(vendor: Vendor, verb: &str, domain: u16, options: &[&str]) -> Self {
+        let mut command = match vendor {
+            Vendor::Cyclone => python("cyclone.py"),
+            Vendor::FastDds => compiled("fastdds-peer"),
+        };
+        command.arg(verb).args(["--domain", &domain.to_string()]).args(options);
+        Self::start(command)
+    }
+
+    /// A server that adds two integers.
+    pub fn serve(vendor: Vendor, domain: u16) -> Self {
+        Self::service(vendor, "serve", domain, &[])
+    }
+
+    /// A client that has two integers added, and says what came of it.
+    pub fn call(vendor: Vendor, domain: u16, a: i64, b: i64) -> Self {
+        Self::service(vendor, "call", domain, &[a, b])
+    }
+
+    fn service(vendor: Vendor, verb: &str, domain: u16, numbers: &[i64]) -> Self {
+        let (domain, numbers) = (domain.to_string(), numbers.iter().map(i64::to_string));
+        let command = match vendor {
+            Vendor::Cyclone => {
+                let mut command = python("cyclone_service.py");
+                command.args([verb, "--domain", &domain, "--service", SERVICE]);
+                for (flag, number) in ["--a", "--b"].into_iter().zip(numbers) {
+                    command.args([flag, &number]);
+                }
+                command
+            }
+            Vendor::FastDds => {
+                let mut command = compiled("fastdds-service-peer");
+                command.args([verb, &domain, SERVICE]).args(numbers);
+                command
+            }
+        };
+        Self::start(command)
+    }
+
+    fn start(mut command: Command) -> Self {
+        let mut child = command.stdout(Stdio::piped()).kill_on_drop(true).spawn().unwrap();
+        let output = BufReader::new(child.stdout.take().unwrap()).lines();
+        Self { child, output }
+    }
+
+    /// The next line with this event.
+    pub async fn event(&mut self, event: &str) -> Value {
+        within(event, async {
+            loop {
+                let line = self.output.next_line().await.unwrap().expect("the program ended");
+                let line: Value = serde_json::from_str(&line).unwrap();
+                if line["event"] == event {
+                    return line;
+                }
+            }
+        })
+        .await
+    }
+
+    /// The next message that is not one of the warm-up.
+    pub async fn message(&mut self) -> Value {
+        loop {
+            let message = self.event("message").await;
+            if message["seq"] != -1 {
+                return message;
+            }
+        }
+    }
+
+    pub async fn hears_within(&mut self, limit: Duration) -> bool {
+        tokio::time::timeout(limit, self.event("message")).await.is_ok()
+    }
+
+    /// Ends it without a goodbye.
+    pub async fn kill(mut self) {
+        self.child.kill().await.unwrap();
+    }
+}
+
+pub async fn within<T>(what: &str, future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(Duration::from_secs(60), future).await.unwrap_or_else(|_| panic!("not in 60 s: {what}"))
+}
+
+fn python(script: &str) -> Command {
+    let mut command = Command::new(existing(target().join("venv/bin/python"), "cargo xtask setup"));
+    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/peers").join(script));
+    command
+}
+
+fn compiled(program: &str) -> Command {
+    Command::new(existing(target().join("peers").join(program), "cargo xtask test"))
+}
+
+/// Cargo's target folder: this test is in `target/PROFILE/deps`.
+fn target() -> PathBuf {
+    std::env::current_exe().unwrap().ancestors().nth(3).unwrap().into()
+}
+
+fn existing(file: PathBuf, remedy: &str) -> PathBuf {
+    assert!(file.is_file(), "{} does not exist: run `{remedy}`", file.display());
+    file
+}
