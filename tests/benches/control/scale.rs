@@ -5,8 +5,7 @@
 //!
 //! All signatures are real, and verified by each RIB. Links take as long as they are said to; RIBs take no simulated time.
 
-use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
@@ -84,6 +83,8 @@ struct Domain {
     hosts: Vec<(Identity, Host)>,
     robot: Identity,
     serial: u64,
+    /// When its tiers have something to do: as in [`World::ticks`].
+    tick: Option<Duration>,
     /// Bytes of its RIB and its tiers.
     memory: usize,
     messages: u64,
@@ -115,7 +116,8 @@ struct World {
     domains: Vec<Domain>,
     index: BTreeMap<Name, usize>,
     travelling: BTreeMap<(Duration, u64), Travelling>,
-    ticks: BinaryHeap<Reverse<(Duration, usize)>>,
+    /// One of each domain that has any: the more messages the more moments there would be, each of which costs a look at all neighbours.
+    ticks: BTreeSet<(Duration, usize)>,
     number: u64,
     random: u64,
     /// Names that a reader's RIB is to know, and since when.
@@ -255,16 +257,17 @@ impl World {
     fn run(&mut self, time: Duration) -> Result<()> {
         let end = self.now.clock + time;
         loop {
+            gdp_tests::wait::check_interrupt()?;
             let message = self.travelling.keys().next().map(|(at, _)| *at);
-            let tick = self.ticks.peek().map(|Reverse((at, _))| *at);
+            let tick = self.ticks.first().map(|(at, _)| *at);
             let Some(next) = message.into_iter().chain(tick).min().filter(|next| *next <= end) else { break };
             self.pass(next.max(self.now.clock));
             while let Some(entry) = self.travelling.first_entry().filter(|entry| entry.key().0 <= self.now.clock) {
                 let message = entry.remove();
                 self.deliver(message)?;
             }
-            while self.ticks.peek().is_some_and(|Reverse((at, _))| *at <= self.now.clock) {
-                let Some(Reverse((_, index))) = self.ticks.pop() else { break };
+            while let Some((_, index)) = self.ticks.first().copied().filter(|(at, _)| *at <= self.now.clock) {
+                self.set_tick(index, None);
                 let (before, now) = (held(), self.now);
                 self.domains[index].tiers.tick(now);
                 self.domains[index].account(before);
@@ -305,10 +308,16 @@ impl World {
             let message = Travelling::Request { from: index, to, sent, bytes: bytes[4..].to_vec() };
             self.travelling.insert((now.clock + DELAY, self.number), message);
         }
-        if let Some(tick) = self.domains[index].tiers.next_tick() {
-            self.ticks.push(Reverse((tick.max(now.clock + Duration::from_millis(1)), index)));
-        }
+        let tick = self.domains[index].tiers.next_tick();
+        self.set_tick(index, tick.map(|tick| tick.max(now.clock + Duration::from_millis(1))));
         Ok(())
+    }
+
+    fn set_tick(&mut self, index: usize, tick: Option<Duration>) {
+        if let Some(before) = std::mem::replace(&mut self.domains[index].tick, tick) {
+            self.ticks.remove(&(before, index));
+        }
+        self.ticks.extend(tick.map(|tick| (tick, index)));
     }
 
     fn deliver(&mut self, message: Travelling) -> Result<()> {
@@ -374,7 +383,7 @@ impl Domain {
         }
         let tiers = Tiers::new(identity.name(), 1, tiers::Limits::default());
         let mut domain =
-            Self { identity, parent, tier, tiers, rib, hosts, robot, serial: 0, memory: 0, messages: 0, bytes: 0 };
+            Self { identity, parent, tier, tiers, rib, hosts, robot, serial: 0, tick: None, memory: 0, messages: 0, bytes: 0 };
         // The first call gives all there are.
         domain.rib.take_changed_places();
         domain.account(before);
