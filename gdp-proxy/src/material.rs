@@ -276,7 +276,7 @@ pub(crate) mod tests {
         let grant = issue(&delegate, &ReadGrant { name, to, serial, not_before, not_after }).unwrap();
         let member = MemberCert { domain: domain.name(), entity: files.entity, role, serial, not_before, not_after };
         let member = Some(Membership::issue(&domain, &member).unwrap());
-        let mut reading = Reading { grant: Issued { cert: grant, delegation }, member };
+        let mut reading = Reading { grant: Issued { cert: grant, delegation }, member: member.map(Box::new) };
         fs::write(files.path("t.grant"), reading.to_pem()).unwrap();
         files.load("").unwrap();
 

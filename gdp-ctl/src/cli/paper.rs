@@ -50,7 +50,9 @@ impl Paper {
     pub fn describe(&self) -> Result<Value, CertError> {
         match self {
             Self::Ad(issued) => described(&issued.cert, issued.delegation.as_ref(), None),
-            Self::Read(Reading { grant, member }) => described(&grant.cert, grant.delegation.as_ref(), member.as_ref()),
+            Self::Read(Reading { grant, member }) => {
+                described(&grant.cert, grant.delegation.as_ref(), member.as_deref())
+            }
             Self::Delegation(signed) => described(signed, None, None),
             Self::Revocation(signed) => described(signed, None, None),
             Self::Member(member) => {

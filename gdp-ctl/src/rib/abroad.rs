@@ -3,15 +3,16 @@
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
 
-use gdp::cert::{CertError, Revocation, Signed};
+use gdp::cert::{CertError, Signed};
 use gdp::control::{NameRole, Record, RecordPlace, Refusal, RefusalCode};
 use gdp::keys::KeyBox;
 use gdp::name::NameProof;
 use gdp_wire::Name;
 
 use super::inboxes::Place;
-use super::names::{Key, Registration, Remote};
+use super::names::{Key, Party, Registration, Remote, shared};
 use super::statements::lifetime;
 use super::telling::Stake;
 use super::ways::{Changed, GRACE, Realm};
@@ -58,13 +59,13 @@ pub(super) struct Abroad {
 
 impl Abroad {
     pub fn enter(&mut self, registration: &Registration, name: Key) {
-        let Some(Remote { realm, .. }) = registration.abroad else { return };
+        let Some(Remote { realm, .. }) = registration.abroad.as_deref().copied() else { return };
         *self.names.entry(realm).or_default().entry(name).or_default() += 1;
         *self.told.entry(realm.next).or_default() += 1;
     }
 
     pub fn leave(&mut self, registration: &Registration, name: &Key) {
-        let Some(Remote { realm, .. }) = registration.abroad else { return };
+        let Some(Remote { realm, .. }) = registration.abroad.as_deref().copied() else { return };
         count_out(&mut self.told, &realm.next, 1);
         let Some(names) = self.names.get_mut(&realm) else { return };
         let Some(parts) = names.get_mut(name) else { return };
@@ -117,21 +118,19 @@ impl Rib {
         self.check_foreign(stake, &place.switch, &next, advert.serial)?;
         let seconds = u32::try_from(record.expires_in).unwrap_or(u32::MAX).min(advert.lifetime);
         let scope = record.credential.scope().map_err(refusal)?;
-        let serials = record.credential.serials().map_err(refusal)?;
         let new = Registration {
-            entity: record.entity,
+            by: Arc::new(Party { name: entity, proof: record.entity, box_key: advert.box_key }),
             switch: record.switch,
-            abroad: Some(Remote { realm: Realm { next, domain }, hops, local }),
+            abroad: Some(Box::new(Remote { realm: Realm { next, domain }, hops, local })),
             role,
             credential: record.credential,
             advert: record.advert,
-            box_key: advert.box_key,
             serial: advert.serial,
-            scope: scope.into(),
-            serials,
+            scope: shared(scope),
             everywhere: false,
             ends: lifetime(now, seconds, verified.not_after)?,
             bound: true,
+            told: 0,
         };
         if self.next_of(&place) == Some(next) {
             self.store(stake, record.proof, new)?;
@@ -152,7 +151,7 @@ impl Rib {
     /// The neighbour whose word counts of a place.
     pub fn next_of(&self, place: &RecordPlace) -> Option<Name> {
         let registration = self.names.get_at(place.name.as_bytes(), &place.entity, place.role, &place.switch)?;
-        registration.abroad.map(|abroad| abroad.realm.next)
+        registration.abroad.as_ref().map(|abroad| abroad.realm.next)
     }
 
     /// The neighbour `next` takes back what it told of the place.
@@ -199,7 +198,7 @@ impl Rib {
     /// What an entity has stated here counts, and not what it had stated abroad before.
     pub(super) fn forget_abroad(&mut self, stake: Stake, serial: u64) {
         let earlier = self.names.all_of(&stake.name, &stake.entity, stake.role);
-        let earlier = earlier.filter(|earlier| earlier.abroad.is_some() && earlier.serial < serial);
+        let earlier = earlier.filter(|earlier| !earlier.is_here() && earlier.serial < serial);
         let switches: Vec<Name> = earlier.map(|earlier| earlier.switch).collect();
         for switch in switches {
             self.unregister(stake, switch);
@@ -210,7 +209,7 @@ impl Rib {
     /// not be missed yet.
     fn forget_here(&mut self, stake: Stake, serial: u64) {
         let earlier = self.names.all_of(&stake.name, &stake.entity, stake.role);
-        let earlier = earlier.filter(|it| it.abroad.is_none() && !it.everywhere && it.serial < serial);
+        let earlier = earlier.filter(|it| it.is_here() && !it.everywhere && it.serial < serial);
         let switches: Vec<Name> = earlier.map(|earlier| earlier.switch).collect();
         switches.into_iter().for_each(|switch| self.unregister(stake, switch));
     }
@@ -235,7 +234,7 @@ impl Rib {
             return Err(Refusal::new(RefusalCode::Unsupported, reason));
         }
         let before = self.word_of(&place_of(stake, *switch), next);
-        let since = self.names.all_of(&name, &entity, role).filter(|here| here.abroad.is_none() && !here.everywhere);
+        let since = self.names.all_of(&name, &entity, role).filter(|here| here.is_here() && !here.everywhere);
         if let Some(newer) = since.chain(before).find(|newer| newer.serial > serial) {
             return Err(refusal(CertError::ReplayedSerial { floor: newer.serial - 1, got: serial }));
         }
@@ -253,7 +252,7 @@ impl Rib {
     /// What a neighbour has told of a place, whether or not it counts.
     fn word_of(&self, place: &RecordPlace, next: &Name) -> Option<&Registration> {
         let used = self.names.get_at(place.name.as_bytes(), &place.entity, place.role, &place.switch);
-        let used = used.filter(|used| used.abroad.is_some_and(|abroad| abroad.realm.next == *next));
+        let used = used.filter(|used| used.abroad.as_ref().is_some_and(|abroad| abroad.realm.next == *next));
         used.or_else(|| Some(&self.abroad.spare.get(place)?.get(next)?.1))
     }
 
@@ -263,9 +262,8 @@ impl Rib {
         let used = self.names.get_at(&key, &place.entity, place.role, &place.switch).map(rank);
         let revocation = self.revocations.claims(&key);
         let stands = |spare: &Registration| {
-            let holds = |r: &Revocation| spare.serials.iter().all(|(what, serial)| r.check(what, *serial).is_ok());
             let is_member = || spare.credential.check_member(|domain| self.domains.get(domain)).is_ok();
-            spare.ends > now.clock && revocation.is_none_or(holds) && is_member()
+            spare.ends > now.clock && revocation.is_none_or(|revocation| spare.stands_after(revocation)) && is_member()
         };
         let spare = self.abroad.spare.get(&place).into_iter().flatten().filter(|(_, (_, spare))| stands(spare));
         let Some((next, (_, best))) = spare.min_by_key(|(_, (_, spare))| rank(spare)) else { return Ok(()) };
@@ -276,8 +274,8 @@ impl Rib {
         let Some((proof, best)) = self.abroad.take_spare(&place, &next) else { return Ok(()) };
         match self.store(stake, proof, best.clone()) {
             Ok(Some(before)) => {
-                if let Some(Remote { realm, .. }) = before.abroad {
-                    self.abroad.put_spare(place, realm.next, (proof, before));
+                if let Some(next) = before.abroad.as_ref().map(|abroad| abroad.realm.next) {
+                    self.abroad.put_spare(place, next, (proof, before));
                 }
                 Ok(())
             }
@@ -302,7 +300,7 @@ impl Rib {
         if claims.writer != stake.entity {
             return Err(refusal(CertError::WrongEntity { expected: stake.entity, got: claims.writer }));
         }
-        let told = self.names.all_of(&stake.name, &stake.entity, stake.role).find(|told| told.abroad.is_some());
+        let told = self.names.all_of(&stake.name, &stake.entity, stake.role).find(|told| !told.is_here());
         let Some(place) = told.map(|told| Place { entity: stake.entity, at: told.at() }) else { return Ok(()) };
         let is_sent = stake.role == NameRole::Publisher && claims.name.to_bytes() == stake.name;
         let is_inbox = claims.name == claims.reader && self.inboxes.allows(claims.name, place);
@@ -346,7 +344,7 @@ impl Rib {
 
 /// The lowest counts, of what is told of one place: the newest, and of that the nearest.
 fn rank(registration: &Registration) -> (Reverse<u64>, u32, Option<Name>) {
-    let abroad = registration.abroad;
+    let abroad = registration.abroad.as_deref();
     let hops = abroad.map_or(0, |abroad| abroad.hops);
     (Reverse(registration.serial), hops, abroad.map(|abroad| abroad.realm.next))
 }

@@ -2,13 +2,15 @@
 //! have. One that has neither an attachment nor a name is forgotten at once; what remains of all of those is one number.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::control::{Refusal, RefusalCode};
+use gdp::name::NameProof;
 use gdp_wire::Name;
 
 use super::journal::{Item, Journal};
-use super::names::Key;
+use super::names::{Key, Party};
 use super::{Now, count_out, limit_reached};
 
 /// How far ahead of the RIB's clock a serial may be, read as Unix time in nanoseconds, if it does not just count up: 2 days.
@@ -22,6 +24,8 @@ pub(super) struct Entity {
     names: BTreeSet<Key>,
     /// The switch through which it came to be known, or that it was attached to last.
     through: Name,
+    /// As it showed itself last.
+    party: Option<Arc<Party>>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -43,7 +47,7 @@ pub(super) struct Entities {
 
 impl Entity {
     fn new(floor: u64, through: Name) -> Self {
-        Self { floor, attachments: BTreeMap::new(), names: BTreeSet::new(), through }
+        Self { floor, attachments: BTreeMap::new(), names: BTreeSet::new(), through, party: None }
     }
 }
 
@@ -118,6 +122,16 @@ impl Entities {
             *self.unattached.entry(attachment.switch).or_default() += 1;
         }
         Some(attachment)
+    }
+
+    /// An entity as it shows itself, to be shared by all that it states so.
+    pub fn party(&mut self, name: Name, proof: NameProof, box_key: [u8; 33]) -> Arc<Party> {
+        let shown = Party { name, proof, box_key };
+        let Some(entity) = self.known.get_mut(&name) else { return Arc::new(shown) };
+        match &entity.party {
+            Some(party) if **party == shown => party.clone(),
+            _ => entity.party.insert(Arc::new(shown)).clone(),
+        }
     }
 
     pub fn names(&self, name: &Name) -> &BTreeSet<Key> {

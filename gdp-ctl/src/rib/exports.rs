@@ -30,7 +30,7 @@ impl Rib {
     /// What there is to tell of a place; none: nothing is there any more.
     pub fn export(&self, now: Now, place: &RecordPlace) -> Option<Export> {
         let (record, registration) = self.names.record_at(now.clock, place)?;
-        let origin = registration.abroad.map(|abroad| (abroad.realm.domain, abroad.realm.next));
+        let origin = registration.abroad.as_ref().map(|abroad| (abroad.realm.domain, abroad.realm.next));
         Some(Export { record, boxes: self.boxes_for_abroad(place, registration), origin })
     }
 
@@ -42,7 +42,7 @@ impl Rib {
     fn boxes_for_abroad(&self, place: &RecordPlace, registration: &Registration) -> Vec<Signed<KeyBox>> {
         let key = place.name.to_bytes();
         let others = self.names.bound(&key, place.role.counterpart());
-        let abroad = others.filter(|(_, other)| other.abroad.is_some() && registration.meets(other));
+        let abroad = others.filter(|(_, other)| !other.is_here() && registration.meets(other));
         let abroad: BTreeSet<Name> = abroad.map(|(entity, _)| entity).collect();
         let sent = self
             .boxes

@@ -54,10 +54,10 @@ impl Rib {
     pub(super) fn tell_reader(&mut self, claims: &KeyBox) {
         let (name, entity) = (claims.name.to_bytes(), claims.reader);
         if self.names.get(&name, &claims.writer, NameRole::Publisher).is_some() {
-            self.telling.boxes_changed(Stake { name, entity, role: NameRole::Subscriber }, claims.writer);
+            self.telling.boxes_changed(&self.names, Stake { name, entity, role: NameRole::Subscriber }, claims.writer);
         }
         if let Some(switch) = self.inbox_home(claims) {
-            self.telling.inbox_boxes_changed(Stake::inbox(entity), switch, claims.writer);
+            self.telling.inbox_boxes_changed(&self.names, Stake::inbox(entity), switch, claims.writer);
         }
     }
 

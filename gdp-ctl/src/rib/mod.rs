@@ -52,7 +52,7 @@ use entities::Entities;
 use fib::{About, Fib, Pushed};
 use inboxes::Inboxes;
 use journal::Journal;
-use names::Names;
+use names::{Key, Names};
 use revocations::Revocations;
 use telling::{Source, Stake, Telling};
 use ways::Ways;
@@ -214,7 +214,8 @@ struct Switch {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Timer {
-    Registration(Stake, Name),
+    /// Some part in this name may be over.
+    Name(Key),
     Attachment {
         entity: Name,
         lane: u8,
@@ -342,7 +343,7 @@ impl Rib {
             }
             self.timers.pop_first();
             match timer {
-                Timer::Registration(stake, switch) => self.end(now, stake, switch),
+                Timer::Name(name) => self.end_due(now, name),
                 Timer::Attachment { entity, lane } => {
                     if let Some(attachment) = self.entities.attachment(&entity, lane) {
                         self.detached.insert((attachment.switch, entity));
@@ -399,8 +400,10 @@ impl Rib {
     /// Whether what an entity was to be told arrived; if not, it is told the whole through another of its
     /// switches, or a while later.
     pub fn told(&mut self, now: Now, told: Told, arrived: bool) {
-        let other = if arrived { None } else { self.told_elsewhere(told.stake, &told.switch) };
-        self.telling.answered(now.clock, told, arrived, other);
+        let other = self.told_elsewhere(told.stake, &told.switch);
+        if let Some(held) = self.telling.answered(now.clock, told, arrived, other) {
+            self.names.note_told(&told.stake, &told.switch, held);
+        }
     }
 
     /// Whether all switches that need a route for what an entity stated have answered that they hold it (or have failed to

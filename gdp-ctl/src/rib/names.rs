@@ -30,26 +30,39 @@ pub(super) const LAST: Name = Name::from_bytes([0xff; 32]);
 /// One entity's part in a name, at one switch.
 #[derive(Clone, Debug)]
 pub(super) struct Registration {
-    pub entity: NameProof,
+    pub by: Arc<Party>,
     /// Of another domain, if the entity is abroad.
     pub switch: Name,
-    pub abroad: Option<Remote>,
+    pub abroad: Option<Box<Remote>>,
     pub role: NameRole,
     pub credential: Credential,
     pub advert: Signed<Advert>,
-    pub box_key: [u8; 33],
     /// Of the statement.
     pub serial: u64,
     /// Domains besides the one that it is stated in, that may know it; of those that read or call always empty.
     pub scope: Arc<[Name]>,
-    /// Of the certificates in the credential that a revocation can take back: what they are, and their serials.
-    pub serials: Vec<(&'static str, u64)>,
     /// What is stated at other switches stands besides; and this one sends it on each link of the entity.
     pub everywhere: bool,
     pub ends: Duration,
     /// Ends with the attachment of its entity; the entity is told of its counterparts, and can be reached by them. One from abroad can
     /// be reached; what it is told is for the RIB there.
     pub bound: bool,
+    /// The generation that the entity holds of what it is told of the name through this switch, while there is nothing more to tell: no
+    /// [stream](super::telling) is kept for it then. 0: there is one, or it is told elsewhere.
+    pub told: u64,
+}
+
+/// An entity, as it shows itself in its statements: most of them share one.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Party {
+    pub name: Name,
+    pub proof: NameProof,
+    pub box_key: [u8; 33],
+}
+
+/// Nothing is allocated for an empty scope, as most are.
+pub(super) fn shared(scope: Vec<Name>) -> Arc<[Name]> {
+    if scope.is_empty() { Arc::default() } else { scope.into() }
 }
 
 /// What is known of a registration besides, if another RIB told of it.
@@ -87,11 +100,27 @@ impl Kind {
 
 impl Registration {
     pub fn at(&self) -> At {
-        self.abroad.map_or(At::Here(self.switch), |abroad| At::Abroad(abroad.realm))
+        self.abroad.as_ref().map_or(At::Here(self.switch), |abroad| At::Abroad(abroad.realm))
+    }
+
+    /// Whether the entity is in this domain.
+    pub fn is_here(&self) -> bool {
+        self.abroad.is_none()
+    }
+
+    /// By entity and switch.
+    pub fn place(&self) -> (Name, Name) {
+        (self.by.name, self.switch)
+    }
+
+    /// Whether all certificates in its credential still count.
+    pub fn stands_after(&self, revocation: &Revocation) -> bool {
+        let check = |(what, serial): (_, u64)| revocation.check(what, serial).is_ok();
+        self.credential.serials().is_ok_and(|serials| serials.into_iter().all(check))
     }
 
     pub fn kind(&self) -> Kind {
-        let (realm, local) = self.abroad.map_or((None, true), |abroad| (Some(abroad.realm), abroad.local));
+        let (realm, local) = self.abroad.as_ref().map_or((None, true), |abroad| (Some(abroad.realm), abroad.local));
         Kind { realm, local, scope: self.scope.clone() }
     }
 
@@ -108,7 +137,7 @@ impl Registration {
         Record {
             name,
             proof,
-            entity: self.entity,
+            entity: self.by.proof,
             switch: self.switch,
             credential: self.credential.clone(),
             advert: self.advert.clone(),
@@ -120,7 +149,7 @@ impl Registration {
     pub fn tells_the_same(&self, other: &Self) -> bool {
         let is_as_near = self.role != NameRole::Server || self.switch == other.switch;
         self.credential == other.credential
-            && self.box_key == other.box_key
+            && self.by.box_key == other.by.box_key
             && self.kind() == other.kind()
             && is_as_near
     }
@@ -187,9 +216,9 @@ impl Names {
     }
 
     /// Stores what [`Self::check_room`] allowed. Returns what it replaces.
-    pub fn insert(&mut self, name: Name, proof: NameProof, entity: Name, new: Registration) -> Option<Registration> {
+    pub fn insert(&mut self, name: Name, proof: NameProof, new: Registration) -> Option<Registration> {
         let topic = self.all.entry(name.to_bytes()).or_insert_with(|| Topic::new(proof).into());
-        let replaced = topic.insert(entity, new);
+        let replaced = topic.insert(new);
         note_unserved(&mut self.unserved, name.to_bytes(), topic);
         replaced
     }
@@ -201,13 +230,42 @@ impl Names {
         removed
     }
 
-    /// Drops a name that nobody has any part in; whether it did.
-    pub fn sweep(&mut self, name: &Key) -> bool {
-        let unused = self.all.get(name).is_some_and(|topic| topic.parts().next().is_none());
-        if unused {
-            self.all.remove(name);
+    /// Drops a name that nobody has any part in. If it did: when that was to be [looked at](Self::look).
+    pub fn sweep(&mut self, name: &Key) -> Option<Duration> {
+        self.all.get(name).filter(|topic| topic.parts().next().is_none())?;
+        self.all.remove(name).map(|topic| topic.look_at)
+    }
+
+    /// A part in the name ends then: has it looked at then at the latest. Returns when that was to be before, if that was later.
+    pub fn look_by(&mut self, name: &Key, ends: Duration) -> Option<Duration> {
+        let topic = self.all.get_mut(name).filter(|topic| ends < topic.look_at)?;
+        Some(std::mem::replace(&mut topic.look_at, ends))
+    }
+
+    /// The parts in the name that are over, and when the next one is. It is not to be looked at again before [somebody
+    /// asks](Self::look_by) for it.
+    pub fn look(&mut self, name: &Key, now: Duration) -> (Vec<(Stake, Name)>, Option<Duration>) {
+        let Some(topic) = self.all.get_mut(name) else { return (Vec::new(), None) };
+        topic.look_at = Duration::MAX;
+        let all = || topic.parts().flat_map(Registrations::iter);
+        let over = all().filter(|(_, registration)| registration.ends <= now);
+        let over = over.map(|((entity, switch), r)| (Stake { name: *name, entity, role: r.role }, switch)).collect();
+        (over, all().map(|(_, registration)| registration.ends).filter(|ends| *ends > now).min())
+    }
+
+    /// An entity holds this of what it is told of a name, and there is nothing more to tell.
+    pub fn note_told(&mut self, stake: &Stake, switch: &Name, held: u64) {
+        let topic = self.all.get_mut(&stake.name);
+        if let Some(registration) = topic.and_then(|topic| topic.get_mut(&stake.entity, stake.role, switch)) {
+            registration.told = held;
         }
-        unused
+    }
+
+    /// What was [noted](Self::note_told) last, and through which switch.
+    pub fn told(&self, stake: &Stake) -> Option<(Name, u64)> {
+        let all = self.all_of(&stake.name, &stake.entity, stake.role);
+        let last = all.filter(|registration| registration.told > 0).max_by_key(|registration| registration.told)?;
+        Some((last.switch, last.told))
     }
 
     pub fn contains(&self, name: &Key) -> bool {
@@ -241,7 +299,7 @@ impl Names {
 
     /// The switches of this domain at which an entity has stated this.
     pub fn switches_of(&self, name: &Key, entity: &Name, role: NameRole) -> Vec<Name> {
-        let here = self.all_of(name, entity, role).filter(|registration| registration.abroad.is_none());
+        let here = self.all_of(name, entity, role).filter(|registration| registration.is_here());
         here.map(|registration| registration.switch).collect()
     }
 
@@ -249,7 +307,7 @@ impl Names {
     pub fn record_for(&self, now: Duration, stake: &Stake, counterpart: &Name) -> Option<Record> {
         let Stake { name, entity, role } = stake;
         let topic = self.all.get(name)?;
-        let own = topic.part(*role).of(entity).filter(|own| own.abroad.is_none()).max_by_key(|own| own.ends)?;
+        let own = topic.part(*role).of(entity).filter(|own| own.is_here()).max_by_key(|own| own.ends)?;
         let of = self.all_of(name, counterpart, role.counterpart()).filter(|other| own.meets(other));
         Some(of.max_by_key(|other| other.ends)?.record(now, Name::from_bytes(*name), topic.proof))
     }
@@ -278,7 +336,7 @@ impl Names {
 
     /// The switches of this domain at which one entity is so.
     pub fn bound_at(&self, name: &Key, entity: &Name, role: NameRole) -> impl Iterator<Item = Name> {
-        let here = self.all_of(name, entity, role).filter(|r| r.bound && r.abroad.is_none());
+        let here = self.all_of(name, entity, role).filter(|r| r.bound && r.is_here());
         here.map(|registration| registration.switch)
     }
 
@@ -324,8 +382,7 @@ impl Names {
     /// The registrations of a name that do not hold any more: of whom, as what, at which switch.
     pub fn revoked(&self, name: &Key, revocation: &Revocation) -> Vec<(Name, NameRole, Name)> {
         let all = self.all.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::iter));
-        let holds = |r: &Registration| r.serials.iter().all(|(what, serial)| revocation.check(what, *serial).is_ok());
-        all.filter(|(_, r)| !holds(r)).map(|((entity, switch), r)| (entity, r.role, switch)).collect()
+        all.filter(|(_, r)| !r.stands_after(revocation)).map(|((entity, switch), r)| (entity, r.role, switch)).collect()
     }
 
     /// Those whose credential rests on a membership that this revocation of a domain takes back, each with its switch.
@@ -358,7 +415,8 @@ impl Names {
         let padded: Option<Name> = format!("{:0<64}", prefix.as_str()).parse().ok();
         let begin = padded.unwrap_or_default();
         let matching = self.behind(after, begin).take_while(|(name, ..)| prefix.matches(name));
-        let matching = matching.filter(|(.., registration)| registration.abroad.is_none_or(|abroad| abroad.local));
+        let matching =
+            matching.filter(|(.., registration)| registration.abroad.as_ref().is_none_or(|abroad| abroad.local));
         let mut room = RECORDS_SIZE;
         let mut records = Vec::new();
         for (name, topic, registration) in matching {

@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use super::entities::Attachment;
 use super::journal::{Item, Journal};
-use super::names::Registration;
+use super::names::{Registration, shared};
 use super::telling::Stake;
 use super::{Now, Rib, Timer};
 
@@ -234,23 +234,21 @@ impl Rib {
         }
         let spent = verified.advert.serial.max(self.entities.floor(&entity));
         self.entities.restore(now, entity, spent, switch);
-        let serials = record.credential.serials()?;
         let scope = record.credential.scope()?;
         let Record { proof, entity: shown, credential, advert, .. } = record;
         let registration = Registration {
-            entity: shown,
+            by: self.entities.party(entity, shown, verified.advert.box_key),
             switch,
             abroad: None,
             role,
             credential,
             advert,
-            box_key: verified.advert.box_key,
             serial: verified.advert.serial,
-            scope: scope.into(),
-            serials,
+            scope: shared(scope),
             everywhere,
             ends: now.clock.saturating_add(Duration::from_secs(ends - now.unix)),
             bound,
+            told: 0,
         };
         let stake = Stake { name: name.to_bytes(), entity, role };
         self.register(stake, proof, registration)?;
@@ -286,6 +284,6 @@ impl Rib {
     fn proof_of(&self, entity: &Name) -> Option<NameProof> {
         let mut names = self.entities.names(entity).iter();
         let of = |name| NameRole::ALL.iter().find_map(|role| self.names.get(name, entity, *role));
-        names.find_map(of).map(|registration| registration.entity)
+        names.find_map(of).map(|registration| registration.by.proof)
     }
 }

@@ -37,7 +37,7 @@ impl Rib {
         }
         for role in NameRole::ALL {
             for (entity, _) in self.names.bound(&key, role) {
-                self.telling.revocation_changed(Stake { name: key, entity, role });
+                self.telling.revocation_changed(&self.names, Stake { name: key, entity, role });
             }
         }
         Ok(Response::Done)
@@ -46,7 +46,7 @@ impl Rib {
     /// Somebody has no part in a name any more, and is told so.
     fn end_revoked(&mut self, now: Now, stake: Stake, switch: Name) {
         let Stake { name, entity, role } = stake;
-        let is_told = self.names.get_at(&name, &entity, role, &switch).is_some_and(|r| r.bound && r.abroad.is_none());
+        let is_told = self.names.get_at(&name, &entity, role, &switch).is_some_and(|r| r.bound && r.is_here());
         self.end(now, stake, switch);
         // Through the last of its switches.
         if is_told && self.names.get(&name, &entity, role).is_none() {

@@ -12,10 +12,13 @@ use gdp_wire::Name;
 
 use super::entities::Attachment;
 use super::inboxes::Place;
-use super::names::{Key, Registration};
+use super::names::{Key, Registration, shared};
 use super::telling::{Source, Stake};
 use super::ways::{At, Map};
 use super::{Now, Rib, Timer, limit_reached, refusal};
+
+/// Between two looks at which parts in a name are over: of a name that very many read, some always are.
+const BETWEEN_ENDS: Duration = Duration::from_secs(1);
 
 /// A statement that is verified, with what it rests on.
 struct Verified {
@@ -134,21 +137,20 @@ impl Rib {
             .ok_or_else(|| Refusal::new(RefusalCode::Malformed, "a withdrawal states nothing about a name"));
         let registered = ends.and_then(|ends| {
             let (name, switch, box_key, bound) = (advert.name, speaker.switch, advert.box_key, !by_tool);
-            let (role, entity, serials) = (role?, speaker.entity, credential.serials().map_err(refusal)?);
+            let (role, entity) = (role?, speaker.entity);
             let registration = Registration {
-                entity: proof,
+                by: self.entities.party(entity, proof, box_key),
                 switch,
                 abroad: None,
                 role,
                 credential,
                 advert: signed,
-                box_key,
                 serial: advert.serial,
-                scope: scope.into(),
-                serials,
+                scope: shared(scope),
                 everywhere,
                 ends,
                 bound,
+                told: 0,
             };
             let stake = Stake { name: name.to_bytes(), entity, role };
             self.register(stake, name_proof, registration).map(|()| stake)
@@ -159,13 +161,18 @@ impl Rib {
             others.retain(|switch| *switch != speaker.switch);
             others.into_iter().for_each(|switch| self.unregister(stake, switch));
         }
+        let other = self.told_elsewhere(stake, &speaker.switch);
         let (run, names, boxes, revocations) = (self.run.id, &self.names, &self.boxes, &self.revocations);
         let settling = now.clock < self.run.settling;
         let source = Source { run, settling, now: now.clock, names, boxes, revocations };
-        Ok(Response::Peers(match by_tool {
-            true => self.telling.once(stake, speaker.switch, source),
-            false => self.telling.begin(stake, speaker.switch, source),
-        }))
+        if by_tool {
+            return Ok(Response::Peers(self.telling.once(stake, speaker.switch, source)));
+        }
+        let (peers, held) = self.telling.begin(stake, speaker.switch, other.is_none(), source);
+        if let Some(held) = held {
+            self.names.note_told(&stake, &speaker.switch, held);
+        }
+        Ok(Response::Peers(peers))
     }
 
     pub(super) fn speaker(&self, now: Now, switch: Name, proof: &NameProof) -> Result<Speaker, Refusal> {
@@ -288,19 +295,16 @@ impl Rib {
         let says_the_same = self.names.tell_the_same(&key, &entity, role, &new);
         self.revocations.enter(&key, &self.limits);
         let is_new_name = !self.names.contains(&key);
-        let is_stored = new.abroad.is_none();
+        let is_stored = new.is_here();
         self.abroad.enter(&new, key);
-        let old = self.names.insert(name, proof, entity, new);
+        let old = self.names.insert(name, proof, new);
         if is_stored {
             self.journal.mark(stake.at(switch));
         }
-        self.timers.insert((ends, Timer::Registration(stake, switch)));
+        self.expect_end(key, ends);
         let (mut places, mut told) = (vec![at], self.to_tell_of(stake, &switch));
         if let Some(old) = &old {
             self.abroad.leave(old, &key);
-            if old.ends != ends {
-                self.timers.remove(&(old.ends, Timer::Registration(stake, switch)));
-            }
             places.push(old.at());
             told.extend(self.who_knew(stake, old));
         }
@@ -320,20 +324,36 @@ impl Rib {
             self.reroute_inbox(&name);
         }
         if !says_the_same {
-            told.into_iter().for_each(|other| self.telling.record_changed(other, entity));
+            told.into_iter().for_each(|other| self.telling.record_changed(&self.names, other, entity));
         }
         self.abroad.changed(RecordPlace { name, role, entity, switch });
         Ok(old)
+    }
+
+    /// A part in the name ends then.
+    fn expect_end(&mut self, name: Key, ends: Duration) {
+        if let Some(later) = self.names.look_by(&name, ends) {
+            self.timers.remove(&(later, Timer::Name(name)));
+            self.timers.insert((ends, Timer::Name(name)));
+        }
+    }
+
+    /// Ends what is over of the parts in a name.
+    pub(super) fn end_due(&mut self, now: Now, name: Key) {
+        let (over, next) = self.names.look(&name, now.clock);
+        over.into_iter().for_each(|(stake, switch)| self.end(now, stake, switch));
+        if let Some(next) = next {
+            self.expect_end(name, next.max(now.clock + BETWEEN_ENDS));
+        }
     }
 
     pub(super) fn unregister(&mut self, stake: Stake, switch: Name) {
         let Stake { name, entity, role } = stake;
         let Some(old) = self.names.remove(&name, &entity, role, &switch) else { return };
         // What was told from abroad is told again.
-        if old.abroad.is_none() {
+        if old.is_here() {
             self.journal.mark(stake.at(switch));
         }
-        self.timers.remove(&(old.ends, Timer::Registration(stake, switch)));
         let says_the_same = self.names.tell_the_same(&name, &entity, role, &old);
         self.abroad.leave(&old, &name);
         if old.bound {
@@ -349,10 +369,12 @@ impl Rib {
         }
         self.follow_up(name, &[old.at()]);
         if !says_the_same {
-            self.who_knew(stake, &old).into_iter().for_each(|other| self.telling.record_changed(other, entity));
+            let told = self.who_knew(stake, &old);
+            told.into_iter().for_each(|other| self.telling.record_changed(&self.names, other, entity));
         }
         self.abroad.changed(RecordPlace { name: Name::from_bytes(name), role, entity, switch });
-        if self.names.sweep(&name) {
+        if let Some(look) = self.names.sweep(&name) {
+            self.timers.remove(&(look, Timer::Name(name)));
             self.reroute_inbox(&Name::from_bytes(name));
             self.revocations.leave(&name, &self.limits);
         }
@@ -405,7 +427,7 @@ impl Rib {
     /// Those that were told of it. Those of other domains are for their own RIB to tell.
     fn who_knew(&self, stake: Stake, stated: &Registration) -> Vec<Stake> {
         let (name, role) = (stake.name, stake.role.counterpart());
-        let others = self.names.bound(&name, role).filter(|(_, other)| other.abroad.is_none());
+        let others = self.names.bound(&name, role).filter(|(_, other)| other.is_here());
         let others = others.filter(|(_, other)| stated.meets(other));
         others.map(|(entity, _)| Stake { name, entity, role }).collect()
     }

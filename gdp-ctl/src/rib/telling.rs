@@ -1,8 +1,10 @@
 //! What each attached entity is told of its counterparts in a name, and how far it is known to hold that: the whole in
 //! parts after its statement, changes while it follows, the whole again after a failure. Each name and role of an entity
 //! is one stream of messages, one of which is out at a time. Streams of one switch share what may be out there, so that
-//! entities that do not answer hold up none elsewhere, and little there.
+//! entities that do not answer hold up none elsewhere, and little there. Of a stream that has nothing to say, as almost all have, nothing
+//! is kept here: what its entity holds then is [noted](super::names::Registration::told) with what it has stated.
 
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::time::Duration;
 
@@ -124,8 +126,9 @@ struct Desk {
 }
 
 impl Telling {
-    /// Tells of all counterparts from now on. Returns the first part: the answer to the statement that began it.
-    pub fn begin(&mut self, stake: Stake, switch: Name, source: Source) -> Peers {
+    /// Tells of all counterparts from now on. Returns the first part, which is the answer to the statement that began it, and what the
+    /// entity holds with it, if it is to be told nothing more. `only`: there is no other way to it.
+    pub fn begin(&mut self, stake: Stake, switch: Name, only: bool, source: Source) -> (Peers, Option<u64>) {
         let mut stream = Stream::new(switch, Phase::Whole { part: 0, after: None });
         self.generation += 1;
         let peers = stream.message(&stake, self.generation, source);
@@ -133,8 +136,7 @@ impl Telling {
         let old = self.streams.get(&stake);
         stream.is_queued = old.is_some_and(|old| old.is_queued && old.switch == switch);
         self.streams.insert(stake, stream.into());
-        self.queue(stake);
-        peers
+        (peers, self.go_on(stake, only))
     }
 
     /// As [`Self::begin`] for a tool, that can be told of nothing after.
@@ -169,30 +171,35 @@ impl Telling {
     }
 
     /// A counterpart came, went, or shows another credential.
-    pub fn record_changed(&mut self, stake: Stake, counterpart: Name) {
-        self.mark(stake, |stream| _ = stream.records.insert(counterpart));
+    pub fn record_changed(&mut self, names: &Names, stake: Stake, counterpart: Name) {
+        self.mark(names, stake, |stream| _ = stream.records.insert(counterpart));
     }
 
     /// A counterpart has new boxes for the entity.
-    pub fn boxes_changed(&mut self, stake: Stake, counterpart: Name) {
-        self.mark(stake, |stream| _ = stream.boxes.insert(counterpart));
+    pub fn boxes_changed(&mut self, names: &Names, stake: Stake, counterpart: Name) {
+        self.mark(names, stake, |stream| _ = stream.boxes.insert(counterpart));
     }
 
     /// A counterpart has boxes for what it sends to the entity itself. The stream begins with the first of them.
-    pub fn inbox_boxes_changed(&mut self, stake: Stake, switch: Name, counterpart: Name) {
+    pub fn inbox_boxes_changed(&mut self, names: &Names, stake: Stake, switch: Name, counterpart: Name) {
         self.resume(stake, switch);
-        self.boxes_changed(stake, counterpart);
+        self.boxes_changed(names, stake, counterpart);
     }
 
-    pub fn revocation_changed(&mut self, stake: Stake) {
-        self.mark(stake, |stream| stream.revocation = true);
+    pub fn revocation_changed(&mut self, names: &Names, stake: Stake) {
+        self.mark(names, stake, |stream| stream.revocation = true);
     }
 
-    fn mark(&mut self, stake: Stake, mark: impl FnOnce(&mut Stream)) {
-        if let Some(stream) = self.streams.get_mut(&stake) {
-            mark(stream);
-            self.queue(stake);
-        }
+    fn mark(&mut self, names: &Names, stake: Stake, mark: impl FnOnce(&mut Stream)) {
+        let stream = match self.streams.entry(stake) {
+            Entry::Occupied(stream) => stream.into_mut(),
+            Entry::Vacant(vacant) => {
+                let Some((switch, held)) = names.told(&stake) else { return };
+                vacant.insert(Stream { held, ..Stream::new(switch, Phase::Following) }.into())
+            }
+        };
+        mark(stream);
+        self.queue(stake);
     }
 
     /// Takes out what is to be sent now. Each is to be answered with [`Self::answered`].
@@ -222,22 +229,19 @@ impl Telling {
     }
 
     /// Whether a message arrived; if not, the whole follows: through `other`, if that is another way that has not been tried just
-    /// now, or a while later.
-    pub fn answered(&mut self, now: Duration, told: Told, arrived: bool, other: Option<Name>) {
+    /// now, or a while later. Returns what the entity holds, if it is to be told nothing more.
+    pub fn answered(&mut self, now: Duration, told: Told, arrived: bool, other: Option<Name>) -> Option<u64> {
         let Told { switch, stake, generation } = told;
         if let Some(turns) = self.switches.get_mut(&switch) {
             turns.done(&stake.entity);
         }
-        let Some(stream) = self.streams.get_mut(&stake).filter(|stream| stream.is_out && stream.held == generation)
-        else {
-            return;
-        };
+        let stream = self.streams.get_mut(&stake).filter(|stream| stream.is_out && stream.held == generation)?;
         stream.is_out = false;
         if stream.phase == Phase::Farewell {
             self.streams.remove(&stake);
         } else if arrived {
             stream.wait = RETRY.0;
-            self.queue(stake);
+            return self.go_on(stake, other.is_none());
         } else if other.is_some() && now >= stream.turns_from {
             stream.turns_from = now + stream.wait;
             self.follow(&stake, &switch, other);
@@ -247,6 +251,16 @@ impl Telling {
             stream.phase = Phase::Failed { retry };
             self.retries.insert((retry, stake));
         }
+        None
+    }
+
+    /// Has the rest told, if there is any. Else the stream ends, unless there are several ways to the entity; returns what that holds.
+    fn go_on(&mut self, stake: Stake, only: bool) -> Option<u64> {
+        if only && !stake.is_inbox() && self.streams.get(&stake).is_some_and(|stream| stream.is_at_rest()) {
+            return self.streams.remove(&stake).map(|stream| stream.held);
+        }
+        self.queue(stake);
+        None
     }
 
     /// When [`Self::tick`] has something to do.
@@ -275,6 +289,11 @@ impl Telling {
         let unsettled = self.streams.iter().filter(|(_, stream)| stream.is_unsettled).map(|(stake, _)| *stake);
         let stakes: Vec<_> = unsettled.collect();
         stakes.into_iter().for_each(|stake| self.retry(stake, |phase| phase != Phase::Farewell));
+    }
+
+    #[cfg(test)]
+    pub fn streams(&self) -> usize {
+        self.streams.len()
     }
 
     fn retry(&mut self, stake: Stake, due: impl FnOnce(Phase) -> bool) {
@@ -352,6 +371,11 @@ impl Stream {
             Phase::Following => !self.records.is_empty() || !self.boxes.is_empty() || self.revocation,
             Phase::Failed { .. } => false,
         }
+    }
+
+    /// Whether its entity holds all there is.
+    fn is_at_rest(&self) -> bool {
+        self.phase == Phase::Following && !self.has_more() && !self.is_unsettled
     }
 
     /// The next message; call if there [is more](Self::has_more).

@@ -4,6 +4,7 @@ mod abroad;
 mod boxes;
 mod counterparts;
 mod federation;
+mod kept;
 mod random;
 mod revocations;
 mod stored;

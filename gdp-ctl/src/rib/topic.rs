@@ -2,6 +2,7 @@
 //! out. Called by [`super::names`].
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
 
 use gdp::control::{NameRole, RecordPlace, Route};
 use gdp::name::NameProof;
@@ -15,8 +16,10 @@ pub(super) struct Topic {
     pub proof: NameProof,
     /// By role; of most nobody has any.
     parts: [Option<Box<Registrations>>; NameRole::ALL.len()],
-    /// As of the last [`Topic::reroute`].
-    spread: Spread,
+    /// As of the last [`Topic::reroute`]; none: nowhere.
+    spread: Option<Box<Spread>>,
+    /// When some part may be over: not after the first that is.
+    pub look_at: Duration,
 }
 
 /// Where frames to a name go.
@@ -27,6 +30,8 @@ struct Spread {
     /// Those who send and those who take what is sent, if the name concerns other domains; within one all send to all.
     met: Option<Box<[BTreeSet<Kind>; 2]>>,
 }
+
+static NOWHERE: Spread = Spread { egress: BTreeMap::new(), met: None };
 
 impl Spread {
     /// Whether those of this kind send to anybody.
@@ -42,7 +47,7 @@ impl Spread {
 
 impl Topic {
     pub fn new(proof: NameProof) -> Self {
-        Self { proof, parts: Default::default(), spread: Spread::default() }
+        Self { proof, parts: Default::default(), spread: None, look_at: Duration::MAX }
     }
 
     pub fn part(&self, role: NameRole) -> &Registrations {
@@ -50,8 +55,12 @@ impl Topic {
         self.parts[role as usize].as_deref().unwrap_or(&NONE)
     }
 
-    pub fn insert(&mut self, entity: Name, new: Registration) -> Option<Registration> {
-        self.parts[new.role as usize].get_or_insert_default().insert(entity, new)
+    pub fn get_mut(&mut self, entity: &Name, role: NameRole, switch: &Name) -> Option<&mut Registration> {
+        self.parts[role as usize].as_mut()?.get_mut(entity, switch)
+    }
+
+    pub fn insert(&mut self, new: Registration) -> Option<Registration> {
+        self.parts[new.role as usize].get_or_insert_default().insert(new)
     }
 
     pub fn remove(&mut self, entity: &Name, role: NameRole, switch: &Name) -> Option<Registration> {
@@ -80,7 +89,7 @@ impl Topic {
     /// Whether somebody publishes the name and somebody reads it. A service is not routed: its servers and callers send to each other's
     /// own names.
     pub fn is_routed(&self) -> bool {
-        !self.spread.egress.is_empty()
+        self.spread.is_some()
     }
 
     /// Where anybody has a part in the name, or is reached by.
@@ -95,10 +104,10 @@ impl Topic {
     /// There are no routes unless somebody publishes the name and somebody reads it. One more taker at a switch concerns that
     /// switch alone; the first or the last one there also those where frames come in.
     pub fn reroute(&mut self, name: &Key, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
-        let spread = self.spread(name, map);
-        let before = std::mem::replace(&mut self.spread, spread);
+        let spread = Some(self.spread(name, map)).filter(|spread| !spread.egress.is_empty());
+        let before = std::mem::replace(&mut self.spread, spread.map(Box::new));
         let mut affected = at;
-        let now = &self.spread;
+        let (before, now) = (before.as_deref().unwrap_or(&NOWHERE), self.spread.as_deref().unwrap_or(&NOWHERE));
         if before.egress.is_empty() != now.egress.is_empty() || before.met != now.met {
             affected.extend(self.switches(map));
         }
@@ -132,12 +141,10 @@ impl Topic {
     }
 
     pub fn route(&self, name: &Key, switch: &Name, map: Map) -> Option<Route> {
-        if !self.is_routed() {
-            return None;
-        }
+        let spread = self.spread.as_deref()?;
         let (senders, takers) = (self.part(NameRole::Publisher), self.part(NameRole::Subscriber));
-        let is_sender = |(_, registration): &(Name, &Registration)| self.spread.has_sender(|| registration.kind());
-        let is_taker = |(_, registration): &(Name, &Registration)| self.spread.has_taker(|| registration.kind());
+        let is_sender = |(_, registration): &(Name, &Registration)| spread.has_sender(|| registration.kind());
+        let is_taker = |(_, registration): &(Name, &Registration)| spread.has_taker(|| registration.kind());
         let sent_from = |realm: &Realm| senders.at(&At::Abroad(*realm)).any(|registration| is_sender(&registration));
         let taken_in = |realm: &Realm| takers.at(&At::Abroad(*realm)).any(|registration| is_taker(&registration));
         let here = At::Here(*switch);
@@ -153,7 +160,7 @@ impl Topic {
         if writers.is_empty() && locals.is_empty() {
             return None;
         }
-        let egress_bits = if writers.is_empty() { 0 } else { self.spread.egress.get(switch).copied().unwrap_or(0) };
+        let egress_bits = if writers.is_empty() { 0 } else { spread.egress.get(switch).copied().unwrap_or(0) };
         let (locals, writers) = (locals.into_iter().collect(), writers.into_iter().collect());
         Some(Route { name: Name::from_bytes(*name), egress_bits, locals, everywhere, writers, ..Route::default() })
     }
@@ -164,7 +171,7 @@ impl Topic {
 #[derive(Debug, Default)]
 pub(super) struct Registrations {
     /// By entity and switch, in that order.
-    all: Vec<((Name, Name), Box<Registration>)>,
+    all: Vec<Box<Registration>>,
     /// Indices of those, in the order of where they are, and then of entities.
     by_place: Vec<u32>,
 }
@@ -174,11 +181,11 @@ impl Registrations {
         self.all.is_empty()
     }
 
-    fn insert(&mut self, entity: Name, new: Registration) -> Option<Registration> {
-        let old = self.remove(&entity, &new.switch);
-        let (place, at) = ((entity, new.switch), new.at());
-        let index = self.all.partition_point(|(held, _)| *held < place);
-        insert(&mut self.all, index, (place, Box::new(new)));
+    fn insert(&mut self, new: Registration) -> Option<Registration> {
+        let (place, at) = (new.place(), new.at());
+        let old = self.remove(&place.0, &place.1);
+        let index = self.all.partition_point(|held| held.place() < place);
+        insert(&mut self.all, index, Box::new(new));
         let index = index as u32;
         self.by_place.iter_mut().filter(|held| **held >= index).for_each(|held| *held += 1);
         let rank = self.by_place.partition_point(|held| (self.place(*held), *held) < (at, index));
@@ -191,30 +198,34 @@ impl Registrations {
         let removed = index as u32;
         self.by_place.retain(|held| *held != removed);
         self.by_place.iter_mut().filter(|held| **held > removed).for_each(|held| *held -= 1);
-        Some(*self.all.remove(index).1)
+        Some(*self.all.remove(index))
     }
 
     fn find(&self, entity: &Name, switch: &Name) -> Option<usize> {
-        self.all.binary_search_by(|(held, _)| held.cmp(&(*entity, *switch))).ok()
+        self.all.binary_search_by(|held| held.place().cmp(&(*entity, *switch))).ok()
     }
 
     fn place(&self, index: u32) -> At {
-        self.all[index as usize].1.at()
+        self.all[index as usize].at()
     }
 
     pub fn get(&self, entity: &Name, switch: &Name) -> Option<&Registration> {
-        self.find(entity, switch).map(|index| &*self.all[index].1)
+        self.find(entity, switch).map(|index| &*self.all[index])
+    }
+
+    fn get_mut(&mut self, entity: &Name, switch: &Name) -> Option<&mut Registration> {
+        self.find(entity, switch).map(|index| &mut *self.all[index])
     }
 
     /// By entity and switch.
     pub fn iter(&self) -> impl Iterator<Item = ((Name, Name), &Registration)> {
-        self.all.iter().map(|(place, registration)| (*place, &**registration))
+        self.all.iter().map(|registration| (registration.place(), &**registration))
     }
 
     /// Those behind a place, or all.
     pub fn behind(&self, after: Option<(Name, Name)>) -> impl Iterator<Item = ((Name, Name), &Registration)> {
-        let first = after.map_or(0, |after| self.all.partition_point(|(place, _)| *place <= after));
-        self.all[first..].iter().map(|(place, registration)| (*place, &**registration))
+        let first = after.map_or(0, |after| self.all.partition_point(|held| held.place() <= after));
+        self.all[first..].iter().map(|registration| (registration.place(), &**registration))
     }
 
     pub fn entities(&self) -> impl Iterator<Item = Name> {
@@ -223,16 +234,15 @@ impl Registrations {
 
     /// What an entity has stated, at each of its switches.
     pub fn of(&self, entity: &Name) -> impl Iterator<Item = &Registration> {
-        let (first, entity) = (self.all.partition_point(|((held, _), _)| held < entity), *entity);
-        let its = self.all[first..].iter().take_while(move |((held, _), _)| *held == entity);
-        its.map(|(_, registration)| &**registration)
+        let (first, entity) = (self.all.partition_point(|held| held.by.name < *entity), *entity);
+        self.all[first..].iter().take_while(move |held| held.by.name == entity).map(Box::as_ref)
     }
 
     /// The entities at a place.
     pub fn at(&self, at: &At) -> impl Iterator<Item = (Name, &Registration)> {
         self.indices_at(at).iter().map(|index| {
-            let ((entity, _), registration) = &self.all[*index as usize];
-            (*entity, &**registration)
+            let registration = &*self.all[*index as usize];
+            (registration.by.name, registration)
         })
     }
 
@@ -272,7 +282,7 @@ impl Registrations {
 
     /// Each kind there is at a place, once.
     fn kinds(&self) -> impl Iterator<Item = (At, Kind)> {
-        let all: BTreeSet<(At, Kind)> = self.all.iter().map(|(_, r)| (r.at(), r.kind())).collect();
+        let all: BTreeSet<(At, Kind)> = self.all.iter().map(|r| (r.at(), r.kind())).collect();
         all.into_iter()
     }
 }

@@ -105,7 +105,7 @@ impl<T: Claims> Issued<T> {
 #[serde(deny_unknown_fields)]
 pub struct Reading {
     pub grant: Issued<ReadGrant>,
-    pub member: Option<Membership>,
+    pub member: Option<Box<Membership>>,
 }
 
 impl<T: Into<Issued<ReadGrant>>> From<T> for Reading {
@@ -158,12 +158,12 @@ impl Reading {
 
     /// Bytes of what is signed in it.
     pub fn size(&self) -> usize {
-        self.grant.size() + self.member.as_ref().map_or(0, Membership::size)
+        self.grant.size() + self.member.as_ref().map_or(0, |member| member.size())
     }
 
     /// The text form for files: one block after another.
     pub fn to_pem(&self) -> String {
-        self.grant.to_pem() + &self.member.as_ref().map(Membership::to_pem).unwrap_or_default()
+        self.grant.to_pem() + &self.member.as_ref().map(|member| member.to_pem()).unwrap_or_default()
     }
 
     /// The blocks of the grant, then those of the membership, if there are any.
@@ -172,7 +172,7 @@ impl Reading {
         let grant = Issued::from_blocks(&mut blocks)?;
         let member = if blocks.is_empty() { None } else { Some(Membership::from_blocks(&mut blocks)?) };
         blocks.end()?;
-        Ok(Self { grant, member })
+        Ok(Self { grant, member: member.map(Box::new) })
     }
 }
 

@@ -165,7 +165,7 @@ fn an_invited_member_has_no_role_for_grants() {
         invite: Some(issue(f.domain.key(), &invite).unwrap()),
     };
     membership.verify(domain, None, NOW).unwrap();
-    let reading = Reading { member: Some(membership), ..f.role_reading(|_| ()) };
+    let reading = Reading { member: Some(membership.into()), ..f.role_reading(|_| ()) };
     let error = reading.verify(&f.proof, f.robot(), None, NOW).unwrap_err();
     assert!(matches!(error, CertError::ByInvitation { .. }), "{error}");
     assert_eq!(Reading::from_pem(&reading.to_pem()), Ok(reading));
@@ -195,12 +195,12 @@ fn each_way_not_to_have_the_role_has_its_error() {
             Membership { domain: f.domain.proof(), cert: issue(f.domain.key(), &claims(other)).unwrap(), invite: None },
         ),
     ] {
-        let error = refused(Reading { member: Some(member), ..f.role_reading(|_| ()) });
+        let error = refused(Reading { member: Some(member.into()), ..f.role_reading(|_| ()) });
         assert!(matches!(error, CertError::WrongDomain { .. }), "{what}: {error}");
     }
     let forged =
         Membership { domain: f.domain.proof(), cert: issue(foreign.key(), &f.member()).unwrap(), invite: None };
-    let error = refused(Reading { member: Some(forged), ..f.role_reading(|_| ()) });
+    let error = refused(Reading { member: Some(forged.into()), ..f.role_reading(|_| ()) });
     assert!(matches!(error, CertError::WrongKey { what: "MemberCert", .. }), "{error}");
     assert!(Membership::issue(&foreign, &f.member()).is_err(), "not its member to name");
 
@@ -225,7 +225,7 @@ fn a_chain_survives_its_file_and_its_message() {
     let bytes = crate::cbor::encode(&reading).unwrap();
     assert_eq!(crate::cbor::decode::<Reading>(&bytes, 1 << 16), Ok(reading.clone()));
     // The member's part comes from the domain, in a file of its own.
-    let member = reading.member.clone().unwrap();
+    let member = *reading.member.clone().unwrap();
     assert_eq!(Membership::from_pem(&member.to_pem()), Ok(member.clone()));
     assert_eq!(Reading::from_pem(&format!("{}\n{}", reading.grant.to_pem(), member.to_pem())), Ok(reading.clone()));
 
@@ -327,6 +327,6 @@ impl Fixture {
         change(&mut member);
         let to = Grantee::Role { domain: self.domain.name(), role: "operator".into() };
         let grant = issue(&self.owner, &ReadGrant { to, ..self.grant() }).unwrap();
-        Reading { member: Some(Membership::issue(&self.domain, &member).unwrap()), ..grant.into() }
+        Reading { member: Some(Membership::issue(&self.domain, &member).unwrap().into()), ..grant.into() }
     }
 }

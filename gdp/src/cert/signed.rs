@@ -16,7 +16,7 @@ pub const MAX_SIGNED: usize = 4096;
 /// A certificate or statement as it was signed: the bytes travel and are stored unchanged, so that everybody checks the
 /// same thing. Nothing in it is believed before [`Signed::verify`].
 pub struct Signed<T> {
-    bytes: Vec<u8>,
+    bytes: Box<[u8]>,
     claims: PhantomData<fn() -> T>,
 }
 
@@ -36,7 +36,7 @@ impl<T> Signed<T> {
         if bytes.len() > MAX_SIGNED {
             return Err(CertError::Malformed(format!("{} bytes where at most {MAX_SIGNED} are allowed", bytes.len())));
         }
-        Ok(Self { bytes, claims: PhantomData })
+        Ok(Self { bytes: bytes.into(), claims: PhantomData })
     }
 
     pub fn as_bytes(&self) -> &[u8] {
@@ -90,7 +90,7 @@ impl<T: Claims> Signed<T> {
         let claims: T = cbor::decode(&payload, MAX_SIGNED)?;
         claims.check_bounds()?;
         let canonical = envelope::<T>(&signer, payload).signature(cose.signature.clone()).build();
-        if canonical.to_tagged_vec().map_err(malformed)? != self.bytes {
+        if canonical.to_tagged_vec().map_err(malformed)?[..] != *self.bytes {
             return Err(CertError::Malformed("its COSE headers or encoding are not those of this version".into()));
         }
         Ok((cose, claims))
