@@ -21,7 +21,7 @@ use super::retries::Retries;
 use super::tiers::records;
 use crate::rib::{Foreign, Now, Rib};
 use crate::tiers::peering::{Peering, Peerings, choose};
-use crate::tiers::{self, Change, Held, Item, Limits, Reply, Revoked, Ticket, Tiers};
+use crate::tiers::{self, Change, Held, Hosted, Item, Limits, Reply, Revoked, Ticket, Tiers};
 
 /// After so long a border that lacks a wanted peering is told again.
 const REMINDER: Duration = Duration::from_secs(10);
@@ -49,7 +49,7 @@ pub struct Federation {
 
 /// What a switch of the domain has shown; it has been verified.
 struct Shown {
-    host: Host,
+    host: Arc<Hosted>,
     is_border: bool,
     /// When it is over, on the clock of the RIB.
     ends: Duration,
@@ -98,7 +98,7 @@ impl Federation {
     /// A switch shows that it is of the domain: what was stated there may be told with it.
     pub(super) fn show(&mut self, now: Now, trust: &Trust, switch: Name, host: Host) -> Result<(), CertError> {
         // A switch that has begun anew says the same again: what was told with that need not be told anew.
-        if self.hosts.get(&switch).is_some_and(|held| held.host.says_the_same(&host)) {
+        if self.hosts.get(&switch).is_some_and(|held| held.host.host.says_the_same(&host)) {
             return Ok(());
         }
         let home = trust.home();
@@ -107,6 +107,7 @@ impl Federation {
             return Err(CertError::WrongSwitch { expected: switch, got: claims.switch });
         }
         let (is_border, ends) = (member.role == roles::BORDER, now.clock_at(claims.not_after));
+        let host = Arc::new(Hosted { host, domain: home, not_after: claims.not_after });
         self.hosts.insert(switch, Shown { host, is_border, ends });
         self.hosts_changed([switch]);
         Ok(())
@@ -119,7 +120,7 @@ impl Federation {
 
     /// The domain has taken something back.
     pub(super) fn recheck_hosts(&mut self, revocation: Option<&Revocation>) {
-        self.retain_hosts(|_, shown| shown.host.membership.check_revoked(revocation).is_ok());
+        self.retain_hosts(|_, shown| shown.host.host.membership.check_revoked(revocation).is_ok());
     }
 
     fn retain_hosts(&mut self, stands: impl Fn(&Name, &Shown) -> bool) {
@@ -140,7 +141,7 @@ impl Federation {
     fn locator(&self) -> Locator {
         let mut locator = Locator::default();
         for Shown { host, .. } in self.hosts.values().filter(|shown| shown.is_border) {
-            locator.borders.push(host.clone());
+            locator.borders.push(host.host.clone());
             if locator.borders.len() > MAX_LOCATED || locator.size() > MAX_LOCATOR {
                 locator.borders.pop();
             }

@@ -6,12 +6,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::cert::{CertError, Host, Locator, Revocation, Signed, SwitchStatement};
-use gdp::control::{Abroad, MAX_PATH, Record, TierEntry, TierKey};
+use gdp::control::{Abroad, MAX_PATH, TierEntry, TierKey};
 use gdp::name::NameProof;
 use gdp::revocations::Kept;
 use gdp_wire::Name;
 
-use super::table::{Held, Item, Table};
+use super::table::{Held, Hosted, Item, Table};
 use crate::rib::Now;
 
 /// What owners of names, and domains, are known to have taken back.
@@ -210,7 +210,7 @@ impl<R: Revoked> Judge<'_, R> {
     pub fn still_holds(&self, held: &Held) -> Result<(), TierRefusal> {
         let (name, switch, domain) = (held.place.name, held.place.switch, held.origin(self.home));
         let wrong_host = |source: CertError| TierRefusal::Host { switch, domain, source: source.into() };
-        held.host.membership.check_revoked(self.revoked.newest(&domain)).map_err(wrong_host)?;
+        held.host.host.membership.check_revoked(self.revoked.newest(&domain)).map_err(wrong_host)?;
         let wrong = |source: CertError| TierRefusal::Record { name, source: source.into() };
         held.record.credential.check_member(|domain| self.revoked.newest(domain)).map_err(wrong)?;
         let Some(revocation) = self.revoked.newest(&name) else { return Ok(()) };
@@ -233,34 +233,43 @@ impl<R: Revoked> Judge<'_, R> {
         {
             return Ok(Held { path: abroad.path, ends: held.ends.min(said), ..(**held).clone() });
         }
-        let (lifetime, until) = self.verify(&abroad.record, &abroad.host, origin)?;
-        let scope = abroad.record.credential.scope();
-        let scope = scope.map_err(|source: CertError| TierRefusal::Record { name, source: source.into() })?;
+        let host = self.host(table, abroad.record.switch, abroad.host, origin)?;
+        let verified = abroad
+            .record
+            .verify(self.revoked.newest(&name), self.now.unix)
+            .map_err(|source: CertError| TierRefusal::Record { name, source: source.into() })?;
+        let (lifetime, until) = (verified.advert.lifetime, verified.not_after.min(host.not_after));
+        let wrong = |source: CertError| TierRefusal::Record { name, source: source.into() };
+        abroad.record.credential.check_member(|domain| self.revoked.newest(domain)).map_err(wrong)?;
+        let scope = abroad.record.credential.scope().map_err(wrong)?;
         let stated = self.now.clock + Duration::from_secs(lifetime.into());
         let ends = said.min(stated).min(self.now.clock_at(until));
         if ends <= self.now.clock {
             return Err(TierRefusal::Ended(name));
         }
-        let held = Held { place, record: abroad.record, host: abroad.host, path: abroad.path, scope, ends };
+        let held = Held { place, record: abroad.record, host, path: abroad.path, scope, ends };
         if !held.may_leave(self.home) {
             return Err(TierRefusal::OutOfScope { name, origin });
         }
         Ok(held)
     }
 
-    /// The lifetime of the statement in seconds, and the last Unix second at which all certificates hold.
-    fn verify(&self, record: &Record, host: &Host, origin: Name) -> Result<(u32, u64), TierRefusal> {
-        let Now { unix, .. } = self.now;
-        let wrong_host =
-            |source: CertError| TierRefusal::Host { switch: record.switch, domain: origin, source: source.into() };
-        let (_, host) = host.verify(origin, self.revoked.newest(&origin), unix).map_err(wrong_host)?;
-        if host.switch != record.switch {
-            return Err(wrong_host(CertError::WrongSwitch { expected: record.switch, got: host.switch }));
+    /// The switch that a part is at. What has been verified of it with another part is not verified again.
+    fn host(&self, table: &Table, switch: Name, host: Host, domain: Name) -> Result<Arc<Hosted>, TierRefusal> {
+        let wrong = |source: CertError| TierRefusal::Host { switch, domain, source: source.into() };
+        let revocation = self.revoked.newest(&domain);
+        if let Some(known) = table.host(&switch)
+            && (known.domain, &known.host) == (domain, &host)
+            && self.now.unix <= known.not_after
+        {
+            host.membership.check_revoked(revocation).map_err(wrong)?;
+            return Ok(known.clone());
         }
-        let wrong = |source: CertError| TierRefusal::Record { name: record.name, source: source.into() };
-        let verified = record.verify(self.revoked.newest(&record.name), unix).map_err(wrong)?;
-        record.credential.check_member(|domain| self.revoked.newest(domain)).map_err(wrong)?;
-        Ok((verified.advert.lifetime, verified.not_after.min(host.not_after)))
+        let (_, claims) = host.verify(domain, revocation, self.now.unix).map_err(wrong)?;
+        if claims.switch != switch {
+            return Err(wrong(CertError::WrongSwitch { expected: switch, got: claims.switch }));
+        }
+        Ok(Arc::new(Hosted { host, domain, not_after: claims.not_after }))
     }
 }
 

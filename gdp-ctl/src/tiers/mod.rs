@@ -25,7 +25,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::cert::{CertError, Host, Locator, Signed};
+use gdp::cert::{CertError, Locator, Signed};
 use gdp::control::{Record, RecordPlace, TierHolds, TierKey, TierRequest, TierResponse};
 use gdp::keys::KeyBox;
 use gdp::revocations::Kept;
@@ -40,7 +40,7 @@ use table::Table;
 
 pub use judge::{Revoked, TierRefusal};
 pub use side::{HOLD, Kind, OfEntity, SILENCE, Standing};
-pub use table::{Held, Item};
+pub use table::{Held, Hosted, Item};
 
 /// What is kept of neighbours at most.
 #[derive(Clone, Copy, Debug)]
@@ -204,7 +204,7 @@ impl Tiers {
 
     /// What an entity has stated in this domain, verified by its RIB, with the switch it is attached to. Of what is for this domain alone
     /// nothing is kept.
-    pub fn set_own(&mut self, now: Now, record: Record, host: Host) -> Result<(), CertError> {
+    pub fn set_own(&mut self, now: Now, record: Record, host: Arc<Hosted>) -> Result<(), CertError> {
         let place = record.place()?;
         let scope = record.credential.scope()?;
         if record.is_writer() && scope.iter().all(|domain| *domain == self.home) {

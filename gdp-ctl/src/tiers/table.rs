@@ -19,13 +19,23 @@ use super::judge::TierRefusal;
 pub struct Held {
     pub place: RecordPlace,
     pub record: Record,
-    pub host: Host,
+    pub host: Arc<Hosted>,
     /// The domains it came through, the one that said it last; none for what was stated in this domain.
     pub path: Vec<Name>,
     /// Of a writer: the domains its certificate names.
     pub scope: Vec<Name>,
     /// On the clock of this RIB.
     pub ends: Duration,
+}
+
+/// A switch that has been verified; shared by all parts that are stated there.
+#[derive(Debug, PartialEq)]
+pub struct Hosted {
+    pub host: Host,
+    /// That it is of.
+    pub domain: Name,
+    /// Unix seconds: until then it holds, unless the domain takes it back.
+    pub not_after: u64,
 }
 
 impl Held {
@@ -44,7 +54,7 @@ impl Held {
         let (own, other) = (&self.record, &abroad.record);
         (own.proof, own.entity, own.switch) == (other.proof, other.entity, other.switch)
             && (&own.credential, &own.advert) == (&other.credential, &other.advert)
-            && self.host == abroad.host
+            && self.host.host == abroad.host
     }
 
     /// Whether any domain but its own may know it.
@@ -57,7 +67,7 @@ impl Held {
     pub fn told(&self, now: Duration, home: Name) -> Abroad {
         let record = Record { expires_in: self.ends.saturating_sub(now).as_secs(), ..self.record.clone() };
         let path = self.path.iter().copied().chain([home]).collect();
-        Abroad { record, host: self.host.clone(), path }
+        Abroad { record, host: self.host.host.clone(), path }
     }
 }
 
@@ -111,7 +121,7 @@ impl Item {
                 PART_OVERHEAD
                     + record.credential.size()
                     + record.advert.as_bytes().len()
-                    + host.size()
+                    + host.host.size()
                     + (path.len() + 1) * NAME_SIZE
             }
             Self::Box(signed) => BOX_OVERHEAD + signed.as_bytes().len(),
@@ -156,6 +166,8 @@ pub struct Table {
     entities: Places,
     /// By the domain they were stated in, if it is another one.
     origins: Places,
+    /// The switches that parts are at, each as it was told last, and how many parts there are.
+    hosts: BTreeMap<Name, (Arc<Hosted>, usize)>,
     /// How many parts there are in each name, of those that write and of the others.
     names: BTreeMap<(Name, bool), usize>,
     bytes: usize,
@@ -240,6 +252,9 @@ impl Table {
             self.entities.insert(place.entity, place);
             held.path.first().into_iter().for_each(|origin| self.origins.insert(*origin, place));
             *self.names.entry((place.name, place.role.is_writer())).or_default() += 1;
+            let (host, parts) = self.hosts.entry(place.switch).or_insert_with(|| (held.host.clone(), 0));
+            *parts += 1;
+            host.clone_from(&held.host);
         }
         self.bytes += item.size();
         self.items.insert(key, item);
@@ -253,6 +268,12 @@ impl Table {
             self.entities.remove(&place.entity, place);
             held.path.first().into_iter().for_each(|origin| self.origins.remove(origin, place));
             count_out(&mut self.names, &(place.name, place.role.is_writer()));
+            if let Some((_, parts)) = self.hosts.get_mut(&place.switch) {
+                *parts -= 1;
+                if *parts == 0 {
+                    self.hosts.remove(&place.switch);
+                }
+            }
         }
         Some(old)
     }
@@ -283,6 +304,11 @@ impl Table {
     /// The key boxes of one writer.
     pub fn boxes_of(&self, writer: Name) -> impl Iterator<Item = (&TierKey, &Item)> {
         self.items.range(first_box(writer)..).take_while(move |(key, _)| is_box_of(key, writer))
+    }
+
+    /// A switch that parts are at, as it was told last.
+    pub fn host(&self, switch: &Name) -> Option<&Arc<Hosted>> {
+        self.hosts.get(switch).map(|(host, _)| host)
     }
 
     /// Some part that an entity has.

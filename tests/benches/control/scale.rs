@@ -6,6 +6,7 @@
 //! All signatures are real, and verified by each RIB. Links take as long as they are said to; RIBs take no simulated time.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
@@ -15,7 +16,7 @@ use gdp::control::{self, EntityRequest, RecordPlace, Response, TierRequest, Tier
 use gdp::revocations::Kept;
 use gdp::{Identity, Name};
 use gdp_ctl::rib::{Limits, Now, Rib, Run};
-use gdp_ctl::tiers::{self, Change, Effect, Item, Reply, Revoked, Sent, Tiers};
+use gdp_ctl::tiers::{self, Change, Effect, Hosted, Item, Reply, Revoked, Sent, Tiers};
 use gdp_ctl::topology::Paths;
 use gdp_tests::measure::figure::{Figure, Measure, Unit};
 
@@ -80,7 +81,7 @@ struct Domain {
     tier: usize,
     tiers: Tiers,
     rib: Rib,
-    hosts: Vec<(Identity, Host)>,
+    hosts: Vec<(Identity, Arc<Hosted>)>,
     robot: Identity,
     serial: u64,
     /// When its tiers have something to do: as in [`World::ticks`].
@@ -371,7 +372,8 @@ impl Domain {
             let claims =
                 SwitchStatement { switch: entity, domain, addresses: Vec::new(), serial: 1, not_after: u64::MAX };
             let (proof, statement) = (switch.proof(), issue(switch.key(), &claims)?);
-            anyhow::Ok((switch, Host { proof, statement, membership }))
+            let host = Host { proof, statement, membership };
+            anyhow::Ok((switch, Arc::new(Hosted { host, domain, not_after: u64::MAX })))
         };
         let hosts: Vec<_> = (0..SWITCHES).map(host).collect::<Result<_>>()?;
         let limits = Limits { names_per_entity: usize::MAX, ..Limits::default() };
@@ -382,8 +384,20 @@ impl Domain {
             ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Reported { .. }));
         }
         let tiers = Tiers::new(identity.name(), 1, tiers::Limits::default());
-        let mut domain =
-            Self { identity, parent, tier, tiers, rib, hosts, robot, serial: 0, tick: None, memory: 0, messages: 0, bytes: 0 };
+        let mut domain = Self {
+            identity,
+            parent,
+            tier,
+            tiers,
+            rib,
+            hosts,
+            robot,
+            serial: 0,
+            tick: None,
+            memory: 0,
+            messages: 0,
+            bytes: 0,
+        };
         // The first call gives all there are.
         domain.rib.take_changed_places();
         domain.account(before);

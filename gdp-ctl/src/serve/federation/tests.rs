@@ -10,7 +10,7 @@ use gdp::identity::Identity;
 
 use super::*;
 use crate::rib::{Limits, Run};
-use crate::tiers::tests::world::{Revocations, UNIX, World, host, identity};
+use crate::tiers::tests::world::{Revocations, UNIX, World, host, hosted, identity};
 
 use NameRole::{Publisher, Subscriber};
 
@@ -129,7 +129,8 @@ impl Home {
         let (home, switch) = (world.domains[0].identity.name(), world.domains[0].switch.name());
         let mut federation = Federation::new(home, 9);
         let rib = Rib::new(switch, Run { id: 1, settling: Duration::ZERO }, limits);
-        let (now, host) = (world.now, world.domains[0].host.clone());
+        let (now, domain) = (world.now, &world.domains[0]);
+        let host = hosted(domain.identity.name(), &domain.host);
         federation.tiers.set_own(now, world.record(0, 0, 1, Subscriber, &[]), host).unwrap();
         let mut home = Self { world, rib, federation, generation: 0 };
         home.ask(TierRequest::Hello { run: 77, holds: None });

@@ -1,11 +1,11 @@
 //! What a neighbour may try to draw or hide what is for an entity in another domain.
 
 use gdp::cert::domain::roles;
-use gdp::cert::{Host, issue};
+use gdp::cert::{Host, Revocation, issue};
 use gdp::control::{Abroad, Extent, NameRole, TierEntry, TierPush, TierRequest, TierResponse};
 use gdp::name::Name;
 
-use super::hostile::Victim;
+use super::hostile::{Victim, flipped};
 use super::world::{DAY, UNIX, host};
 
 #[test]
@@ -68,6 +68,35 @@ fn a_way_that_is_of_no_use_hides_no_other() {
     v.push(part(reader));
     push_by_parent(&mut v, 2, Abroad { path: longer.clone(), ..before });
     assert_eq!(known_of(&mut v, entity), [(longer, true)]);
+}
+
+#[test]
+fn a_switch_that_is_known_is_believed_no_longer_than_it_would_be_otherwise() {
+    let mut v = Victim::new();
+    v.w.renew(2, UNIX + 10);
+    let part = |abroad: Abroad| vec![TierEntry::Part(Box::new(abroad))];
+    let first = v.part_in(2, 0, 100, &[0]);
+    assert!(matches!(v.push(part(first)), TierResponse::Done));
+    let right = v.part_in(2, 1, 101, &[0]);
+    let [child, third] = [2, 3].map(|index| v.w.domains[index].identity.name());
+    let (mut forged, mut other) = (right.clone(), right.clone());
+    forged.host.membership.cert = flipped(&forged.host.membership.cert);
+    other.path = vec![third, child];
+    for (what, abroad, counted) in [("a forgery", forged, "signature"), ("of another domain", other, "wrong_domain")] {
+        v.push(part(abroad));
+        assert_eq!((v.counted(counted), v.entries()), (1, 1), "{what}");
+        v.forget_counts();
+    }
+    let now = v.w.now;
+    v.w.now.unix = UNIX + 11;
+    v.push(part(right.clone()));
+    assert_eq!((v.counted("expired"), v.entries()), (1, 1), "the first ends on the clock");
+    v.w.now = now;
+    assert!(matches!(v.push(part(right.clone())), TierResponse::Done));
+    v.w.revocations.0.insert(child, Revocation { name: child, number: 1, floor: 100, revoked: vec![] });
+    let another = v.part_in(2, 2, 102, &[0]);
+    v.push(part(another));
+    assert_eq!((v.counted("revoked"), v.entries()), (1, 2));
 }
 
 /// Of the parent, in a run of its own, and nothing else.

@@ -394,7 +394,7 @@ impl Victim {
 }
 
 /// The last byte belongs to the signature.
-fn flipped<T>(signed: &Signed<T>) -> Signed<T> {
+pub fn flipped<T>(signed: &Signed<T>) -> Signed<T> {
     let mut bytes = signed.as_bytes().to_vec();
     *bytes.last_mut().unwrap() ^= 1;
     Signed::from_bytes(bytes).unwrap()

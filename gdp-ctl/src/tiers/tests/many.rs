@@ -7,7 +7,7 @@ use gdp::control::{NameRole, RecordPlace, TierEntry, TierKey, TierRequest, TierR
 use gdp::name::Name;
 
 use super::hostile::Victim;
-use super::world::{Random, World};
+use super::world::{Random, World, hosted};
 use crate::tiers::interest::Interest;
 use crate::tiers::table::{Held, Table};
 use crate::tiers::{Item, Limits, Tiers};
@@ -120,7 +120,8 @@ fn what_rests_on_a_domain_or_a_name_is_found_without_looking_at_the_rest() {
 fn template() -> Held {
     let mut w = World::new(1, &[&[]]);
     let record = w.record(0, 0, 0, Publisher, &[]);
-    let (place, host, ends) = (record.place().unwrap(), w.domains[0].host.clone(), w.now.clock);
+    let (place, host, ends) =
+        (record.place().unwrap(), hosted(w.domains[0].identity.name(), &w.domains[0].host), w.now.clock);
     Held { place, record, host, path: Vec::new(), scope: Vec::new(), ends }
 }
 

@@ -3,6 +3,7 @@
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::cert::domain::roles;
@@ -17,7 +18,7 @@ use gdp::name::{Name, NameProof};
 use gdp::revocations::Kept;
 
 use crate::rib::Now;
-use crate::tiers::{Change, Effect, Item, Kind, Limits, Reply, Revoked, Sent, Standing, Ticket, Tiers};
+use crate::tiers::{Change, Effect, Hosted, Item, Kind, Limits, Reply, Revoked, Sent, Standing, Ticket, Tiers};
 
 pub const UNIX: u64 = 1_800_000_000;
 pub const DAY: u64 = 86_400;
@@ -159,7 +160,7 @@ impl World {
         domain.tiers.set_adjacent(now, adjacent);
         domain.tiers.set_own_locator(domain.locator.clone());
         for part in domain.parts.values() {
-            domain.tiers.set_own(now, part.record.clone(), domain.host.clone()).unwrap();
+            domain.tiers.set_own(now, part.record.clone(), hosted(names[index], &domain.host)).unwrap();
         }
         for (writer, boxes) in &domain.boxes {
             domain.tiers.set_own_boxes(*writer, boxes.clone()).unwrap();
@@ -172,8 +173,9 @@ impl World {
     pub fn renew(&mut self, at: usize, not_after: u64) {
         let domain = &mut self.domains[at];
         domain.host = host(&domain.identity, &domain.switch, roles::SWITCH, not_after);
+        let host = hosted(domain.identity.name(), &domain.host);
         for part in domain.parts.values() {
-            domain.tiers.set_own(self.now, part.record.clone(), domain.host.clone()).unwrap();
+            domain.tiers.set_own(self.now, part.record.clone(), host.clone()).unwrap();
         }
     }
 
@@ -201,7 +203,7 @@ impl World {
         let record = self.record(at, topic, entity, role, &scope);
         let place = record.place().unwrap();
         let (now, domain) = (self.now, &mut self.domains[at]);
-        domain.tiers.set_own(now, record.clone(), domain.host.clone()).unwrap();
+        domain.tiers.set_own(now, record.clone(), hosted(domain.identity.name(), &domain.host)).unwrap();
         domain.parts.insert(place, Part { record, scope, at });
         place
     }
@@ -497,6 +499,12 @@ fn domain(index: usize, parents: &[usize]) -> Domain {
         known: BTreeMap::new(),
         owners: BTreeMap::new(),
     }
+}
+
+/// As a RIB has it that has verified it.
+pub fn hosted(domain: Name, host: &Host) -> Arc<Hosted> {
+    let not_after = host.statement.claims_unverified().unwrap().not_after;
+    Arc::new(Hosted { host: host.clone(), domain, not_after })
 }
 
 /// What `domain` and `switch` say of the switch, until `not_after`.
