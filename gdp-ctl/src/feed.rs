@@ -3,7 +3,7 @@
 //! domain, and whoever fills it sends what [`Feed::next`] returns.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Bound::{Excluded, Unbounded};
+use std::ops::Bound::{Excluded, Included, Unbounded};
 use std::time::Duration;
 
 use gdp::control::Extent;
@@ -136,7 +136,8 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
                 let last = rest.peek().is_none();
                 // This page settles what is dirty on it; changes before it stay for a delta.
                 let end = if last { None } else { keys.last().copied() };
-                dirty.retain(|key| start.is_some_and(|s| *key <= s) || end.is_some_and(|e| *key > e));
+                let page = (start.map_or(Unbounded, Excluded), end.map_or(Unbounded, Included));
+                dirty.extract_if(page, |_| true).for_each(drop);
                 let extent = Extent::Full { part: *part, last };
                 self.phase = if last { Phase::Following } else { Phase::Full { part: *part + 1, after: end } };
                 extent
