@@ -1,7 +1,10 @@
 //! A ring of five XDP switches with their daemons. The link that traffic goes by is cut: how long until it flows again, with one
 //! name and with many. The daemon of a switch is killed: how long after it is started until it holds all its names from the RIB.
 
+use std::ops::Range;
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread::ScopedJoinHandle;
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -15,14 +18,15 @@ use gdp_tests::ring::{CLOUD_AT, ROBOT_AT, Ring};
 use gdp_tests::wait::{check_interrupt, wait_for};
 
 use crate::Bench;
-use crate::owner::{Owner, shares};
+use crate::owner::Owner;
 use crate::traffic::Traffic;
 
 /// Names of the switch whose daemon is killed.
 const RECONCILED: usize = 100_000;
 
-/// Commands that ask a daemon at once.
-const TOOLS: usize = 8;
+/// Commands that ask a daemon at once, which takes 32; and names that one of them states for the same entity.
+const TOOLS: usize = 30;
+const NAMES_OF_ONE: usize = 1024;
 
 /// Names in one push of a RIB.
 const NAMES_PER_PUSH: usize = 400;
@@ -76,46 +80,55 @@ fn cut(ring: &mut Ring, rounds: usize) -> Result<Vec<f64>> {
     Ok(gaps)
 }
 
-/// Has each of these names published at the robot's switch and read at the cloud's.
-fn state(ring: &Ring, owner: &Owner, names: std::ops::Range<usize>) -> Result<()> {
+/// Has each of these names published at the robot's switch and read at the cloud's. Each statement waits until the switches hold what
+/// follows from it, so many are under way at once, as if of as many robots.
+fn state(ring: &Ring, owner: &Owner, names: Range<usize>) -> Result<()> {
     let of_all = |i: usize| -> Result<Name> { Ok(ring.switches[i].name.parse()?) };
     let (robots, clouds) = (of_all(ROBOT_AT)?, of_all(CLOUD_AT)?);
     let (writers, readers) = (ring.switches[ROBOT_AT].socket(), ring.switches[CLOUD_AT].socket());
-    let shares: Vec<_> = shares(names.len()).map(|s| s.start + names.start..s.end + names.start).collect();
-    for share in shares {
-        check_interrupt()?;
-        let numbers: Vec<usize> = share.collect();
-        side(&numbers, writers, |n, entity, serial| owner.advertise(n, entity, robots, serial, Vec::new()))?;
-        side(&numbers, readers, |n, entity, serial| owner.subscribe(n, entity, clouds, serial))?;
-    }
-    Ok(())
+    let write = |n, entity: &_, serial| owner.advertise(n, entity, robots, serial, Vec::new());
+    let read = |n, entity: &_, serial| owner.subscribe(n, entity, clouds, serial);
+    std::thread::scope(|scope| {
+        let of_robots = scope.spawn(|| side(&names, writers, write));
+        side(&names, readers, read)?;
+        joined(of_robots)
+    })
 }
 
-/// Every tool speaks for an entity of its own: statements of one have to come in the order of their serials, which are above those of
-/// all that the RIB has forgotten.
+/// What one tool states, it states for an entity of its own: statements of one have to come in the order of their serials, which are above
+/// those of all that the RIB has forgotten.
 fn side(
-    numbers: &[usize],
+    names: &Range<usize>,
     socket: &Path,
     request: impl Fn(usize, &Identity, u64) -> Result<EntityRequest> + Sync,
 ) -> Result<()> {
-    let tool = |numbers: &[usize]| {
-        let (entity, mut client) = (Identity::generate("proxy")?, Client::connect(socket)?);
-        let first = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH)?.as_nanos() as u64;
-        for (serial, number) in (first..).zip(numbers) {
-            let request = Box::new(request(*number, &entity, serial)?);
-            let said = client.ask_control(&Request::Entity { entity: Some(entity.proof()), request })?;
-            ensure!(matches!(said, Response::Peers(_)), "{said:?}");
+    let next = AtomicUsize::new(names.start);
+    let tool = || {
+        let mut client = Client::connect(socket)?;
+        loop {
+            check_interrupt()?;
+            let first = next.fetch_add(NAMES_OF_ONE, Ordering::Relaxed);
+            let numbers = first..names.end.min(first + NAMES_OF_ONE);
+            if numbers.is_empty() {
+                return Ok(());
+            }
+            let entity = Identity::generate("proxy")?;
+            let serial = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH)?.as_nanos() as u64;
+            for (serial, number) in (serial..).zip(numbers) {
+                let request = Box::new(request(number, &entity, serial)?);
+                let said = client.ask_control(&Request::Entity { entity: Some(entity.proof()), request })?;
+                ensure!(matches!(said, Response::Peers(_)), "{said:?}");
+            }
         }
-        Ok(())
     };
     std::thread::scope(|scope| {
-        let chunks = numbers.chunks(numbers.len().div_ceil(TOOLS).max(1));
-        let threads: Vec<_> = chunks.map(|chunk| scope.spawn(|| tool(chunk))).collect();
-        threads.into_iter().try_for_each(|thread| match thread.join() {
-            Ok(ended) => ended,
-            Err(panic) => std::panic::resume_unwind(panic),
-        })
+        let threads: Vec<_> = (0..TOOLS).map(|_| scope.spawn(tool)).collect();
+        threads.into_iter().try_for_each(joined)
     })
+}
+
+fn joined(thread: ScopedJoinHandle<Result<()>>) -> Result<()> {
+    thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
 
 /// Milliseconds from the start of the daemon of the cloud's switch until the RIB has given it all names, each time it was killed.
