@@ -177,7 +177,7 @@ impl Papers {
             ad_cert: issue(&owner, &ad_cert).expect("a certificate").into(),
             grant: Reading {
                 grant: Issued { cert: grant, delegation: Some(delegation) },
-                member: Some(Membership::issue(&home, &member).expect("a membership")),
+                member: Some(Box::new(Membership::issue(&home, &member).expect("a membership"))),
             },
             revocation: issue(&owner, &revocation).expect("a revocation"),
             rt_cert: issue(robot.key(), &RtCert { entity, switch, not_after }).expect("a certificate"),
