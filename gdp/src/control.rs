@@ -271,7 +271,7 @@ impl Credential {
     pub fn member(&self) -> Option<&Membership> {
         match self {
             Self::Writer(_) => None,
-            Self::Reader(grant) => grant.member.as_ref(),
+            Self::Reader(grant) => grant.member.as_deref(),
         }
     }
 

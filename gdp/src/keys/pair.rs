@@ -245,7 +245,7 @@ impl fmt::Debug for PairOpener {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::feedback_wire::{MAX_MISSING, Missing};
+    use crate::feedback_wire::{MAX_MISSING, Missing, Wants};
     use crate::identity::{Identity, SigningKey};
     use crate::seal::tests::Random;
 
@@ -401,7 +401,7 @@ mod tests {
     }
 
     fn hello(i: u8) -> Feedback {
-        Feedback::Hello { name: name(1), challenge: [i; 16], reliable: false }
+        Feedback::Hello { name: name(1), challenge: [i; 16], wants: Wants::Newest }
     }
 
     fn identity(seed: u8) -> Identity {

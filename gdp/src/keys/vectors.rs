@@ -3,7 +3,7 @@
 use serde_json::json;
 
 use super::*;
-use crate::feedback_wire::{Feedback, Missing};
+use crate::feedback_wire::{Feedback, Missing, Wants};
 use crate::identity::{Identity, SigningKey};
 use crate::name::Name;
 use crate::seal::EpochKey;
@@ -69,7 +69,7 @@ fn vectors_of_keys_and_feedback() {
             "from": "reader",
             "to": "writer",
             "session": hex::encode([0x55; 8]),
-            "hello": payload(&Feedback::Hello { name, challenge, reliable: true }),
+            "hello": payload(&Feedback::Hello { name, challenge, wants: Wants::Every }),
             "welcome": payload(&Feedback::Welcome { name, challenge, session, sequence: 9, reliable: false }),
             "report": payload(&report),
             "nack": payload(&Feedback::Nack { name, session, missing }),

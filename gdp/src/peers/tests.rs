@@ -53,7 +53,7 @@ fn who_reads_for_a_role_reads_no_more_once_its_domain_takes_it_back() {
         let (domain_name, entity_name) = (domain.name(), entity.name());
         let cert = MemberCert { domain: domain_name, entity: entity_name, role, serial, not_before, not_after };
         let member = Some(Membership::issue(&domain, &cert).unwrap());
-        let reading = Reading { grant: issue(&w.owner, &grant).unwrap().into(), member };
+        let reading = Reading { grant: issue(&w.owner, &grant).unwrap().into(), member: member.map(Box::new) };
         w.record(entity, AdvertOp::Subscribe, Credential::Reader(reading))
     };
     let [first, second, again] = [by_role(&stolen, 7), by_role(&other, 8), by_role(&stolen, 9)];
