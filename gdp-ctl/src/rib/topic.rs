@@ -171,6 +171,7 @@ impl Topic {
 #[derive(Debug, Default)]
 pub(super) struct Registrations {
     /// By entity and switch, in that order.
+    #[expect(clippy::vec_box, reason = "of thousands, half are moved by an insertion")]
     all: Vec<Box<Registration>>,
     /// Indices of those, in the order of where they are, and then of entities.
     by_place: Vec<u32>,
