@@ -291,7 +291,10 @@ impl Papers {
                     "report",
                     &onward(Request::Report { switch: robot, attached: vec![entity], own_bit: Some(63), shown: None }),
                 ),
-                seed("peerings", &onward(Request::Peerings { wanted: vec![(switch, ([192, 0, 2, 1], 31415).into())] })),
+                seed(
+                    "peerings",
+                    &onward(Request::Peerings { run: 7, wanted: vec![(switch, vec![([192, 0, 2, 1], 31415).into()])] }),
+                ),
                 seed("tier query", &Request::Tier(Box::new(tier))),
                 seed("trace on", &Request::TraceOn(TraceOn { leg, name, path: vec![switch, entity], within_ms: 4000 })),
                 seed("traced on", &Response::TracedOn { domains: vec![traced] }),

@@ -16,8 +16,8 @@ use crate::types::{TypeError, Types};
 
 /// One graph, until it is [left](Self::leave).
 pub enum Graph {
-    Ros1(ros1::Master),
-    Ros2(Domain),
+    Ros1(Box<ros1::Master>),
+    Ros2(Box<Domain>),
 }
 
 /// What a graph refused to make.
@@ -74,13 +74,13 @@ pub enum WriteError {
 /// Reads a topic. What this proxy itself wrote is not seen.
 pub enum Reader<'a> {
     Ros1(ros1::Reader<'a>),
-    Ros2(ros2::Reader<'a>),
+    Ros2(Box<ros2::Reader<'a>>),
 }
 
 /// Stands for one publisher elsewhere; subscribers see it go when it is dropped.
 pub enum Writer {
     Ros1(ros1::Writer),
-    Ros2(ros2::Writer),
+    Ros2(Box<ros2::Writer>),
 }
 
 /// All that a proxy is in, by their names in the configuration.
@@ -107,8 +107,8 @@ pub async fn leave(graphs: All) {
 impl Graph {
     async fn join(config: &GraphConfig, node: &str) -> Result<Self, GraphError> {
         match config {
-            GraphConfig::Ros1(config) => Ok(Self::Ros1(ros1::Master::join(config, node).await?)),
-            GraphConfig::Ros2(config) => Ok(Self::Ros2(Domain::join(config.domain_id.get(), node)?)),
+            GraphConfig::Ros1(config) => Ok(Self::Ros1(ros1::Master::join(config, node).await?.into())),
+            GraphConfig::Ros2(config) => Ok(Self::Ros2(Domain::join(config.domain_id.get(), node)?.into())),
         }
     }
 
@@ -138,7 +138,7 @@ impl Graph {
     ) -> Result<Reader<'_>, GraphError> {
         match self {
             Self::Ros1(master) => Ok(Reader::Ros1(ros1::Reader::new(master, topic)?)),
-            Self::Ros2(domain) => Ok(Reader::Ros2(ros2::Reader::new(domain, topic, kind, qos))),
+            Self::Ros2(domain) => Ok(Reader::Ros2(ros2::Reader::new(domain, topic, kind, qos).into())),
         }
     }
 
@@ -156,7 +156,7 @@ impl Graph {
                 let md5sum = types.md5sum(kind, definition)?;
                 Ok(Writer::Ros1(ros1::Writer::new(master, topic, kind, definition, md5sum, offers).await?))
             }
-            Self::Ros2(domain) => Ok(Writer::Ros2(ros2::Writer::new(domain, topic, kind, offers)?)),
+            Self::Ros2(domain) => Ok(Writer::Ros2(ros2::Writer::new(domain, topic, kind, offers)?.into())),
         }
     }
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::Result;
 use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
-use gdp::node::{PublishOptions, Publisher, SETTLING, SubscribeOptions, Subscription};
+use gdp::node::{PublishOptions, Publisher, SETTLING, SubscribeOptions, Subscription, Wants};
 use gdp::seal::Encoding;
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
 use tokio::sync::oneshot;
@@ -80,7 +80,7 @@ fn open(
         let publisher = ends.robot.inside.run(async move { node.publish(proof, cert, options).await })??;
         let (first, there) = oneshot::channel();
         ends.cloud.inside.runtime.spawn(receive(lane.clone(), subscription, first));
-        let sender = Ours { publisher, reliable: subscribe.reliable };
+        let sender = Ours { publisher, reliable: subscribe.wants == Wants::Every };
         ends.robot.inside.runtime.spawn(send(lane.clone(), sender, there));
     }
     let counted = cloud.clone();

@@ -58,7 +58,10 @@ fn what_a_domain_takes_back_of_a_member_ends_what_it_reads_as_one() {
         let (of_domain, member) = (domain.name(), entity.name());
         let cert = MemberCert { domain: of_domain, entity: member, role, serial, not_before, not_after };
         let member = Some(Membership::issue(&domain, &cert).unwrap());
-        *grant = Reading { grant: issue(&w.owner, &ReadGrant { to, ..named }).unwrap().into(), member };
+        *grant = Reading {
+            grant: issue(&w.owner, &ReadGrant { to, ..named }).unwrap().into(),
+            member: member.map(Box::new),
+        };
         w.ask(entity, 1, request)
     };
     for (entity, serial) in [(&stolen, 7), (&cloud, 8)] {

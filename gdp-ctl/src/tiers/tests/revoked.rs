@@ -9,7 +9,7 @@ use gdp_wire::Name;
 
 use super::HOLD;
 use super::hostile::Victim;
-use super::world::{DAY, UNIX, World, identity, owner, revocation};
+use super::world::{DAY, UNIX, World, hosted, identity, owner, revocation};
 use crate::tiers::side::{MAX_REVOKED_NAMES, Told};
 
 use NameRole::{Publisher, Subscriber};
@@ -41,7 +41,7 @@ fn a_reader_that_is_revoked_where_the_writer_is_ends_where_it_reads() {
     assert_eq!(aware(&w, 0), [0, 1, 2, 3, 4, 5], "and all between, but nobody else");
 
     // Its RIB lies, or forgets.
-    let (now, host) = (w.now, w.domains[5].host.clone());
+    let (now, host) = (w.now, hosted(w.domains[5].identity.name(), &w.domains[5].host));
     w.domains[5].tiers.set_own(now, record, host).unwrap();
     w.run(MOMENT);
     let refused = |of: usize, from: usize| {
@@ -109,7 +109,7 @@ fn who_reads_for_a_role_that_its_domain_takes_back_is_forgotten() {
     let grant = ReadGrant { name, to, serial, not_before, not_after };
     let cert = MemberCert { domain: third.name(), entity: entity.name(), role, serial, not_before, not_after };
     let member = Some(Membership::issue(&third, &cert).unwrap());
-    let reading = Reading { grant: issue(&owner(0).0, &grant).unwrap().into(), member };
+    let reading = Reading { grant: issue(&owner(0).0, &grant).unwrap().into(), member: member.map(Box::new) };
     let advert = Advert { op: AdvertOp::Subscribe, ..part.record.advert.claims_unverified().unwrap() };
     part.record.credential = Credential::Reader(reading);
     part.record.advert = issue(entity.key(), &advert).unwrap();
