@@ -72,6 +72,7 @@ mod name;
 mod registry;
 mod schema;
 mod share;
+mod translate;
 
 pub use definition::{
     Base, Constant, Count, Definition, DefinitionError, Dialect, Field, MAX_ARRAY, MAX_FIELDS, MAX_TEXT, Problem,

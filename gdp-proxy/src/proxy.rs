@@ -65,7 +65,7 @@ async fn carry(
         () = &mut stop => return Ok(()),
     };
     let entity = node.name().to_string();
-    let types = Arc::new(Types::embedded());
+    let types = Arc::new(Types::load(&config.definitions).context("definitions")?);
     let graphs = graph::join(&config.graphs, &format!("gdp_proxy_{}", &entity[..8])).await?;
     tracing::info!(entity = %node.name(), graphs = ?graphs.keys(), "attached to the switch and in the ROS graphs");
 

@@ -1,17 +1,16 @@
 //! Message types: what is known of them, and converters from one form to another.
 
-use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use bytes::Bytes;
 use gdp::seal;
 use gdp_msg::{Encoding, LoadError, MapError, Mapping, NameError, Options, Registry, Schema, SchemaError, TypeName};
 
-use crate::config::Conversion;
+use crate::config::{Conversion, Definitions};
 use crate::roster::{Dialect, Kind, MAX_DEFINITION};
 
 /// What this proxy itself knows: the common interfaces, and what its configuration names.
-pub struct Types(Mutex<Registry>);
+pub struct Types(Registry);
 
 /// Messages of a type, laid out in some way.
 #[derive(Clone, Debug)]
@@ -96,19 +95,23 @@ pub fn unsealed(encoding: seal::Encoding) -> Result<Encoding, TypeError> {
 }
 
 impl Types {
-    pub fn embedded() -> Self {
-        Self(Registry::embedded().into())
-    }
-
-    /// Adds a share folder of an installation of ROS: `dialect` is which.
-    pub fn load(&self, dialect: Dialect, folder: &Path) -> Result<gdp_msg::Loaded, LoadError> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).load_share(dialect.into(), folder)
+    /// The common interfaces, and what is in these folders; of these, files that define nothing are named in the log.
+    pub fn load(definitions: &Definitions) -> Result<Self, LoadError> {
+        let mut registry = Registry::embedded();
+        let ros1 = definitions.ros1.iter().map(|folder| (Dialect::Ros1, folder));
+        for (dialect, folder) in ros1.chain(definitions.ros2.iter().map(|folder| (Dialect::Ros2, folder))) {
+            let loaded = registry.load_share(dialect.into(), folder)?;
+            for error in &loaded.refused {
+                tracing::warn!("a definition is left out: {error}");
+            }
+            tracing::info!(folder = %folder.display(), files = loaded.files, "definitions of messages");
+        }
+        Ok(Self(registry))
     }
 
     /// A type that is known here.
     fn known(&self, kind: &Kind) -> Result<Arc<Schema>, TypeError> {
-        let registry = self.0.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        Ok(Schema::resolve(&registry, kind.dialect.into(), &TypeName::parse(&kind.name)?)?)
+        Ok(Schema::resolve(&self.0, kind.dialect.into(), &TypeName::parse(&kind.name)?)?)
     }
 
     fn schema(&self, form: &Form<'_>) -> Result<Arc<Schema>, TypeError> {
@@ -123,16 +126,19 @@ impl Types {
         self.known(kind).ok().map(|schema| schema.text()).filter(|text| text.len() <= MAX_DEFINITION)
     }
 
-    /// The same type in another graph's terms, with the definition that its subscribers need; the one that is known here, or else one made
-    /// from that of the sender.
+    /// The same type in another graph's terms, with the definition that its subscribers need: as it is known here, or else made from that of
+    /// the sender.
     pub fn counterpart(&self, form: &Form<'_>, dialect: Dialect) -> Result<(Kind, Option<String>), TypeError> {
         if form.kind.dialect == dialect {
             return Ok((form.kind.clone(), form.definition.map(str::to_owned)));
         }
         let name = TypeName::parse(&form.kind.name)?.display(dialect.into());
         let kind = Kind { dialect, name, hash: vec![] };
-        let definition = self.known(&kind)?.text();
-        Ok((kind, Some(definition)))
+        let schema = match self.known(&kind) {
+            Ok(schema) => schema,
+            Err(_) => self.schema(form)?.in_dialect(dialect.into(), &self.0)?,
+        };
+        Ok((kind, Some(schema.text())))
     }
 
     /// What ROS 1 compares of a type of its own.
@@ -181,7 +187,7 @@ mod tests {
 
     #[test]
     fn what_one_ros_version_says_the_other_understands() {
-        let types = Types::embedded();
+        let types = Types::load(&Definitions::default()).unwrap();
         let ros1 = kind(Dialect::Ros1, "std_msgs/String");
         let from = Form { kind: &ros1, definition: Some("string data\n"), encoding: Encoding::Ros1 };
         let (ros2, definition) = types.counterpart(&from, Dialect::Ros2).unwrap();
@@ -194,19 +200,25 @@ mod tests {
         assert_eq!(&cdr[..], b"\0\x01\0\0\x03\0\0\0hi\0");
         assert_eq!(back.convert(cdr).unwrap(), message);
         assert!(there.convert(Bytes::from_static(b"\xff\0\0\0hi")).is_err());
+
+        let own = kind(Dialect::Ros1, "my_robot/Unheard");
+        let from = Form { kind: &own, definition: Some("time stamp\n"), encoding: Encoding::Ros1 };
+        let (kind, definition) = types.counterpart(&from, Dialect::Ros2).unwrap();
+        assert_eq!(kind.name, "my_robot/msg/Unheard");
+        assert!(definition.unwrap().starts_with("builtin_interfaces/Time stamp\n"));
     }
 
     #[test]
     fn what_is_the_same_needs_no_definition() {
         let own = kind(Dialect::Ros2, "my_robot/msg/Unheard");
         let form = Form { kind: &own, definition: None, encoding: Encoding::Cdr };
-        assert!(matches!(Types::embedded().converter(&form, &form), Ok(Converter::None)));
+        assert!(matches!(Types::load(&Definitions::default()).unwrap().converter(&form, &form), Ok(Converter::None)));
         let json = Form { encoding: Encoding::Json, ..form.clone() };
-        let refusal = Types::embedded().converter(&form, &json).err().unwrap().to_string();
+        let refusal = Types::load(&Definitions::default()).unwrap().converter(&form, &json).err().unwrap().to_string();
         assert!(refusal.contains("my_robot/msg/Unheard"), "{refusal}");
         let defined = Form { definition: Some("int32 a\nstring b\n"), ..form };
         let json = Form { encoding: Encoding::Json, ..defined.clone() };
-        let mut converter = Types::embedded().converter(&json, &defined).unwrap();
+        let mut converter = Types::load(&Definitions::default()).unwrap().converter(&json, &defined).unwrap();
         let cdr = converter.convert(Bytes::from_static(br#"{"a":7,"b":"x"}"#)).unwrap();
         assert_eq!(&cdr[..], b"\0\x01\0\0\x07\0\0\0\x02\0\0\0x\0");
     }

@@ -50,9 +50,9 @@ pub struct Config {
     /// The ROS graphs that it is in.
     #[serde(default)]
     pub graphs: Graphs,
-    /// Folders and files that define message types.
+    /// What defines message types beyond the common ones.
     #[serde(default)]
-    pub definitions: Vec<PathBuf>,
+    pub definitions: Definitions,
     #[serde(default)]
     pub topics: Vec<TopicConfig>,
 }
@@ -93,6 +93,14 @@ impl From<&DomainConfig> for PaperFiles {
         let DomainConfig { card, membership, peers } = config;
         Self { card: card.clone(), membership: membership.clone(), peers: peers.clone() }
     }
+}
+
+/// Share folders of installations of ROS, with a folder for each package.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Definitions {
+    pub ros1: Vec<PathBuf>,
+    pub ros2: Vec<PathBuf>,
 }
 
 /// One way to the fabric.
@@ -203,7 +211,7 @@ impl Config {
                 resolve(relay.membership.get_or_insert_with(|| "relay.member".into()));
             }
         }
-        self.definitions.iter_mut().for_each(resolve);
+        self.definitions.ros1.iter_mut().chain(&mut self.definitions.ros2).for_each(resolve);
         for topic in &mut self.topics {
             resolve(&mut topic.card);
             topic.cert.iter_mut().chain(&mut topic.grant).for_each(resolve);
