@@ -186,7 +186,7 @@ impl Feedback {
         if bytes.len() != expected {
             return Err(wrong_length);
         }
-        if let (kind::HELLO | kind::WELCOME, Some(&flag @ 2..)) = (kind, bytes.last()) {
+        if let (kind::HELLO, Some(&flag @ 3..)) | (kind::WELCOME, Some(&flag @ 2..)) = (kind, bytes.last()) {
             return Err(FeedbackError::Flag(flag));
         }
         // The length was that of the kind, so no field is cut off.
