@@ -324,7 +324,9 @@ impl Publication {
     }
 
     /// Latches nothing of this origin any more.
-    pub fn forget(&self, origin: &[u8]) {
+    pub fn forget(&self, outlet: &Outlet, origin: &[u8]) {
+        // What was gathered is latched when it is sealed.
+        self.finish(outlet);
         lock(&self.sealing).latched.forget(origin);
     }
 

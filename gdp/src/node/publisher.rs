@@ -154,7 +154,7 @@ impl Publisher {
 
     /// Sends readers that come later nothing more of what was [latched](super::PublishOptions::latched) with this origin.
     pub fn forget(&self, origin: &[u8]) {
-        self.publication.forget(origin);
+        self.publication.forget(&self.node.state.outlet, origin);
     }
 
     async fn try_send(&mut self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
