@@ -15,27 +15,47 @@ const MAX_GRAPHS: usize = 16;
 pub struct Graphs(BTreeMap<String, GraphConfig>);
 
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(untagged, expecting = "a ROS 2 graph as {domain_id: 0}, or one of ROS 1 as {master: 'http://HOST:11311'}")]
+#[serde(try_from = "Said")]
 pub enum GraphConfig {
     Ros1(Ros1Config),
     Ros2(Ros2Config),
 }
 
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+/// What may be said of either.
+#[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
+struct Said {
+    domain_id: Option<DomainId>,
+    master: Option<String>,
+    host: Option<String>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Ros2Config {
     /// ROS_DOMAIN_ID.
     pub domain_id: DomainId,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Ros1Config {
     /// ROS_MASTER_URI.
     pub master: String,
     /// How other ROS 1 nodes reach this machine: ROS_IP or ROS_HOSTNAME.
-    #[serde(default)]
     pub host: Option<String>,
+}
+
+impl TryFrom<Said> for GraphConfig {
+    type Error = &'static str;
+
+    fn try_from(said: Said) -> Result<Self, Self::Error> {
+        match said {
+            Said { domain_id: Some(domain_id), master: None, host: None } => Ok(Self::Ros2(Ros2Config { domain_id })),
+            Said { domain_id: None, master: Some(master), host } => Ok(Self::Ros1(Ros1Config { master, host })),
+            _ => Err(
+                "a graph is one of ROS 2, {domain_id: 0}, or of ROS 1, {master: 'http://HOST:11311', host: ADDRESS}",
+            ),
+        }
+    }
 }
 
 impl Default for Graphs {
