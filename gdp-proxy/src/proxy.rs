@@ -66,7 +66,7 @@ async fn carry(
     };
     let entity = node.name().to_string();
     let types = Arc::new(Types::load(&config.definitions).context("definitions")?);
-    let graphs = graph::join(&config.graphs, &format!("gdp_proxy_{}", &entity[..8])).await?;
+    let graphs = graph::join(&config.graphs, &format!("{}{}", graph::NODE, &entity[..8])).await?;
     tracing::info!(entity = %node.name(), graphs = ?graphs.keys(), "attached to the switch and in the ROS graphs");
 
     let files = config.domain.as_ref().map(PaperFiles::from);

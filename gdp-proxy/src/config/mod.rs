@@ -188,7 +188,7 @@ impl Config {
                     "there is no second link for it; add one to links, or remove this".into(),
                 ));
             }
-            if let Some(first) = self.topics[..i].iter().position(|other| other.overlaps(topic)) {
+            if let Some(first) = self.topics[..i].iter().position(|other| other.overlaps(topic, &self.graphs)) {
                 let reason =
                     format!("{} is already topics[{first}], in the same direction; remove one of them", topic.topic);
                 return Err(wrong("topic", reason));

@@ -153,9 +153,10 @@ impl TopicConfig {
     }
 
     /// Whether both carry the same topic of the same graph the same way.
-    pub(super) fn overlaps(&self, other: &Self) -> bool {
+    pub(super) fn overlaps(&self, other: &Self, graphs: &Graphs) -> bool {
         let sides = other.direction.sides();
-        (&self.graph, &self.topic) == (&other.graph, &other.topic)
+        let graph = |topic: &Self| graphs.get(topic.graph.as_deref()).ok().map(|(name, _)| name.to_owned());
+        (graph(self), &self.topic) == (graph(other), &other.topic)
             && self.direction.sides().iter().any(|side| sides.contains(side))
     }
 }

@@ -29,9 +29,14 @@ pub enum GraphError {
     Ros2(#[from] RosError),
     #[error(transparent)]
     Type(#[from] TypeError),
+    #[error("the proxy publishes {topic} as {published} by now, and a node of ROS 1 has one type for a topic")]
+    OtherType { topic: String, published: String },
     #[error("the ROS graph was left")]
     Left,
 }
+
+/// What the names of all proxies' ROS nodes begin with: they do not take from one another what came from the fabric.
+pub const NODE: &str = "gdp_proxy_";
 
 /// What tells the publishers of a topic apart, as long as they live.
 pub type Key = u128;
@@ -73,7 +78,7 @@ pub enum WriteError {
 
 /// Reads a topic. What this proxy itself wrote is not seen.
 pub enum Reader<'a> {
-    Ros1(ros1::Reader<'a>),
+    Ros1(ros1::Reader),
     Ros2(Box<ros2::Reader<'a>>),
 }
 
@@ -108,7 +113,7 @@ impl Graph {
     async fn join(config: &GraphConfig, node: &str) -> Result<Self, GraphError> {
         match config {
             GraphConfig::Ros1(config) => Ok(Self::Ros1(ros1::Master::join(config, node).await?.into())),
-            GraphConfig::Ros2(config) => Ok(Self::Ros2(Domain::join(config.domain_id.get(), node)?.into())),
+            GraphConfig::Ros2(config) => Ok(Self::Ros2(Domain::join_as_proxy(config.domain_id.get(), node)?.into())),
         }
     }
 

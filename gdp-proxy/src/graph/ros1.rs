@@ -5,13 +5,14 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use bytes::Bytes;
+use futures::FutureExt;
 use gdp_ros1::{
-    MessageType, Node, NodeConfig, NodeError, PublishOptions, PublisherInfo, QueueLimits, SourceState, SourceStates,
-    SubscribeOptions, Subscription,
+    Message, MessageType, Node, NodeConfig, NodeError, PublishOptions, PublisherInfo, QueueLimits, SourceState,
+    SourceStates, SubscribeOptions, Subscription,
 };
 use tokio::sync::watch;
 
-use super::{Arrived, Event, Key, WriteError};
+use super::{Arrived, Event, GraphError, Key, NODE, WriteError};
 use crate::config::Ros1Config;
 use crate::ros2::TopicName;
 use crate::roster::{Dialect, Kind, Offer};
@@ -19,12 +20,15 @@ use crate::roster::{Dialect, Kind, Offer};
 /// What a publisher of ROS 1 comes to: it waits for nobody, and its subscribers take a queue full.
 const OFFER: Offer = Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0 };
 
+/// What is published, as long as somebody writes it.
+type Shared = (MessageType, Weak<gdp_ros1::Publisher>);
+
 /// The proxy at a master.
 pub struct Master {
     node: Node,
     config: NodeConfig,
     /// What this node publishes: whoever writes the same topic shares it, for a node of ROS 1 publishes a topic once.
-    shared: Mutex<HashMap<String, Weak<gdp_ros1::Publisher>>>,
+    shared: Mutex<HashMap<String, Shared>>,
     /// Of nodes that were made for one publisher.
     made: AtomicU32,
 }
@@ -47,12 +51,7 @@ impl Master {
         self.node.leave().await;
     }
 
-    /// Whether a node is this one, or one that it made.
-    fn is_own(&self, caller_id: &str) -> bool {
-        caller_id.strip_prefix(&self.config.name).is_some_and(|rest| rest.is_empty() || rest.starts_with("_at_"))
-    }
-
-    fn lock(&self) -> MutexGuard<'_, HashMap<String, Weak<gdp_ros1::Publisher>>> {
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, Shared>> {
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -62,20 +61,24 @@ impl Master {
         topic: &str,
         kind: MessageType,
         options: PublishOptions,
-    ) -> Result<Arc<gdp_ros1::Publisher>, NodeError> {
+    ) -> Result<Arc<gdp_ros1::Publisher>, GraphError> {
         let mut shared = self.lock();
-        if let Some(publisher) = shared.get(topic).and_then(Weak::upgrade) {
+        if let Some((published, publisher)) = shared.get(topic)
+            && let Some(publisher) = publisher.upgrade()
+        {
+            if (&published.name, &published.md5sum) != (&kind.name, &kind.md5sum) {
+                return Err(GraphError::OtherType { topic: topic.into(), published: published.name.clone() });
+            }
             return Ok(publisher);
         }
-        let publisher = Arc::new(self.node.publish(topic, kind, options)?);
-        shared.insert(topic.to_owned(), Arc::downgrade(&publisher));
+        let publisher = Arc::new(self.node.publish(topic, kind.clone(), options)?);
+        shared.insert(topic.to_owned(), (kind, Arc::downgrade(&publisher)));
         Ok(publisher)
     }
 }
 
 /// Reads a topic.
-pub struct Reader<'a> {
-    master: &'a Master,
+pub struct Reader {
     subscription: Subscription,
     sources: watch::Receiver<SourceStates>,
     /// By their URIs.
@@ -85,13 +88,13 @@ pub struct Reader<'a> {
     events: VecDeque<Event>,
 }
 
-impl<'a> Reader<'a> {
-    pub fn new(master: &'a Master, topic: &TopicName) -> Result<Self, NodeError> {
+impl Reader {
+    pub fn new(master: &Master, topic: &TopicName) -> Result<Self, NodeError> {
         let subscription = master.node.subscribe(topic.as_str(), SubscribeOptions::default())?;
         let mut sources = subscription.sources();
         sources.mark_changed();
         let (known, events) = (BTreeMap::new(), VecDeque::new());
-        Ok(Self { master, subscription, sources, known, next_key: 0, definition: None, events })
+        Ok(Self { subscription, sources, known, next_key: 0, definition: None, events })
     }
 
     pub fn definition(&self) -> Option<&str> {
@@ -108,20 +111,27 @@ impl<'a> Reader<'a> {
                 biased;
                 Ok(()) = self.sources.changed() => self.look(),
                 message = self.subscription.next() => {
-                    let message = message?;
-                    if self.master.is_own(&message.publisher.caller_id) {
-                        continue;
-                    }
-                    // It may be here before its connection was told of.
-                    self.joined(&message.publisher);
-                    let from = self.known.get(&message.publisher.uri).map(|(key, _)| *key);
-                    self.events.push_back(Event::Message(Arrived { from, bytes: message.data, written_ns: None, lost: 0 }));
+                    self.take(message?);
                 }
             }
         }
     }
 
+    fn take(&mut self, message: Message) {
+        if is_proxy(&message.publisher.caller_id) {
+            return;
+        }
+        // It may be here before its connection was told of.
+        self.joined(&message.publisher);
+        let from = self.known.get(&message.publisher.uri).map(|(key, _)| *key);
+        self.events.push_back(Event::Message(Arrived { from, bytes: message.data, written_ns: None, lost: 0 }));
+    }
+
     fn look(&mut self) {
+        // What has come is of those who were there.
+        while let Some(Some(message)) = self.subscription.next().now_or_never() {
+            self.take(message);
+        }
         let sources = self.sources.borrow_and_update().clone();
         let connected = |uri: &String| matches!(sources.get(uri), Some(SourceState::Connected(_)));
         let gone: Vec<String> = self.known.keys().filter(|uri| !connected(uri)).cloned().collect();
@@ -131,9 +141,7 @@ impl<'a> Reader<'a> {
         }
         for source in sources.values() {
             match source {
-                SourceState::Connected(publisher) if !self.master.is_own(&publisher.caller_id) => {
-                    self.joined(publisher)
-                }
+                SourceState::Connected(publisher) if !is_proxy(&publisher.caller_id) => self.joined(publisher),
                 _ => {}
             }
         }
@@ -162,6 +170,11 @@ impl<'a> Reader<'a> {
     }
 }
 
+/// Whether a node is this proxy, or another: what that publishes comes from the fabric, and whoever wants it there has it.
+fn is_proxy(caller_id: &str) -> bool {
+    caller_id.strip_prefix('/').is_some_and(|name| name.starts_with(NODE))
+}
+
 /// Stands for a publisher elsewhere.
 pub struct Writer {
     publisher: Arc<gdp_ros1::Publisher>,
@@ -177,7 +190,7 @@ impl Writer {
         definition: Option<&str>,
         md5sum: String,
         offers: Offer,
-    ) -> Result<Self, NodeError> {
+    ) -> Result<Self, GraphError> {
         let (name, definition) = (kind.name.clone(), definition.unwrap_or_default().to_owned());
         let kind = MessageType { name, md5sum, definition };
         let messages = if offers.depth == 0 { QueueLimits::default().messages } else { offers.depth as usize };

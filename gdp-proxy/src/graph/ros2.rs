@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use tokio::sync::watch;
+use tokio::time::Instant;
 
 use super::{Event, Key, WriteError};
 use crate::ros2::{
@@ -27,12 +28,19 @@ pub struct Reader<'a> {
     live: Option<Half>,
     latched: Option<Half>,
     events: VecDeque<Event>,
+    /// Messages of publishers that are not known yet: until when they wait, and whether the reader of what is latched has them.
+    early: VecDeque<(Instant, bool, ros2::Arrived)>,
 }
 
 struct Half {
     reader: RawReader,
     asks: Offer,
 }
+
+/// How long a message waits for its publisher to be discovered, how many may, and bytes of them.
+const EARLY: Duration = Duration::from_secs(3);
+const MAX_EARLY: usize = 256;
+const MAX_EARLY_BYTES: usize = 32 << 20;
 
 /// Stands for a publisher elsewhere.
 pub struct Writer(RawWriter);
@@ -51,6 +59,7 @@ impl<'a> Reader<'a> {
             live: None,
             latched: None,
             events: VecDeque::new(),
+            early: VecDeque::new(),
         }
     }
 
@@ -60,7 +69,7 @@ impl<'a> Reader<'a> {
             if let Some(event) = self.events.pop_front() {
                 return Ok(event);
             }
-            let Self { graph, live, latched, .. } = self;
+            let Self { graph, live, latched, early, .. } = self;
             let (is_latched, arrived) = tokio::select! {
                 biased;
                 changed = graph.changed() => {
@@ -71,25 +80,50 @@ impl<'a> Reader<'a> {
                     self.look()?;
                     continue;
                 }
+                () = sleep_until_over(early) => {
+                    self.drop_early();
+                    continue;
+                }
                 arrived = recv(latched) => (true, arrived),
                 arrived = recv(live) => (false, arrived),
             };
-            let event = match arrived {
-                Ok(arrived) => {
-                    let key = Key::from_be_bytes(arrived.writer.to_bytes());
-                    let from = self.known.contains_key(&key).then_some(key);
-                    // The other reader has it, too.
-                    let latches = self.known.get(&key).is_some_and(|(_, offers)| offers.transient_local);
-                    if self.qos.is_none() && latches != is_latched {
-                        continue;
-                    }
-                    let ros2::Arrived { sample, written_ns, lost, .. } = arrived;
-                    Event::Message(super::Arrived { from, bytes: sample.bytes, written_ns, lost })
-                }
-                Err(error) => Event::Unreadable(error.to_string()),
-            };
-            self.events.push_back(event);
+            match arrived {
+                Ok(arrived) => self.take(is_latched, arrived),
+                Err(error) => self.events.push_back(Event::Unreadable(error.to_string())),
+            }
         }
+    }
+
+    fn take(&mut self, is_latched: bool, arrived: ros2::Arrived) {
+        let key = Key::from_be_bytes(arrived.writer.to_bytes());
+        let Some((_, offers)) = self.known.get(&key) else {
+            // Discovery looks only so often.
+            self.early.push_back((Instant::now() + EARLY, is_latched, arrived));
+            while self.early.len() > MAX_EARLY || self.early_bytes() > MAX_EARLY_BYTES {
+                self.drop_early();
+            }
+            return;
+        };
+        // The other reader has it, too.
+        if self.qos.is_none() && offers.transient_local != is_latched {
+            return;
+        }
+        let ros2::Arrived { sample, written_ns, lost, .. } = arrived;
+        self.events.push_back(Event::Message(super::Arrived {
+            from: Some(key),
+            bytes: sample.bytes,
+            written_ns,
+            lost,
+        }));
+    }
+
+    fn early_bytes(&self) -> usize {
+        self.early.iter().map(|(_, _, arrived)| arrived.sample.bytes.len()).sum()
+    }
+
+    /// The first message that waits is of nobody who publishes the topic in the graph: of another proxy, which has it from the fabric.
+    fn drop_early(&mut self) {
+        self.early.pop_front();
     }
 
     /// Compares what is discovered with what is known.
@@ -106,6 +140,9 @@ impl<'a> Reader<'a> {
             }
         }
         self.known = found;
+        for (_, is_latched, arrived) in std::mem::take(&mut self.early) {
+            self.take(is_latched, arrived);
+        }
         self.ask()
     }
 
@@ -121,9 +158,13 @@ impl<'a> Reader<'a> {
         let of = |latches: bool| {
             let offers = self.known.values().filter(|(kind, _)| kind.name == name).map(|(_, offers)| *offers);
             let offers: Vec<Offer> = offers.filter(|offers| offers.transient_local == latches).collect();
-            // A reader that asks for more than somebody offers does not hear it.
-            let reliable = offers.iter().all(|offers| offers.reliable);
             let depth = offers.iter().map(|offers| offers.depth).max()?;
+            let half = if latches { &self.latched } else { &self.live };
+            let before = half.as_ref().map(|half| half.asks);
+            // A reader that asks for more than somebody offers does not hear it. One that has asked for less goes on so: to make another
+            // loses what it has not been asked for yet.
+            let reliable = offers.iter().all(|offers| offers.reliable) && before.is_none_or(|before| before.reliable);
+            let depth = before.map_or(depth, |before| before.depth);
             Some(Offer { reliable, transient_local: latches, depth, deadline_ns: 0, lifespan_ns: 0 })
         };
         let (live, latched) = match self.qos {
@@ -155,6 +196,13 @@ fn described(publisher: &Endpoint) -> (Kind, Offer) {
         lifespan_ns: ns(lifespan),
     };
     (Kind { dialect: Dialect::Ros2, name: kind.to_string(), hash: hash.unwrap_or_default() }, offers)
+}
+
+async fn sleep_until_over(early: &VecDeque<(Instant, bool, ros2::Arrived)>) {
+    match early.front() {
+        Some((over, ..)) => tokio::time::sleep_until(*over).await,
+        None => std::future::pending().await,
+    }
 }
 
 async fn recv(half: &Option<Half>) -> Result<ros2::Arrived, ros2::Unreadable> {

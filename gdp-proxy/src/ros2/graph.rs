@@ -3,13 +3,17 @@
 //! A [`Graph`] is made anew from the participant's tables whenever something changes, so nothing can be missed or kept too
 //! long. The proxy's own endpoints are not in it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::time::Duration;
 
 use rustdds::{GUID, QosPolicies, policy};
 
 use super::names::Part;
 use super::{Action, Durability, Mapping, Reliability, TopicName, TypeName};
+
+/// The DDS topic that proxies announce a writer of. What they publish comes from the fabric, and whoever wants it there has it: they are in no
+/// graph.
+pub(super) const PROXY_TOPIC: &str = "gdp_proxy";
 
 /// All that is announced, by name.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -118,7 +122,10 @@ impl Graph {
         let mut graph = Self::default();
         // By service, by participant, by whether it serves.
         let mut pairs: BTreeMap<(TopicName, [u8; 12], bool), Pair> = BTreeMap::new();
-        for seen in seen {
+        let seen: Vec<Seen> = seen.collect();
+        let is_proxy = |seen: &&Seen| seen.writes && seen.topic == PROXY_TOPIC;
+        let proxies: HashSet<[u8; 12]> = seen.iter().filter(is_proxy).map(|seen| participant(seen.guid)).collect();
+        for seen in seen.into_iter().filter(|seen| !proxies.contains(&participant(seen.guid))) {
             // Whatever is not ROS's is not for the proxy.
             let Some((part, name)) = TopicName::from_dds(&seen.topic) else { continue };
             let Ok(kind) = TypeName::from_dds(&seen.kind) else { continue };

@@ -29,6 +29,7 @@ use tokio::task::JoinHandle;
 
 use crate::roster::Offer;
 use discovery::Discovery;
+use graph::PROXY_TOPIC;
 
 /// The largest domain id whose ports (7400 + 250 · id and up) exist.
 pub const MAX_DOMAIN_ID: u16 = 232;
@@ -42,6 +43,8 @@ pub struct Domain {
     /// Announces the proxy to ROS tools (`ros2 node list`) as long as it lives.
     node: Node,
     watch: JoinHandle<()>,
+    /// What tells other proxies that this is one.
+    presence: Option<RawWriter>,
 }
 
 /// What DDS refused to make.
@@ -71,7 +74,15 @@ impl Domain {
         let discovery = Arc::new(Discovery::default());
         let node = announce(&participant, node)?;
         let watch = tokio::spawn(discovery.clone().watch(participant.clone()));
-        Ok(Self { participant, publisher, subscriber, discovery, node, watch })
+        Ok(Self { participant, publisher, subscriber, discovery, node, watch, presence: None })
+    }
+
+    /// The same, and tells other proxies that this is one: they take nothing from it.
+    pub fn join_as_proxy(domain: u16, node: &str) -> Result<Self, RosError> {
+        let mut joined = Self::join(domain, node)?;
+        let (topic, kind) = (TopicName::parse("/gdp_proxy")?, TypeName::parse("gdp_proxy/msg/Presence")?);
+        joined.presence = Some(joined.raw_writer(&topic, PROXY_TOPIC, &kind, &Qos::default().into())?);
+        Ok(joined)
     }
 
     /// What the others in the domain publish, subscribe to, serve and call, and every change of it.
@@ -113,7 +124,7 @@ impl Domain {
         // The task holds the participant as well; RustDDS leaves when the last owner does, and joins its threads then.
         self.watch.abort();
         let _ = self.watch.await;
-        let rest = (self.node, self.publisher, self.subscriber, self.participant);
+        let rest = (self.presence, self.node, self.publisher, self.subscriber, self.participant);
         let _ = tokio::task::spawn_blocking(move || drop(rest)).await;
     }
 }

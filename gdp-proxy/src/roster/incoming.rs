@@ -1,6 +1,7 @@
 //! The side that is told: which publishers the writers of a name have, and what is held back until that is known.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::Arc;
 use std::time::Instant;
 
 use gdp::Name;
@@ -19,13 +20,15 @@ const MAX_HELD_BYTES: usize = 32 << 20;
 #[derive(Default)]
 pub struct Incoming {
     peers: HashMap<Name, Peer>,
-    held: VecDeque<Message>,
+    /// With when each came.
+    held: VecDeque<(Instant, Message)>,
     held_bytes: usize,
 }
 
 struct Peer {
     kind: Kind,
-    definition: Option<String>,
+    definition: Option<Arc<str>>,
+    /// None of one that is not heard of any more: it may come back, and say no more than that.
     writers: BTreeMap<u32, Offer>,
     /// The message that said so, in its session.
     said: ([u8; 16], u64),
@@ -40,7 +43,7 @@ pub enum Change {
         writer: Name,
         number: u32,
         kind: Kind,
-        definition: Option<String>,
+        definition: Option<Arc<str>>,
         offers: Offer,
     },
     Left {
@@ -67,19 +70,19 @@ impl Incoming {
     pub fn roster(&mut self, now: Instant, message: &Message) -> Result<(Vec<Change>, Vec<Message>), RosterError> {
         let Roster { kind, definition, writers, .. } = Roster::from_bytes(&message.body)?;
         let (writer, said) = (message.writer, (message.session, message.sequence));
+        if !self.peers.contains_key(&writer) && self.peers.len() >= MAX_PEERS && !self.forget_silent(now) {
+            return Err(RosterError::TooMuch { what: "writers of a name", got: MAX_PEERS + 1, most: MAX_PEERS });
+        }
         let before = self.peers.get(&writer);
         let same_session = before.is_some_and(|peer| peer.said.0 == said.0);
         if before.is_some_and(|peer| same_session && peer.said.1 > said.1) {
             return Ok((vec![], vec![]));
         }
-        if before.is_none() && self.peers.len() >= MAX_PEERS {
-            return Err(RosterError::TooMuch { what: "writers of a name", got: MAX_PEERS + 1, most: MAX_PEERS });
-        }
         let same_kind = before.is_some_and(|peer| same_session && peer.kind == kind);
         let known = before.filter(|_| same_kind).and_then(|peer| peer.definition.clone());
         // A brief one leaves the definition as it is.
-        let definition_is_new = definition.is_some() && definition != known;
-        let definition = definition.or(known);
+        let definition_is_new = definition.is_some() && definition.as_deref() != known.as_deref();
+        let definition = definition.map(Arc::from).or(known);
         let writers: BTreeMap<u32, Offer> = writers.iter().map(|writer| (writer.number, writer.offers)).collect();
         let empty = BTreeMap::new();
         let there = before.map_or(&empty, |peer| &peer.writers);
@@ -98,52 +101,67 @@ impl Incoming {
     }
 
     /// What came with a name, other than a roster.
-    pub fn message(&mut self, message: Message) -> Taken {
+    pub fn message(&mut self, now: Instant, message: Message) -> Taken {
         let Some(number) = number(&message.origin) else { return Taken::Plain(message) };
         let peer = self.peers.get(&message.writer);
         if peer.is_some_and(|peer| peer.said.0 == message.session && peer.writers.contains_key(&number)) {
             return Taken::From(number, message);
         }
         self.held_bytes += message.body.len();
-        self.held.push_back(message);
+        self.held.push_back((now, message));
         let mut gone = 0;
         while self.held.len() > MAX_HELD || (self.held_bytes > MAX_HELD_BYTES && self.held.len() > 1) {
-            let oldest = self.held.pop_front().map_or(0, |oldest| oldest.body.len());
-            self.held_bytes -= oldest;
+            self.drop_oldest();
             gone += 1;
         }
         if gone == 0 { Taken::Held } else { Taken::Crowded(gone) }
     }
 
-    /// Publishers whose writers are not heard of any more have left.
-    pub fn poll(&mut self, now: Instant) -> Vec<Change> {
-        let silent = |peer: &Peer| now.saturating_duration_since(peer.heard) >= LEASE;
-        let gone: Vec<Name> = self.peers.iter().filter(|(_, peer)| silent(peer)).map(|(writer, _)| *writer).collect();
+    /// Publishers whose writers are not heard of any more have left. Messages that waited for as long are dropped: how many.
+    pub fn poll(&mut self, now: Instant) -> (Vec<Change>, usize) {
         let mut changes = Vec::new();
-        for writer in gone {
-            let peer = self.peers.remove(&writer);
-            let numbers = peer.into_iter().flat_map(|peer| peer.writers.into_keys());
-            changes.extend(numbers.map(|number| Change::Left { writer, number }));
+        for (writer, peer) in &mut self.peers {
+            if now.saturating_duration_since(peer.heard) >= LEASE {
+                let numbers = std::mem::take(&mut peer.writers).into_keys();
+                changes.extend(numbers.map(|number| Change::Left { writer: *writer, number }));
+            }
         }
-        changes
+        let before = self.held.len();
+        while self.held.front().is_some_and(|(came, _)| now.saturating_duration_since(*came) >= LEASE) {
+            self.drop_oldest();
+        }
+        (changes, before - self.held.len())
     }
 
-    /// Whether messages wait for a roster that should be there by now.
-    pub fn waits(&self) -> bool {
-        !self.held.is_empty()
+    /// Nothing is known any more: all publishers have left.
+    pub fn clear(&mut self) -> Vec<Change> {
+        let numbers =
+            |(writer, peer): (Name, Peer)| peer.writers.into_keys().map(move |number| Change::Left { writer, number });
+        std::mem::take(self).peers.into_iter().flat_map(numbers).collect()
+    }
+
+    /// Makes room for one more writer, if one is not heard of any more.
+    fn forget_silent(&mut self, now: Instant) -> bool {
+        let silent = |peer: &Peer| now.saturating_duration_since(peer.heard) >= LEASE && peer.writers.is_empty();
+        let found = self.peers.iter().find(|(_, peer)| silent(peer)).map(|(writer, _)| *writer);
+        found.is_some_and(|writer| self.peers.remove(&writer).is_some())
+    }
+
+    fn drop_oldest(&mut self) {
+        self.held_bytes -= self.held.pop_front().map_or(0, |(_, oldest)| oldest.body.len());
     }
 
     /// Those of a writer that wait, of publishers that are known by now; what is from others of an earlier roster waits on.
     fn release(&mut self, writer: Name) -> Vec<Message> {
         let Some(peer) = self.peers.get(&writer) else { return vec![] };
-        let is_known = |message: &Message| {
+        let is_known = |(_, message): &(Instant, Message)| {
             message.writer == writer
                 && message.session == peer.said.0
                 && number(&message.origin).is_some_and(|number| peer.writers.contains_key(&number))
         };
         let (released, held) = std::mem::take(&mut self.held).into_iter().partition::<VecDeque<_>, _>(is_known);
         self.held = held;
-        self.held_bytes = self.held.iter().map(|message| message.body.len()).sum();
-        released.into()
+        self.held_bytes = self.held.iter().map(|(_, message)| message.body.len()).sum();
+        released.into_iter().map(|(_, message)| message).collect()
     }
 }

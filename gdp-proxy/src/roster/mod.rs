@@ -63,6 +63,14 @@ pub struct Kind {
     pub hash: Vec<u8>,
 }
 
+impl Kind {
+    /// Whether messages of both are laid out alike, as far as is known: not every middleware tells hashes.
+    pub fn agrees(&self, other: &Self) -> bool {
+        let unknown = self.hash.is_empty() || other.hash.is_empty();
+        (self.dialect, &self.name) == (other.dialect, &other.name) && (unknown || self.hash == other.hash)
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Dialect {

@@ -18,7 +18,12 @@ pub struct Outgoing<K> {
     changed: bool,
     /// When a roster is due though nothing has changed.
     due: Option<Instant>,
+    /// Since the last whole one.
+    briefs: u32,
 }
+
+/// So many brief rosters, and a whole one again.
+const BRIEFS: u32 = 10;
 
 /// A roster that is to be sent.
 #[derive(Debug, PartialEq, Eq)]
@@ -32,7 +37,7 @@ pub enum Announcement {
 impl<K: std::hash::Hash + Eq> Outgoing<K> {
     pub fn new(kind: Kind, definition: Option<String>) -> Self {
         let (numbers, writers) = (HashMap::new(), BTreeMap::new());
-        Self { kind, definition, numbers, writers, next: 0, changed: true, due: None }
+        Self { kind, definition, numbers, writers, next: 0, changed: true, due: None, briefs: 0 }
     }
 
     /// A publisher is there, or offers something else. Of too many, what comes later has no number.
@@ -70,10 +75,12 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
 
     /// What is to be sent now, if anything is.
     pub fn poll(&mut self, now: Instant) -> Result<Option<Announcement>, CborError> {
-        let whole = std::mem::take(&mut self.changed);
-        if !whole && self.due.is_some_and(|due| now < due) {
+        if !self.changed && self.due.is_some_and(|due| now < due) {
             return Ok(None);
         }
+        // What is best effort may have lost the one before.
+        let whole = std::mem::take(&mut self.changed) || self.briefs >= BRIEFS;
+        self.briefs = if whole { 0 } else { self.briefs + 1 };
         self.due = Some(now + REFRESH);
         let writers = self.writers.iter().map(|(number, offers)| Writer { number: *number, offers: *offers }).collect();
         let definition = self.definition.clone().filter(|_| whole);

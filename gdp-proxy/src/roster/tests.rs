@@ -1,3 +1,4 @@
+use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
@@ -41,7 +42,7 @@ fn body(announcement: Option<Announcement>) -> Vec<u8> {
 }
 
 fn joined(number: u32, offers: Offer, definition: Option<&str>) -> Change {
-    Change::Joined { writer: name(1), number, kind: kind(), definition: definition.map(str::to_owned), offers }
+    Change::Joined { writer: name(1), number, kind: kind(), definition: definition.map(Arc::from), offers }
 }
 
 #[test]
@@ -60,6 +61,10 @@ fn publishers_come_and_go_at_the_other_end() {
     assert!(brief.len() < 300, "{}", brief.len());
     assert_eq!(into.roster(now, &message(1, 2, b"", brief)), Ok((vec![], vec![])), "the definition is known");
 
+    let is_whole = |announcement| matches!(announcement, Some(Announcement::Whole(_)));
+    let whole: Vec<u32> = (2..24).filter(|i| is_whole(out.poll(now + *i * REFRESH).unwrap())).collect();
+    assert_eq!(whole, [11, 22], "it may have been lost");
+
     assert_eq!(out.left(&'a'), Some(0));
     out.joined('b', RELIABLE);
     out.joined('c', RELIABLE);
@@ -70,8 +75,12 @@ fn publishers_come_and_go_at_the_other_end() {
     let (late, _) = into.roster(now, &message(1, 3, b"", brief_of(&changed))).unwrap();
     assert_eq!(late, [], "an earlier one changes nothing");
 
-    assert_eq!(into.poll(now + LEASE / 2), []);
-    assert_eq!(into.poll(now + LEASE), [left(1), left(2)]);
+    assert_eq!(into.poll(now + LEASE / 2).0, []);
+    assert_eq!(into.poll(now + LEASE).0, [left(1), left(2)]);
+    let back = body(out.poll(now + LEASE).unwrap());
+    let (changes, _) = into.roster(now + LEASE, &message(1, 9, b"", back)).unwrap();
+    assert_eq!(changes, [joined(1, RELIABLE, definition), joined(2, RELIABLE, definition)], "its definition is known");
+    assert_eq!(into.clear(), [left(1), left(2)]);
 }
 
 /// One that lists nobody.
@@ -84,21 +93,21 @@ fn brief_of(roster: &[u8]) -> Vec<u8> {
 fn messages_wait_for_the_roster_that_tells_of_their_publisher() {
     let now = Instant::now();
     let (mut out, mut into) = (Outgoing::new(kind(), None), Incoming::default());
-    assert!(matches!(into.message(message(1, 1, b"", "plain")), Taken::Plain(_)));
+    assert!(matches!(into.message(now, message(1, 1, b"", "plain")), Taken::Plain(_)));
     for i in 0..3u32 {
-        assert_eq!(into.message(message(1, 2 + u64::from(i), &origin(i), "held")), Taken::Held);
+        assert_eq!(into.message(now, message(1, 2 + u64::from(i), &origin(i), "held")), Taken::Held);
     }
-    assert_eq!(into.message(message(2, 1, &origin(0), "another's")), Taken::Held);
+    assert_eq!(into.message(now, message(2, 1, &origin(0), "another's")), Taken::Held);
     out.joined(0, RELIABLE);
     out.joined(1, RELIABLE);
     let (_, released) = into.roster(now, &message(1, 5, b"", body(out.poll(now).unwrap()))).unwrap();
     assert_eq!(released.iter().map(|message| message.sequence).collect::<Vec<_>>(), [2, 3]);
-    assert!(into.waits());
-    assert!(matches!(into.message(message(1, 6, &origin(1), "x")), Taken::From(1, _)));
+    assert!(matches!(into.message(now, message(1, 6, &origin(1), "x")), Taken::From(1, _)));
     // A writer that began anew numbers its publishers anew.
     let mut anew = message(1, 1, &origin(1), "x");
     anew.session = [9; 16];
-    assert_eq!(into.message(anew), Taken::Held);
+    assert_eq!(into.message(now, anew), Taken::Held);
+    assert_eq!(into.poll(now + LEASE).1, 3, "two of publishers that were never listed, and this one");
 }
 
 #[test]
@@ -116,13 +125,13 @@ fn a_new_session_has_other_publishers() {
 
 #[test]
 fn what_waits_is_bounded() {
-    let mut into = Incoming::default();
+    let (mut into, now) = (Incoming::default(), Instant::now());
     let large = Bytes::from(vec![0; 20 << 20]);
-    assert_eq!(into.message(message(1, 1, &origin(0), large.clone())), Taken::Held);
-    assert_eq!(into.message(message(1, 2, &origin(0), large)), Taken::Crowded(1));
+    assert_eq!(into.message(now, message(1, 1, &origin(0), large.clone())), Taken::Held);
+    assert_eq!(into.message(now, message(1, 2, &origin(0), large)), Taken::Crowded(1));
     let mut crowded = 0;
     for i in 0..3000 {
-        if let Taken::Crowded(gone) = into.message(message(1, 3 + i, &origin(0), "")) {
+        if let Taken::Crowded(gone) = into.message(now, message(1, 3 + i, &origin(0), "")) {
             crowded += gone;
         }
     }

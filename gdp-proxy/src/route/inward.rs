@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::convert::Infallible;
+use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
@@ -21,6 +22,11 @@ use crate::roster::{Change, Incoming, Kind, Offer, ROSTER, Taken};
 use crate::stats::{Drop, FabricCounters};
 use crate::types::{Converter, Form, unsealed};
 
+const NOT_SAID: &str = "its writer does not say of what it is";
+
+/// Counterparts of publishers elsewhere, for one topic. More have none.
+const MAX_LOCALS: usize = 512;
+
 /// The right to read, and where it came from.
 pub struct Right {
     pub grant: Reading,
@@ -32,7 +38,7 @@ struct Local {
     writer: Writer,
     /// Of the publisher, and the same in this graph.
     kinds: (Kind, Kind),
-    definitions: (Option<String>, Option<String>),
+    definitions: (Option<Arc<str>>, Option<String>),
     /// By what messages are in; nearly always one.
     converters: Vec<(Encoding, Converter)>,
 }
@@ -72,6 +78,9 @@ impl Route {
                 }
                 Err(error) => error,
             };
+            // Nothing more is heard of those elsewhere.
+            let changes = to.incoming.clear();
+            self.change(&mut to, changes).await;
             self.pause_after(error, &mut pause).await;
             if let Some(new) = right.file.changed().and_then(Permission::read) {
                 right.grant = new;
@@ -97,8 +106,9 @@ impl Route {
                     {
                         right.grant = new;
                     }
-                    let changes = to.incoming.poll(Instant::now());
+                    let (changes, forgotten) = to.incoming.poll(Instant::now());
                     self.change(to, changes).await;
+                    self.drop_all(Drop::Unannounced, forgotten as u64, NOT_SAID);
                     continue;
                 }
             };
@@ -129,7 +139,7 @@ impl Route {
     }
 
     async fn sort(&self, to: &mut In<'_>, message: Message) {
-        match to.incoming.message(message) {
+        match to.incoming.message(Instant::now(), message) {
             Taken::From(number, message) => {
                 let local = to.locals.get_mut(&(message.writer, number)).and_then(Option::as_mut);
                 self.write(local, message).await;
@@ -141,9 +151,7 @@ impl Route {
                 self.write(to.plain.as_mut().and_then(Option::as_mut), message).await;
             }
             Taken::Held => {}
-            Taken::Crowded(gone) => {
-                self.drop_all(Drop::Unannounced, gone as u64, "their writer does not say of what they are")
-            }
+            Taken::Crowded(gone) => self.drop_all(Drop::Unannounced, gone as u64, NOT_SAID),
         }
     }
 
@@ -156,6 +164,10 @@ impl Route {
                 Change::Joined { writer, number, kind, definition, offers } => {
                     // The one before goes first: subscribers need not see both.
                     to.locals.remove(&(writer, number));
+                    if to.locals.len() >= MAX_LOCALS {
+                        tracing::warn!(topic = %self.config.topic, "more than {MAX_LOCALS} publishers elsewhere: one has no counterpart here");
+                        continue;
+                    }
                     let local = self.local(to, kind, definition, offers).await;
                     to.locals.insert((writer, number), local);
                 }
@@ -173,7 +185,7 @@ impl Route {
         self.local(to, kind, None, Qos::default().into()).await
     }
 
-    async fn local(&self, to: &In<'_>, kind: Kind, definition: Option<String>, offers: Offer) -> Option<Local> {
+    async fn local(&self, to: &In<'_>, kind: Kind, definition: Option<Arc<str>>, offers: Offer) -> Option<Local> {
         let made = self.try_local(to, kind, definition, offers).await;
         made.inspect_err(|error| {
             tracing::warn!(topic = %self.config.topic, "a publisher elsewhere has no counterpart here: {error}");
@@ -186,7 +198,7 @@ impl Route {
         &self,
         to: &In<'_>,
         kind: Kind,
-        definition: Option<String>,
+        definition: Option<Arc<str>>,
         offers: Offer,
     ) -> Result<Local, String> {
         let form = Form { kind: &kind, definition: definition.as_deref(), encoding: kind.dialect.native() };

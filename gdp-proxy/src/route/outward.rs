@@ -1,9 +1,9 @@
 //! From a ROS graph into the fabric.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 use std::convert::Infallible;
 use std::pin::pin;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use gdp::cert::{AdCert, Issued};
 use gdp::node::{ErrorCode, FrameError, NodeError, Publisher};
@@ -44,6 +44,8 @@ struct Out<'a> {
     converter: Converter,
     pace: Pace,
     offers: Offer,
+    /// Publishers of another type.
+    strangers: HashSet<Key>,
 }
 
 impl Route {
@@ -59,43 +61,45 @@ impl Route {
         let mut offers = self.config.qos.map(Offer::from);
         let mut pause = RETRY.0;
         loop {
+            // Published anew, it is read anew, with all that is latched in the graph.
             let mut out = self.learn(graph, kind, offers).await?;
-            loop {
-                let error = match node
-                    .publish(card.proof(), right.cert.clone(), publish_options(&out.offers, &self.config))
-                    .await
-                {
-                    Ok(new) => {
-                        self.progress().fabric = FabricCounters::Out(new.meter());
-                        pause = RETRY.0;
-                        self.is_up();
-                        out.roster.again();
-                        match self.carry_out(&mut out, publisher.insert(new), &mut right).await? {
-                            Turn::More(more) => {
-                                offers = Some(more);
-                                break;
-                            }
-                            Turn::Ended(error) => error,
-                        }
-                    }
-                    Err(error) => error,
-                };
-                *publisher = None;
-                self.pause_after(error, &mut pause).await;
-                if let Some(new) = right.file.changed().and_then(Permission::publish) {
-                    right.cert = new;
-                    right.file.taken();
+            let new = loop {
+                let options = publish_options(&out.offers, &self.config);
+                match node.publish(card.proof(), right.cert.clone(), options).await {
+                    Ok(new) => break publisher.insert(new),
+                    Err(error) => self.wait_for_right(error, &mut pause, &mut right).await,
                 }
-            }
-            // Published anew, with all that is latched in the graph.
-            if let Some(publisher) = publisher.take() {
-                self.close(publisher).await;
+            };
+            self.progress().fabric = FabricCounters::Out(new.meter());
+            pause = RETRY.0;
+            self.is_up();
+            let turn = self.carry_out(&mut out, new, &mut right).await?;
+            let published = publisher.take();
+            match turn {
+                Turn::More(more) => {
+                    offers = Some(more);
+                    if let Some(published) = published {
+                        self.close(published).await;
+                    }
+                }
+                Turn::Ended(error) => {
+                    drop(published);
+                    self.wait_for_right(error, &mut pause, &mut right).await;
+                }
             }
         }
     }
 
-    /// Reads the topic; returns when it is known how to publish it. A type that cannot be converted as the configuration wants is waited
-    /// with: there may be other publishers, or another configuration.
+    async fn wait_for_right(&self, error: NodeError, pause: &mut Duration, right: &mut Right) {
+        self.pause_after(error, pause).await;
+        if let Some(new) = right.file.changed().and_then(Permission::publish) {
+            right.cert = new;
+            right.file.taken();
+        }
+    }
+
+    /// Reads the topic; returns when it is known how to publish it. Never, if its type cannot be converted as the configuration wants: the
+    /// status says so.
     async fn learn<'a>(
         &self,
         graph: &'a Graph,
@@ -103,14 +107,18 @@ impl Route {
         offers: Option<Offer>,
     ) -> Result<Out<'a>, RouteError> {
         let mut reader = graph.reader(&self.config.topic, kind, self.config.qos)?;
-        let stated = kind.filter(|_| self.config.qos.is_some()).map(|kind| graph.kind(kind));
+        let wanted = kind.map(|kind| graph.kind(kind));
+        let stated = wanted.clone().filter(|_| self.config.qos.is_some());
         let (first, kind, offered) = match (stated, self.config.qos) {
             (Some(kind), Some(qos)) => (None, kind, qos.into()),
             _ => {
                 self.set_status("waiting for a local publisher");
                 loop {
                     match reader.next().await? {
-                        Event::Joined { key, kind, offers } => break (Some(key), kind, offers),
+                        Event::Joined { key, kind, offers } if wanted.as_ref().is_none_or(|it| it.agrees(&kind)) => {
+                            break (Some(key), kind, offers);
+                        }
+                        Event::Joined { kind, .. } => self.tell_of_stranger(&kind, wanted.as_ref()),
                         Event::Unreadable(why) => self.drop(Drop::Unreadable, why),
                         Event::Left(_) | Event::Message(_) => {}
                     }
@@ -119,21 +127,28 @@ impl Route {
         };
         self.progress().kind = Some(kind.name.clone());
         let definition = reader.definition().map(str::to_owned).or_else(|| self.types.definition(&kind));
-        let converter = loop {
-            match self.converter_out(&kind, definition.as_deref()) {
-                Ok(converter) => break converter,
-                Err(error) => {
-                    self.set_status(&error.to_string());
-                    tracing::warn!(topic = %self.config.topic, kind = %kind.name, "not carried: {error}");
-                    std::future::pending::<()>().await;
-                }
+        let converter = match self.converter_out(&kind, definition.as_deref()) {
+            Ok(converter) => converter,
+            Err(error) => {
+                self.set_status(&error.to_string());
+                tracing::warn!(topic = %self.config.topic, kind = %kind.name, "not carried: {error}");
+                std::future::pending().await
             }
         };
         let encoding = sealed(self.config.encoding.encoding(kind.dialect));
         let mut roster = Outgoing::new(kind.clone(), definition);
         first.into_iter().for_each(|key| roster.joined(key, offered));
         let offers = offers.map_or(offered, |before| stronger(before, offered));
-        Ok(Out { reader, roster, kind, encoding, converter, pace: Pace::new(self.config.max_hz), offers })
+        Ok(Out {
+            reader,
+            roster,
+            kind,
+            encoding,
+            converter,
+            pace: Pace::new(self.config.max_hz),
+            offers,
+            strangers: HashSet::new(),
+        })
     }
 
     fn converter_out(&self, kind: &Kind, definition: Option<&str>) -> Result<Converter, TypeError> {
@@ -170,8 +185,9 @@ impl Route {
             };
             match event {
                 Event::Joined { key, kind, offers } => {
-                    if kind != out.kind {
-                        tracing::warn!(topic = %self.config.topic, "a publisher of {} is not carried: the topic is of {}", kind.name, out.kind.name);
+                    if !kind.agrees(&out.kind) {
+                        out.strangers.insert(key);
+                        self.tell_of_stranger(&kind, Some(&out.kind));
                         continue;
                     }
                     let offers = self.config.qos.map_or(offers, Offer::from);
@@ -183,6 +199,7 @@ impl Route {
                 }
                 Event::Left(key) => {
                     out.pace.left(key);
+                    out.strangers.remove(&key);
                     if let Some(number) = out.roster.left(&key) {
                         publisher.forget(&roster::origin(number));
                     }
@@ -220,6 +237,10 @@ impl Route {
         if let Some(written_ns) = written_ns {
             self.counters.arrival.record_since(written_ns);
         }
+        if from.is_some_and(|key| out.strangers.contains(&key)) {
+            self.drop(Drop::Unconvertible, "its publisher uses another type");
+            return Ok(None);
+        }
         if !out.pace.takes(began, from) {
             self.counters.dropped(Drop::MaxHz, 1);
             return Ok(None);
@@ -246,6 +267,11 @@ impl Route {
                 Ok(matches!(error, NodeError::Cert(_)).then_some(error))
             }
         }
+    }
+
+    fn tell_of_stranger(&self, kind: &Kind, wanted: Option<&Kind>) {
+        let wanted = wanted.map_or("another type", |wanted| &wanted.name);
+        tracing::warn!(topic = %self.config.topic, "a publisher of {} is not carried: the topic is of {wanted}", kind.name);
     }
 
     fn tell(&self, error: FrameError) {

@@ -21,7 +21,9 @@ from std_srvs.srv import SetBool, SetBoolResponse
 
 
 def say(event, **what):
-    print(json.dumps({"event": event, **what}), flush=True)
+    # In one go: callbacks run in threads of their own.
+    sys.stdout.write(json.dumps({"event": event, **what}) + "\n")
+    sys.stdout.flush()
 
 
 def digest(data):
