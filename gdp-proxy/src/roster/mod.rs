@@ -24,8 +24,9 @@ pub const ROSTER: Encoding = Encoding::Other(0x4752);
 /// How often a roster is sent, if nothing changes.
 pub const REFRESH: Duration = Duration::from_secs(3);
 
-/// For how long a roster holds.
-pub const LEASE: Duration = Duration::from_secs(10);
+/// For how long a roster holds: somewhat longer than DDS waits for a participant that is not heard of, so that a robot between two networks keeps its
+/// publishers, and what is repaired then finds them.
+pub const LEASE: Duration = Duration::from_secs(30);
 
 /// Publishers of a topic in one ROS graph. More are not told apart.
 pub const MAX_WRITERS: usize = 512;
