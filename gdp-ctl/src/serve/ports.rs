@@ -6,7 +6,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::StreamExt;
-use futures::future::join_all;
 use gdp::crypto;
 use gdp::link::{Link, LinkError};
 use gdp::port::{Interface, LinkAddr, Port};
@@ -169,29 +168,16 @@ pub async fn look(changes: &mut watch::Receiver<()>) {
 
 async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
     let own = daemon.name;
-    let (to_dial, to_meet): (Vec<Place>, Vec<Place>) = {
+    // Of two neighbours the one with the smaller name dials, unless it is said otherwise.
+    let to_dial: Vec<Place> = {
         let core = daemon.core();
         let near = core.neighbours.iter().filter(|n| n.place.via.same_port(via));
-        // Of two neighbours the one with the smaller name dials, unless it is said otherwise.
-        let (dial, wait): (Vec<_>, Vec<_>) = near.partition(|n| n.dial || own.as_bytes() < n.place.switch.as_bytes());
-        let waits = wait.into_iter().filter(|n| core.held.keeps(&n.place.switch));
-        (dial.into_iter().map(|n| n.place.clone()).collect(), waits.map(|n| n.place.clone()).collect())
+        near.filter(|n| n.dial || own.as_bytes() < n.place.switch.as_bytes()).map(|n| n.place.clone()).collect()
     };
-    let dials = join_all(to_dial.into_iter().map(|place| keep_link(daemon, port, place.switch, vec![place.via])));
-    let meets = join_all(to_meet.into_iter().map(|place| meet_again(daemon, port, place)));
-    tokio::join!(accept(daemon, port, via), dials, meets);
-}
-
-/// The daemon before this one had a link with the neighbour, which is to dial, but may believe for seconds that the link still lives: so it is
-/// dialled, once.
-async fn meet_again(daemon: &Arc<Daemon>, port: &Port, place: Place) {
-    match dial(port, place.switch, &place.via).await {
-        Ok(link) if daemon.core().link_to(&place.switch).is_some() => link.close("there is another link by now"),
-        Ok(link) => take(daemon, link, place.via).await,
-        Err(error) => {
-            tracing::debug!(switch = %format_args!("{:#}", place.switch), via = %place.via, %error, "no link yet");
-        }
-    }
+    let dials = futures::future::join_all(
+        to_dial.into_iter().map(|place| keep_link(daemon, port, place.switch, vec![place.via])),
+    );
+    tokio::join!(accept(daemon, port, via), dials);
 }
 
 async fn accept(daemon: &Arc<Daemon>, port: &Port, via: &Via) {
@@ -229,10 +215,6 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, w
                 let reason = link.closed().await;
                 if up.elapsed() > BACKOFF.1 {
                     wait = BACKOFF.0;
-                }
-                // The neighbour may have made a newer one.
-                if daemon.core().link_to(&switch).is_some_and(|newer| newer.local_id() != link.local_id()) {
-                    continue;
                 }
                 reason
             }
