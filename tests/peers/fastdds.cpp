@@ -13,6 +13,7 @@
 
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <chrono>
 #include <cinttypes>
@@ -24,6 +25,7 @@
 #include <mutex>
 #include <string>
 #include <thread>
+#include <type_traits>
 
 using namespace eprosima::fastdds::dds;
 using namespace eprosima::fastrtps::rtps;
@@ -126,7 +128,9 @@ template <class Q> void common_qos(Q& q, const Arguments& a) {
     q.reliability().kind = a.best_effort ? BEST_EFFORT_RELIABILITY_QOS : RELIABLE_RELIABILITY_QOS;
     q.durability().kind = a.transient_local ? TRANSIENT_LOCAL_DURABILITY_QOS : VOLATILE_DURABILITY_QOS;
     q.history().kind = KEEP_LAST_HISTORY_QOS;
-    q.history().depth = a.depth;
+    // What it takes on its own thread may come in bursts: a reader of what is not latched keeps more than its writer does.
+    bool of_reader = std::is_same<Q, DataReaderQos>::value;
+    q.history().depth = of_reader && !a.transient_local ? std::max(a.depth, 400) : a.depth;
     q.endpoint().history_memory_policy = PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
     q.data_sharing().off();
 }
