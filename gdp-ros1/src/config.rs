@@ -29,8 +29,13 @@ impl NodeConfig {
     /// As the environment says, like every ROS 1 node: `ROS_MASTER_URI`, then `ROS_HOSTNAME` before `ROS_IP` before the name of this machine, and
     /// `ROS_IPV6`. A host that means this machine alone is also all that is listened at.
     pub fn from_env(name: &str) -> Self {
+        Self::on_this_machine(name, |variable| std::env::var(variable).ok())
+    }
+
+    /// The same, with variables that need not be in the environment.
+    pub fn on_this_machine(name: &str, variable: impl Fn(&str) -> Option<String>) -> Self {
         let machine = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-        Self::from_variables(name, |variable| std::env::var(variable).ok(), machine.trim())
+        Self::from_variables(name, variable, machine.trim())
     }
 
     /// As variables say that need not be in the environment. `machine`: its host name.

@@ -41,8 +41,7 @@ impl Master {
             "ROS_IP" | "ROS_HOSTNAME" if config.host.is_some() => config.host.clone(),
             other => std::env::var(other).ok(),
         };
-        let machine = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-        let config = NodeConfig::from_variables(&format!("/{name}"), variable, machine.trim());
+        let config = NodeConfig::on_this_machine(&format!("/{name}"), variable);
         let node = Node::start(config.clone()).await?;
         Ok(Self { node, config, shared: Mutex::default(), made: AtomicU32::new(0) })
     }
