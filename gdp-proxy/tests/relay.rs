@@ -6,6 +6,8 @@
 //!                 the proxy itself ─────────────┘
 //! ```
 
+mod hub;
+
 use std::fs;
 use std::net::{SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
@@ -14,11 +16,10 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use gdp::cert::{AdCert, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
 use gdp::domain::{PaperFiles, Papers};
-use gdp::link::RekeySchedule;
 use gdp::node::{LinkState, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp::seal::Encoding;
 use gdp::{Identity, Name, NameCard, Node, NodeConfig, SigningKey};
-use gdp_ctl::config::{Config, DataPlane, DomainConfig, Neighbour, Place, Via};
+use gdp_ctl::config::{DomainConfig, Neighbour, Place, Via};
 use gdp_ctl::serve::{Running, start};
 use tokio::time::timeout;
 
@@ -124,7 +125,7 @@ impl Site {
         }
         // Free when asked for; taken by the relay a moment later.
         let relay_addr = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-        let mut hub = hub_config(folder.path());
+        let mut hub = hub::config(folder.path(), Some(hub_domain(folder.path())));
         let mut member = "domain: {card: domain.card, membership: robot.member}\n";
         if !in_domain {
             let place = Place { switch: relay, via: Via::Udp(relay_addr) };
@@ -184,25 +185,11 @@ fn membership(domain: &Identity, entity: Name, role: &str) -> Membership {
     Membership::issue(domain, &cert).unwrap()
 }
 
-fn hub_config(folder: &Path) -> Config {
+/// What makes the hub a member of the domain.
+fn hub_domain(folder: &Path) -> DomainConfig {
     let path = |file: &str| folder.join(file);
     let files = PaperFiles { card: path("domain.card"), membership: path("hub.member"), peers: vec![] };
-    Config {
-        identity: path("hub.pem"),
-        socket: path("hub.sock"),
-        interfaces: Some(Vec::new()),
-        udp: Some("127.0.0.1:0".parse().unwrap()),
-        data_plane: DataPlane::Userspace,
-        rib: true,
-        neighbours: Vec::new(),
-        ebpf_object: None,
-        fib_capacity: 1024,
-        bpffs: None,
-        domain: Some(DomainConfig { files, members_only: true, trace: Default::default() }),
-        public: Vec::new(),
-        etcd: None,
-        rekey: RekeySchedule::default(),
-    }
+    DomainConfig { files, members_only: true, trace: Default::default() }
 }
 
 /// A program that ends with the test.

@@ -4,7 +4,11 @@
 //!    rospy ── proxy ── switch, RIB ── proxy ── rospy, or DDS
 //! ```
 
-mod graphs;
+#[path = "../hub/mod.rs"]
+mod hub;
+#[allow(dead_code, reason = "the tests of the ROS 1 node, whose it is, use the rest")]
+#[path = "../../../gdp-ros1/tests/rospy/master.rs"]
+mod master;
 mod site;
 
 use std::time::Duration;
@@ -14,7 +18,7 @@ use gdp::seal::Encoding;
 use gdp_proxy::ros2::{Domain, RawSample, TopicName, TypeName};
 use gdp_proxy::roster::Offer;
 
-use graphs::{Master, within};
+use master::{Master, Process};
 use site::Site;
 
 const RELIABLE: Offer = Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0 };
@@ -25,8 +29,8 @@ async fn what_rospy_says_at_one_master_rospy_hears_at_another() {
     let site = Site::start().await;
     let (here, there) = (Master::start().await, Master::start().await);
     let topics = [site.topic("/chatter", "std_msgs/msg/String"), site.topic("/latched", "std_msgs/msg/String")];
-    let out = site.proxy("robot", &here.graph(), &topics, "direction: out");
-    let _in = site.proxy("cloud", &there.graph(), &topics, "direction: in");
+    let out = site.proxy("robot", &graph(&here), &topics, "direction: out");
+    let _in = site.proxy("cloud", &graph(&there), &topics, "direction: in");
 
     let _talker = here.begin("talker", &["publish", "/chatter", "hello"]);
     let mut listener = there.begin("listener", &["listen", "/chatter"]);
@@ -44,7 +48,7 @@ async fn what_rospy_says_at_one_master_rospy_hears_at_another() {
     // Also for a proxy that comes later, and once the publishers have gone for nobody.
     drop(_in);
     let third = Master::start().await;
-    let _in = site.proxy("cloud", &third.graph(), &topics, "direction: in");
+    let _in = site.proxy("cloud", &graph(&third), &topics, "direction: in");
     let mut latest = third.begin("latest", &["listen", "/latched"]);
     assert_eq!(texts(&mut latest, 3).await, ["one", "three", "two"]);
     drop(out);
@@ -56,7 +60,7 @@ async fn what_one_ros_version_says_the_other_understands_both_ways() {
     let (master, domain) = (Master::start().await, site.domain_id());
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let back = [site.topic("/answers", "std_msgs/msg/String")];
-    let (to, fro) = (&master.graph(), &format!("{{domain_id: {domain}}}"));
+    let (to, fro) = (&graph(&master), &format!("{{domain_id: {domain}}}"));
     let _proxies = [
         site.proxy("a", to, &topics, "direction: out"),
         site.proxy("b", fro, &topics, "direction: in"),
@@ -88,7 +92,7 @@ async fn what_both_sites_say_each_hears_once() {
     let (here, there) = (Master::start().await, Master::start().await);
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let _proxies = [("robot", &here), ("cloud", &there)]
-        .map(|(label, master)| site.proxy(label, &master.graph(), &topics, "direction: both"));
+        .map(|(label, master)| site.proxy(label, &graph(master), &topics, "direction: both"));
     let mut listeners = [&here, &there].map(|master| master.begin("listener", &["listen", "/chatter"]));
     for listener in &mut listeners {
         listener.event("ready").await;
@@ -113,7 +117,7 @@ async fn messages_go_as_json_if_that_is_wanted_and_no_faster_than_is_wanted() {
     let site = Site::start().await;
     let master = Master::start().await;
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
-    let _proxy = site.proxy("robot", &master.graph(), &topics, "direction: out, encoding: json, max_hz: 2");
+    let _proxy = site.proxy("robot", &graph(&master), &topics, "direction: out, encoding: json, max_hz: 2");
     let mut subscription = site.subscribe(&topics[0]).await;
     let _talker = master.begin("talker", &["publish", "/chatter", "hello"]);
     let mut stamps = Vec::new();
@@ -129,12 +133,22 @@ async fn messages_go_as_json_if_that_is_wanted_and_no_faster_than_is_wanted() {
 }
 
 /// So many different texts, sorted.
-async fn texts(listener: &mut graphs::Process, count: usize) -> Vec<String> {
+async fn texts(listener: &mut Process, count: usize) -> Vec<String> {
     let mut texts = std::collections::BTreeSet::new();
     while texts.len() < count {
         texts.insert(listener.event("message").await["data"].as_str().unwrap().to_owned());
     }
     texts.into_iter().collect()
+}
+
+/// A master, as a configuration says it.
+fn graph(master: &Master) -> String {
+    let config = master.config("/unused");
+    format!("{{master: '{}', host: {}}}", config.master_uri, config.host)
+}
+
+async fn within<T>(what: &str, future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(PATIENCE, future).await.unwrap_or_else(|_| panic!("not in {PATIENCE:?}: {what}"))
 }
 
 /// A `std_msgs/msg/String`.

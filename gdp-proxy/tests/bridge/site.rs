@@ -1,16 +1,15 @@
 //! A switch with its RIB, owners of topics, and proxies as programs.
 
 use std::fs;
-use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
-use gdp::link::RekeySchedule;
 use gdp::node::{SubscribeOptions, Subscription};
 use gdp::{Identity, Name, NameCard, Node, NodeConfig, SigningKey};
-use gdp_ctl::config::{Config, DataPlane};
 use gdp_ctl::serve::{Running, start};
+
+use crate::hub;
 
 pub struct Site {
     folder: tempfile::TempDir,
@@ -38,7 +37,7 @@ impl Drop for Proxy {
 impl Site {
     pub async fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let hub = start(hub_config(folder.path())).await.unwrap();
+        let hub = start(hub::config(folder.path(), None)).await.unwrap();
         Self { folder, hub }
     }
 
@@ -106,24 +105,4 @@ impl Topic {
 
 fn now() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos() as u64
-}
-
-fn hub_config(folder: &Path) -> Config {
-    let path = |file: &str| -> PathBuf { folder.join(file) };
-    Config {
-        identity: path("hub.pem"),
-        socket: path("hub.sock"),
-        interfaces: Some(Vec::new()),
-        udp: Some("127.0.0.1:0".parse().unwrap()),
-        data_plane: DataPlane::Userspace,
-        rib: true,
-        neighbours: Vec::new(),
-        ebpf_object: None,
-        fib_capacity: 1024,
-        bpffs: None,
-        domain: None,
-        public: Vec::new(),
-        etcd: None,
-        rekey: RekeySchedule::default(),
-    }
 }

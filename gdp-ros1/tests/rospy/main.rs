@@ -2,6 +2,7 @@
 
 mod harness;
 mod hostile;
+mod master;
 mod restart;
 mod services;
 mod topics;
