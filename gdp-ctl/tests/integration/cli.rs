@@ -162,7 +162,8 @@ fn a_name_is_advertised_queried_dumped_and_withdrawn() {
 fn a_socket_left_by_a_crash_is_replaced_and_is_for_its_user_only() {
     use std::os::unix::fs::PermissionsExt;
     let user = User::new();
-    drop(std::os::unix::net::UnixListener::bind(user.file("ctl.sock")).unwrap());
+    drop(Daemon::start(&user));
+    assert!(user.file("ctl.sock").exists(), "killed, it could not remove it");
     let _daemon = Daemon::start(&user);
     assert_eq!(std::fs::metadata(user.file("ctl.sock")).unwrap().permissions().mode() & 0o777, 0o600);
 }
