@@ -4,7 +4,7 @@ use gdp::node::{Overflow, PublishOptions, Reliability, SubscribeOptions, Wants};
 
 use crate::config::TopicConfig;
 use crate::ros2;
-use crate::roster::Offer;
+use gdp_ros::roster::Offer;
 
 /// Messages of a reliable topic that a remote reader may ask for again, whatever the depth. ROS 2's usual depth of 10 is meant for one
 /// machine; over a network, more is under way before a gap is noticed.

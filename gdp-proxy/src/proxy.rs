@@ -20,7 +20,7 @@ use crate::material::Material;
 use crate::membership::keep_papers;
 use crate::route::Route;
 use crate::stats::{Stats, StatsFile, VERSION};
-use crate::types::Types;
+use gdp_ros::types::Types;
 
 const STATS_PERIOD: Duration = Duration::from_secs(1);
 
@@ -65,7 +65,7 @@ async fn carry(
         () = &mut stop => return Ok(()),
     };
     let entity = node.name().to_string();
-    let types = Arc::new(Types::load(&config.definitions).context("definitions")?);
+    let types = Arc::new(Types::load(config.definitions.folders()).context("definitions")?);
     let graphs = graph::join(&config.graphs, &format!("{}{}", graph::NODE, &entity[..8])).await?;
     tracing::info!(entity = %node.name(), graphs = ?graphs.keys(), "attached to the switch and in the ROS graphs");
 

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use gdp_proxy::config::Graphs;
 use gdp_proxy::graph::{self, Arrived, Event, Reader};
 use gdp_proxy::ros2::{Domain, RawReader, RawSample, RawWriter, TopicName, TypeName};
-use gdp_proxy::roster::Offer;
+use gdp_ros::roster::Offer;
 
 const RELIABLE: Offer = Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0 };
 const LATCHED: Offer = Offer { transient_local: true, ..RELIABLE };

@@ -16,6 +16,7 @@ use gdp::Name;
 use gdp::domain::PaperFiles;
 use gdp::link::MAX_LANES;
 use gdp::node::{LinkConfig, LinkTarget};
+use gdp_ros::roster::Dialect;
 use serde::{Deserialize, Deserializer, de};
 
 pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config};
@@ -101,6 +102,13 @@ impl From<&DomainConfig> for PaperFiles {
 pub struct Definitions {
     pub ros1: Vec<PathBuf>,
     pub ros2: Vec<PathBuf>,
+}
+
+impl Definitions {
+    pub fn folders(&self) -> impl Iterator<Item = (Dialect, &Path)> {
+        let ros1 = self.ros1.iter().map(|folder| (Dialect::Ros1, folder.as_path()));
+        ros1.chain(self.ros2.iter().map(|folder| (Dialect::Ros2, folder.as_path())))
+    }
 }
 
 /// One way to the fabric.

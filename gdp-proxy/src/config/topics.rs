@@ -3,6 +3,8 @@
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
+use gdp_msg::Encoding;
+use gdp_ros::roster::Dialect;
 use serde::{Deserialize, Deserializer, Serialize, de};
 
 use super::Graphs;
@@ -79,6 +81,18 @@ pub enum Conversion {
     Cdr,
     Ros1,
     Json,
+}
+
+impl Conversion {
+    /// What messages of a graph of this dialect travel in.
+    pub fn encoding(self, dialect: Dialect) -> Encoding {
+        match self {
+            Self::Auto => dialect.native(),
+            Self::Cdr => Encoding::Cdr,
+            Self::Ros1 => Encoding::Ros1,
+            Self::Json => Encoding::Json,
+        }
+    }
 }
 
 /// A traffic class, 0 to 7: higher ones go first.

@@ -11,8 +11,8 @@ use bytes::Bytes;
 
 use crate::config::{GraphConfig, Graphs};
 use crate::ros2::{Domain, Qos, RosError, TopicName, TypeName};
-use crate::roster::{Dialect, Kind, Offer};
-use crate::types::{TypeError, Types};
+use gdp_ros::roster::{Dialect, Kind, Offer};
+use gdp_ros::types::{TypeError, Types};
 
 /// One graph, until it is [left](Self::leave).
 pub enum Graph {

@@ -15,7 +15,7 @@ use tokio::sync::watch;
 use super::{Arrived, Event, GraphError, Key, NODE, WriteError};
 use crate::config::Ros1Config;
 use crate::ros2::TopicName;
-use crate::roster::{Dialect, Kind, Offer};
+use gdp_ros::roster::{Dialect, Kind, Offer};
 
 /// What a publisher of ROS 1 comes to: it waits for nobody, and its subscribers take a queue full.
 const OFFER: Offer = Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0 };

@@ -13,7 +13,7 @@ use crate::ros2::{
     self, Domain, Durability, Endpoint, Graph, Qos, RawReader, RawSample, RawWriter, Reliability, RosError, ShownQos,
     TopicName, TypeName,
 };
-use crate::roster::{Dialect, Kind, Offer};
+use gdp_ros::roster::{Dialect, Kind, Offer};
 
 /// Reads a topic, of which it makes its readers as publishers appear. Those that latch have one of their own: it asks for what they keep,
 /// and others would not match that.

@@ -27,8 +27,8 @@ use rustdds::{DomainParticipant, DomainParticipantBuilder, QosPolicies, TopicKin
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
-use crate::roster::Offer;
 use discovery::Discovery;
+use gdp_ros::roster::Offer;
 use graph::PROXY_TOPIC;
 
 /// The largest domain id whose ports (7400 + 250 · id and up) exist.

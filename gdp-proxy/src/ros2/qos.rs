@@ -3,7 +3,7 @@
 use rustdds::{QosPolicies, QosPolicyBuilder, policy};
 use serde::Deserialize;
 
-use crate::roster::Offer;
+use gdp_ros::roster::Offer;
 
 /// Messages that RustDDS keeps of a topic it reads, whatever their size. They are taken out at once, so few will do.
 const READER_SAMPLES: u16 = 32;

@@ -18,9 +18,9 @@ use crate::delivery::subscribe_options;
 use crate::graph::{Graph, WriteError, Writer};
 use crate::material::Permission;
 use crate::ros2::{Qos, TypeName};
-use crate::roster::{Change, Incoming, Kind, Offer, ROSTER, Taken};
 use crate::stats::{Drop, FabricCounters};
-use crate::types::{Converter, Form, unsealed};
+use gdp_ros::roster::{Change, Incoming, Kind, Offer, ROSTER, Taken};
+use gdp_ros::types::{Converter, Form, unsealed};
 
 const NOT_SAID: &str = "its writer does not say of what it is";
 
@@ -181,7 +181,7 @@ impl Route {
             tracing::warn!(topic = %self.config.topic, "a writer does not say of what type its messages are; state it as `type`");
             return None;
         };
-        let kind = Kind { dialect: crate::roster::Dialect::Ros2, name: kind.to_string(), hash: vec![] };
+        let kind = Kind { dialect: gdp_ros::roster::Dialect::Ros2, name: kind.to_string(), hash: vec![] };
         self.local(to, kind, None, Qos::default().into()).await
     }
 

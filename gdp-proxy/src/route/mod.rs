@@ -21,7 +21,7 @@ use crate::graph::{Graph, GraphError};
 use crate::material::{Permission, RouteMaterial};
 use crate::ros2::TopicName;
 use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
-use crate::types::Types;
+use gdp_ros::types::Types;
 
 /// Between attempts to have a name published or subscribed: doubled from the first to the second.
 const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(30));

@@ -17,9 +17,9 @@ use crate::delivery::{publish_options, stronger};
 use crate::graph::{Arrived, Event, Graph, Key, Reader};
 use crate::material::Permission;
 use crate::ros2::TypeName;
-use crate::roster::{self, Announcement, Kind, Offer, Outgoing};
 use crate::stats::{Drop, FabricCounters};
-use crate::types::{Converter, Form, TypeError, sealed};
+use gdp_ros::roster::{self, Announcement, Kind, Offer, Outgoing};
+use gdp_ros::types::{Converter, Form, TypeError, sealed};
 
 /// The right to publish, and where it came from.
 pub struct Right {

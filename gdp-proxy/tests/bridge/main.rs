@@ -16,7 +16,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use gdp::seal::Encoding;
 use gdp_proxy::ros2::{Domain, RawSample, TopicName, TypeName};
-use gdp_proxy::roster::Offer;
+use gdp_ros::roster::Offer;
 
 use master::{Master, Process};
 use site::Site;

@@ -1,15 +1,15 @@
 //! Message types: what is known of them, and converters from one form to another.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use bytes::Bytes;
 use gdp::seal;
 use gdp_msg::{Encoding, LoadError, MapError, Mapping, NameError, Options, Registry, Schema, SchemaError, TypeName};
 
-use crate::config::{Conversion, Definitions};
 use crate::roster::{Dialect, Kind, MAX_DEFINITION};
 
-/// What this proxy itself knows: the common interfaces, and what its configuration names.
+/// What is known here: the common interfaces, and what was [loaded](Types::load).
 pub struct Types(Registry);
 
 /// Messages of a type, laid out in some way.
@@ -63,18 +63,6 @@ impl Dialect {
     }
 }
 
-impl Conversion {
-    /// What messages of a graph of this dialect travel in.
-    pub fn encoding(self, dialect: Dialect) -> Encoding {
-        match self {
-            Self::Auto => dialect.native(),
-            Self::Cdr => Encoding::Cdr,
-            Self::Ros1 => Encoding::Ros1,
-            Self::Json => Encoding::Json,
-        }
-    }
-}
-
 /// How a message says what it is in.
 pub fn sealed(encoding: Encoding) -> seal::Encoding {
     match encoding {
@@ -95,11 +83,11 @@ pub fn unsealed(encoding: seal::Encoding) -> Result<Encoding, TypeError> {
 }
 
 impl Types {
-    /// The common interfaces, and what is in these folders; of these, files that define nothing are named in the log.
-    pub fn load(definitions: &Definitions) -> Result<Self, LoadError> {
+    /// The common interfaces, and what is in these share folders of installations of ROS; of these, files that define nothing are named in
+    /// the log.
+    pub fn load<'a>(folders: impl IntoIterator<Item = (Dialect, &'a Path)>) -> Result<Self, LoadError> {
         let mut registry = Registry::embedded();
-        let ros1 = definitions.ros1.iter().map(|folder| (Dialect::Ros1, folder));
-        for (dialect, folder) in ros1.chain(definitions.ros2.iter().map(|folder| (Dialect::Ros2, folder))) {
+        for (dialect, folder) in folders {
             let loaded = registry.load_share(dialect.into(), folder)?;
             for error in &loaded.refused {
                 tracing::warn!("a definition is left out: {error}");
@@ -187,7 +175,7 @@ mod tests {
 
     #[test]
     fn what_one_ros_version_says_the_other_understands() {
-        let types = Types::load(&Definitions::default()).unwrap();
+        let types = Types::load([]).unwrap();
         let ros1 = kind(Dialect::Ros1, "std_msgs/String");
         let from = Form { kind: &ros1, definition: Some("string data\n"), encoding: Encoding::Ros1 };
         let (ros2, definition) = types.counterpart(&from, Dialect::Ros2).unwrap();
@@ -212,13 +200,13 @@ mod tests {
     fn what_is_the_same_needs_no_definition() {
         let own = kind(Dialect::Ros2, "my_robot/msg/Unheard");
         let form = Form { kind: &own, definition: None, encoding: Encoding::Cdr };
-        assert!(matches!(Types::load(&Definitions::default()).unwrap().converter(&form, &form), Ok(Converter::None)));
+        assert!(matches!(Types::load([]).unwrap().converter(&form, &form), Ok(Converter::None)));
         let json = Form { encoding: Encoding::Json, ..form.clone() };
-        let refusal = Types::load(&Definitions::default()).unwrap().converter(&form, &json).err().unwrap().to_string();
+        let refusal = Types::load([]).unwrap().converter(&form, &json).err().unwrap().to_string();
         assert!(refusal.contains("my_robot/msg/Unheard"), "{refusal}");
         let defined = Form { definition: Some("int32 a\nstring b\n"), ..form };
         let json = Form { encoding: Encoding::Json, ..defined.clone() };
-        let mut converter = Types::load(&Definitions::default()).unwrap().converter(&json, &defined).unwrap();
+        let mut converter = Types::load([]).unwrap().converter(&json, &defined).unwrap();
         let cdr = converter.convert(Bytes::from_static(br#"{"a":7,"b":"x"}"#)).unwrap();
         assert_eq!(&cdr[..], b"\0\x01\0\0\x07\0\0\0\x02\0\0\0x\0");
     }

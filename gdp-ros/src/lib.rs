@@ -1,0 +1,6 @@
+//! How ROS messages travel in the Global Data Plane, for all who put them in or take them out: [`roster`] is what is told of a topic beside its
+//! messages, [`types`] makes one form of a message of another. No I/O; no ROS graph either, which is the proxy's.
+#![deny(unsafe_code)]
+
+pub mod roster;
+pub mod types;
