@@ -351,7 +351,12 @@ impl Authority<'_> {
     /// The topic's name, made by its owner.
     pub fn topic(&self) -> Result<String> {
         self.key(OWNER, "owner.pem", "owner")?;
-        let topic = ["--owner", "owner.pem", "--topic", TOPIC, "--type", TYPE, "-o", "chatter.card"];
+        self.name(TOPIC, TYPE, "chatter.card")
+    }
+
+    /// One more name of the same owner: its card.
+    pub fn name(&self, topic: &str, kind: &str, card: &str) -> Result<String> {
+        let topic = ["--owner", "owner.pem", "--topic", topic, "--type", kind, "-o", card];
         field(&self.ctl(OWNER, &[&["name", "create"], &topic[..]].concat())?, "name")
     }
 
@@ -363,10 +368,15 @@ impl Authority<'_> {
 
     /// The owner hands an entity the card and a certificate.
     pub fn grant(&self, label: &str, entity: &str, rights: &[&str]) -> Result<()> {
-        let file = format!("{label}.cert");
-        let (add, whom) = (["grant", "add", "chatter.card", "--key", "owner.pem"], ["--entity", entity, "-o", &file]);
+        self.hand(label, entity, rights, "chatter")
+    }
+
+    /// The same for another name: the entity gets `NAME.card` and `NAME.cert`.
+    pub fn hand(&self, label: &str, entity: &str, rights: &[&str], name: &str) -> Result<()> {
+        let (card, file) = (format!("{name}.card"), format!("{label}-{name}.cert"));
+        let (add, whom) = (["grant", "add", &card, "--key", "owner.pem"], ["--entity", entity, "-o", &file]);
         self.ctl(OWNER, &[&add, rights, &whom].concat())?;
-        for (from, to) in [("chatter.card", "chatter.card"), (&file, "chatter.cert")] {
+        for (from, to) in [(&card, &card), (&file, &format!("{name}.cert"))] {
             let (from, to) = (self.folder.join(OWNER).join(from), self.folder.join(label).join(to));
             fs::copy(&from, &to).with_context(|| format!("cannot copy {}", from.display()))?;
         }

@@ -64,7 +64,17 @@ impl Tools {
 
     /// The Cyclone DDS peer, run by [`Tools::python`].
     pub fn cyclone(&self) -> PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("peers/cyclone.py")
+        self.peer("cyclone.py")
+    }
+
+    /// A program in `tests/peers` that needs no compiler.
+    pub fn peer(&self, file: &str) -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("peers").join(file)
+    }
+
+    /// The compiled Fast DDS peer that exchanges any type.
+    pub fn fastdds_any(&self) -> Result<PathBuf> {
+        existing(self.target.join("peers/fastdds-any"), "cargo xtask test")
     }
 }
 

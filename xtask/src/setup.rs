@@ -192,9 +192,9 @@ const STEPS: &[Step] = &[
         debian: &[
             "apt-get install -y --no-install-recommends python3-rosmaster python3-rospy python3-netifaces rosout \
                    ros-std-msgs python3-std-msgs ros-sensor-msgs python3-sensor-msgs ros-std-srvs python3-std-srvs \
-                   ros-geometry-msgs python3-geometry-msgs python3-rostopic python3-rosservice",
+                   ros-geometry-msgs python3-geometry-msgs ros-tf2-msgs python3-tf2-msgs python3-rostopic python3-rosservice",
         ],
-        elsewhere: "install ROS 1 Noetic's rosmaster, rospy, rostopic, rosservice, std_msgs, sensor_msgs, std_srvs and geometry_msgs for \
+        elsewhere: "install ROS 1 Noetic's rosmaster, rospy, rostopic, rosservice, std_msgs, sensor_msgs, std_srvs, geometry_msgs and tf2_msgs for \
                     /usr/bin/python3, and netifaces",
     },
 ];
@@ -305,8 +305,17 @@ fn cyclone_present() -> bool {
 /// What Debian's packages contain, by their folders: asking Python would take a third of a second.
 fn ros1_present() -> bool {
     let python = Path::new("/usr/lib/python3/dist-packages");
-    let modules =
-        ["rosmaster", "rospy", "rostopic", "rosservice", "std_msgs", "sensor_msgs", "std_srvs", "geometry_msgs"];
+    let modules = [
+        "rosmaster",
+        "rospy",
+        "rostopic",
+        "rosservice",
+        "std_msgs",
+        "sensor_msgs",
+        "std_srvs",
+        "geometry_msgs",
+        "tf2_msgs",
+    ];
     let has_netifaces = || {
         let names = std::fs::read_dir(python).into_iter().flatten().flatten().map(|entry| entry.file_name());
         names.into_iter().any(|name| name.to_string_lossy().starts_with("netifaces."))

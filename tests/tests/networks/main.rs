@@ -18,6 +18,7 @@ mod links;
 mod liveness;
 mod losses;
 mod malicious;
+mod pairings;
 mod planes;
 mod rekey;
 mod replicas;
