@@ -36,11 +36,22 @@ pub enum Part {
     Rosbags,
     /// Run a ROS 1 master and rospy nodes against ours.
     Ros1,
+    /// Run rclpy nodes against ours.
+    Ros2,
 }
 
 pub fn run(options: Options) -> Result<()> {
-    let all =
-        [Part::Workspace, Part::Ebpf, Part::Lints, Part::Namespaces, Part::Etcd, Part::Dds, Part::Rosbags, Part::Ros1];
+    let all = [
+        Part::Workspace,
+        Part::Ebpf,
+        Part::Lints,
+        Part::Namespaces,
+        Part::Etcd,
+        Part::Dds,
+        Part::Rosbags,
+        Part::Ros1,
+        Part::Ros2,
+    ];
     let missing = missing(&all);
     if missing.is_empty() {
         println!("Nothing to do: everything is installed.");
@@ -196,6 +207,21 @@ const STEPS: &[Step] = &[
         ],
         elsewhere: "install ROS 1 Noetic's rosmaster, rospy, rostopic, rosservice, std_msgs, sensor_msgs, std_srvs, geometry_msgs and tf2_msgs for \
                     /usr/bin/python3, and netifaces",
+    },
+    python(Part::Ros2, "rclpy comes as Python wheels, which Debian wants in an environment of its own"),
+    Step {
+        part: Part::Ros2,
+        what: "ROS 2 Kilted's rclpy on Fast DDS in a Python environment under the target folder",
+        why: "applications of ROS 2 that tests run; its other middlewares are no wheels",
+        present: || venv().join("gdp-rclpy-9.1.2").is_file(),
+        debian: &[
+            "/usr/bin/python3 -m venv \"$GDP_VENV\"",
+            "\"$GDP_VENV/bin/pip\" install --quiet --disable-pip-version-check ros-rclpy==9.1.2 ros-rmw-fastrtps-cpp==9.3.3 \
+                   ros-std-msgs==5.5.1 ros-std-srvs==5.5.1 ros-test-msgs==2.3.0",
+            "touch \"$GDP_VENV/gdp-rclpy-9.1.2\"",
+        ],
+        elsewhere: "python3.11 -m venv $GDP_VENV && $GDP_VENV/bin/pip install ros-rclpy==9.1.2 ros-rmw-fastrtps-cpp==9.3.3 \
+                    ros-std-msgs==5.5.1 ros-std-srvs==5.5.1 ros-test-msgs==2.3.0 && touch $GDP_VENV/gdp-rclpy-9.1.2",
     },
 ];
 

@@ -19,7 +19,7 @@ pub struct Options {
 }
 
 pub fn run(options: Options) -> Result<()> {
-    setup::ensure(&[Part::Workspace, Part::Etcd, Part::Rosbags, Part::Ros1, Part::Dds])?;
+    setup::ensure(&[Part::Workspace, Part::Etcd, Part::Rosbags, Part::Ros1, Part::Ros2, Part::Dds])?;
     peers::build()?;
     if !options.root {
         shell::say_and_run(tests(&options).args(["--no-fail-fast"]))?;
