@@ -11,6 +11,7 @@ use crate::config::Side;
 use crate::material::{Permission, load_permission};
 use crate::ros2::TopicName;
 
+#[derive(Clone)]
 pub struct CertFile {
     path: PathBuf,
     side: Side,

@@ -28,6 +28,7 @@ pub struct Material {
 }
 
 /// Of one direction of a topic.
+#[derive(Clone)]
 pub struct RouteMaterial {
     /// Which one of the configuration.
     pub topic: usize,
@@ -41,6 +42,7 @@ pub struct RouteMaterial {
 }
 
 /// What the owner of the name allows this proxy.
+#[derive(Clone)]
 pub enum Permission {
     Publish(Issued<AdCert>),
     Read(Reading),

@@ -1,7 +1,6 @@
 //! Puts the halves together: joins the ROS graphs, attaches to the switch, runs a route per topic and direction, shows counters, and
 //! leaves both sides properly.
 
-use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,16 +9,14 @@ use gdp::Node;
 use gdp::domain::PaperFiles;
 use gdp::link::RekeySchedule;
 use gdp::node::{LinkConfig, NodeConfig};
-use tokio::runtime::Handle;
-use tokio::sync::watch;
-use tokio::task::JoinSet;
+use tokio::time::{Interval, MissedTickBehavior};
 
 use crate::config::Config;
 use crate::graph;
-use crate::material::Material;
+use crate::material::{Material, RouteMaterial};
 use crate::membership::keep_papers;
-use crate::route::Route;
-use crate::stats::{Stats, StatsFile, VERSION};
+use crate::routes::{self, RoutePlan};
+use crate::stats::{RouteStats, Stats, StatsFile, VERSION};
 use gdp_ros::types::Types;
 
 const STATS_PERIOD: Duration = Duration::from_secs(1);
@@ -72,47 +69,22 @@ async fn carry(
     let files = config.domain.as_ref().map(PaperFiles::from);
     let watched = files.as_ref().zip(material.papers.as_ref().map(|(_, stamps)| stamps.clone()));
 
-    let mut routes = Vec::new();
-    let (stopping, stopped) = watch::channel(false);
-    let mut running = JoinSet::new();
-    for material in material.routes {
-        let topic = &config.topics[material.topic];
-        let (label, _) = config.graphs.get(topic.graph.as_deref()).map_err(|reason| anyhow!(reason))?;
-        let graph = graphs.get(label).cloned().context("a graph that was not joined")?;
-        let route = Arc::new(Route::new(topic, label, &material, types.clone()));
-        routes.push(route.clone());
-        let (node, mut stopped) = (node.clone(), stopped.clone());
-        let carry = async move {
-            let stop = async { _ = stopped.wait_for(|stopped| *stopped).await };
-            let ended = route.run(&graph, &node, material, stop).await;
-            ended.map_err(|error| anyhow!(error).context(format!("topic {}", route.topic())))
-        };
-        // A thread each: RustDDS and the node wake it directly, and no other topic's sealing is ever in its way.
-        let runtime = Handle::current();
-        running.spawn_blocking(move || runtime.block_on(carry));
-    }
-
-    let shown = || Stats {
-        version: VERSION,
-        entity: node.name(),
-        switch: node.switch().ok(),
-        topics: routes.iter().map(|route| route.stats()).collect(),
-        links: node.links(),
-        node: node.counters(),
-    };
-    let ended = tokio::select! {
-        () = stop => Ok(()),
-        Some(ended) = running.join_next() => ended.context("a route panicked").flatten(),
-        never = show(stats.as_ref(), &shown) => match never {},
-        never = keep_papers(&node, watched) => match never {},
+    let mut routes = routes::manager(node.clone(), types);
+    routes.want(plans(&config, material.routes, &graphs)?);
+    let mut shown = Shown::new(stats);
+    let mut keeping = std::pin::pin!(keep_papers(&node, watched));
+    let ended = loop {
+        tokio::select! {
+            () = &mut stop => break Ok(()),
+            error = routes.failed() => break Err(error),
+            () = shown.due() => shown.show(&node, routes.stats()),
+            never = &mut keeping => match never {},
+        }
     };
 
     tracing::info!("leaving");
-    stopping.send_replace(true);
-    while running.join_next().await.is_some() {}
-    if let Some(Err(error)) = stats.map(|file| file.replace(&shown())) {
-        tracing::warn!(%error, "the last statistics could not be written");
-    }
+    let topics = routes.close().await;
+    shown.show(&node, topics);
     node.close().await;
     graph::leave(graphs).await;
     ended
@@ -139,21 +111,55 @@ async fn connect(config: &Config, material: &Material) -> Result<Node> {
     }
 }
 
-/// Replaces the file once per period, for ever; without a file it does nothing, for ever. Topics are worth more than their
-/// statistics: a full disk stops only these, until it is mended.
-async fn show(file: Option<&StatsFile>, stats: impl Fn() -> Stats) -> Infallible {
-    let Some(file) = file else { return std::future::pending().await };
-    let mut ticks = tokio::time::interval(STATS_PERIOD);
-    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    let mut failing = false;
-    loop {
-        ticks.tick().await;
-        let result = file.replace(&stats());
+/// A route for each direction of the topics.
+fn plans(config: &Config, materials: Vec<RouteMaterial>, graphs: &graph::All) -> Result<Vec<Arc<RoutePlan>>> {
+    let plan = |material: RouteMaterial| {
+        let topic = &config.topics[material.topic];
+        let found = config.graphs.get(topic.graph.as_deref());
+        let (label, _) = found.map_err(|reason| anyhow!(reason))?;
+        let graph = graphs.get(label).cloned().context("a graph that was not joined")?;
+        Ok(Arc::new(RoutePlan { config: topic.clone(), label: label.into(), graph, material }))
+    };
+    materials.into_iter().map(plan).collect()
+}
+
+/// The statistics file, if there is one. Topics are worth more than their statistics: a full disk stops only these, until it is mended.
+struct Shown {
+    file: Option<StatsFile>,
+    ticks: Interval,
+    failing: bool,
+}
+
+impl Shown {
+    fn new(file: Option<StatsFile>) -> Self {
+        let mut ticks = tokio::time::interval(STATS_PERIOD);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        Self { file, ticks, failing: false }
+    }
+
+    /// Once a period. Safe to cancel.
+    async fn due(&mut self) {
+        match self.file {
+            Some(_) => _ = self.ticks.tick().await,
+            None => std::future::pending().await,
+        }
+    }
+
+    fn show(&mut self, node: &Node, topics: Vec<RouteStats>) {
+        let Some(file) = &self.file else { return };
+        let result = file.replace(&Stats {
+            version: VERSION,
+            entity: node.name(),
+            switch: node.switch().ok(),
+            topics,
+            links: node.links(),
+            node: node.counters(),
+        });
         if let Err(error) = &result
-            && !failing
+            && !self.failing
         {
             tracing::warn!("{}: cannot be written: {error}; trying again", file.path().display());
         }
-        failing = result.is_err();
+        self.failing = result.is_err();
     }
 }

@@ -11,7 +11,7 @@ use super::Graphs;
 use crate::ros2::{Qos, TopicName, TypeName};
 
 /// One topic that crosses.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TopicConfig {
     /// As the ROS graph here has it.
@@ -64,7 +64,7 @@ pub enum Direction {
 }
 
 /// One direction of a topic.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Side {
     Out,
@@ -176,7 +176,7 @@ impl TopicConfig {
 }
 
 /// What no file says.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 struct NoKey;
 
 impl<'de> Deserialize<'de> for NoKey {

@@ -19,7 +19,6 @@ use crate::cert_file::CertFile;
 use crate::config::{Side, TopicConfig};
 use crate::graph::{Graph, GraphError};
 use crate::material::{Permission, RouteMaterial};
-use crate::ros2::TopicName;
 use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
 use gdp_ros::types::Types;
 
@@ -79,10 +78,6 @@ impl Route {
             fabric: progress.fabric.read(),
             counted: self.counters.read(),
         }
-    }
-
-    pub fn topic(&self) -> &TopicName {
-        &self.config.topic
     }
 
     /// Carries messages until `stop` ends, or the graph fails or the node is closed. What has been sent by then arrives, if it can.
@@ -169,6 +164,12 @@ impl Route {
         self.set_status("up");
     }
 
+    /// It ended by itself, and begins again after a while.
+    pub fn failed(&self, why: &str) {
+        tracing::warn!(topic = %self.config.topic, side = ?self.side, name = %self.name, "not carried: {why}; beginning again in a while");
+        self.set_status(why);
+    }
+
     fn set_status(&self, status: &str) {
         self.progress().status = status.into();
     }
@@ -194,4 +195,11 @@ pub enum RouteError {
     Graph(#[from] GraphError),
     #[error("the node is closed")]
     NodeClosed,
+}
+
+impl RouteError {
+    /// Whether it may be otherwise when the route begins again.
+    pub fn may_pass(&self) -> bool {
+        !matches!(self, Self::NodeClosed | Self::Graph(GraphError::Left))
+    }
 }

@@ -1,0 +1,295 @@
+//! What is wanted beside what runs: begins what is wanted and does not run, ends what is not wanted any more, and leaves alone what is
+//! wanted as it is.
+//!
+//! A [`Plan`] says what is to run and where; a [`Work`] is what runs then, on a thread of its own. In one place runs one work at a time: another
+//! one begins there when the one before has ended. What fails is begun again, because ROS graphs mend; what only a new start of the proxy can mend is
+//! returned by [`Manager::failed`].
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context;
+use tokio::runtime::Handle;
+use tokio::sync::watch;
+use tokio::task::{JoinError, JoinSet};
+
+/// Before what failed is begun again.
+const AGAIN: Duration = Duration::from_secs(10);
+
+/// Something that is wanted. While it equals what runs in its place, that goes on.
+pub trait Plan: PartialEq {
+    /// Where it is: of one place one runs at a time.
+    type Place: Ord + Clone + Send + 'static;
+    type Work: Work;
+
+    fn place(&self) -> Self::Place;
+}
+
+/// What runs for a plan.
+pub trait Work: Send + Sync + 'static {
+    /// What is shown of it.
+    type Stats;
+
+    fn stats(&self) -> Self::Stats;
+
+    /// It has failed, and is begun again after a while: shown and said in the log.
+    fn failed(&self, why: &str);
+
+    /// Runs until `stop` ends, and leaves both sides properly then.
+    fn run(&self, stop: impl Future<Output = ()>) -> impl Future<Output = Result<(), Failure>>;
+}
+
+/// Why a work ended by itself.
+#[derive(Debug)]
+pub enum Failure {
+    /// It may be otherwise next time.
+    Passing(String),
+    /// Only a new start of the proxy can mend it.
+    Final(anyhow::Error),
+}
+
+/// What runs, and what is to run in its place.
+pub struct Manager<P: Plan> {
+    begin: Box<dyn Fn(&P) -> P::Work>,
+    places: BTreeMap<P::Place, Running<P>>,
+    threads: JoinSet<(P::Place, Option<anyhow::Error>)>,
+}
+
+struct Running<P: Plan> {
+    plan: P,
+    work: Arc<P::Work>,
+    stop: watch::Sender<bool>,
+    /// Once this has ended.
+    next: Option<P>,
+}
+
+/// What came of a set of plans, by count.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Changed {
+    pub begun: usize,
+    pub ended: usize,
+    pub kept: usize,
+}
+
+impl<P: Plan> Manager<P> {
+    /// `begin` makes what runs for a plan; it runs later.
+    pub fn new(begin: impl Fn(&P) -> P::Work + 'static) -> Self {
+        Self { begin: Box::new(begin), places: BTreeMap::new(), threads: JoinSet::new() }
+    }
+
+    /// From now on these run, at most one in a place, and no others. Needs a tokio runtime with enough blocking threads: what finds none waits.
+    pub fn want(&mut self, plans: impl IntoIterator<Item = P>) -> Changed {
+        let mut wanted: BTreeMap<P::Place, P> = plans.into_iter().map(|plan| (plan.place(), plan)).collect();
+        let mut changed = Changed::default();
+        for (place, running) in &mut self.places {
+            let next = wanted.remove(place);
+            let stopping = *running.stop.borrow();
+            if !stopping && next.as_ref() == Some(&running.plan) {
+                changed.kept += 1;
+                continue;
+            }
+            changed.begun += usize::from(next.is_some());
+            changed.ended += usize::from(!stopping);
+            running.next = next;
+            running.stop.send_replace(true);
+        }
+        changed.begun += wanted.len();
+        for plan in wanted.into_values() {
+            self.begin(plan);
+        }
+        changed
+    }
+
+    /// The first failure that only a new start can mend; waits until there is one. It must be polled for works to follow one another, and is
+    /// safe to cancel.
+    pub async fn failed(&mut self) -> anyhow::Error {
+        loop {
+            match self.threads.join_next().await {
+                Some(ended) => {
+                    if let Some(error) = self.ended(ended) {
+                        return error;
+                    }
+                }
+                // Whoever wants something cancels this first.
+                None => std::future::pending().await,
+            }
+        }
+    }
+
+    /// Of all that run, in the order of their places.
+    pub fn stats(&self) -> Vec<<P::Work as Work>::Stats> {
+        self.places.values().map(|running| running.work.stats()).collect()
+    }
+
+    /// Ends all, and returns when they have ended, with what is to be shown of them at last.
+    pub async fn close(mut self) -> Vec<<P::Work as Work>::Stats> {
+        self.want([]);
+        let works: Vec<_> = self.places.values().map(|running| running.work.clone()).collect();
+        while let Some(ended) = self.threads.join_next().await {
+            if let Some(error) = self.ended(ended) {
+                tracing::warn!("while leaving: {error:#}");
+            }
+        }
+        works.iter().map(|work| work.stats()).collect()
+    }
+
+    fn ended(&mut self, ended: Result<(P::Place, Option<anyhow::Error>), JoinError>) -> Option<anyhow::Error> {
+        match ended.context("a route panicked") {
+            Ok((place, error)) => {
+                let next = self.places.remove(&place).and_then(|running| running.next);
+                next.into_iter().for_each(|plan| self.begin(plan));
+                error
+            }
+            Err(panic) => Some(panic),
+        }
+    }
+
+    fn begin(&mut self, plan: P) {
+        let (place, work) = (plan.place(), Arc::new((self.begin)(&plan)));
+        let (stop, stopped) = watch::channel(false);
+        self.places.insert(place.clone(), Running { plan, work: work.clone(), stop, next: None });
+        // A thread each: RustDDS and the node wake it directly, and no other topic's sealing is ever in its way.
+        let runtime = Handle::current();
+        self.threads.spawn_blocking(move || (place, runtime.block_on(run(&*work, stopped))));
+    }
+}
+
+/// Until it is stopped, or fails for good.
+async fn run(work: &impl Work, stopped: watch::Receiver<bool>) -> Option<anyhow::Error> {
+    let stop = || {
+        let mut stopped = stopped.clone();
+        async move { _ = stopped.wait_for(|stopped| *stopped).await }
+    };
+    loop {
+        match work.run(stop()).await {
+            Ok(()) => return None,
+            Err(Failure::Final(error)) => return Some(error),
+            Err(Failure::Passing(why)) => work.failed(&why),
+        }
+        tokio::select! {
+            () = stop() => return None,
+            () = tokio::time::sleep(AGAIN) => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+
+    use super::*;
+
+    /// A place, and what makes another of it.
+    #[derive(Clone, Debug, PartialEq)]
+    struct Toy(u8, &'static str);
+
+    struct Running {
+        toy: Toy,
+        told: Told,
+    }
+
+    type Told = Arc<Mutex<Vec<String>>>;
+
+    impl Plan for Toy {
+        type Place = u8;
+        type Work = Running;
+
+        fn place(&self) -> u8 {
+            self.0
+        }
+    }
+
+    impl Running {
+        fn tell(&self, what: &str) {
+            self.told.lock().unwrap().push(format!("{what} {}{}", self.toy.0, self.toy.1));
+        }
+    }
+
+    impl Work for Running {
+        type Stats = Toy;
+
+        fn stats(&self) -> Toy {
+            self.toy.clone()
+        }
+
+        fn failed(&self, why: &str) {
+            self.tell(why);
+        }
+
+        async fn run(&self, stop: impl Future<Output = ()>) -> Result<(), Failure> {
+            match self.toy.1 {
+                "fails" => return Err(Failure::Passing("failed".into())),
+                "breaks" => return Err(Failure::Final(anyhow::anyhow!("broken"))),
+                _ => self.tell("begin"),
+            }
+            stop.await;
+            self.tell("end");
+            Ok(())
+        }
+    }
+
+    fn manager() -> (Manager<Toy>, Told) {
+        let told = Told::default();
+        let theirs = told.clone();
+        (Manager::new(move |toy: &Toy| Running { toy: toy.clone(), told: theirs.clone() }), told)
+    }
+
+    /// Until all that is said has been told; works follow one another meanwhile.
+    async fn until(manager: &mut Manager<Toy>, told: &Told, expected: &[&str]) {
+        let told = async {
+            while !expected.iter().all(|line| told.lock().unwrap().iter().any(|told| told == line)) {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        };
+        let patience = tokio::time::timeout(Duration::from_secs(20), told);
+        tokio::select! {
+            in_time = patience => in_time.unwrap(),
+            error = manager.failed() => panic!("{error}"),
+        }
+    }
+
+    #[tokio::test]
+    async fn what_is_wanted_as_it_is_goes_on_and_the_rest_begins_ends_or_begins_anew() {
+        let (mut manager, told) = manager();
+        let changed = manager.want([Toy(1, "a"), Toy(2, "a"), Toy(3, "a")]);
+        assert_eq!(changed, Changed { begun: 3, ended: 0, kept: 0 });
+        until(&mut manager, &told, &["begin 1a", "begin 2a", "begin 3a"]).await;
+
+        let changed = manager.want([Toy(1, "a"), Toy(2, "b"), Toy(4, "a")]);
+        assert_eq!(changed, Changed { begun: 2, ended: 2, kept: 1 });
+        until(&mut manager, &told, &["end 3a", "begin 2b", "begin 4a"]).await;
+        let log = told.lock().unwrap().clone();
+        let at = |line: &str| log.iter().position(|told| told == line);
+        assert!(at("end 2a") < at("begin 2b") && at("end 1a").is_none(), "{log:?}");
+        assert_eq!(manager.stats(), [Toy(1, "a"), Toy(2, "b"), Toy(4, "a")]);
+
+        assert_eq!(manager.close().await, [Toy(1, "a"), Toy(2, "b"), Toy(4, "a")]);
+        assert_eq!(told.lock().unwrap().iter().filter(|line| line.starts_with("end")).count(), 5);
+    }
+
+    #[tokio::test]
+    async fn what_is_unwanted_while_another_ends_never_begins() {
+        let (mut manager, told) = manager();
+        manager.want([Toy(1, "a")]);
+        until(&mut manager, &told, &["begin 1a"]).await;
+        manager.want([Toy(1, "b")]);
+        manager.want([Toy(1, "a")]);
+        manager.want([]);
+        manager.close().await;
+        assert_eq!(*told.lock().unwrap(), ["begin 1a", "end 1a"]);
+    }
+
+    #[tokio::test]
+    async fn a_failure_ends_neither_the_others_nor_the_manager_unless_nothing_else_mends_it() {
+        let (mut manager, told) = manager();
+        manager.want([Toy(1, "a"), Toy(2, "fails")]);
+        until(&mut manager, &told, &["begin 1a", "failed 2fails"]).await;
+        assert_eq!(manager.stats().len(), 2);
+        manager.want([Toy(1, "a"), Toy(3, "breaks")]);
+        let error = tokio::time::timeout(Duration::from_secs(20), manager.failed()).await.unwrap();
+        assert_eq!(error.to_string(), "broken");
+        manager.close().await;
+        assert!(told.lock().unwrap().iter().any(|line| line == "end 1a"));
+    }
+}
