@@ -1,5 +1,6 @@
 //! What needs root: real XDP, network namespaces, foreign programs. One program of all these tests: each would contain the whole daemon.
 
+mod churn;
 mod doctor;
 mod domains;
 mod ecn;
