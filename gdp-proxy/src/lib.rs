@@ -2,7 +2,7 @@
 //!
 //! [`config`] says which topics; [`graph`] is the ROS graph they are of, and [`ros2`] the DDS beneath it; [`route`] joins one topic to one name, in one
 //! direction, as `delivery` says, and tells the other side by a roster (`gdp-ros`) what it carries, which is converted where it must be; [`manager`] runs what is wanted of these, [`proxy`] puts
-//! them together, [`stats`] counts. [`relay`] runs a switch of `gdp-ctl` beside, for others. The fabric is the SDK's business (`gdp::node`): nothing here seals, signs or routes.
+//! them together, [`reload`] notices that the file says something else, [`stats`] counts. [`relay`] runs a switch of `gdp-ctl` beside, for others. The fabric is the SDK's business (`gdp::node`): nothing here seals, signs or routes.
 #![deny(unsafe_code)]
 
 mod cert_file;
@@ -14,6 +14,7 @@ pub mod material;
 mod membership;
 pub mod proxy;
 pub mod relay;
+pub mod reload;
 pub mod ros2;
 pub mod route;
 pub mod routes;

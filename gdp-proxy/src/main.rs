@@ -6,14 +6,16 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use gdp_proxy::config::Config;
-use gdp_proxy::material::Material;
+use gdp_proxy::config::MAX_ROUTES;
 use gdp_proxy::proxy;
+use gdp_proxy::reload::{Loaded, Watch};
 use gdp_proxy::stats::StatsFile;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 /// Carries ROS topics over the Global Data Plane, as a YAML file says; without one it exposes nothing.
+///
+/// The file is read again at SIGHUP and when it changes. What it still says alike goes on without losing a message.
 ///
 /// Exit codes: 0 ended by a signal or checked, 1 failed, 2 wrong usage. RUST_LOG sets what is logged, on stderr.
 #[derive(Parser)]
@@ -43,26 +45,23 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: Arguments) -> Result<()> {
-    let config = Config::load(&arguments.config)?;
-    let material = Material::load(&config).with_context(|| arguments.config.display().to_string())?;
+    let loaded = || Loaded::load(&arguments.config);
     if arguments.check {
-        println!(
-            "{}: good, {} topics, entity {}",
-            arguments.config.display(),
-            config.topics.len(),
-            material.identity.name()
-        );
+        let Loaded { config, material } = loaded()?;
+        let (file, topics) = (arguments.config.display(), config.topics.len());
+        println!("{file}: good, {topics} topics, entity {}", material.identity.name());
         return Ok(());
     }
     // One thread for links, discovery and statistics; routes have threads of their own.
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
-        .max_blocking_threads(2 * config.topics.len() + 16)
+        .max_blocking_threads(MAX_ROUTES + 16)
         .build()
         .context("cannot start the runtime")?;
     runtime.block_on(async {
         let stop = stop_signal()?;
-        proxy::run(config, material, arguments.stats.map(StatsFile::new), stop).await
+        let watch = Watch::new(&arguments.config).context("cannot listen for SIGHUP")?;
+        proxy::run(loaded()?, watch, arguments.stats.map(StatsFile::new), stop).await
     })
 }
 

@@ -11,10 +11,11 @@ use gdp::link::RekeySchedule;
 use gdp::node::{LinkConfig, NodeConfig};
 use tokio::time::{Interval, MissedTickBehavior};
 
-use crate::config::Config;
 use crate::graph;
-use crate::material::{Material, RouteMaterial};
+use crate::manager::Changed;
+use crate::material::RouteMaterial;
 use crate::membership::keep_papers;
+use crate::reload::{Loaded, Watch};
 use crate::routes::{self, RoutePlan};
 use crate::stats::{RouteStats, Stats, StatsFile, VERSION};
 use gdp_ros::types::Types;
@@ -24,19 +25,19 @@ const STATS_PERIOD: Duration = Duration::from_secs(1);
 /// How often the log says that the switch does not answer.
 const CONNECT_PATIENCE: Duration = Duration::from_secs(10);
 
-/// Runs until `stop` ends, or something fails that only a new start can mend.
+/// Runs until `stop` ends, or something fails that only a new start can mend. `watch`: of the configuration that was loaded.
 pub async fn run(
-    config: Config,
-    mut material: Material,
+    mut loaded: Loaded,
+    watch: Watch,
     stats: Option<StatsFile>,
     stop: impl Future<Output = ()>,
 ) -> Result<()> {
     // First, and to the end: others need it whether or not this proxy reaches a switch itself.
-    let relay = match material.relay.take() {
+    let relay = match loaded.material.relay.take() {
         Some(relay) => Some(relay.start().await.context("relay")?),
         None => None,
     };
-    let ended = carry(config, material, stats, stop).await;
+    let ended = carry(loaded, watch, stats, stop).await;
     if let Some(relay) = relay {
         relay.stop().await;
     }
@@ -45,39 +46,47 @@ pub async fn run(
 
 /// The topics.
 async fn carry(
-    config: Config,
-    material: Material,
+    mut loaded: Loaded,
+    mut watch: Watch,
     stats: Option<StatsFile>,
     stop: impl Future<Output = ()>,
 ) -> Result<()> {
-    if config.topics.is_empty() {
-        tracing::warn!("no topics are configured, so nothing is exposed");
-    }
     if let Some(file) = &stats {
         file.probe().with_context(|| format!("{}: cannot be written", file.path().display()))?;
     }
     let mut stop = std::pin::pin!(stop);
     let node = tokio::select! {
-        node = connect(&config, &material) => node?,
+        node = connect(&loaded) => node?,
         () = &mut stop => return Ok(()),
     };
-    let entity = node.name().to_string();
-    let types = Arc::new(Types::load(config.definitions.folders()).context("definitions")?);
-    let graphs = graph::join(&config.graphs, &format!("{}{}", graph::NODE, &entity[..8])).await?;
+    let ros_node = format!("{}{}", graph::NODE, &node.name().to_string()[..8]);
+    let types = Arc::new(Types::load(loaded.config.definitions.folders()).context("definitions")?);
+    let mut graphs = graph::All::new();
+    graph::join(&mut graphs, &loaded.config.graphs, &ros_node).await?;
     tracing::info!(entity = %node.name(), graphs = ?graphs.keys(), "attached to the switch and in the ROS graphs");
 
-    let files = config.domain.as_ref().map(PaperFiles::from);
-    let watched = files.as_ref().zip(material.papers.as_ref().map(|(_, stamps)| stamps.clone()));
+    let files = loaded.config.domain.as_ref().map(PaperFiles::from);
+    let stamps = loaded.material.papers.as_ref().map(|(_, stamps)| stamps.clone());
+    let mut keeping = std::pin::pin!(keep_papers(&node, files.as_ref().zip(stamps)));
 
     let mut routes = routes::manager(node.clone(), types);
-    routes.want(plans(&config, material.routes, &graphs)?);
+    routes.want(plans(&loaded, &graphs)?);
+    watch.look_at(loaded.cards());
     let mut shown = Shown::new(stats);
-    let mut keeping = std::pin::pin!(keep_papers(&node, watched));
     let ended = loop {
         tokio::select! {
             () = &mut stop => break Ok(()),
             error = routes.failed() => break Err(error),
             () = shown.due() => shown.show(&node, routes.stats()),
+            () = watch.changed() => match load_again(&loaded, &watch, &mut graphs, &ros_node).await {
+                Ok(new) => {
+                    loaded = new;
+                    watch.look_at(loaded.cards());
+                    let Changed { begun, ended, kept } = routes.want(plans(&loaded, &graphs)?);
+                    tracing::info!(begun, ended, kept, "took the changed configuration");
+                }
+                Err(error) => tracing::error!("the changed configuration is not taken, everything goes on as it was: {error:#}"),
+            },
             never = &mut keeping => match never {},
         }
     };
@@ -90,8 +99,15 @@ async fn carry(
     ended
 }
 
+/// The configuration as it is now, with its graphs joined.
+async fn load_again(loaded: &Loaded, watch: &Watch, graphs: &mut graph::All, ros_node: &str) -> Result<Loaded> {
+    let new = loaded.load_again(watch.path())?;
+    graph::join(graphs, &new.config.graphs, ros_node).await?;
+    Ok(new)
+}
+
 /// The switch may start after the proxy; what waiting cannot mend is an error at once.
-async fn connect(config: &Config, material: &Material) -> Result<Node> {
+async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
     let node = NodeConfig {
         identity: material.identity.clone(),
         links: config.links.iter().map(LinkConfig::from).collect(),
@@ -112,15 +128,17 @@ async fn connect(config: &Config, material: &Material) -> Result<Node> {
 }
 
 /// A route for each direction of the topics.
-fn plans(config: &Config, materials: Vec<RouteMaterial>, graphs: &graph::All) -> Result<Vec<Arc<RoutePlan>>> {
-    let plan = |material: RouteMaterial| {
+fn plans(Loaded { config, material }: &Loaded, graphs: &graph::All) -> Result<Vec<Arc<RoutePlan>>> {
+    if config.topics.is_empty() {
+        tracing::warn!("no topics are configured, so nothing is exposed");
+    }
+    let plan = |material: &RouteMaterial| {
         let topic = &config.topics[material.topic];
-        let found = config.graphs.get(topic.graph.as_deref());
-        let (label, _) = found.map_err(|reason| anyhow!(reason))?;
+        let (label, _) = config.graphs.get(topic.graph.as_deref()).map_err(|reason| anyhow!(reason))?;
         let graph = graphs.get(label).cloned().context("a graph that was not joined")?;
-        Ok(Arc::new(RoutePlan { config: topic.clone(), label: label.into(), graph, material }))
+        Ok(Arc::new(RoutePlan { config: topic.clone(), label: label.into(), graph, material: material.clone() }))
     };
-    materials.into_iter().map(plan).collect()
+    material.routes.iter().map(plan).collect()
 }
 
 /// The statistics file, if there is one. Topics are worth more than their statistics: a full disk stops only these, until it is mended.

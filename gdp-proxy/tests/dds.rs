@@ -67,7 +67,9 @@ async fn gone(reader: &mut Reader<'_>) -> Option<graph::Key> {
 
 async fn graphs() -> graph::All {
     let graphs: Graphs = serde_json::from_str(&format!(r#"{{"a": {{"domain_id": {}}}}}"#, domain_id())).unwrap();
-    graph::join(&graphs, "gdp_proxy_test").await.unwrap()
+    let mut joined = graph::All::new();
+    graph::join(&mut joined, &graphs, "gdp_proxy_test").await.unwrap();
+    joined
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -6,6 +6,7 @@
 mod graphs;
 mod relay;
 mod topics;
+mod unknown;
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -28,6 +29,9 @@ const MAX_FILE: u64 = 1024 * 1024;
 
 /// Topics of one proxy.
 const MAX_TOPICS: usize = 1024;
+
+/// Topics, once for each direction.
+pub const MAX_ROUTES: usize = 2 * MAX_TOPICS;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -77,7 +81,7 @@ impl TryFrom<u64> for Version {
 }
 
 /// What makes the proxy a member of a trust domain (`gdp-ctl domain`).
-#[derive(Debug, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DomainConfig {
     /// The domain's card.
@@ -97,7 +101,7 @@ impl From<&DomainConfig> for PaperFiles {
 }
 
 /// Share folders of installations of ROS, with a folder for each package.
-#[derive(Debug, Default, Deserialize)]
+#[derive(Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Definitions {
     pub ros1: Vec<PathBuf>,
@@ -112,7 +116,7 @@ impl Definitions {
 }
 
 /// One way to the fabric.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LinkPlace {
     /// Where the switch is: `eth://INTERFACE`, `eth://INTERFACE/MAC`, `udp://HOST:PORT` or `udp://HOST:PORT%INTERFACE`.
@@ -163,10 +167,26 @@ impl Config {
         // Errors quote no lines: the file given by mistake may be a private key.
         let options = serde_saphyr::options! { with_snippet: false };
         let mut config: Self = serde_saphyr::from_str_with_options(text, options)
-            .map_err(|error| ConfigError::Syntax { path: path.into(), message: error.to_string() })?;
+            .map_err(|error| ConfigError::Syntax { path: path.into(), message: unknown::say(&error) })?;
         config.check().map_err(|(key, reason)| ConfigError::Invalid { path: path.into(), key, reason })?;
         config.resolve(path.parent().unwrap_or(Path::new("")));
         Ok(config)
+    }
+
+    /// The first key with another value in `new` among those that cannot change while the proxy runs. Graphs may be added.
+    pub fn fixed_that_differs(&self, new: &Self) -> Option<String> {
+        let differs = [
+            ("identity", self.identity != new.identity),
+            ("links", self.links != new.links),
+            ("state", self.state != new.state),
+            ("domain", self.domain != new.domain),
+            ("relay", self.relay != new.relay),
+            ("definitions", self.definitions != new.definitions),
+        ];
+        let differs = differs.into_iter().find_map(|(key, differs)| differs.then(|| key.to_owned()));
+        let stays = |(name, graph): &(&str, &GraphConfig)| new.graphs.get(Some(name)).is_ok_and(|(_, it)| it == *graph);
+        let graph = || self.graphs.iter().find(|graph| !stays(graph)).map(|(name, _)| format!("graphs.{name}"));
+        differs.or_else(graph)
     }
 
     fn check(&self) -> Result<(), (String, String)> {

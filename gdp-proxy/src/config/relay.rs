@@ -10,7 +10,7 @@ use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
 /// A switch beside the proxy, for endpoints that reach nothing else.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RelayConfig {
     /// The relay's private key (`gdp-ctl key generate FILE --kind switch`). Its admin socket and what it remembers are in files beside it.

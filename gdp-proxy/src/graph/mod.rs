@@ -91,13 +91,20 @@ pub enum Writer {
 /// All that a proxy is in, by their names in the configuration.
 pub type All = BTreeMap<String, Arc<Graph>>;
 
-/// Joins all of them as the ROS node `node`.
-pub async fn join(graphs: &Graphs, node: &str) -> Result<All, GraphError> {
-    let mut joined = All::new();
-    for (name, graph) in graphs.iter() {
-        joined.insert(name.to_owned(), Graph::join(graph, node).await?.into());
+/// Joins those that are not in `joined` yet, as the ROS node `node`. If one cannot be joined, none is.
+pub async fn join(joined: &mut All, graphs: &Graphs, node: &str) -> Result<(), GraphError> {
+    let mut new = All::new();
+    for (name, graph) in graphs.iter().filter(|(name, _)| !joined.contains_key(*name)) {
+        match Graph::join(graph, node).await {
+            Ok(graph) => _ = new.insert(name.to_owned(), graph.into()),
+            Err(error) => {
+                leave(new).await;
+                return Err(error);
+            }
+        }
     }
-    Ok(joined)
+    joined.append(&mut new);
+    Ok(())
 }
 
 /// Leaves all of them.
