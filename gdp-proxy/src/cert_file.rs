@@ -9,13 +9,12 @@ use gdp::{Name, NameCard};
 
 use crate::config::Side;
 use crate::material::{Permission, load_permission};
-use crate::ros2::TopicName;
 
 #[derive(Clone)]
 pub struct CertFile {
     path: PathBuf,
     side: Side,
-    topic: TopicName,
+    topic: String,
     card: NameCard,
     entity: Name,
     /// Of the file whose content is in force, of the one that was offered last, and of the one that the log has told of.
@@ -29,11 +28,11 @@ impl CertFile {
     pub fn open(
         path: &Path,
         side: Side,
-        topic: &TopicName,
+        topic: &str,
         card: &NameCard,
         entity: Name,
     ) -> Result<(Self, Permission), String> {
-        let (path, topic, card) = (path.to_owned(), topic.clone(), card.clone());
+        let (path, topic, card) = (path.to_owned(), topic.to_owned(), card.clone());
         let mut file = Self { path, side, topic, card, entity, taken: None, offered: None, told: None };
         let permission = file.read()?;
         file.taken();
@@ -133,13 +132,12 @@ mod tests {
         let files = Files::new();
         let mut material = Material::load(&files.config("")).unwrap();
         write(&files, "t.ad", AdCert { serial: 7, ..files.claims() });
-        assert_eq!(serial(material.routes[0].file.changed()), Some(7));
+        assert_eq!(serial(material.routes[0].1.file.changed()), Some(7));
     }
 
     fn opened() -> (Files, CertFile) {
         let files = Files::new();
-        let topic = TopicName::parse("/chatter").unwrap();
-        let (file, _) = CertFile::open(&files.path("t.ad"), Side::Out, &topic, &files.card, files.entity).unwrap();
+        let (file, _) = CertFile::open(&files.path("t.ad"), Side::Out, "/chatter", &files.card, files.entity).unwrap();
         (files, file)
     }
 

@@ -5,9 +5,11 @@
 //! them together, [`reload`] notices that the file says something else, [`stats`] counts. [`relay`] runs a switch of `gdp-ctl` beside, for others. The fabric is the SDK's business (`gdp::node`): nothing here seals, signs or routes.
 #![deny(unsafe_code)]
 
+pub mod automatic;
 mod cert_file;
 pub mod config;
 mod delivery;
+pub mod dry_run;
 pub mod graph;
 pub mod manager;
 pub mod material;
@@ -15,6 +17,7 @@ mod membership;
 pub mod proxy;
 pub mod relay;
 pub mod reload;
+mod renewal;
 pub mod ros2;
 pub mod route;
 pub mod routes;

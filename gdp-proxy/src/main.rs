@@ -1,12 +1,15 @@
 //! The `gdp-proxy` program: arguments, logging and signals. What it does is in the library.
 
 use std::io::IsTerminal;
+use std::num::NonZeroU16;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use gdp_proxy::config::MAX_ROUTES;
+use gdp_proxy::config::{MAX_ROUTES, schema};
+use gdp_proxy::dry_run;
 use gdp_proxy::proxy;
 use gdp_proxy::reload::{Loaded, Watch};
 use gdp_proxy::stats::StatsFile;
@@ -22,11 +25,20 @@ use tracing_subscriber::EnvFilter;
 #[command(version)]
 struct Arguments {
     /// Which topics cross, and under whose keys
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "schema")]
+    config: Option<PathBuf>,
     /// Check the configuration and the files it names, then end
     #[arg(long)]
     check: bool,
+    /// Look at the ROS graphs, but not at the fabric, print what would cross under which name, and what would not and why, then end
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "3", conflicts_with = "check")]
+    dry_run: Option<NonZeroU16>,
+    /// With --dry-run: as JSON
+    #[arg(short, long, requires = "dry_run")]
+    json: bool,
+    /// Print the JSON Schema of the configuration, then end
+    #[arg(long, exclusive = true)]
+    schema: bool,
     /// Write counters to this file, as one JSON object, every second
     #[arg(long, value_name = "FILE")]
     stats: Option<PathBuf>,
@@ -45,10 +57,14 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: Arguments) -> Result<()> {
-    let loaded = || Loaded::load(&arguments.config);
+    let Some(path) = arguments.config else {
+        println!("{}", serde_json::to_string_pretty(&schema())?);
+        return Ok(());
+    };
+    let loaded = || Loaded::load(&path);
     if arguments.check {
         let Loaded { config, material } = loaded()?;
-        let (file, topics) = (arguments.config.display(), config.topics.len());
+        let (file, topics) = (path.display(), config.topics.len());
         println!("{file}: good, {topics} topics, entity {}", material.identity.name());
         return Ok(());
     }
@@ -59,8 +75,16 @@ fn run(arguments: Arguments) -> Result<()> {
         .build()
         .context("cannot start the runtime")?;
     runtime.block_on(async {
+        if let Some(seconds) = arguments.dry_run {
+            let report = dry_run::run(&loaded()?, Duration::from_secs(seconds.get().into())).await?;
+            match arguments.json {
+                true => println!("{}", serde_json::to_string(&report)?),
+                false => print!("{report}"),
+            }
+            return Ok(());
+        }
         let stop = stop_signal()?;
-        let watch = Watch::new(&arguments.config).context("cannot listen for SIGHUP")?;
+        let watch = Watch::new(&path).context("cannot listen for SIGHUP")?;
         proxy::run(loaded()?, watch, arguments.stats.map(StatsFile::new), stop).await
     })
 }

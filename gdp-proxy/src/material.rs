@@ -13,8 +13,9 @@ use gdp::domain::{PaperFiles, Papers, Stamps, Trust};
 use gdp::{Identity, Name, NameCard, SigningKey};
 
 use crate::cert_file::CertFile;
-use crate::config::{Config, Side, TopicConfig};
+use crate::config::{Config, ExposeConfig, ImportConfig, Side, TopicConfig};
 use crate::relay::Relay;
+use crate::renewal::Renewal;
 use crate::ros2::TypeName;
 
 /// Everything secret or signed that a proxy works with.
@@ -23,26 +24,42 @@ pub struct Material {
     /// With what their files were like.
     pub papers: Option<(Papers, Stamps)>,
     pub relay: Option<Relay>,
-    /// In the order of the configuration's topics.
-    pub routes: Vec<RouteMaterial>,
+    /// In the order of the configuration's topics, each with which of them it is.
+    pub routes: Vec<(usize, RouteMaterial)>,
+    pub expose: Option<ExposeMaterial>,
+    /// In the order of the configuration.
+    pub imports: Vec<ImportMaterial>,
+}
+
+/// Of what is exposed by pattern.
+#[derive(Clone)]
+pub struct ExposeMaterial {
+    pub owner: SigningKey,
+    pub catalog: NameCard,
+}
+
+/// Of a catalog that is read.
+#[derive(Clone)]
+pub struct ImportMaterial {
+    pub catalog: NameCard,
+    pub grant: Reading,
+    pub(crate) file: Renewal,
 }
 
 /// Of one direction of a topic.
 #[derive(Clone)]
 pub struct RouteMaterial {
-    /// Which one of the configuration.
-    pub topic: usize,
     pub side: Side,
     pub card: NameCard,
     /// From the configuration or the card.
     pub kind: Option<TypeName>,
     pub permission: Permission,
     /// Where that came from.
-    pub(crate) file: CertFile,
+    pub(crate) file: Renewal,
 }
 
 /// What the owner of the name allows this proxy.
-#[derive(Clone)]
+#[derive(Clone, PartialEq)]
 pub enum Permission {
     Publish(Issued<AdCert>),
     Read(Reading),
@@ -80,7 +97,8 @@ impl Material {
         let identity = load_identity(&config.identity, "proxy")
             .map_err(|reason| MaterialError { key: "identity".into(), reason: with_path(reason, &config.identity) })?;
         let load = |(i, topic, side)| {
-            load_route(i, topic, side, identity.name())
+            load_route(topic, side, identity.name())
+                .map(|route| (i, route))
                 .map_err(|(key, reason)| MaterialError { key: format!("topics[{i}].{key}"), reason })
         };
         let topics = config.topics.iter().enumerate();
@@ -88,23 +106,25 @@ impl Material {
         let routes = routes.map(load).collect::<Result<Vec<_>, _>>()?;
         let papers = config.domain.as_ref().map(|domain| load_papers(&domain.into(), identity.name())).transpose()?;
         let relay = Relay::load(config)?;
-        let material = Self { identity, papers, relay, routes };
+        let expose = config.expose.as_ref().map(load_expose).transpose()?;
+        let imports = config.import.iter().enumerate();
+        let imports = imports.map(|(i, import)| load_import(i, import, identity.name())).collect::<Result<_, _>>()?;
+        let material = Self { identity, papers, relay, routes, expose, imports };
         material.check_names(config)?;
         Ok(material)
     }
 
     /// A name has one publisher and one subscription per proxy: two topics in it would be indistinguishable at its readers.
     fn check_names(&self, config: &Config) -> Result<(), MaterialError> {
-        for (i, route) in self.routes.iter().enumerate() {
+        for (i, (at, route)) in self.routes.iter().enumerate() {
             let name = route.card.name();
-            let first = self.routes[..i].iter().find(|other| (other.card.name(), other.side) == (name, route.side));
-            if let Some(first) = first {
-                let topic = &config.topics[route.topic].topic;
+            let same = |other: &RouteMaterial| (other.card.name(), other.side) == (name, route.side);
+            if let Some((first, _)) = self.routes[..i].iter().find(|(_, other)| same(other)) {
+                let topic = &config.topics[*at].topic;
                 let reason = format!(
-                    "the name {name:#} is already that of topics[{}], in the same direction; make a card of its own for {topic}",
-                    first.topic,
+                    "the name {name:#} is already that of topics[{first}], in the same direction; make a card of its own for {topic}"
                 );
-                return Err(MaterialError { key: format!("topics[{}].card", route.topic), reason });
+                return Err(MaterialError { key: format!("topics[{at}].card"), reason });
             }
         }
         Ok(())
@@ -131,12 +151,7 @@ fn load_papers(files: &PaperFiles, entity: Name) -> Result<(Papers, Stamps), Mat
 }
 
 /// Errors with the key inside the topic.
-fn load_route(
-    at: usize,
-    topic: &TopicConfig,
-    side: Side,
-    entity: Name,
-) -> Result<RouteMaterial, (&'static str, String)> {
+fn load_route(topic: &TopicConfig, side: Side, entity: Name) -> Result<RouteMaterial, (&'static str, String)> {
     let card = NameCard::load(&topic.card).map_err(|error| ("card", with_path(error, &topic.card)))?;
     let kind = agree_on_type(topic, &card).map_err(|reason| ("type", reason))?;
     let key = match side {
@@ -144,9 +159,43 @@ fn load_route(
         Side::In => "grant",
     };
     let path = topic.right(side).ok_or((key, "missing".to_owned()))?;
-    let opened = CertFile::open(path, side, &topic.topic, &card, entity);
+    let opened = CertFile::open(path, side, topic.topic.as_str(), &card, entity);
     let (file, permission) = opened.map_err(|error| (key, with_path(error, path)))?;
-    Ok(RouteMaterial { topic: at, side, card, kind, permission, file })
+    Ok(RouteMaterial { side, card, kind, permission, file: Renewal::File(file) })
+}
+
+fn load_expose(config: &ExposeConfig) -> Result<ExposeMaterial, MaterialError> {
+    let wrong = |key: &str, reason| MaterialError { key: format!("expose.{key}"), reason };
+    let owner = SigningKey::load(&config.owner).map_err(|error| match error.is_not_found() {
+        true => {
+            let path = config.owner.display();
+            wrong(
+                "owner",
+                format!("{error}; make one for this robot's names with `gdp-ctl key generate {path} --kind owner`"),
+            )
+        }
+        false => wrong("owner", with_path(error, &config.owner)),
+    })?;
+    let catalog =
+        NameCard::load(&config.catalog).map_err(|error| wrong("catalog", with_path(error, &config.catalog)))?;
+    if *catalog.owner_key() != owner.verify_key() {
+        let (card, key) = (config.catalog.display(), config.owner.display());
+        return Err(wrong("catalog", format!("{card} is a name of another owner than {key}; make it with that key")));
+    }
+    Ok(ExposeMaterial { owner, catalog })
+}
+
+fn load_import(at: usize, config: &ImportConfig, entity: Name) -> Result<ImportMaterial, MaterialError> {
+    let wrong = |key: &str, reason| MaterialError { key: format!("import[{at}].{key}"), reason };
+    let catalog =
+        NameCard::load(&config.catalog).map_err(|error| wrong("catalog", with_path(error, &config.catalog)))?;
+    let label = config.catalog.display().to_string();
+    let opened = CertFile::open(&config.grant, Side::In, &label, &catalog, entity);
+    let (file, permission) = opened.map_err(|error| wrong("grant", with_path(error, &config.grant)))?;
+    match permission {
+        Permission::Read(grant) => Ok(ImportMaterial { catalog, grant, file: Renewal::File(file) }),
+        Permission::Publish(_) => Err(wrong("grant", "is a permission to publish".into())),
+    }
 }
 
 fn agree_on_type(topic: &TopicConfig, card: &NameCard) -> Result<Option<TypeName>, String> {
@@ -210,7 +259,7 @@ pub(crate) mod tests {
         let files = Files::new();
         let material = files.load("").unwrap();
         assert_eq!(material.identity.name(), files.entity);
-        let [out, inward] = &material.routes[..] else { panic!("two topics") };
+        let [(0, out), (1, inward)] = &material.routes[..] else { panic!("two topics") };
         assert_eq!(out.kind.as_ref().unwrap().as_str(), "std_msgs/msg/String");
         assert!(matches!(out.permission, Permission::Publish(_)) && matches!(inward.permission, Permission::Read(_)));
     }

@@ -11,12 +11,13 @@ use gdp::link::RekeySchedule;
 use gdp::node::{LinkConfig, NodeConfig};
 use tokio::time::{Interval, MissedTickBehavior};
 
+use crate::automatic::{self, Automatic, CatalogStats, Links};
 use crate::graph;
 use crate::manager::Changed;
 use crate::material::RouteMaterial;
 use crate::membership::keep_papers;
 use crate::reload::{Loaded, Watch};
-use crate::routes::{self, RoutePlan};
+use crate::routes::{self, RoutePlan, Routes};
 use crate::stats::{RouteStats, Stats, StatsFile, VERSION};
 use gdp_ros::types::Types;
 
@@ -69,20 +70,29 @@ async fn carry(
     let stamps = loaded.material.papers.as_ref().map(|(_, stamps)| stamps.clone());
     let mut keeping = std::pin::pin!(keep_papers(&node, files.as_ref().zip(stamps)));
 
-    let mut routes = routes::manager(node.clone(), types);
-    routes.want(plans(&loaded, &graphs)?);
+    let (mut routes, mut catalogs) = (routes::manager(node.clone(), types), automatic::manager(node.clone()));
+    let mut explicit = plans(&loaded, &graphs)?;
+    let mut automatic = Automatic::new(&loaded, &graphs, node.name(), None)?;
+    want(&mut automatic, &explicit, &mut routes, &mut catalogs);
     watch.look_at(loaded.cards());
     let mut shown = Shown::new(stats);
     let ended = loop {
         tokio::select! {
             () = &mut stop => break Ok(()),
             error = routes.failed() => break Err(error),
-            () = shown.due() => shown.show(&node, routes.stats()),
+            error = catalogs.failed() => break Err(error),
+            () = automatic.changed() => {
+                want(&mut automatic, &explicit, &mut routes, &mut catalogs);
+            }
+            () = shown.due() => shown.show(&node, routes.stats(), catalogs.stats()),
             () = watch.changed() => match load_again(&loaded, &watch, &mut graphs, &ros_node).await {
                 Ok(new) => {
                     loaded = new;
                     watch.look_at(loaded.cards());
-                    let Changed { begun, ended, kept } = routes.want(plans(&loaded, &graphs)?);
+                    explicit = plans(&loaded, &graphs)?;
+                    automatic = Automatic::new(&loaded, &graphs, node.name(), Some(automatic))?;
+                    let changed = want(&mut automatic, &explicit, &mut routes, &mut catalogs);
+                    let Changed { begun, ended, kept } = changed;
                     tracing::info!(begun, ended, kept, "took the changed configuration");
                 }
                 Err(error) => tracing::error!("the changed configuration is not taken, everything goes on as it was: {error:#}"),
@@ -92,11 +102,19 @@ async fn carry(
     };
 
     tracing::info!("leaving");
-    let topics = routes.close().await;
-    shown.show(&node, topics);
+    let (topics, catalogs) = tokio::join!(routes.close(), catalogs.close());
+    shown.show(&node, topics, catalogs);
+    drop((automatic, explicit));
     node.close().await;
     graph::leave(graphs).await;
     ended
+}
+
+/// Has run what is to run now.
+fn want(automatic: &mut Automatic, explicit: &[Arc<RoutePlan>], routes: &mut Routes, catalogs: &mut Links) -> Changed {
+    let plans = automatic.plan(explicit);
+    catalogs.want(plans.catalogs);
+    routes.want(plans.routes)
 }
 
 /// The configuration as it is now, with its graphs joined.
@@ -129,11 +147,11 @@ async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
 
 /// A route for each direction of the topics.
 fn plans(Loaded { config, material }: &Loaded, graphs: &graph::All) -> Result<Vec<Arc<RoutePlan>>> {
-    if config.topics.is_empty() {
+    if config.topics.is_empty() && config.expose.is_none() && config.import.is_empty() {
         tracing::warn!("no topics are configured, so nothing is exposed");
     }
-    let plan = |material: &RouteMaterial| {
-        let topic = &config.topics[material.topic];
+    let plan = |(at, material): &(usize, RouteMaterial)| {
+        let topic = &config.topics[*at];
         let (label, _) = config.graphs.get(topic.graph.as_deref()).map_err(|reason| anyhow!(reason))?;
         let graph = graphs.get(label).cloned().context("a graph that was not joined")?;
         Ok(Arc::new(RoutePlan { config: topic.clone(), label: label.into(), graph, material: material.clone() }))
@@ -163,13 +181,14 @@ impl Shown {
         }
     }
 
-    fn show(&mut self, node: &Node, topics: Vec<RouteStats>) {
+    fn show(&mut self, node: &Node, topics: Vec<RouteStats>, catalogs: Vec<CatalogStats>) {
         let Some(file) = &self.file else { return };
         let result = file.replace(&Stats {
             version: VERSION,
             entity: node.name(),
             switch: node.switch().ok(),
             topics,
+            catalogs,
             links: node.links(),
             node: node.counters(),
         });

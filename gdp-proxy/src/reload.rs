@@ -56,7 +56,10 @@ impl Loaded {
 
     /// The files that nobody else looks at.
     pub fn cards(&self) -> impl Iterator<Item = &Path> {
-        self.config.topics.iter().map(|topic| topic.card.as_path())
+        let config = &self.config;
+        let topics = config.topics.iter().map(|topic| topic.card.as_path());
+        let imports = config.import.iter().map(|import| import.catalog.as_path());
+        topics.chain(imports).chain(config.expose.iter().flat_map(|expose| [expose.catalog.as_path(), &expose.owner]))
     }
 }
 

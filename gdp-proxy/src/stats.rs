@@ -10,6 +10,7 @@ use gdp::Name;
 use gdp::node::{LinkStatus, Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
 use serde::Serialize;
 
+use crate::automatic::CatalogStats;
 use crate::config::Side;
 use crate::timing::{Percentiles, Timing};
 
@@ -185,6 +186,8 @@ pub struct Stats {
     /// Where it is attached by its main link; null while the link is lost.
     pub switch: Option<Name>,
     pub topics: Vec<RouteStats>,
+    /// Of what crosses by itself.
+    pub catalogs: Vec<CatalogStats>,
     /// In the order of the configuration.
     pub links: Vec<LinkStatus>,
     /// The fabric's side of it.
@@ -233,7 +236,7 @@ mod tests {
 
     /// Of version 3.
     const KEYS: [&str; 9] = [
-        "entity links node switch topics version",
+        "catalogs entity links node switch topics version",
         "bytes direction drops fabric graph latency_us messages name status topic type",
         "lost malformed max_hz own send_failed stalled unannounced unconvertible unreadable write_failed",
         "arrival handling",
@@ -302,7 +305,7 @@ mod tests {
             copies_dropped: 0,
         };
         let (topics, links, node) = (vec![route], vec![link], NodeCounters::default());
-        let stats = Stats { version: VERSION, entity: name, switch: None, topics, links, node };
+        let stats = Stats { version: VERSION, entity: name, switch: None, topics, catalogs: vec![], links, node };
         let shown = serde_json::to_value(stats).unwrap();
         let keys = |of: &serde_json::Value| of.as_object().unwrap().keys().cloned().collect::<Vec<_>>().join(" ");
         let of_fabric = |of: FabricStats| keys(&serde_json::to_value(of).unwrap());
@@ -337,6 +340,7 @@ mod tests {
 
                 switch: None,
                 topics,
+                catalogs: Vec::new(),
                 links: Vec::new(),
                 node: NodeCounters::default(),
             })

@@ -8,6 +8,8 @@ use std::time::{Duration, Instant};
 
 use gdp::cert::{AdCert, Mode, issue};
 use gdp::{Identity, NameCard, SigningKey};
+use gdp_proxy::ros2::{Domain, TopicName, TypeName};
+use gdp_ros::roster::Offer;
 
 #[test]
 fn check_reads_everything_and_says_so() {
@@ -27,6 +29,68 @@ fn a_mistake_is_one_line_with_file_key_and_remedy() {
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("robot.yaml: topics[0].cert: ") && said.contains("chatter.ad"), "{said}");
     assert_eq!(said.lines().count(), 1, "{said}");
+}
+
+#[test]
+fn a_misspelt_key_is_said_with_its_line_and_what_was_meant() {
+    let files = Files::new();
+    let text = fs::read_to_string(files.path("robot.yaml")).unwrap();
+    fs::write(files.path("robot.yaml"), text.replace("direction", "dirction")).unwrap();
+    let output = files.proxy(&["--check"]);
+    assert_eq!((output.status.code(), &output.stdout[..]), (Some(1), &b""[..]));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("robot.yaml: there is no key `dirction`; did you mean `direction`? at line 6"), "{said}");
+}
+
+#[test]
+fn the_schema_is_printed_without_a_configuration() {
+    let output = Command::new(env!("CARGO_BIN_EXE_gdp-proxy")).arg("--schema").output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let schema: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(schema["properties"]["expose"].is_object(), "{schema}");
+}
+
+#[test]
+fn a_dry_run_shows_what_would_cross_under_which_name() {
+    let files = Files::new();
+    let owner = SigningKey::generate().unwrap();
+    owner.save_new(&files.path("owner.pem")).unwrap();
+    let catalog = NameCard::create(owner.verify_key(), "catalog", "/robot", "", None).unwrap();
+    catalog.save_new(&files.path("catalog.card")).unwrap();
+    let mut text = fs::read_to_string(files.path("robot.yaml")).unwrap();
+    let domain = 50 + std::process::id() % 40;
+    text += &format!(
+        "graphs: {{a: {{domain_id: {domain}}}}}\nexpose: {{owner: owner.pem, catalog: catalog.card, topics: [/a/**], deny: [/a/secret]}}\n"
+    );
+    fs::write(files.path("robot.yaml"), text).unwrap();
+
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let _entered = runtime.enter();
+    let node = Domain::join(domain as u16, "talker").unwrap();
+    let kind = TypeName::parse("std_msgs/msg/String").unwrap();
+    let offer = Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0 };
+    let topics = ["/a/b", "/a/secret", "/c", "/chatter"];
+    let _writers = topics.map(|topic| node.writer(&TopicName::parse(topic).unwrap(), &kind, &offer).unwrap());
+
+    // Long enough for a busy machine.
+    let rows = {
+        let output = files.proxy(&["--dry-run", "6", "-j"]);
+        assert!(output.status.success(), "{output:?}");
+        let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(report["entity"], files.entity);
+        report["topics"].as_array().unwrap().clone()
+    };
+    let shown = |topic: &str, key: &str| rows.iter().find(|row| row["topic"] == topic).unwrap()[key].clone();
+    let of = |topic: &str| (shown(topic, "direction"), shown(topic, "because").as_str().unwrap().to_owned());
+    assert_eq!(of("/chatter"), ("out".into(), "topics[0]".into()));
+    assert_eq!(of("/a/b"), ("out".into(), "expose".into()));
+    assert_eq!(of("/a/secret"), (serde_json::Value::Null, "deny has /a/secret".into()));
+    assert_eq!(of("/c"), (serde_json::Value::Null, "no pattern under topics matches".into()));
+    assert_eq!(
+        (shown("/a/b", "type"), shown("/a/b", "name").as_str().unwrap().len()),
+        ("std_msgs/msg/String".into(), 64)
+    );
+    assert_eq!(shown("/a/b", "qos"), "Reliable, Volatile");
 }
 
 #[test]

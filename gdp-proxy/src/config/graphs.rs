@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::ros2;
@@ -10,11 +11,11 @@ use crate::ros2;
 const MAX_GRAPHS: usize = 16;
 
 /// The graphs by the names that topics refer to them by. Without any, there is one of ROS 2 with ROS_DOMAIN_ID.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Deserialize, JsonSchema)]
 #[serde(try_from = "BTreeMap<String, GraphConfig>")]
 pub struct Graphs(BTreeMap<String, GraphConfig>);
 
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(try_from = "Said")]
 pub enum GraphConfig {
     Ros1(Ros1Config),
@@ -22,7 +23,7 @@ pub enum GraphConfig {
 }
 
 /// What may be said of either.
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Said {
     domain_id: Option<DomainId>,
@@ -30,13 +31,13 @@ struct Said {
     host: Option<String>,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, JsonSchema)]
 pub struct Ros2Config {
     /// ROS_DOMAIN_ID.
     pub domain_id: DomainId,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, JsonSchema)]
 pub struct Ros1Config {
     /// ROS_MASTER_URI.
     pub master: String,
@@ -97,7 +98,7 @@ impl Graphs {
 }
 
 /// A DDS domain id that has ports.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(try_from = "u64")]
 pub struct DomainId(u16);
 

@@ -3,8 +3,11 @@
 //!
 //! This is the file alone; [`crate::material`] reads the files it names.
 
+mod automatic;
 mod graphs;
+mod pattern;
 mod relay;
+mod schema;
 mod topics;
 mod unknown;
 
@@ -18,10 +21,14 @@ use gdp::domain::PaperFiles;
 use gdp::link::MAX_LANES;
 use gdp::node::{LinkConfig, LinkTarget};
 use gdp_ros::roster::Dialect;
+use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
 
+pub use self::automatic::{ExposeConfig, ImportConfig, Manner, Reader, Remap, Rule, remapped};
 pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config};
+pub use self::pattern::{Pattern, is_hidden};
 pub use self::relay::RelayConfig;
+pub use self::schema::schema;
 pub use self::topics::{Conversion, Direction, Side, TopicConfig};
 
 /// A longer file is no configuration.
@@ -30,10 +37,13 @@ const MAX_FILE: u64 = 1024 * 1024;
 /// Topics of one proxy.
 const MAX_TOPICS: usize = 1024;
 
+/// Catalogs that it reads.
+const MAX_IMPORTS: usize = 64;
+
 /// Topics, once for each direction.
 pub const MAX_ROUTES: usize = 2 * MAX_TOPICS;
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// Of the file's format.
@@ -51,6 +61,7 @@ pub struct Config {
     pub domain: Option<DomainConfig>,
     /// If it also carries others.
     #[serde(default, deserialize_with = "relay::relay")]
+    #[schemars(schema_with = "relay::schema")]
     pub relay: Option<RelayConfig>,
     /// The ROS graphs that it is in.
     #[serde(default)]
@@ -58,12 +69,19 @@ pub struct Config {
     /// What defines message types beyond the common ones.
     #[serde(default)]
     pub definitions: Definitions,
+    /// Topics that cross, with the files of each.
     #[serde(default)]
     pub topics: Vec<TopicConfig>,
+    /// Topics here that cross by themselves.
+    #[serde(default)]
+    pub expose: Option<ExposeConfig>,
+    /// Topics elsewhere that cross by themselves.
+    #[serde(default)]
+    pub import: Vec<ImportConfig>,
 }
 
 /// The only one there is.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Deserialize, JsonSchema)]
 #[serde(try_from = "u64")]
 struct Version;
 
@@ -81,7 +99,7 @@ impl TryFrom<u64> for Version {
 }
 
 /// What makes the proxy a member of a trust domain (`gdp-ctl domain`).
-#[derive(Debug, PartialEq, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DomainConfig {
     /// The domain's card.
@@ -101,7 +119,7 @@ impl From<&DomainConfig> for PaperFiles {
 }
 
 /// Share folders of installations of ROS, with a folder for each package.
-#[derive(Debug, Default, PartialEq, Deserialize)]
+#[derive(Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Definitions {
     pub ros1: Vec<PathBuf>,
@@ -116,14 +134,16 @@ impl Definitions {
 }
 
 /// One way to the fabric.
-#[derive(Debug, PartialEq, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LinkPlace {
     /// Where the switch is: `eth://INTERFACE`, `eth://INTERFACE/MAC`, `udp://HOST:PORT` or `udp://HOST:PORT%INTERFACE`.
     #[serde(deserialize_with = "from_text")]
+    #[schemars(with = "String")]
     pub to: LinkTarget,
     /// The switch that must be there, if only one will do.
     #[serde(default)]
+    #[schemars(with = "Option<String>")]
     pub switch: Option<Name>,
     /// Bytes a second that topics may send this way.
     #[serde(default)]
@@ -222,6 +242,15 @@ impl Config {
                 return Err(wrong("topic", reason));
             }
         }
+        if let Some(expose) = &self.expose {
+            expose.check(&self.graphs).map_err(|(key, reason)| (format!("expose.{key}"), reason))?;
+        }
+        if self.import.len() > MAX_IMPORTS {
+            return Err(("import".into(), format!("more than {MAX_IMPORTS}; run a second proxy")));
+        }
+        for (i, import) in self.import.iter().enumerate() {
+            import.check(&self.graphs).map_err(|(key, reason)| (format!("import[{i}].{key}"), reason))?;
+        }
         Ok(())
     }
 
@@ -243,6 +272,12 @@ impl Config {
         for topic in &mut self.topics {
             resolve(&mut topic.card);
             topic.cert.iter_mut().chain(&mut topic.grant).for_each(resolve);
+        }
+        if let Some(expose) = &mut self.expose {
+            [&mut expose.owner, &mut expose.catalog].into_iter().for_each(resolve);
+        }
+        for import in &mut self.import {
+            [&mut import.catalog, &mut import.grant].into_iter().for_each(resolve);
         }
     }
 }

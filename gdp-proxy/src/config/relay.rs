@@ -5,12 +5,13 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use gdp_ctl::config::default_udp;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
 /// A switch beside the proxy, for endpoints that reach nothing else.
-#[derive(Debug, PartialEq, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RelayConfig {
     /// The relay's private key (`gdp-ctl key generate FILE --kind switch`). Its admin socket and what it remembers are in files beside it.
@@ -27,6 +28,12 @@ impl Default for RelayConfig {
     fn default() -> Self {
         Self { identity: "relay.pem".into(), membership: None, udp: default_udp(), interfaces: Vec::new() }
     }
+}
+
+/// Of [`relay`].
+pub(super) fn schema(generator: &mut SchemaGenerator) -> Schema {
+    let mapping = generator.subschema_for::<RelayConfig>();
+    json_schema!({"anyOf": [{"type": "boolean"}, mapping]})
 }
 
 /// `true`, `false` or a mapping. An untagged enum would not name a misspelt key.

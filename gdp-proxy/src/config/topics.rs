@@ -5,13 +5,14 @@ use std::path::{Path, PathBuf};
 
 use gdp_msg::Encoding;
 use gdp_ros::roster::Dialect;
+use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize, de};
 
 use super::Graphs;
 use crate::ros2::{Qos, TopicName, TypeName};
 
 /// One topic that crosses.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TopicConfig {
     /// As the ROS graph here has it.
@@ -50,10 +51,11 @@ pub struct TopicConfig {
     pub duplicate: bool,
     /// Refused with the remedy: earlier versions shared a secret file here.
     #[serde(default, rename = "key")]
-    _key: NoKey,
+    #[schemars(skip)]
+    pub(super) _key: NoKey,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Direction {
     /// From local ROS nodes into the fabric.
@@ -72,7 +74,7 @@ pub enum Side {
 }
 
 /// How messages travel.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Conversion {
     /// As they are.
@@ -96,7 +98,7 @@ impl Conversion {
 }
 
 /// A traffic class, 0 to 7: higher ones go first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(try_from = "u64")]
 pub struct Priority(u8);
 
@@ -134,6 +136,25 @@ impl Direction {
 }
 
 impl TopicConfig {
+    /// One that no file speaks of, with what is the default otherwise.
+    pub(super) fn without_files(topic: TopicName, direction: Direction) -> Self {
+        Self {
+            topic,
+            graph: None,
+            kind: None,
+            direction,
+            card: PathBuf::new(),
+            cert: None,
+            grant: None,
+            qos: None,
+            encoding: Conversion::default(),
+            max_hz: None,
+            priority: Priority::default(),
+            duplicate: false,
+            _key: NoKey,
+        }
+    }
+
     /// The file with the right to this side.
     pub fn right(&self, side: Side) -> Option<&Path> {
         match side {
@@ -177,7 +198,7 @@ impl TopicConfig {
 
 /// What no file says.
 #[derive(Clone, Debug, Default, PartialEq)]
-struct NoKey;
+pub(super) struct NoKey;
 
 impl<'de> Deserialize<'de> for NoKey {
     fn deserialize<D: Deserializer<'de>>(_: D) -> Result<Self, D::Error> {

@@ -1,6 +1,7 @@
 //! What the routes see of a ROS graph, of either version: publishers of a topic that come and go, their messages, and writers that stand for
 //! publishers elsewhere. A message is in the graph's own encoding, and nothing here looks into it.
 
+mod onlooker;
 mod ros1;
 mod ros2;
 
@@ -13,6 +14,8 @@ use crate::config::{GraphConfig, Graphs};
 use crate::ros2::{Domain, Qos, RosError, TopicName, TypeName};
 use gdp_ros::roster::{Dialect, Kind, Offer};
 use gdp_ros::types::{TypeError, Types};
+
+pub use onlooker::{Onlooker, Published, Topics};
 
 /// One graph, until it is [left](Self::leave).
 pub enum Graph {

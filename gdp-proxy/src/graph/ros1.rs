@@ -46,6 +46,10 @@ impl Master {
         Ok(Self { node, config, shared: Mutex::default(), made: AtomicU32::new(0) })
     }
 
+    pub fn graph(&self) -> gdp_ros1::Graph {
+        self.node.graph()
+    }
+
     pub async fn leave(self) {
         self.node.leave().await;
     }
@@ -170,7 +174,7 @@ impl Reader {
 }
 
 /// Whether a node is this proxy, or another: what that publishes comes from the fabric, and whoever wants it there has it.
-fn is_proxy(caller_id: &str) -> bool {
+pub fn is_proxy(caller_id: &str) -> bool {
     caller_id.strip_prefix('/').is_some_and(|name| name.starts_with(NODE))
 }
 

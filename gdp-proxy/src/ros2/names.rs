@@ -4,6 +4,7 @@
 
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
 
 /// The longest topic name: DDS vendors allow 256 characters, of which "rt" is two and a terminator one.
@@ -13,11 +14,11 @@ const MAX_TOPIC: usize = 253;
 const MAX_TYPE: usize = 253;
 
 /// A fully qualified topic name: `/chatter`, `/robot1/camera/image_raw`.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, JsonSchema)]
 pub struct TopicName(String);
 
 /// A message type: `std_msgs/msg/String`.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, JsonSchema)]
 pub struct TypeName(String);
 
 /// Why a text is not a ROS name.

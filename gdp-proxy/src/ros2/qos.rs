@@ -1,6 +1,7 @@
 //! Quality of service as the configuration states it, and as DDS takes it.
 
 use rustdds::{QosPolicies, QosPolicyBuilder, policy};
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use gdp_ros::roster::Offer;
@@ -16,7 +17,7 @@ const WRITER_SAMPLES: u16 = 256;
 const MAX_BLOCKING: rustdds::Duration = rustdds::Duration::from_millis(20);
 
 /// What a ROS 2 node states for a publisher or subscription. The default is ROS 2's own: reliable, volatile, depth 10.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Qos {
     pub reliability: Reliability,
@@ -25,7 +26,7 @@ pub struct Qos {
     pub depth: Depth,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Reliability {
     #[default]
@@ -33,7 +34,7 @@ pub enum Reliability {
     BestEffort,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Durability {
     #[default]
@@ -42,7 +43,7 @@ pub enum Durability {
 }
 
 /// A history depth from 1 to [`Depth::MAX`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(try_from = "u64")]
 pub struct Depth(u16);
 

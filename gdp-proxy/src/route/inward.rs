@@ -13,10 +13,10 @@ use gdp::{Name, NameCard, Node};
 use gdp_msg::Encoding;
 
 use super::{RETRY, Route, RouteError, ended_because, ticks};
-use crate::cert_file::CertFile;
 use crate::delivery::subscribe_options;
 use crate::graph::{Graph, WriteError, Writer};
 use crate::material::Permission;
+use crate::renewal::Renewal;
 use crate::ros2::{Qos, TypeName};
 use crate::stats::{Drop, FabricCounters};
 use gdp_ros::roster::{Change, Incoming, Kind, Offer, ROSTER, Taken};
@@ -30,7 +30,7 @@ const MAX_LOCALS: usize = 512;
 /// The right to read, and where it came from.
 pub struct Right {
     pub grant: Reading,
-    pub file: CertFile,
+    pub file: Renewal,
 }
 
 /// What stands in the graph for a publisher elsewhere.

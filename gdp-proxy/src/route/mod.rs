@@ -15,10 +15,10 @@ use gdp::node::{Ended, NodeError, Publisher};
 use gdp::{Name, Node};
 use tokio::time::{Interval, MissedTickBehavior};
 
-use crate::cert_file::CertFile;
 use crate::config::{Side, TopicConfig};
 use crate::graph::{Graph, GraphError};
 use crate::material::{Permission, RouteMaterial};
+use crate::renewal::Renewal;
 use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
 use gdp_ros::types::Types;
 
@@ -124,7 +124,7 @@ impl Route {
     }
 
     /// What came of showing the RIB another certificate. Whether it is in force.
-    fn renewed(&self, file: &mut CertFile, result: Result<(), NodeError>) -> bool {
+    fn renewed(&self, file: &mut Renewal, result: Result<(), NodeError>) -> bool {
         match &result {
             Ok(()) => {
                 file.taken();

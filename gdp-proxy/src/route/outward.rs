@@ -12,10 +12,10 @@ use gdp::{NameCard, Node};
 
 use super::pace::Pace;
 use super::{RETRY, Route, RouteError, ended_because, ticks};
-use crate::cert_file::CertFile;
 use crate::delivery::{publish_options, stronger};
 use crate::graph::{Arrived, Event, Graph, Key, Reader};
 use crate::material::Permission;
+use crate::renewal::Renewal;
 use crate::ros2::TypeName;
 use crate::stats::{Drop, FabricCounters};
 use gdp_ros::roster::{self, Announcement, Kind, Offer, Outgoing};
@@ -24,7 +24,7 @@ use gdp_ros::types::{Converter, Form, TypeError, sealed};
 /// The right to publish, and where it came from.
 pub struct Right {
     pub cert: Issued<AdCert>,
-    pub file: CertFile,
+    pub file: Renewal,
 }
 
 /// Why messages are not carried on as they were.

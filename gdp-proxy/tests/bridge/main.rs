@@ -4,6 +4,7 @@
 //!    rospy ── proxy ── switch, RIB ── proxy ── rospy, or DDS
 //! ```
 
+mod automatic;
 #[path = "../hub/mod.rs"]
 mod hub;
 #[allow(dead_code, reason = "the tests of the ROS 1 node, whose it is, use the rest")]

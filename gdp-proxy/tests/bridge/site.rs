@@ -1,6 +1,7 @@
 //! A switch with its RIB, owners of topics, and proxies as programs.
 
 use std::fs;
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -25,6 +26,12 @@ pub struct Topic {
 
 /// A proxy as a program, that ends with the test.
 pub struct Proxy(Child);
+
+impl Proxy {
+    pub fn hang_up(&self) {
+        assert!(Command::new("kill").args(["-HUP", &self.0.id().to_string()]).status().unwrap().success());
+    }
+}
 
 impl Drop for Proxy {
     fn drop(&mut self) {
@@ -54,30 +61,65 @@ impl Site {
 
     /// In this graph, with these topics, of each of which `says` is said.
     pub fn proxy(&self, label: &str, graph: &str, topics: &[Topic], says: &str) -> Proxy {
+        let topics: String = topics.iter().enumerate().map(|(i, topic)| self.give(label, i, topic, says)).collect();
+        self.begin(label, graph, &format!("topics:\n{topics}"))
+    }
+
+    /// Gives a proxy what it needs for a topic, its `i`th; returns the line of the configuration.
+    pub fn give(&self, label: &str, i: usize, topic: &Topic, says: &str) -> String {
+        let (folder, name) = (self.folder(label), self.identity(label).name());
+        let mut rights = String::new();
+        if !says.contains("direction: in") {
+            fs::write(folder.join(format!("{i}.ad")), topic.ad_cert(name)).unwrap();
+            rights += &format!("cert: {i}.ad, ");
+        }
+        if !says.contains("direction: out") {
+            fs::write(folder.join(format!("{i}.grant")), topic.grant(name).to_pem()).unwrap();
+            rights += &format!("grant: {i}.grant, ");
+        }
+        fs::write(folder.join(format!("{i}.card")), topic.card.to_json()).unwrap();
+        format!("  - {{topic: {}, card: {i}.card, {rights}{says}}}\n", topic.topic)
+    }
+
+    /// Where the files of a proxy are.
+    pub fn folder(&self, label: &str) -> PathBuf {
         let folder = self.folder.path().join(label);
         fs::create_dir_all(&folder).unwrap();
-        let identity = Identity::load_or_generate(&folder.join("key.pem"), "proxy").unwrap();
-        let mut config = format!(
-            "version: 1\nidentity: key.pem\nlinks: [{{to: 'udp://{}'}}]\ngraphs: {{a: {graph}}}\ntopics:\n",
-            self.hub.udp_addr().unwrap()
-        );
-        for (i, topic) in topics.iter().enumerate() {
-            let mut rights = String::new();
-            if !says.contains("direction: in") {
-                fs::write(folder.join(format!("{i}.ad")), topic.ad_cert(identity.name())).unwrap();
-                rights += &format!("cert: {i}.ad, ");
-            }
-            if !says.contains("direction: out") {
-                fs::write(folder.join(format!("{i}.grant")), topic.grant(identity.name()).to_pem()).unwrap();
-                rights += &format!("grant: {i}.grant, ");
-            }
-            fs::write(folder.join(format!("{i}.card")), topic.card.to_json()).unwrap();
-            config += &format!("  - {{topic: {}, card: {i}.card, {rights}{says}}}\n", topic.topic);
-        }
-        fs::write(folder.join("proxy.yaml"), config).unwrap();
+        folder
+    }
+
+    pub fn identity(&self, label: &str) -> Identity {
+        Identity::load_or_generate(&self.folder(label).join("key.pem"), "proxy").unwrap()
+    }
+
+    /// Writes the configuration of a proxy in this graph, which says this besides.
+    pub fn configure(&self, label: &str, graph: &str, says: &str) {
+        let to = self.hub.udp_addr().unwrap();
+        let config =
+            format!("version: 1\nidentity: key.pem\nlinks: [{{to: 'udp://{to}'}}]\ngraphs: {{a: {graph}}}\n{says}");
+        self.identity(label);
+        fs::write(self.folder(label).join("new.yaml"), config).unwrap();
+        fs::rename(self.folder(label).join("new.yaml"), self.folder(label).join("proxy.yaml")).unwrap();
+    }
+
+    /// Begins it as well. What it logs is in `log`, what it counts in `stats`.
+    pub fn begin(&self, label: &str, graph: &str, says: &str) -> Proxy {
+        self.configure(label, graph, says);
+        let folder = self.folder(label);
+        let log = fs::File::create(folder.join("log")).unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_gdp-proxy"));
-        command.arg("--config").arg(folder.join("proxy.yaml")).stdin(Stdio::null()).stdout(Stdio::null());
+        command.arg("--config").arg(folder.join("proxy.yaml")).arg("--stats").arg(folder.join("stats"));
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
         Proxy(command.spawn().unwrap())
+    }
+
+    /// The topics that a proxy shows in its statistics as carried.
+    pub fn carried(&self, label: &str) -> Vec<String> {
+        let stats = fs::read(self.folder(label).join("stats")).unwrap_or_default();
+        let stats: serde_json::Value = serde_json::from_slice(&stats).unwrap_or_default();
+        let topics = stats["topics"].as_array().cloned().unwrap_or_default();
+        let up = topics.iter().filter(|topic| topic["status"] == "up");
+        up.map(|topic| topic["topic"].as_str().unwrap().to_owned()).collect()
     }
 
     /// Reads a topic's name without a proxy.

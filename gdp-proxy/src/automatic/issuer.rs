@@ -1,0 +1,146 @@
+//! The names of what is exposed, and the certificates for them: made here, with the key of their owner.
+//!
+//! A name follows from the topic, its type and what else the configuration says of it, so it is the same whenever the proxy runs; and from a secret
+//! that follows from the owner's key, so nobody guesses it. Certificates hold for [`LIFETIME`] and are issued anew when half of it is over: who is taken
+//! off the readers loses the right by then.
+
+use gdp::cert::{AdCert, CertError, Grantee, Issued, Mode, ReadGrant, issue};
+use gdp::crypto::{Backend, CryptoError};
+use gdp::name::Metadata;
+use gdp::{Name, NameCard, SigningKey};
+
+use super::choice::Exposed;
+use crate::config::ExposeConfig;
+use crate::ros2::TypeName;
+
+/// Seconds.
+pub const LIFETIME: u64 = 24 * 3600;
+
+/// Seconds by which it begins earlier: clocks differ.
+const BACKDATED: u64 = 300;
+
+/// What the secret is derived for.
+const CONTEXT: &[u8] = b"gdp-proxy/expose/1";
+
+pub struct Issuer {
+    owner: SigningKey,
+    /// This proxy.
+    entity: Name,
+}
+
+/// The certificates of a name.
+#[derive(Clone)]
+pub struct Papers {
+    pub cert: Issued<AdCert>,
+    pub grants: Vec<Issued<ReadGrant>>,
+    /// Unix seconds.
+    pub issued: u64,
+}
+
+/// A name could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum IssueError {
+    #[error(transparent)]
+    Card(#[from] gdp::card::CardError),
+    #[error(transparent)]
+    Cert(#[from] CertError),
+    #[error(transparent)]
+    Crypto(#[from] CryptoError),
+}
+
+impl Issuer {
+    pub fn new(owner: SigningKey, entity: Name) -> Self {
+        Self { owner, entity }
+    }
+
+    /// The card of a topic.
+    pub fn card(&self, kind: &TypeName, exposed: &Exposed) -> Result<NameCard, IssueError> {
+        card_of(&self.owner, kind, exposed)
+    }
+
+    /// For this proxy to publish the name, and for the readers to read it. `now`: nanoseconds since 1970.
+    pub fn issue(&self, name: Name, config: &ExposeConfig, now: u64) -> Result<Papers, IssueError> {
+        let (serial, issued) = (now, now / 1_000_000_000);
+        let (not_before, not_after) = (issued.saturating_sub(BACKDATED), issued.saturating_add(LIFETIME));
+        let (entity, mode, scope) = (self.entity, Mode::Multicast, config.scope.clone());
+        let cert = issue(&self.owner, &AdCert { name, entity, mode, scope, serial, not_before, not_after })?.into();
+        let grant =
+            |to: &Grantee| issue(&self.owner, &ReadGrant { name, to: to.clone(), serial, not_before, not_after });
+        let grants = config.readers.iter().map(|reader| Ok(grant(&reader.0)?.into()));
+        Ok(Papers { cert, grants: grants.collect::<Result<_, CertError>>()?, issued })
+    }
+}
+
+/// The card of a topic that this owner has.
+pub fn card_of(owner: &SigningKey, kind: &TypeName, exposed: &Exposed) -> Result<NameCard, IssueError> {
+    let said = [("kind", "topic"), ("topic", exposed.name.as_str()), ("type", kind.as_str())];
+    let mut metadata: Metadata = exposed.manner.meta.clone();
+    metadata.extend(said.map(|(key, value)| (key.to_owned(), value.to_owned())));
+    let said = gdp::name::canonical_json(&metadata);
+    let secret = Backend::default().hkdf_sha256(&[], &owner.pkcs8_der(), &[CONTEXT, said.as_bytes()])?;
+    metadata.insert("nonce".into(), hex::encode(&secret[..16]));
+    Ok(NameCard::new(owner.verify_key(), metadata)?)
+}
+
+impl Papers {
+    /// Half of their time is over, or the clock was set back. `now`: nanoseconds since 1970.
+    pub fn are_old(&self, now: u64) -> bool {
+        let now = now / 1_000_000_000;
+        !(self.issued..self.issued.saturating_add(LIFETIME / 2)).contains(&now)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::config::{Manner, Reader};
+    use crate::ros2::TopicName;
+
+    const NOW: u64 = 1_800_000_000_000_000_000;
+
+    #[test]
+    fn a_name_is_the_same_every_time_and_another_for_everything_else() {
+        let (owner, other) = (SigningKey::generate().unwrap(), SigningKey::generate().unwrap());
+        let name = |owner: &SigningKey, topic: &str, kind: &str, meta: &str| {
+            let meta = BTreeMap::from([("site".into(), meta.into())]);
+            let exposed =
+                Exposed { name: TopicName::parse(topic).unwrap(), manner: Manner { meta, ..Manner::default() } };
+            let kind = TypeName::parse(kind).unwrap();
+            Issuer::new(owner.clone(), entity()).card(&kind, &exposed).unwrap().name()
+        };
+        let first = name(&owner, "/a", "a/msg/A", "x");
+        assert_eq!(first, name(&owner, "/a", "a/msg/A", "x"));
+        let others = [
+            name(&other, "/a", "a/msg/A", "x"),
+            name(&owner, "/b", "a/msg/A", "x"),
+            name(&owner, "/a", "a/msg/B", "x"),
+            name(&owner, "/a", "a/msg/A", "y"),
+        ];
+        assert!(others.iter().all(|other| *other != first));
+    }
+
+    #[test]
+    fn papers_are_good_for_this_proxy_and_its_readers_and_grow_old() {
+        let owner = SigningKey::generate().unwrap();
+        let issuer = Issuer::new(owner.clone(), entity());
+        let exposed = Exposed { name: TopicName::parse("/a").unwrap(), manner: Manner::default() };
+        let card = issuer.card(&TypeName::parse("a/msg/A").unwrap(), &exposed).unwrap();
+        assert_eq!((card.get("topic"), card.get("nonce").unwrap().len()), (Some("/a"), 32));
+        let mut config: ExposeConfig = serde_saphyr::from_str("{owner: o, catalog: c, topics: [/a]}").unwrap();
+        let to = Grantee::Role { domain: entity(), role: "operator".into() };
+        config.readers = vec![Reader(Grantee::Entity(entity())), Reader(to.clone())];
+        let papers = issuer.issue(card.name(), &config, NOW).unwrap();
+        let seconds = NOW / 1_000_000_000;
+        assert_eq!(papers.cert.verify(&card.proof(), None, seconds).unwrap().entity, entity());
+        assert_eq!(papers.grants[1].verify(&card.proof(), None, seconds).unwrap().to, to);
+        papers.grants[1].verify(&card.proof(), None, seconds + LIFETIME + 1).unwrap_err();
+        let hours = |hours: i64| papers.are_old(NOW.saturating_add_signed(hours * 3_600_000_000_000));
+        assert_eq!([0, 11, 12, 30, -1].map(hours), [false, false, true, true, true]);
+    }
+
+    fn entity() -> Name {
+        Name::from_bytes([7; 32])
+    }
+}

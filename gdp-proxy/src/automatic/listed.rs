@@ -1,0 +1,265 @@
+//! What catalogs list, as far as this proxy may read it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Instant;
+
+use gdp::cert::{Grantee, Issued, Membership, ReadGrant, Reading};
+use gdp::seal::Message;
+use gdp::{Name, NameCard, VerifyKey};
+use gdp_ros::catalog::{Catalog, CatalogError, LEASE};
+
+use crate::config::ImportConfig;
+use crate::ros2::{TopicName, TypeName};
+
+/// Writers of one catalog. More are not heard.
+const MAX_WRITERS: usize = 16;
+
+/// Seconds after which a catalog is looked at again though it is the same: certificates end, and memberships are renewed.
+const AGAIN: u64 = 600;
+
+/// A topic that this proxy may read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Listed {
+    pub card: NameCard,
+    pub topic: TopicName,
+    pub kind: TypeName,
+    pub right: Reading,
+}
+
+/// The catalogs that come under one name, by writer.
+pub struct Catalogs {
+    owner: VerifyKey,
+    /// This proxy.
+    entity: Name,
+    writers: BTreeMap<Name, Heard>,
+}
+
+struct Heard {
+    session: [u8; 16],
+    sequence: u64,
+    until: Instant,
+    body: bytes::Bytes,
+    /// Unix seconds.
+    verified: u64,
+    listed: Vec<Listed>,
+}
+
+impl Catalogs {
+    pub fn new(owner: VerifyKey, entity: Name) -> Self {
+        Self { owner, entity, writers: BTreeMap::new() }
+    }
+
+    /// Takes a message that says to be a catalog. `member`: what shows this proxy's role. `now_unix`: seconds. Whether something is listed otherwise
+    /// now.
+    pub fn take(
+        &mut self,
+        message: &Message,
+        member: impl FnOnce() -> Option<Membership>,
+        now: Instant,
+        now_unix: u64,
+    ) -> Result<bool, CatalogError> {
+        if message.writer == self.entity {
+            return Ok(false);
+        }
+        let before = self.writers.get_mut(&message.writer);
+        let mut known = None;
+        if let Some(heard) = before {
+            if heard.session == message.session && heard.sequence > message.sequence {
+                return Ok(false);
+            }
+            (heard.session, heard.sequence, heard.until) = (message.session, message.sequence, now + LEASE);
+            if heard.body == message.body && (heard.verified..heard.verified.saturating_add(AGAIN)).contains(&now_unix)
+            {
+                return Ok(false);
+            }
+            known = Some(heard.listed.clone());
+        } else if self.writers.len() >= MAX_WRITERS {
+            return Err(CatalogError::TooMuch { what: "writers", got: MAX_WRITERS + 1, most: MAX_WRITERS });
+        }
+        let member = member();
+        let names = Catalog::read(&message.body, self.owner)?.into_iter();
+        let listed = names.filter_map(|(card, grants)| self.listed(card, grants, member.as_ref(), now_unix));
+        let listed: Vec<Listed> = listed.collect();
+        let is_new = known.as_ref() != Some(&listed);
+        let (session, sequence, until, body) = (message.session, message.sequence, now + LEASE, message.body.clone());
+        self.writers.insert(message.writer, Heard { session, sequence, until, body, verified: now_unix, listed });
+        Ok(is_new)
+    }
+
+    /// Forgets writers that are silent. Whether there were any.
+    pub fn poll(&mut self, now: Instant) -> bool {
+        let before = self.writers.len();
+        self.writers.retain(|_, heard| now < heard.until);
+        before != self.writers.len()
+    }
+
+    /// All that is listed, each name once.
+    pub fn all(&self) -> Vec<Listed> {
+        let mut names = BTreeSet::new();
+        let listed = self.writers.values().flat_map(|heard| &heard.listed);
+        listed.filter(|listed| names.insert(listed.card.name())).cloned().collect()
+    }
+
+    /// A topic with the first grant that reaches this proxy. Other kinds of names are for other releases.
+    fn listed(
+        &self,
+        card: NameCard,
+        grants: Vec<Issued<ReadGrant>>,
+        member: Option<&Membership>,
+        now_unix: u64,
+    ) -> Option<Listed> {
+        if card.get("kind") != Some("topic") {
+            return None;
+        }
+        let topic = TopicName::parse(card.get("topic")?).ok()?;
+        let kind = TypeName::parse(card.get("type")?).ok()?;
+        let proof = card.proof();
+        let shown = |grant: Issued<ReadGrant>| {
+            let member = match grant.cert.claims_unverified().ok()?.to {
+                Grantee::Entity(entity) if entity == self.entity => None,
+                Grantee::Entity(_) => return None,
+                Grantee::Role { .. } => Some(Box::new(member?.clone())),
+            };
+            let reading = Reading { grant, member };
+            reading.verify(&proof, self.entity, None, now_unix).is_ok().then_some(reading)
+        };
+        let right = grants.into_iter().find_map(shown)?;
+        Some(Listed { card, topic, kind, right })
+    }
+}
+
+/// What of it comes into the graph here, with what it is called there. Of several with one name, the first.
+pub fn chosen<'a>(config: &ImportConfig, listed: &'a [Listed]) -> BTreeMap<TopicName, &'a Listed> {
+    let mut chosen = BTreeMap::new();
+    for listed in listed {
+        let denied = config.deny.iter().any(|pattern| pattern.matches(&listed.topic));
+        if denied || !config.topics.iter().any(|pattern| pattern.matches(&listed.topic)) {
+            continue;
+        }
+        if let Some(topic) = config.local_name(&listed.topic) {
+            chosen.entry(topic).or_insert(listed);
+        }
+    }
+    chosen
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use gdp::SigningKey;
+    use gdp::cert::{MemberCert, issue};
+    use gdp::{Identity, name::Metadata};
+    use gdp_ros::catalog::{CATALOG, Entry};
+
+    use super::*;
+
+    const NOW: u64 = 1_800_000_000;
+
+    #[test]
+    fn what_is_listed_is_what_this_proxy_may_read() {
+        let (owner, stranger, now) = (key(), key(), Instant::now());
+        let domain = Identity::generate("domain").unwrap();
+        let role = Grantee::Role { domain: domain.name(), role: "operator".into() };
+        let me = Grantee::Entity(name(1));
+        let entries = vec![
+            entry(&owner, "topic", "/mine", &owner, &[Grantee::Entity(name(9)), me.clone()]),
+            entry(&owner, "topic", "/role", &owner, std::slice::from_ref(&role)),
+            entry(&owner, "topic", "/theirs", &owner, &[Grantee::Entity(name(9))]),
+            entry(&owner, "topic", "/forged", &stranger, std::slice::from_ref(&me)),
+            entry(&owner, "service", "/later", &owner, std::slice::from_ref(&me)),
+            entry(&owner, "topic", "no name", &owner, std::slice::from_ref(&me)),
+        ];
+        let mut catalogs = Catalogs::new(owner.verify_key(), name(1));
+        let body = Catalog::new(entries).unwrap().to_bytes().unwrap();
+        assert!(catalogs.take(&message(2, 1, &body), || None, now, NOW).unwrap());
+        let names =
+            |catalogs: &Catalogs| catalogs.all().iter().map(|it| it.topic.to_string()).collect::<Vec<_>>().join(" ");
+        assert_eq!(names(&catalogs), "/mine");
+
+        let (entity, role) = (name(1), "operator".into());
+        let claims = MemberCert { domain: domain.name(), entity, role, serial: 1, not_before: 0, not_after: u64::MAX };
+        let member = || Some(Membership::issue(&domain, &claims).unwrap());
+        assert!(!catalogs.take(&message(2, 2, &body), member, now, NOW + 1).unwrap(), "it was verified just now");
+        assert!(catalogs.take(&message(2, 3, &body), member, now, NOW + AGAIN).unwrap());
+        assert_eq!(names(&catalogs), "/mine /role");
+    }
+
+    #[test]
+    fn a_catalog_holds_until_its_writer_is_silent_and_an_earlier_one_changes_nothing() {
+        let (owner, now) = (key(), Instant::now());
+        let body = |topics: &[&str]| {
+            let entries = topics.iter().map(|topic| entry(&owner, "topic", topic, &owner, &[Grantee::Entity(name(1))]));
+            Catalog::new(entries.collect()).unwrap().to_bytes().unwrap()
+        };
+        let mut catalogs = Catalogs::new(owner.verify_key(), name(1));
+        let take = |catalogs: &mut Catalogs, writer, sequence, topics: &[&str], now| {
+            catalogs.take(&message(writer, sequence, &body(topics)), || None, now, NOW).unwrap()
+        };
+        assert!(take(&mut catalogs, 2, 5, &["/a", "/b"], now));
+        assert!(!take(&mut catalogs, 2, 4, &[], now));
+        assert!(!take(&mut catalogs, 1, 4, &["/own"], now), "its own are not for itself");
+        assert!(take(&mut catalogs, 3, 0, &["/c"], now + LEASE / 2));
+        assert_eq!(catalogs.all().len(), 3);
+        assert!(catalogs.poll(now + LEASE) && !catalogs.poll(now + LEASE));
+        assert_eq!(catalogs.all().len(), 1);
+        for writer in 10..25 {
+            take(&mut catalogs, writer, 0, &[], now + LEASE / 2);
+        }
+        let more = catalogs.take(&message(40, 0, &body(&[])), || None, now, NOW);
+        assert!(matches!(more, Err(CatalogError::TooMuch { .. })));
+        assert!(catalogs.take(&message(3, 1, b"no catalog"), || None, now, NOW).is_err());
+        assert!(catalogs.poll(now + LEASE * 2 + Duration::from_secs(1)) && catalogs.all().is_empty());
+    }
+
+    #[test]
+    fn patterns_choose_deny_wins_and_names_are_local() {
+        let owner = key();
+        let says = "{catalog: c, grant: g, topics: [/camera/**, /odom], deny: [/camera/raw], remap: [{from: /odom, to: /where}], prefix: /r1}";
+        let config: ImportConfig = serde_saphyr::from_str(says).unwrap();
+        let listed = |topic: &str| {
+            let Entry { metadata, mut grants } = entry(&owner, "topic", topic, &owner, &[Grantee::Entity(name(1))]);
+            let (topic, kind) = (TopicName::parse(topic).unwrap(), TypeName::parse("a/msg/B").unwrap());
+            let card = NameCard::new(owner.verify_key(), metadata).unwrap();
+            Listed { card, topic, kind, right: Reading { grant: grants.remove(0), member: None } }
+        };
+        let all = ["/camera/left", "/camera/raw", "/odom", "/odometry", "/where"].map(listed);
+        let chosen = chosen(&config, &all);
+        let names: Vec<String> = chosen.keys().map(ToString::to_string).collect();
+        assert_eq!(names, ["/r1/camera/left", "/r1/where"]);
+    }
+
+    fn entry(owner: &SigningKey, kind: &str, topic: &str, signer: &SigningKey, to: &[Grantee]) -> Entry {
+        let card = NameCard::create(owner.verify_key(), kind, topic, "a/msg/B", Some("n".into())).unwrap();
+        let grant = |to: &Grantee| {
+            let claims = ReadGrant { name: card.name(), to: to.clone(), serial: 1, not_before: 0, not_after: u64::MAX };
+            issue(signer, &claims).unwrap().into()
+        };
+        let metadata: Metadata = card.metadata().clone();
+        Entry { metadata, grants: to.iter().map(grant).collect() }
+    }
+
+    fn message(writer: u8, sequence: u64, body: &[u8]) -> Message {
+        Message {
+            name: name(0),
+            writer: name(writer),
+            session: [0; 16],
+            sequence,
+            timestamp_ns: 0,
+            encoding: CATALOG,
+            in_reply_to: None,
+            origin: bytes::Bytes::new(),
+            latched: None,
+            service: None,
+            body: body.to_vec().into(),
+        }
+    }
+
+    fn key() -> SigningKey {
+        SigningKey::generate().unwrap()
+    }
+
+    fn name(byte: u8) -> Name {
+        Name::from_bytes([byte; 32])
+    }
+}

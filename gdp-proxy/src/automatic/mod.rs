@@ -1,0 +1,308 @@
+//! Topics that cross without being listed: what of a graph matches the patterns of `expose` goes out, and what of a catalog matches those of `import`
+//! comes in, each for as long as it is there.
+//!
+//! [`choice`] says which, [`issuer`] makes their names and certificates, [`listed`] reads catalogs: none of these waits or sends. [`link`] carries a catalog. Here they
+//! are put together, into plans for the managers of routes and of catalogs.
+
+pub mod choice;
+mod issuer;
+mod link;
+mod listed;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::pin::Pin;
+use std::sync::Arc;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use anyhow::{Context, Result, anyhow};
+use futures::future::select_all;
+use gdp::domain::PaperFiles;
+use gdp::{Name, NameCard};
+use gdp_ros::catalog::{Catalog, Entry, MAX_ENTRIES};
+use tokio::sync::watch;
+
+use self::choice::Choice;
+use self::issuer::{Issuer, Papers};
+use self::link::{CatalogPlan, End};
+use self::listed::{Listed, chosen};
+use crate::config::{Direction, ExposeConfig, ImportConfig, MAX_ROUTES, Side};
+use crate::graph::{self, Graph, Onlooker};
+use crate::manager::Plan;
+use crate::material::{ImportMaterial, Permission, RouteMaterial};
+use crate::reload::Loaded;
+use crate::renewal::{Renewal, Told};
+use crate::routes::RoutePlan;
+
+pub use self::choice::judge;
+pub use self::issuer::card_of;
+pub use self::link::{CatalogStats, Links, manager};
+
+/// How often it is looked whether certificates are old.
+const LOOK: Duration = Duration::from_secs(60);
+
+/// All that crosses by itself.
+pub struct Automatic {
+    expose: Option<Expose>,
+    imports: Vec<Import>,
+    rights: Rights,
+    look: Instant,
+}
+
+/// The rights to names that were made or learnt here, which routes follow by themselves.
+#[derive(Default)]
+struct Rights(BTreeMap<(Name, Side), watch::Sender<Permission>>);
+
+struct Expose {
+    config: ExposeConfig,
+    place: (String, Arc<Graph>),
+    onlooker: Onlooker,
+    choice: Choice,
+    issuer: Issuer,
+    catalog: NameCard,
+    /// By name; of the catalog as well.
+    papers: BTreeMap<Name, Papers>,
+    list: watch::Sender<Arc<[u8]>>,
+}
+
+struct Import {
+    config: ImportConfig,
+    place: (String, Arc<Graph>),
+    material: ImportMaterial,
+    listed: watch::Receiver<Arc<[Listed]>>,
+    tell: Arc<watch::Sender<Arc<[Listed]>>>,
+    files: Option<PaperFiles>,
+}
+
+/// What the managers are to run.
+#[derive(Default)]
+pub struct Plans {
+    pub routes: Vec<Arc<RoutePlan>>,
+    pub catalogs: Vec<CatalogPlan>,
+}
+
+impl Automatic {
+    /// Of a configuration. What `before` knows and is still wanted goes on.
+    pub fn new(loaded: &Loaded, graphs: &graph::All, entity: Name, before: Option<Self>) -> Result<Self> {
+        let Loaded { config, material } = loaded;
+        let (before_expose, mut before_imports, rights) = match before {
+            Some(Self { expose, imports, rights, .. }) => (expose, imports, rights),
+            None => (None, vec![], Rights::default()),
+        };
+        let place = |label: &Option<String>| {
+            let (label, _) = config.graphs.get(label.as_deref()).map_err(|reason| anyhow!(reason))?;
+            let graph = graphs.get(label).cloned().context("a graph that was not joined")?;
+            anyhow::Ok((label.to_owned(), graph))
+        };
+        let expose = match (&config.expose, &material.expose) {
+            (Some(expose), Some(material)) => {
+                let (config, place, catalog) = (expose.clone(), place(&expose.graph)?, material.catalog.clone());
+                let same = |before: &Expose| before.catalog == catalog && Arc::ptr_eq(&before.place.1, &place.1);
+                Some(match before_expose.filter(same) {
+                    Some(before) => before.with(config),
+                    None => Expose {
+                        config,
+                        onlooker: Onlooker::of(&place.1),
+                        place,
+                        choice: Choice::default(),
+                        issuer: Issuer::new(material.owner.clone(), entity),
+                        catalog,
+                        papers: BTreeMap::new(),
+                        list: watch::Sender::new(Arc::default()),
+                    },
+                })
+            }
+            _ => None,
+        };
+        let files = config.domain.as_ref().map(PaperFiles::from);
+        let imports = config.import.iter().zip(&material.imports).map(|(config, material)| {
+            let known = before_imports.iter().position(|before| before.material.catalog == material.catalog);
+            let tell = match known {
+                Some(at) => before_imports.swap_remove(at).tell,
+                None => Arc::new(watch::Sender::new(Arc::default())),
+            };
+            let (config, place) = (config.clone(), place(&config.graph)?);
+            Ok(Import {
+                config,
+                place,
+                material: material.clone(),
+                listed: tell.subscribe(),
+                tell,
+                files: files.clone(),
+            })
+        });
+        Ok(Self { expose, imports: imports.collect::<Result<_>>()?, rights, look: Instant::now() + LOOK })
+    }
+
+    /// Waits until [`Self::plan`] may come to something else. Safe to cancel.
+    pub async fn changed(&mut self) {
+        if self.expose.is_none() && self.imports.is_empty() {
+            return std::future::pending().await;
+        }
+        let due =
+            self.expose.as_ref().and_then(|expose| expose.choice.due()).map_or(self.look, |due| due.min(self.look));
+        let mut news: Vec<Pin<Box<dyn Future<Output = ()> + '_>>> =
+            vec![Box::pin(tokio::time::sleep_until(due.into()))];
+        if let Some(expose) = &mut self.expose {
+            news.push(Box::pin(expose.onlooker.changed()));
+        }
+        for import in &mut self.imports {
+            news.push(Box::pin(async { _ = import.listed.changed().await }));
+        }
+        select_all(news).await;
+        self.look = Instant::now() + LOOK;
+    }
+
+    /// What is to run, `explicit` first: what the configuration lists is not exposed or imported a second time.
+    pub fn plan(&mut self, explicit: &[Arc<RoutePlan>]) -> Plans {
+        let mut plans = Plans { routes: explicit.to_vec(), catalogs: vec![] };
+        let mut taken: BTreeSet<_> = explicit.iter().map(Plan::place).collect();
+        let mut wanted = BTreeSet::new();
+        let Self { expose, imports, rights, .. } = self;
+        let mut add = |plan: Arc<RoutePlan>| {
+            let room = taken.len() < MAX_ROUTES;
+            if !room {
+                tracing::warn!(topic = %plan.config.topic, "not carried: there are {MAX_ROUTES} routes already; run a second proxy");
+            }
+            let is_new = room && taken.insert(Plan::place(&plan));
+            if is_new {
+                wanted.insert((plan.material.card.name(), plan.material.side));
+                plans.routes.push(plan);
+            }
+            is_new
+        };
+        if let Some(expose) = expose {
+            plans.catalogs.extend(expose.plan(rights, &mut add));
+        }
+        for import in imports.iter_mut() {
+            plans.catalogs.push(import.plan(rights, &mut add));
+        }
+        wanted.extend(plans.catalogs.iter().map(|plan| (plan.card.name(), Side::Out)));
+        rights.0.retain(|key, _| wanted.contains(key));
+        plans
+    }
+}
+
+impl Rights {
+    /// The right as it is told to whoever uses it.
+    fn tell(&mut self, name: Name, side: Side, permission: Permission) -> (Permission, Renewal) {
+        let sender = self.0.entry((name, side)).or_insert_with(|| watch::Sender::new(permission.clone()));
+        sender.send_if_modified(|known| {
+            let is_new = *known != permission;
+            if is_new {
+                *known = permission.clone();
+            }
+            is_new
+        });
+        (permission, Renewal::Told(Told::new(sender.subscribe())))
+    }
+}
+
+impl Expose {
+    /// The same graph and catalog, as another configuration wants it.
+    fn with(mut self, config: ExposeConfig) -> Self {
+        if (&config.readers, &config.scope) != (&self.config.readers, &self.config.scope) {
+            self.papers.clear();
+        }
+        Self { config, ..self }
+    }
+
+    fn plan(&mut self, rights: &mut Rights, add: &mut impl FnMut(Arc<RoutePlan>) -> bool) -> Option<CatalogPlan> {
+        self.choice.update(&self.config, &self.onlooker.topics(), Instant::now());
+        let now = unix_nanos();
+        let catalog = self.catalog.clone();
+        let own = papers(&self.issuer, &mut self.papers, &self.config, &catalog, now)?;
+        let (right, renewal) = rights.tell(catalog.name(), Side::Out, Permission::Publish(own.cert));
+        let mut entries = BTreeMap::new();
+        let (label, graph) = &self.place;
+        for (topic, kind, exposed) in self.choice.iter() {
+            if entries.len() >= MAX_ENTRIES {
+                tracing::warn!(%topic, "not exposed: there are {MAX_ENTRIES} names in the catalog already");
+                continue;
+            }
+            let card = match self.issuer.card(kind, exposed) {
+                Ok(card) => card,
+                Err(error) => {
+                    tracing::error!(%topic, "not exposed: {error}");
+                    continue;
+                }
+            };
+            let name = card.name();
+            if entries.contains_key(&name) {
+                tracing::warn!(%topic, "not exposed: remap gives it the name of another topic");
+                continue;
+            }
+            let Some(issued) = papers(&self.issuer, &mut self.papers, &self.config, &card, now) else { continue };
+            let (permission, file) = rights.tell(name, Side::Out, Permission::Publish(issued.cert));
+            let config = exposed.manner.topic(topic, label, Some(kind.clone()), Direction::Out);
+            let metadata = card.metadata().clone();
+            let material = RouteMaterial { side: Side::Out, card, kind: Some(kind.clone()), permission, file };
+            if add(Arc::new(RoutePlan { config, label: label.clone(), graph: graph.clone(), material })) {
+                entries.insert(name, Entry { metadata, grants: issued.grants });
+            }
+        }
+        self.papers.retain(|name, _| entries.contains_key(name) || *name == catalog.name());
+        let list = Catalog::new(entries.into_values().collect()).map_err(|error| error.to_string());
+        match list.and_then(|list| list.to_bytes().map_err(|error| error.to_string())) {
+            Ok(list) => {
+                self.list.send_if_modified(|known| {
+                    let is_new = **known != *list;
+                    if is_new {
+                        *known = list.into();
+                    }
+                    is_new
+                });
+            }
+            Err(error) => tracing::error!("the catalog stays as it was: {error}"),
+        }
+        Some(CatalogPlan { card: catalog, right, renewal, end: End::Writes(self.list.subscribe()) })
+    }
+}
+
+/// Those that there are, or new ones if they are old.
+fn papers(
+    issuer: &Issuer,
+    known: &mut BTreeMap<Name, Papers>,
+    config: &ExposeConfig,
+    card: &NameCard,
+    now: u64,
+) -> Option<Papers> {
+    let name = card.name();
+    if let Some(papers) = known.get(&name).filter(|papers| !papers.are_old(now)) {
+        return Some(papers.clone());
+    }
+    match issuer.issue(name, config, now) {
+        Ok(papers) => {
+            known.insert(name, papers.clone());
+            Some(papers)
+        }
+        Err(error) => {
+            tracing::error!(%name, "no certificate: {error}");
+            None
+        }
+    }
+}
+
+impl Import {
+    fn plan(&mut self, rights: &mut Rights, add: &mut impl FnMut(Arc<RoutePlan>) -> bool) -> CatalogPlan {
+        let listed = self.listed.borrow_and_update().clone();
+        let (label, graph) = &self.place;
+        for (topic, Listed { card, kind, right, .. }) in chosen(&self.config, &listed) {
+            let (permission, file) = rights.tell(card.name(), Side::In, Permission::Read(right.clone()));
+            let config = self.config.manner().topic(&topic, label, Some(kind.clone()), Direction::In);
+            let (card, kind) = (card.clone(), Some(kind.clone()));
+            let material = RouteMaterial { side: Side::In, card, kind, permission, file };
+            let plan = RoutePlan { config, label: label.clone(), graph: graph.clone(), material };
+            if !add(Arc::new(plan)) {
+                tracing::debug!(%topic, "another route has it");
+            }
+        }
+        let ImportMaterial { catalog, grant, file } = self.material.clone();
+        let end = End::Reads(self.tell.clone(), self.files.clone());
+        CatalogPlan { card: catalog, right: Permission::Read(grant), renewal: file, end }
+    }
+}
+
+fn unix_nanos() -> u64 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
+}

@@ -1,0 +1,324 @@
+//! What crosses by itself: topics here that match a pattern (`expose`), and topics elsewhere that a catalog lists (`import`).
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::num::NonZeroU32;
+use std::path::PathBuf;
+
+use gdp::Name;
+use gdp::cert::Grantee;
+use gdp_ros::catalog::MAX_GRANTS;
+use schemars::JsonSchema;
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{self, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+
+use super::topics::Priority;
+use super::{Conversion, Direction, Graphs, Pattern, TopicConfig, schema};
+use crate::ros2::{Qos, TopicName, TypeName};
+
+/// Topics here that cross as long as somebody publishes them, under names that the proxy makes with the owner's key and lists in a catalog.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ExposeConfig {
+    /// Which of the graphs, if there are several.
+    #[serde(default)]
+    pub graph: Option<String>,
+    /// The private key of the owner of these names, and of no others (`gdp-ctl key generate FILE --kind owner`).
+    pub owner: PathBuf,
+    /// The name card of the catalog (`gdp-ctl name create --kind catalog`), a name of the same owner.
+    pub catalog: PathBuf,
+    /// Which topics.
+    #[schemars(schema_with = "schema::rules")]
+    pub topics: Vec<Rule>,
+    /// If there are any: only topics of one of these types, as ROS 2 writes them.
+    #[serde(default)]
+    pub types: Vec<TypeName>,
+    /// Which topics not, whatever else is said.
+    #[serde(default)]
+    pub deny: Vec<Pattern>,
+    /// Who may read all that is exposed: names of entities, and roles in domains.
+    #[serde(default)]
+    #[schemars(schema_with = "schema::readers")]
+    pub readers: Vec<Reader>,
+    /// Domains besides the proxy's own in which the names may be known.
+    #[serde(default)]
+    #[schemars(with = "Vec<String>")]
+    pub scope: Vec<Name>,
+    /// What topics are called elsewhere.
+    #[serde(default)]
+    pub remap: Vec<Remap>,
+    /// How topics cross whose pattern does not say it.
+    #[serde(default)]
+    pub defaults: Manner,
+}
+
+/// Topics elsewhere that a catalog lists, as long as it lists them.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ImportConfig {
+    /// Which of the graphs, if there are several.
+    #[serde(default)]
+    pub graph: Option<String>,
+    /// The name card of the catalog.
+    pub catalog: PathBuf,
+    /// The owner's permission to read it (`gdp-ctl grant add --read`).
+    pub grant: PathBuf,
+    /// Which topics, as the catalog calls them.
+    pub topics: Vec<Pattern>,
+    /// Which topics not, whatever else is said.
+    #[serde(default)]
+    pub deny: Vec<Pattern>,
+    /// What topics are called here.
+    #[serde(default)]
+    pub remap: Vec<Remap>,
+    /// A namespace that all of them come into, after `remap`.
+    #[serde(default)]
+    pub prefix: Option<TopicName>,
+    /// If absent: what each publisher offers.
+    #[serde(default)]
+    pub qos: Option<Qos>,
+    /// Each comes by two links at once.
+    #[serde(default)]
+    pub duplicate: bool,
+}
+
+/// A pattern alone, or with how its topics cross.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rule {
+    pub topic: Pattern,
+    pub manner: Manner,
+}
+
+/// How topics cross. What is absent is as in `topics`.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Manner {
+    /// If absent: what each publisher offers.
+    pub qos: Option<Qos>,
+    pub encoding: Option<Conversion>,
+    /// Of each publisher, no more messages a second go out.
+    pub max_hz: Option<NonZeroU32>,
+    pub priority: Option<Priority>,
+    /// Each frame goes by two links at once.
+    pub duplicate: Option<bool>,
+    /// What else the name cards say. Another value makes another name.
+    pub meta: BTreeMap<String, String>,
+}
+
+/// The same with the pattern, as the file has it.
+#[derive(Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RuleSaid {
+    topic: Pattern,
+    #[serde(default)]
+    qos: Option<Qos>,
+    #[serde(default)]
+    encoding: Option<Conversion>,
+    #[serde(default)]
+    max_hz: Option<NonZeroU32>,
+    #[serde(default)]
+    priority: Option<Priority>,
+    #[serde(default)]
+    duplicate: Option<bool>,
+    #[serde(default)]
+    meta: BTreeMap<String, String>,
+}
+
+/// An entity's name, or all that have a role in a domain.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reader(pub Grantee);
+
+#[derive(Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Role {
+    #[schemars(with = "String")]
+    domain: Name,
+    role: String,
+}
+
+/// Another name for a topic, or for a namespace and so for all topics in it.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Remap {
+    pub from: TopicName,
+    pub to: TopicName,
+}
+
+impl Manner {
+    /// This, and where it says nothing, what `defaults` says.
+    pub fn or(&self, defaults: &Self) -> Self {
+        let mut meta = defaults.meta.clone();
+        meta.extend(self.meta.clone());
+        Self {
+            qos: self.qos.or(defaults.qos),
+            encoding: self.encoding.or(defaults.encoding),
+            max_hz: self.max_hz.or(defaults.max_hz),
+            priority: self.priority.or(defaults.priority),
+            duplicate: self.duplicate.or(defaults.duplicate),
+            meta,
+        }
+    }
+
+    /// A topic of `graph` that crosses so.
+    pub fn topic(&self, topic: &TopicName, graph: &str, kind: Option<TypeName>, direction: Direction) -> TopicConfig {
+        let Self { qos, encoding, max_hz, priority, duplicate, .. } = self;
+        TopicConfig {
+            graph: Some(graph.into()),
+            kind,
+            qos: *qos,
+            encoding: encoding.unwrap_or_default(),
+            max_hz: *max_hz,
+            priority: priority.unwrap_or_default(),
+            duplicate: duplicate.unwrap_or_default(),
+            ..TopicConfig::without_files(topic.clone(), direction)
+        }
+    }
+}
+
+/// What the topic is called by the first of these that knows it. None, if the name would be too long.
+pub fn remapped(topic: &TopicName, remap: &[Remap]) -> Option<TopicName> {
+    let rest = |from: &TopicName| {
+        let rest = topic.as_str().strip_prefix(from.as_str())?;
+        (rest.is_empty() || rest.starts_with('/')).then_some(rest)
+    };
+    match remap.iter().find_map(|remap| Some((&remap.to, rest(&remap.from)?))) {
+        Some((to, rest)) => TopicName::parse(&format!("{to}{rest}")).ok(),
+        None => Some(topic.clone()),
+    }
+}
+
+impl ExposeConfig {
+    /// Errors with the key inside `expose`.
+    pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
+        graphs.get(self.graph.as_deref()).map_err(|reason| ("graph", reason))?;
+        if self.readers.len() > MAX_GRANTS {
+            return Err(("readers", format!("more than {MAX_GRANTS}; give them a role in a domain")));
+        }
+        let manners = self.topics.iter().map(|rule| &rule.manner).chain([&self.defaults]);
+        for key in manners.flat_map(|manner| manner.meta.keys()) {
+            if matches!(key.as_str(), "kind" | "topic" | "type" | "nonce") {
+                return Err(("meta", format!("{key} is said by the proxy itself; remove it")));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl ImportConfig {
+    /// Errors with the key inside the import.
+    pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
+        graphs.get(self.graph.as_deref()).map_err(|reason| ("graph", reason)).map(|_| ())
+    }
+
+    /// What the topic is called here.
+    pub fn local_name(&self, topic: &TopicName) -> Option<TopicName> {
+        let topic = remapped(topic, &self.remap)?;
+        match &self.prefix {
+            Some(prefix) => TopicName::parse(&format!("{prefix}{topic}")).ok(),
+            None => Some(topic),
+        }
+    }
+
+    pub fn manner(&self) -> Manner {
+        Manner { qos: self.qos, duplicate: Some(self.duplicate), ..Manner::default() }
+    }
+}
+
+impl From<RuleSaid> for Rule {
+    fn from(said: RuleSaid) -> Self {
+        let RuleSaid { topic, qos, encoding, max_hz, priority, duplicate, meta } = said;
+        Self { topic, manner: Manner { qos, encoding, max_hz, priority, duplicate, meta } }
+    }
+}
+
+impl<'de> Deserialize<'de> for Rule {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = |text: &str| Ok(Self { topic: Pattern::parse(text)?, manner: Manner::default() });
+        let expecting = "a pattern such as /camera/**, or a mapping such as {topic: /camera/**, max_hz: 5}";
+        deserializer.deserialize_any(TextOrMap { expecting, text, map: |said: RuleSaid| Ok(said.into()) })
+    }
+}
+
+impl<'de> Deserialize<'de> for Reader {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text =
+            |text: &str| text.parse().map(|name| Self(Grantee::Entity(name))).map_err(|error| format!("{error}"));
+        let map = |Role { domain, role }| Ok(Self(Grantee::Role { domain, role }));
+        let expecting = "the name of an entity, or a mapping {domain: NAME, role: ROLE}";
+        deserializer.deserialize_any(TextOrMap { expecting, text, map })
+    }
+}
+
+/// An untagged enum would not name a misspelt key.
+struct TextOrMap<T, M> {
+    expecting: &'static str,
+    text: fn(&str) -> Result<T, String>,
+    map: fn(M) -> Result<T, String>,
+}
+
+impl<'de, T, M: Deserialize<'de>> Visitor<'de> for TextOrMap<T, M> {
+    type Value = T;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(self.expecting)
+    }
+
+    fn visit_str<E: de::Error>(self, text: &str) -> Result<T, E> {
+        (self.text)(text).map_err(E::custom)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<T, A::Error> {
+        (self.map)(M::deserialize(MapAccessDeserializer::new(map))?).map_err(de::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_namespace_is_renamed_with_all_that_is_in_it_and_nothing_else() {
+        let topic = |text: &str| TopicName::parse(text).unwrap();
+        let remap = [("/camera/left", "/eye"), ("/camera", "/r1/camera")];
+        let remap = remap.map(|(from, to)| Remap { from: topic(from), to: topic(to) });
+        for (from, to) in [
+            ("/camera/left/image", "/eye/image"),
+            ("/camera/left", "/eye"),
+            ("/camera/leftmost", "/r1/camera/leftmost"),
+            ("/cameras", "/cameras"),
+        ] {
+            assert_eq!(remapped(&topic(from), &remap), Some(topic(to)));
+        }
+        let long = Remap { from: topic("/a"), to: topic(&format!("/{}", "b".repeat(200))) };
+        assert_eq!(remapped(&topic(&format!("/a/{}", "c".repeat(100))), &[long]), None);
+    }
+
+    #[test]
+    fn a_pattern_says_what_differs() {
+        let config: ExposeConfig = serde_saphyr::from_str(
+            "owner: o\ncatalog: c\ntopics: [/a, {topic: /b/**, max_hz: 5, meta: {floor: '2'}}]\n\
+             defaults: {max_hz: 9, priority: 6, meta: {floor: '1', site: x}}\n",
+        )
+        .unwrap();
+        let manner = |i: usize| config.topics[i].manner.or(&config.defaults);
+        let meta = |i: usize| manner(i).meta.into_values().collect::<Vec<_>>().join(" ");
+        assert_eq!((manner(0).max_hz.unwrap().get(), meta(0)), (9, "1 x".into()));
+        assert_eq!((manner(1).max_hz.unwrap().get(), meta(1)), (5, "2 x".into()));
+        let topic = manner(1).topic(&TopicName::parse("/b").unwrap(), "here", None, Direction::Out);
+        assert_eq!((topic.priority.get(), topic.graph.as_deref(), topic.duplicate), (6, Some("here"), false));
+    }
+
+    #[test]
+    fn readers_are_entities_or_roles() {
+        let name = "ab".repeat(32);
+        let readers: Vec<Reader> =
+            serde_saphyr::from_str(&format!("- {name}\n- {{domain: {name}, role: operator}}\n")).unwrap();
+        let name: Name = name.parse().unwrap();
+        let role = Grantee::Role { domain: name, role: "operator".into() };
+        assert_eq!(readers, [Reader(Grantee::Entity(name)), Reader(role)]);
+        for wrong in ["[12]", "[{domain: x}]", "[{domian: x, role: y}]"] {
+            assert!(serde_saphyr::from_str::<Vec<Reader>>(wrong).is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! Where another certificate for a topic comes from while the proxy runs: from its file, or from whoever issues or learns it here.
+
+use std::fmt::Display;
+
+use tokio::sync::watch;
+
+use crate::cert_file::CertFile;
+use crate::material::Permission;
+
+#[derive(Clone)]
+pub enum Renewal {
+    File(CertFile),
+    Told(Told),
+}
+
+/// What others in the proxy say that the certificate is.
+#[derive(Clone)]
+pub struct Told {
+    newest: watch::Receiver<Permission>,
+    /// It has been offered, and is not in force.
+    offered: bool,
+}
+
+impl Renewal {
+    /// Another one than what was [taken](Self::taken) last. Until it is, it is offered each time.
+    pub fn changed(&mut self) -> Option<Permission> {
+        match self {
+            Self::File(file) => file.changed(),
+            Self::Told(told) => told.changed(),
+        }
+    }
+
+    /// What was offered last is in force.
+    pub fn taken(&mut self) {
+        match self {
+            Self::File(file) => file.taken(),
+            Self::Told(told) => told.offered = false,
+        }
+    }
+
+    /// What was offered last is of no use at the moment.
+    pub fn refused(&mut self, reason: &dyn Display) {
+        match self {
+            Self::File(file) => file.refused(reason),
+            Self::Told(_) => {
+                tracing::warn!("a renewed certificate is of no use yet, going on with the old one: {reason}")
+            }
+        }
+    }
+}
+
+impl Told {
+    /// What it says now is in force.
+    pub fn new(newest: watch::Receiver<Permission>) -> Self {
+        Self { newest, offered: false }
+    }
+
+    fn changed(&mut self) -> Option<Permission> {
+        self.offered |= self.newest.has_changed().unwrap_or(false);
+        self.offered.then(|| self.newest.borrow_and_update().clone())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use gdp::cert::{AdCert, issue};
+
+    use super::*;
+    use crate::material::tests::Files;
+
+    #[test]
+    fn what_is_told_is_offered_until_it_is_in_force() {
+        let files = Files::new();
+        let permission =
+            |serial| Permission::Publish(issue(&files.owner, &AdCert { serial, ..files.claims() }).unwrap().into());
+        let serial = |permission: Option<Permission>| Some(permission?.publish().unwrap().serials().unwrap()[0].1);
+        let (tell, newest) = watch::channel(permission(1));
+        let mut told = Renewal::Told(Told::new(newest));
+        assert!(told.changed().is_none());
+        tell.send_replace(permission(2));
+        for _ in 0..2 {
+            assert_eq!(serial(told.changed()), Some(2));
+        }
+        tell.send_replace(permission(3));
+        assert_eq!(serial(told.changed()), Some(3));
+        told.taken();
+        drop(tell);
+        assert!(told.changed().is_none());
+    }
+}

@@ -1,0 +1,146 @@
+//! Topics that cross by pattern, and a configuration that changes while its proxy runs.
+
+use std::fs;
+use std::time::{Duration, Instant};
+
+use gdp::cert::{Grantee, ReadGrant, issue};
+use gdp::seal::Encoding;
+use gdp::{NameCard, SigningKey};
+use gdp_proxy::ros2::{Domain, TopicName, TypeName};
+
+use super::site::Site;
+use super::{PATIENCE, RELIABLE, cdr, within};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_matches_crosses_while_it_is_published_and_deny_wins() {
+    let site = Site::start().await;
+    let (here, there) = (site.domain_id() + 20, site.domain_id() + 30);
+    let (robot, cloud) = (site.folder("robot"), site.folder("cloud"));
+    let owner = SigningKey::generate().unwrap();
+    owner.save_new(&robot.join("owner.pem")).unwrap();
+    let catalog = NameCard::create(owner.verify_key(), "catalog", "/robot", "", None).unwrap();
+    let (name, to) = (catalog.name(), Grantee::Entity(site.identity("cloud").name()));
+    let grant = ReadGrant { name, to, serial: 1, not_before: 0, not_after: u64::MAX };
+    fs::write(cloud.join("catalog.grant"), issue(&owner, &grant).unwrap().to_pem()).unwrap();
+    for folder in [&robot, &cloud] {
+        catalog.save_new(&folder.join("catalog.card")).unwrap();
+    }
+    let expose = format!(
+        "expose: {{owner: owner.pem, catalog: catalog.card, topics: [/camera/**], deny: [/camera/secret], readers: [{}], \
+         remap: [{{from: /camera, to: /r1/camera}}]}}\n",
+        site.identity("cloud").name()
+    );
+    let import = "import: [{catalog: catalog.card, grant: catalog.grant, topics: [/**], prefix: /far}]\n";
+    let _robot = site.begin("robot", &format!("{{domain_id: {here}}}"), &expose);
+    let _cloud = site.begin("cloud", &format!("{{domain_id: {there}}}"), import);
+
+    let (camera, onlooker) = (Domain::join(here, "camera").unwrap(), Domain::join(there, "onlooker").unwrap());
+    let kind = TypeName::parse("std_msgs/msg/String").unwrap();
+    let topic = |name: &str| TopicName::parse(name).unwrap();
+    let writer = |name: &str| camera.writer(&topic(name), &kind, &RELIABLE).unwrap();
+    let _others = [writer("/camera/secret"), writer("/other")];
+    let mut image = writer("/camera/image");
+    let reader = onlooker.reader(&topic("/far/r1/camera/image"), &kind, &RELIABLE).unwrap();
+    let heard = within("an image elsewhere", async {
+        loop {
+            tokio::select! {
+                heard = reader.recv() => break heard,
+                () = tokio::time::sleep(Duration::from_millis(100)) => image.write(cdr("light"), 0).await.unwrap(),
+            }
+        }
+    });
+    assert!(heard.await.unwrap().sample.bytes.ends_with(b"light\0"));
+    assert_eq!(site.carried("robot"), ["/camera/image"]);
+    assert_eq!(site.carried("cloud"), ["/far/r1/camera/image"]);
+
+    drop(image);
+    until("the topic is gone at both", || site.carried("robot").is_empty() && site.carried("cloud").is_empty()).await;
+    // Under the same name as before.
+    let mut image = writer("/camera/image");
+    let back = within("an image after that", async {
+        loop {
+            tokio::select! {
+                heard = reader.recv() => break heard,
+                () = tokio::time::sleep(Duration::from_millis(100)) => image.write(cdr("again"), 0).await.unwrap(),
+            }
+        }
+    });
+    assert!(back.await.unwrap().sample.bytes.ends_with(b"again\0"));
+    assert_eq!(site.carried("robot"), ["/camera/image"]);
+    camera.leave().await;
+    onlooker.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_changed_configuration_disturbs_no_topic_that_is_the_same() {
+    let site = Site::start().await;
+    let domain = site.domain_id() + 25;
+    let graph = format!("{{domain_id: {domain}}}");
+    let topics = ["/steady", "/second"].map(|topic| site.topic(topic, "std_msgs/msg/String"));
+    let [steady, second] = [0, 1].map(|i| site.give("robot", i, &topics[i], "direction: out"));
+    let proxy = site.begin("robot", &graph, &format!("topics:\n{steady}"));
+    let mut subscription = site.subscribe(&topics[0]).await;
+
+    let participant = Domain::join(domain, "steady").unwrap();
+    let kind = TypeName::parse("std_msgs/msg/String").unwrap();
+    let writer = |topic: &str| participant.writer(&TopicName::parse(topic).unwrap(), &kind, &RELIABLE).unwrap();
+    let (mut writer, _second) = (writer("/steady"), writer("/second"));
+    let talking = tokio::spawn(async move {
+        for number in 0u32.. {
+            writer.write(cdr(&number.to_string()), 0).await.unwrap();
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    });
+    let (count, counted) = tokio::sync::watch::channel((0, None));
+    let counting = tokio::spawn(async move {
+        let (mut last, mut of) = (None, None);
+        while let Some(message) = subscription.recv().await {
+            if message.encoding != Encoding::Cdr {
+                continue;
+            }
+            let text = std::str::from_utf8(&message.body[8..message.body.len() - 1]).unwrap();
+            let number: u32 = text.parse().unwrap();
+            assert!(last.is_none_or(|last| number == last + 1), "{number} after {last:?}");
+            assert!(of.is_none_or(|of| of == message.session), "another session");
+            (last, of) = (Some(number), Some(message.session));
+            count.send_replace((number, of));
+        }
+    });
+    let more = || {
+        let (seen, mut counted) = (counted.borrow().0, counted.clone());
+        async move {
+            let next = counted.wait_for(|(number, _)| *number > seen + 10);
+            within("more messages", next).await.unwrap();
+        }
+    };
+    more().await;
+
+    site.configure("robot", &graph, &format!("topics:\n{steady}{second}"));
+    proxy.hang_up();
+    until("the second topic is carried", || site.carried("robot").len() == 2).await;
+    more().await;
+
+    let log = site.folder("robot").join("log");
+    let says = |what: &str| fs::read_to_string(&log).unwrap().contains(what);
+    site.configure("robot", &graph, &format!("topics:\n{steady}{}", second.replace("direction", "dirction")));
+    until("the mistake is said", || says("not taken") && says("did you mean `direction`? at line 7")).await;
+    site.configure("robot", "{domain_id: 1}", &format!("topics:\n{steady}"));
+    until("what cannot change is said", || says("graphs.a: cannot change while the proxy runs")).await;
+    assert_eq!(site.carried("robot").len(), 2);
+
+    site.configure("robot", &graph, &format!("topics:\n{steady}"));
+    until("the second topic is not carried", || site.carried("robot") == ["/steady"]).await;
+    more().await;
+    assert!(!counting.is_finished());
+    talking.abort();
+    counting.abort();
+    participant.leave().await;
+}
+
+async fn until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let deadline = Instant::now() + PATIENCE;
+    while !is_so() {
+        assert!(Instant::now() < deadline, "not in {PATIENCE:?}: {what}");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
