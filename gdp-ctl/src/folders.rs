@@ -34,6 +34,12 @@ pub fn admin_socket() -> Result<PathBuf, NoFolder> {
     Ok(folder.join("ctl.sock"))
 }
 
+/// The user's name cards, grants and key.
+pub fn keyring() -> Option<PathBuf> {
+    let home = || absolute("HOME").map(|home| home.join(".config"));
+    Some(absolute("XDG_CONFIG_HOME").or_else(home)?.join("gdp"))
+}
+
 /// A relative path in these variables is invalid and to be ignored (XDG base directory specification).
 fn absolute(variable: &str) -> Option<PathBuf> {
     std::env::var_os(variable).map(PathBuf::from).filter(|path| path.is_absolute())

@@ -12,6 +12,7 @@ mod feed;
 pub mod folders;
 pub mod plane;
 pub mod rib;
+pub mod ros;
 pub mod serve;
 pub mod store;
 pub mod tiers;

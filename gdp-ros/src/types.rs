@@ -102,11 +102,16 @@ impl Types {
         Ok(Schema::resolve(&self.0, kind.dialect.into(), &TypeName::parse(&kind.name)?)?)
     }
 
-    fn schema(&self, form: &Form<'_>) -> Result<Arc<Schema>, TypeError> {
-        match form.definition {
-            Some(text) => Ok(Schema::from_text(form.kind.dialect.into(), &TypeName::parse(&form.kind.name)?, text)?),
-            None => self.known(form.kind),
+    /// A type by the definition of whoever sends its messages; without one, as it is known here.
+    pub fn schema(&self, kind: &Kind, definition: Option<&str>) -> Result<Arc<Schema>, TypeError> {
+        match definition {
+            Some(text) => Ok(Schema::from_text(kind.dialect.into(), &TypeName::parse(&kind.name)?, text)?),
+            None => self.known(kind),
         }
+    }
+
+    fn schema_of(&self, form: &Form<'_>) -> Result<Arc<Schema>, TypeError> {
+        self.schema(form.kind, form.definition)
     }
 
     /// The text that a type is defined by with all that it contains, if it is known here and not too long to be told.
@@ -124,7 +129,7 @@ impl Types {
         let kind = Kind { dialect, name, hash: vec![] };
         let schema = match self.known(&kind) {
             Ok(schema) => schema,
-            Err(_) => self.schema(form)?.in_dialect(dialect.into(), &self.0)?,
+            Err(_) => self.schema_of(form)?.in_dialect(dialect.into(), &self.0)?,
         };
         Ok((kind, Some(schema.text())))
     }
@@ -134,15 +139,14 @@ impl Types {
         if !kind.hash.is_empty() {
             return Ok(hex::encode(&kind.hash));
         }
-        let form = Form { kind, definition, encoding: Encoding::Ros1 };
-        Ok(gdp_msg::hash::md5sum(&*self.schema(&form)?))
+        Ok(gdp_msg::hash::md5sum(&*self.schema(kind, definition)?))
     }
 
     pub fn converter(&self, from: &Form<'_>, to: &Form<'_>) -> Result<Converter, TypeError> {
         if from.encoding == to.encoding && from.kind.dialect == to.kind.dialect {
             return Ok(Converter::None);
         }
-        let mapping = Mapping::new(&*self.schema(from)?, from.encoding, &*self.schema(to)?, to.encoding)?;
+        let mapping = Mapping::new(&*self.schema_of(from)?, from.encoding, &*self.schema_of(to)?, to.encoding)?;
         for note in mapping.notes() {
             tracing::info!(from = %from.kind.name, to = %to.kind.name, "{note}");
         }

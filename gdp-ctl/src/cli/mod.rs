@@ -1,6 +1,7 @@
 //! The command line: one file to an object. Commands that make files work without a daemon; the others talk to it over the
 //! admin socket. Data goes to stdout (JSON with `-j`, each object with `"v": 1`), everything else to stderr.
 
+mod action;
 mod advertise;
 mod books;
 mod cert;
@@ -12,6 +13,7 @@ mod key;
 mod link;
 mod monitor;
 mod name;
+mod node;
 mod output;
 mod paper;
 mod peer;
@@ -20,7 +22,9 @@ mod place;
 mod query;
 mod revocation;
 mod serve;
+mod service;
 mod status;
+mod topic;
 mod topology;
 mod trace;
 mod xdp;
@@ -34,6 +38,7 @@ use crate::admin::{Client, ClientError};
 use crate::folders;
 use crate::unix_time::{unix_nanos, unix_now};
 use output::Output;
+pub(crate) use paper::Paper;
 
 /// Names, certificates and the daemon of the Global Data Plane.
 #[derive(Debug, Parser)]
@@ -98,6 +103,15 @@ enum Command {
     Monitor,
     /// Show the domain's switches and the links between them, as this switch knows them.
     Topology(topology::Options),
+    /// Read and publish topics, as `ros2 topic` does in a ROS graph.
+    #[command(subcommand)]
+    Topic(topic::Command),
+    /// Services of other places.
+    #[command(subcommand)]
+    Service(service::Command),
+    /// Actions of other places.
+    #[command(subcommand)]
+    Action(action::Command),
     /// Check what the daemon needs from this machine, and name the remedy for what is amiss.
     Doctor(doctor::Options),
     /// What forwards in the kernel, with or without a daemon.
@@ -164,6 +178,9 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Ping(options) => ping::run(&options, context),
         Command::Monitor => monitor::run(context),
         Command::Topology(options) => topology::run(&options, context),
+        Command::Topic(command) => topic::run(command, context),
+        Command::Service(command) => service::run(command, context),
+        Command::Action(command) => action::run(command, context),
         Command::Doctor(options) => doctor::run(options, context),
         Command::Xdp(command) => xdp::run(&command, context),
     }

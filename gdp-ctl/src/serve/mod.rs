@@ -34,7 +34,7 @@ use std::collections::HashMap;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use gdp::control::PathCosts;
@@ -94,6 +94,8 @@ pub struct Daemon {
     /// What is kept of the domain, if this is a member of one.
     domain: Option<KeptDomain>,
     ports: Mutex<HashMap<String, Arc<Port>>>,
+    /// Where links over UDP are taken.
+    udp: OnceLock<SocketAddr>,
     /// Who is at each place, and who waits to be.
     turns: Mutex<HashMap<Place, Arc<tokio::sync::Mutex<()>>>>,
     report: Notify,
@@ -165,6 +167,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         replica: config.etcd.clone().map(Replica::new),
         domain,
         ports: Mutex::default(),
+        udp: OnceLock::new(),
         turns: Mutex::default(),
         report: Notify::new(),
         topology: Notify::new(),
@@ -203,6 +206,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         daemon.spawn(ports::run_ethernet(daemon.clone(), name, port, changes.clone()));
     }
     if let Some((bind, port)) = &udp {
+        port.udp_addr().map(|addr| daemon.udp.set(addr));
         daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind, changes.clone()));
         let wanted = daemon.core().peerings.subscribe();
         daemon.spawn(peering::run(daemon.clone(), port.clone(), wanted));

@@ -68,6 +68,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "data_plane": data_plane,
         "data_plane_reason": reason,
         "interfaces": used,
+        "udp": daemon.udp.get(),
         "links": links(&core),
         "links_held": links_held(&core),
         "handshakes": handshakes(daemon.port_config.handshakes.read()),

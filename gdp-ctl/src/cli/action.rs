@@ -1,0 +1,18 @@
+//! `gdp-ctl action`: what `ros2 action` is in a ROS graph, in the fabric.
+
+use clap::Subcommand;
+
+use super::Context;
+use super::topic::{ListOptions, list};
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// List the actions of the keyring.
+    List(ListOptions),
+}
+
+pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
+    match command {
+        Command::List(options) => list("action", &options, context),
+    }
+}

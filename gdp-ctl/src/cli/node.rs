@@ -1,0 +1,133 @@
+//! What commands have in common that are nodes of the fabric themselves.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use anyhow::Context as _;
+use clap::Args;
+use gdp::node::{LinkTarget, SubscribeOptions, Subscription};
+use gdp::{Identity, NameCard};
+use gdp_ros::roster::Dialect;
+use gdp_ros::types::Types;
+
+use super::Context;
+use super::key::Kind;
+use crate::folders;
+use crate::ros::fabric::{Fabric, identity, local_switch};
+use crate::ros::feed::Feed;
+use crate::ros::keyring::{Keyring, called};
+use crate::unix_time::unix_now;
+
+/// How often somebody is told that nobody publishes.
+const PATIENCE: Duration = Duration::from_secs(3);
+
+#[derive(Debug, Args)]
+pub struct NodeOptions {
+    /// The folder with name cards (*.card), grants (*.grant, *.ad) and the key (id.pem); ~/.config/gdp if nothing is said.
+    #[arg(long, env = "GDP_KEYRING", value_name = "FOLDER")]
+    keyring: Option<PathBuf>,
+    /// The private key, if it is not id.pem of the keyring.
+    #[arg(long, value_name = "FILE")]
+    key: Option<PathBuf>,
+    /// What the key's entity is, as it was when its key was made.
+    #[arg(long, value_enum, default_value = "proxy")]
+    kind: Kind,
+    /// A switch, as udp://HOST[:PORT] or eth://INTERFACE; the one of this machine's daemon if nothing is said.
+    #[arg(long, env = "GDP_SWITCH", value_name = "LINK")]
+    switch: Option<LinkTarget>,
+}
+
+impl NodeOptions {
+    /// The keyring, with a word on files that are left out.
+    pub fn keyring(&self) -> anyhow::Result<Keyring> {
+        let keyring = Keyring::open(&self.folder()?)?;
+        for reason in &keyring.left_out {
+            eprintln!("gdp-ctl: warning: left out: {reason}");
+        }
+        Ok(keyring)
+    }
+
+    fn folder(&self) -> anyhow::Result<PathBuf> {
+        let folder = self.keyring.clone().or_else(folders::keyring);
+        folder.context("no place for a keyring: say where it is with --keyring, or set HOME")
+    }
+
+    fn identity(&self) -> anyhow::Result<Identity> {
+        identity(&self.folder()?, self.key.as_ref(), self.kind.as_str())
+    }
+
+    /// Attaches, does `what`, and detaches.
+    pub fn with_fabric<T>(
+        &self,
+        keyring: Keyring,
+        context: &Context,
+        what: impl AsyncFnOnce(&Fabric) -> anyhow::Result<T>,
+    ) -> anyhow::Result<T> {
+        let identity = self.identity()?;
+        let switch = match &self.switch {
+            Some(switch) => switch.clone(),
+            None => local_switch(&mut context.client()?)?,
+        };
+        // One thread keeps the link alive while another writes to a terminal that is stopped.
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+        runtime.block_on(async {
+            let fabric = Fabric::join(keyring, identity, switch).await?;
+            let done = what(&fabric).await;
+            fabric.node.close().await;
+            done
+        })
+    }
+}
+
+/// `None` once ^C has come.
+pub async fn unless_interrupted<T>(what: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result<Option<T>> {
+    tokio::select! {
+        done = what => done.map(Some),
+        interrupted = tokio::signal::ctrl_c() => interrupted.map(|()| None).context("cannot wait for ^C"),
+    }
+}
+
+/// Share folders of ROS 2, for types beyond the common ones.
+#[derive(Debug, Args)]
+pub struct Definitions {
+    /// A share folder of ROS 2, such as /opt/ros/jazzy/share, for types that are not among the common interfaces; repeat for several.
+    #[arg(long, value_name = "FOLDER")]
+    definitions: Vec<PathBuf>,
+}
+
+impl Definitions {
+    pub fn load(&self) -> anyhow::Result<Types> {
+        let folders = self.definitions.iter().map(|folder| (Dialect::Ros2, Path::new(folder)));
+        Ok(Types::load(folders)?)
+    }
+}
+
+pub async fn subscribe(fabric: &Fabric, card: &NameCard, options: SubscribeOptions) -> anyhow::Result<Subscription> {
+    let grant = fabric.keyring.grant(card, fabric.node.name(), unix_now())?;
+    Ok(fabric.node.subscribe(card.proof(), grant, options).await?)
+}
+
+/// Reads a topic with what its publishers are.
+pub async fn listen(fabric: &Fabric, card: &NameCard, options: SubscribeOptions) -> anyhow::Result<Feed> {
+    Ok(Feed::new(subscribe(fabric, card, options).await?, card))
+}
+
+/// Says once, a moment after the start, if nobody publishes; never returns.
+pub async fn tell_if_silent<T>(fabric: &Fabric, card: &NameCard) -> anyhow::Result<T> {
+    tokio::time::sleep(PATIENCE).await;
+    if fabric.parties(card).await?.writers.is_empty() {
+        eprintln!("WARNING: topic [{}] does not appear to be published yet", called(card));
+    }
+    std::future::pending().await
+}
+
+/// Seconds and nanoseconds since 1970.
+pub fn now() -> Duration {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
+}
+
+/// More than none.
+pub fn parse_positive(text: &str) -> Result<f64, String> {
+    let value = text.parse::<f64>().ok().filter(|value| value.is_finite() && *value > 0.0);
+    value.ok_or_else(|| format!("{text:?} is not a number greater than zero"))
+}

@@ -1,0 +1,154 @@
+//! `gdp-ctl topic echo`: a topic's messages as they come.
+
+use std::time::Duration;
+
+use anyhow::bail;
+use base64ct::{Base64, Encoding as _};
+use clap::Args;
+use gdp::NameCard;
+use gdp::node::SubscribeOptions;
+use serde_json::json;
+
+use super::super::Context;
+use super::super::node::{Definitions, NodeOptions, listen, parse_positive, tell_if_silent, unless_interrupted};
+use crate::ros::fabric::Fabric;
+use crate::ros::feed::{Decoder, Feed, Heard};
+use crate::ros::keyring::called;
+use crate::ros::python;
+use crate::ros::view::{Limits, View};
+use crate::ros::yaml::{Item, document};
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// The topic: its ROS name, its name or first digits of it, or a name card.
+    #[arg(value_name = "TOPIC")]
+    what: String,
+    /// Print the first message, and end.
+    #[arg(long)]
+    once: bool,
+    /// Only this field, as pose.position.x.
+    #[arg(long, value_name = "FIELD", value_parser = parse_path)]
+    field: Option<Path>,
+    /// All elements of arrays, and all characters of texts.
+    #[arg(short, long)]
+    full_length: bool,
+    /// So many of them.
+    #[arg(short = 'l', long, default_value_t = 128, value_name = "LENGTH")]
+    truncate_length: usize,
+    /// No elements of arrays.
+    #[arg(long)]
+    no_arr: bool,
+    /// No characters of texts.
+    #[arg(long)]
+    no_str: bool,
+    /// The bytes of messages, as they are encoded in the fabric.
+    #[arg(long, conflicts_with = "field")]
+    raw: bool,
+    /// Give up after so many seconds; without any message, with exit status 1.
+    #[arg(long, value_name = "SECONDS", value_parser = parse_positive)]
+    timeout: Option<f64>,
+    #[command(flatten)]
+    definitions: Definitions,
+    #[command(flatten)]
+    node: NodeOptions,
+}
+
+#[derive(Clone, Debug)]
+struct Path(Vec<String>);
+
+fn parse_path(text: &str) -> Result<Path, String> {
+    let fields: Vec<String> = text.split('.').filter(|field| !field.is_empty()).map(str::to_owned).collect();
+    if fields.is_empty() { Err("no field; write one as pose.position.x".into()) } else { Ok(Path(fields)) }
+}
+
+pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let (keyring, types) = (options.node.keyring()?, options.definitions.load()?);
+    let card = keyring.find(&options.what, "topic")?;
+    let mut decoder = Decoder::new(types);
+    let mut echo = async |fabric: &Fabric| {
+        let mut feed = listen(fabric, &card, SubscribeOptions::as_offered()).await?;
+        let mut shown = 0u64;
+        let all = async {
+            tokio::select! {
+                done = print_all(options, context, fabric, &card, &mut feed, &mut decoder, &mut shown) => done,
+                done = tell_if_silent(fabric, &card) => done,
+            }
+        };
+        let Some(seconds) = options.timeout else { return all.await };
+        match tokio::time::timeout(Duration::from_secs_f64(seconds.min(1e9)), all).await {
+            Ok(done) => done,
+            Err(_) if shown > 0 => Ok(()),
+            Err(_) => bail!("no message of {} came in time; `gdp-ctl topic info` shows who publishes it", called(&card)),
+        }
+    };
+    let echoed = options.node.with_fabric(keyring, context, async |fabric| unless_interrupted(echo(fabric)).await);
+    echoed.map(drop)
+}
+
+async fn print_all(
+    options: &Options,
+    context: &Context,
+    fabric: &Fabric,
+    card: &NameCard,
+    feed: &mut Feed,
+    decoder: &mut Decoder,
+    shown: &mut u64,
+) -> anyhow::Result<()> {
+    while let Some(heard) = feed.next().await {
+        for said in feed.take_said() {
+            eprintln!("gdp-ctl: {said}");
+        }
+        match print(options, context, card, decoder, &heard) {
+            Ok(()) => *shown += 1,
+            // The next one may be another's.
+            Err(Failed::Message(error)) => eprintln!("gdp-ctl: {error}"),
+            Err(Failed::Output(error)) => return Err(error),
+        }
+        if options.once && *shown > 0 {
+            return Ok(());
+        }
+    }
+    bail!("{} may not be read any more by {:#}", called(card), fabric.node.name())
+}
+
+enum Failed {
+    Message(anyhow::Error),
+    Output(anyhow::Error),
+}
+
+fn print(options: &Options, context: &Context, card: &NameCard, decoder: &mut Decoder, heard: &Heard) -> Result<(), Failed> {
+    let message = &heard.message;
+    let mut value = json!({
+        "topic": called(card), "name": message.name, "type": heard.kind.name, "writer": message.writer,
+        "sequence": message.sequence, "timestamp_ns": message.timestamp_ns,
+    });
+    if options.raw {
+        value["encoding"] = u16::from(message.encoding).into();
+        value["raw"] = Base64::encode_string(&message.body).into();
+        let text = || format!("{}\n---", python::bytes(&message.body));
+        return context.output.print(value, text).map_err(Failed::Output);
+    }
+    let decoded = decoder.decode(heard).map_err(|error| Failed::Message(error.into()))?;
+    let path = options.field.as_ref().map_or(&[][..], |path| &path.0);
+    // A field that is not there is not there in any message.
+    let view = View::of(decoded.schema, decoded.root, &decoded.value);
+    let view = view.at(path).map_err(|error| Failed::Output(error.into()))?;
+    value["message"] = view.value.clone();
+    let length = if options.full_length { usize::MAX } else { options.truncate_length };
+    let limits = Limits { length, no_arrays: options.no_arr, no_texts: options.no_str };
+    let text = shown(&view, &limits).map_err(|error| Failed::Message(error.into()))?;
+    context.output.print(value, || format!("{text}---")).map_err(Failed::Output)
+}
+
+/// A message as YAML; of what is none, its value as Python prints it.
+fn shown(view: &View<'_>, limits: &Limits) -> anyhow::Result<String> {
+    let item = view.item(limits)?;
+    Ok(match item {
+        Item::Map(_) if view.is_message() => document(&item),
+        Item::Text(text) => format!("{text}\n"),
+        Item::Bool(value) => format!("{}\n", if value { "True" } else { "False" }),
+        Item::Float(value) => format!("{}\n", python::float(value)),
+        other => document(&other),
+    })
+}
+

@@ -1,0 +1,159 @@
+//! `gdp-ctl topic info`: a topic's type, its publishers with what they offer, and its readers.
+
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use gdp::node::SubscribeOptions;
+use gdp::{Name, NameCard};
+use gdp_ros::roster::{Dialect, Kind, Offer};
+use serde_json::{Value, json};
+
+use super::super::Context;
+use super::super::node::{NodeOptions, listen, unless_interrupted};
+use crate::ros::fabric::{Fabric, Parties};
+use crate::ros::feed::{Feed, Publisher};
+use crate::ros::keyring::called;
+
+/// For what the writers say of their publishers.
+const PATIENCE: Duration = Duration::from_secs(3);
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// The topic: its ROS name, its name or first digits of it, or a name card.
+    #[arg(value_name = "TOPIC")]
+    what: String,
+    /// Show each publisher with what it offers.
+    #[arg(short, long)]
+    verbose: bool,
+    #[command(flatten)]
+    node: NodeOptions,
+}
+
+/// What is known of a topic.
+struct Info {
+    parties: Parties,
+    /// Of the ROS publishers behind the writers, each with its writer and its number.
+    publishers: Vec<((Name, u32), Publisher)>,
+    /// Writers that say nothing of publishers.
+    silent: Vec<Name>,
+}
+
+pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let keyring = options.node.keyring()?;
+    let card = keyring.find(&options.what, "topic")?;
+    let gather = async |fabric: &Fabric| unless_interrupted(gather(fabric, &card)).await;
+    let Some(info) = options.node.with_fabric(keyring, context, gather)? else { return Ok(()) };
+    context.output.print(value(&card, &info), || text(&card, &info, options.verbose))
+}
+
+async fn gather(fabric: &Fabric, card: &NameCard) -> anyhow::Result<Info> {
+    let mut feed = listen(fabric, card, SubscribeOptions::best_effort()).await?;
+    let (parties, deadline) = (fabric.parties(card).await?, Instant::now() + PATIENCE);
+    let heard = |feed: &Feed| feed.publishers().keys().map(|(writer, _)| *writer).collect::<Vec<_>>();
+    while parties.writers.iter().any(|writer| !heard(&feed).contains(writer)) {
+        let step = tokio::time::timeout(deadline.saturating_duration_since(Instant::now()), feed.step()).await;
+        if !matches!(step, Ok(Some(()))) {
+            break;
+        }
+    }
+    let heard = heard(&feed);
+    let silent = parties.writers.iter().filter(|writer| !heard.contains(writer)).copied().collect();
+    let publishers = feed.publishers().iter().map(|(key, publisher)| (*key, publisher.clone())).collect();
+    Ok(Info { parties, publishers, silent })
+}
+
+fn kind(card: &NameCard, info: &Info) -> String {
+    let mut kinds: Vec<&str> = info.publishers.iter().map(|(_, publisher)| &*publisher.kind.name).collect();
+    kinds.sort_unstable();
+    kinds.dedup();
+    match kinds[..] {
+        [] => card.get("type").unwrap_or_default().to_owned(),
+        [one] => one.to_owned(),
+        // As Python prints a list.
+        _ => format!("{kinds:?}").replace('"', "'"),
+    }
+}
+
+fn value(card: &NameCard, info: &Info) -> Value {
+    let publisher = |((writer, number), publisher): &((Name, u32), Publisher)| {
+        let Offer { reliable, transient_local, depth, deadline_ns, lifespan_ns, .. } = publisher.offers;
+        json!({
+            "writer": writer, "number": number, "type": publisher.kind.name, "type_hash": hash(&publisher.kind),
+            "dialect": publisher.kind.dialect, "reliability": if reliable { "reliable" } else { "best_effort" },
+            "durability": if transient_local { "transient_local" } else { "volatile" },
+            "history": if depth == 0 { "keep_all" } else { "keep_last" }, "depth": depth,
+            "deadline_ns": deadline_ns, "lifespan_ns": lifespan_ns,
+        })
+    };
+    json!({
+        "topic": called(card), "name": card.name(), "type": kind(card, info),
+        "publishers": info.publishers.iter().map(publisher).collect::<Vec<_>>(),
+        "writers": info.parties.writers, "writers_without_publishers": info.silent, "subscribers": info.parties.readers,
+    })
+}
+
+/// The layout of ros2cli. Names of nodes stay with their graphs; the GID is the writer's name, and the number that the writer has given the publisher.
+fn text(card: &NameCard, info: &Info, verbose: bool) -> String {
+    let end = if verbose { "\n\n" } else { "\n" };
+    let mut out = format!("Type: {}{end}", kind(card, info));
+    out += &format!("Publisher count: {}{end}", info.publishers.len() + info.silent.len());
+    if verbose {
+        for ((writer, number), publisher) in &info.publishers {
+            let gid: Vec<u8> = [&writer.as_bytes()[..], &number.to_be_bytes()].concat();
+            out += &endpoint("PUBLISHER", &gid, Some(publisher), card);
+            out += end;
+        }
+        for writer in &info.silent {
+            out += &endpoint("PUBLISHER", writer.as_bytes(), None, card);
+            out += end;
+        }
+    }
+    out += &format!("Subscription count: {}{end}", info.parties.readers.len());
+    if verbose {
+        for reader in &info.parties.readers {
+            out += &endpoint("SUBSCRIPTION", reader.as_bytes(), None, card);
+            out += end;
+        }
+    }
+    out
+}
+
+fn endpoint(what: &str, gid: &[u8], publisher: Option<&Publisher>, card: &NameCard) -> String {
+    let gid = gid.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(".");
+    let (kind, hash) = match publisher {
+        Some(publisher) => (publisher.kind.name.clone(), hash(&publisher.kind)),
+        None => (card.get("type").unwrap_or_default().to_owned(), "INVALID".into()),
+    };
+    let mut out = format!(
+        "Node name: _NODE_NAME_UNKNOWN_\nNode namespace: _NODE_NAMESPACE_UNKNOWN_\nTopic type: {kind}\nTopic type hash: {hash}\n\
+         Endpoint type: {what}\nGID: {gid}"
+    );
+    if let Some(publisher) = publisher {
+        out += &format!("\nQoS profile:\n{}", qos(&publisher.offers));
+    }
+    out
+}
+
+fn qos(offers: &Offer) -> String {
+    let time = |nanos: u64| if nanos == 0 { "Infinite".to_owned() } else { format!("{nanos} nanoseconds") };
+    let history = match offers.depth {
+        0 => "KEEP_ALL".to_owned(),
+        depth => format!("KEEP_LAST ({depth})"),
+    };
+    format!(
+        "  Reliability: {}\n  History (Depth): {history}\n  Durability: {}\n  Lifespan: {}\n  Deadline: {}\n  Liveliness: AUTOMATIC\n  \
+         Liveliness lease duration: Infinite",
+        if offers.reliable { "RELIABLE" } else { "BEST_EFFORT" },
+        if offers.transient_local { "TRANSIENT_LOCAL" } else { "VOLATILE" },
+        time(offers.lifespan_ns),
+        time(offers.deadline_ns),
+    )
+}
+
+fn hash(kind: &Kind) -> String {
+    match kind.dialect {
+        _ if kind.hash.is_empty() => "INVALID".into(),
+        Dialect::Ros1 => hex::encode(&kind.hash),
+        Dialect::Ros2 => format!("RIHS01_{}", hex::encode(&kind.hash)),
+    }
+}

@@ -1,0 +1,199 @@
+//! `gdp-ctl topic hz`, `bw` and `delay`: figures of a topic, once a second, until ^C.
+
+use std::num::NonZeroUsize;
+use std::time::{Duration, Instant};
+
+use anyhow::bail;
+use clap::Args;
+use gdp::NameCard;
+use gdp::node::SubscribeOptions;
+use gdp::seal::Message;
+use gdp_ros::roster::ROSTER;
+use serde_json::{Value, json};
+
+use super::super::Context;
+use super::super::node::{Definitions, NodeOptions, listen, now, subscribe, tell_if_silent, unless_interrupted};
+use crate::ros::fabric::Fabric;
+use crate::ros::feed::Decoder;
+use crate::ros::figures::{Delays, Intervals, Sizes, Spread, seconds};
+use crate::ros::keyring::called;
+
+const PERIOD: Duration = Duration::from_secs(1);
+
+/// Messages that figures are of, if nothing is said: as many as with ros2cli.
+const TIMES: usize = 10_000;
+const SIZES: usize = 100;
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// The topic: its ROS name, its name or first digits of it, or a name card.
+    #[arg(value_name = "TOPIC")]
+    what: String,
+    /// Of so many of the last messages; 10000 for times, 100 for sizes.
+    #[arg(short, long)]
+    window: Option<NonZeroUsize>,
+    #[command(flatten)]
+    node: NodeOptions,
+}
+
+#[derive(Debug, Args)]
+pub struct DelayOptions {
+    #[command(flatten)]
+    measure: Options,
+    #[command(flatten)]
+    definitions: Definitions,
+}
+
+impl Options {
+    fn window(&self, usual: usize) -> usize {
+        self.window.map_or(usual, NonZeroUsize::get)
+    }
+}
+
+pub fn hz(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let mut intervals = Intervals::new(options.window(TIMES));
+    measure(options, context, |figure| match figure {
+        Figure::Came(at, _) => {
+            intervals.came(at);
+            Ok(())
+        }
+        Figure::Show(_) => {
+            let Some(spread) = intervals.spread() else { return Ok(()) };
+            let rate = if spread.mean > 0.0 { 1e9 / spread.mean } else { 0.0 };
+            let mut value = figures(&spread);
+            value["rate_hz"] = rate.into();
+            context.output.print(value, || format!("average rate: {rate:.3}\n{}", spread.text()))
+        }
+    })
+}
+
+pub fn bw(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let mut sizes = Sizes::new(options.window(SIZES));
+    measure(options, context, |figure| match figure {
+        Figure::Came(at, message) => {
+            sizes.came(at, message.body.len());
+            Ok(())
+        }
+        Figure::Show(at) => {
+            let Some(shown) = sizes.bandwidth(at) else { return Ok(()) };
+            let value = json!({
+                "bytes_per_s": shown.bytes_per_s, "messages": shown.count, "mean_bytes": shown.mean, "min_bytes": shown.min,
+                "max_bytes": shown.max,
+            });
+            context.output.print(value, || shown.text())
+        }
+    })
+}
+
+/// What happens, with the time in nanoseconds on a clock that is never set.
+enum Figure<'a> {
+    Came(u64, &'a Message),
+    Show(u64),
+}
+
+fn measure(
+    options: &Options,
+    context: &Context,
+    mut take: impl FnMut(Figure<'_>) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let keyring = options.node.keyring()?;
+    let card = keyring.find(&options.what, "topic")?;
+    let all = async |fabric: &Fabric| {
+        let mut subscription = subscribe(fabric, &card, SubscribeOptions::best_effort()).await?;
+        let (begun, mut ticks) = (Instant::now(), tokio::time::interval(PERIOD));
+        let at = || begun.elapsed().as_nanos() as u64;
+        loop {
+            tokio::select! {
+                received = subscription.recv() => match received {
+                    Some(message) if message.encoding == ROSTER => {}
+                    Some(message) => take(Figure::Came(at(), &message))?,
+                    None => return ended(fabric, &card),
+                },
+                _ = ticks.tick() => take(Figure::Show(at()))?,
+            }
+        }
+    };
+    run(options, context, keyring, &card, all)
+}
+
+pub fn delay(options: &DelayOptions, context: &Context) -> anyhow::Result<()> {
+    let DelayOptions { measure: options, definitions } = options;
+    let (keyring, mut decoder) = (options.node.keyring()?, Decoder::new(definitions.load()?));
+    let card = keyring.find(&options.what, "topic")?;
+    let mut delays = Delays::new(options.window(TIMES));
+    let all = async |fabric: &Fabric| {
+        let mut feed = listen(fabric, &card, SubscribeOptions::best_effort()).await?;
+        let (mut ticks, mut told) = (tokio::time::interval(PERIOD), false);
+        loop {
+            let heard = tokio::select! {
+                heard = feed.next() => heard,
+                _ = ticks.tick() => {
+                    show_delays(&mut delays, context)?;
+                    continue;
+                }
+            };
+            let Some(heard) = heard else { return ended(fabric, &card) };
+            let stamped = match decoder.decode(&heard) {
+                Ok(decoded) => stamp(&decoded.value),
+                Err(error) => {
+                    eprintln!("gdp-ctl: {error}");
+                    continue;
+                }
+            };
+            if stamped.is_none() && !std::mem::replace(&mut told, true) {
+                eprintln!("gdp-ctl: messages have no header with a stamp: the delay is since they were sent into the fabric");
+            }
+            let sent = heard.message.latched.map_or(heard.message.timestamp_ns, |first| first.timestamp_ns);
+            delays.came((now().as_nanos() as i128 - stamped.unwrap_or(sent.into())) as i64);
+        }
+    };
+    run(options, context, keyring, &card, all)
+}
+
+fn show_delays(delays: &mut Delays, context: &Context) -> anyhow::Result<()> {
+    if delays.is_empty() {
+        return Ok(());
+    }
+    let Some(spread) = delays.spread() else {
+        return context.output.print(json!({"window": 0}), || "no new messages".into());
+    };
+    let (mean, value) = (seconds(spread.mean), figures(&spread));
+    context.output.print(value, || format!("average delay: {mean:.3}\n{}", spread.text()))
+}
+
+/// Nanoseconds since 1970, by the header of a message.
+fn stamp(message: &Value) -> Option<i128> {
+    let stamp = message.get("header")?.get("stamp")?;
+    let part = |names: [&str; 2]| names.iter().find_map(|name| stamp.get(*name)).and_then(Value::as_i64).map(i128::from);
+    Some(part(["sec", "secs"])? * 1_000_000_000 + part(["nanosec", "nsecs"])?)
+}
+
+fn figures(spread: &Spread) -> Value {
+    json!({
+        "mean_s": seconds(spread.mean), "min_s": seconds(spread.min as f64), "max_s": seconds(spread.max as f64),
+        "std_dev_s": seconds(spread.deviation), "window": spread.count,
+    })
+}
+
+fn run(
+    options: &Options,
+    context: &Context,
+    keyring: crate::ros::keyring::Keyring,
+    card: &NameCard,
+    all: impl AsyncFnOnce(&Fabric) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let either = async |fabric: &Fabric| {
+        let all = async {
+            tokio::select! {
+                done = all(fabric) => done,
+                done = tell_if_silent(fabric, card) => done,
+            }
+        };
+        unless_interrupted(all).await
+    };
+    options.node.with_fabric(keyring, context, either).map(drop)
+}
+
+fn ended<T>(fabric: &Fabric, card: &NameCard) -> anyhow::Result<T> {
+    bail!("{} may not be read any more by {:#}", called(card), fabric.node.name())
+}

@@ -1,0 +1,242 @@
+//! `gdp-ctl topic pub`: publishes a topic, with a roster as proxies send it, so that a publisher stands for it in ROS graphs elsewhere.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, bail};
+use clap::{Args, ValueEnum};
+use gdp::node::{Overflow, PublishOptions, Publisher, Reliability};
+use gdp::seal::Draft;
+use gdp_msg::{Base, Encoding, Mapping, Options as Limits, Schema, TypeName};
+use gdp_ros::roster::{self, Announcement, Dialect, Kind, Offer, Outgoing, ROSTER};
+use gdp_ros::types::{Types, sealed};
+use serde_json::json;
+
+use super::super::Context;
+use super::super::node::{Definitions, NodeOptions, now, parse_positive};
+use crate::ros::fabric::Fabric;
+use crate::ros::fill::fill;
+use crate::ros::given::Given;
+use crate::ros::keyring::called;
+use crate::ros::python;
+use crate::ros::view::View;
+use crate::unix_time::unix_now;
+
+/// What ROS readers behind a proxy need to find what stands there for this publisher, before the first of a few messages.
+const DISCOVERY: Duration = Duration::from_secs(1);
+
+/// How long readers may take for the last messages.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// How often it is looked for readers, and whether a roster is due.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// Messages that a reader may ask for again, whatever the depth.
+const REPAIRABLE: usize = 256;
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// The topic: its ROS name, its name or first digits of it, or a name card.
+    #[arg(value_name = "TOPIC")]
+    what: String,
+    /// Its type, such as std_msgs/msg/String.
+    #[arg(value_name = "TYPE")]
+    kind: String,
+    /// Values of fields, in YAML or JSON; fields that are left out are as the definition says, and else zero or empty. `now` is a time, `auto` a header.
+    #[arg(default_value = "{}")]
+    values: String,
+    /// Messages a second.
+    #[arg(short, long, default_value_t = 1.0, value_parser = parse_positive)]
+    rate: f64,
+    /// Publish one message, and end.
+    #[arg(short = '1', long, conflicts_with = "times")]
+    once: bool,
+    /// Publish so many messages, and end.
+    #[arg(short, long)]
+    times: Option<u64>,
+    /// Wait for so many readers first; 1 if the number of messages is given, and else none.
+    #[arg(short, long, value_name = "READERS")]
+    wait_matching_subscriptions: Option<usize>,
+    #[arg(long, value_enum, default_value = "reliable")]
+    qos_reliability: Reliable,
+    #[arg(long, value_enum, default_value = "volatile")]
+    qos_durability: Durable,
+    #[arg(long, default_value_t = 10)]
+    qos_depth: u32,
+    #[command(flatten)]
+    definitions: Definitions,
+    #[command(flatten)]
+    node: NodeOptions,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
+enum Reliable {
+    Reliable,
+    BestEffort,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
+enum Durable {
+    Volatile,
+    TransientLocal,
+}
+
+pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let keyring = options.node.keyring()?;
+    let card = keyring.find(&options.what, "topic")?;
+    let mut maker = Maker::new(&options.definitions.load()?, &options.kind, &options.values)?;
+    if let Some(carded) = card.get("type").filter(|text| !text.is_empty())
+        && TypeName::parse(carded)? != TypeName::parse(&maker.kind.name)?
+    {
+        bail!("{} is of {carded}, and not of {}", called(&card), options.kind);
+    }
+    // Before the fabric is asked for anything.
+    maker.make()?;
+    options.node.with_fabric(keyring, context, async |fabric: &Fabric| {
+        let ad = fabric.keyring.ad(&card, fabric.node.name(), unix_now())?;
+        let publisher = fabric.node.publish(card.proof(), ad, publish_options(options)).await?;
+        let mut source = Source::new(publisher, &maker, offer(options));
+        tokio::select! {
+            done = source.publish(options, context, &mut maker) => done?,
+            interrupted = tokio::signal::ctrl_c() => interrupted.context("cannot wait for ^C")?,
+        }
+        source.end().await
+    })
+}
+
+fn offer(options: &Options) -> Offer {
+    let (reliable, transient_local) =
+        (options.qos_reliability == Reliable::Reliable, options.qos_durability == Durable::TransientLocal);
+    Offer { reliable, transient_local, depth: options.qos_depth.max(1), deadline_ns: 0, lifespan_ns: 0 }
+}
+
+fn publish_options(options: &Options) -> PublishOptions {
+    let Offer { reliable, transient_local, depth, .. } = offer(options);
+    let depth = depth as usize;
+    let latched = if transient_local { depth } else { 0 };
+    if reliable {
+        let reliability = Reliability::Reliable { overflow: Overflow::DropOldest };
+        PublishOptions { reliability, history: depth.max(REPAIRABLE), latched, ..PublishOptions::reliable() }
+    } else {
+        PublishOptions { history: depth, latched, ..PublishOptions::best_effort() }
+    }
+}
+
+/// Makes messages of what the user gave.
+struct Maker {
+    kind: Kind,
+    schema: std::sync::Arc<Schema>,
+    root: Base,
+    given: Given,
+    mapping: Mapping,
+}
+
+/// A message: as it is encoded, as JSON, and as Python prints it.
+struct Made {
+    body: Vec<u8>,
+    json: serde_json::Value,
+    text: String,
+}
+
+impl Maker {
+    fn new(types: &Types, kind: &str, values: &str) -> anyhow::Result<Self> {
+        let name = TypeName::parse(kind)?;
+        let mut kind = Kind { dialect: Dialect::Ros2, name: name.to_string(), hash: vec![] };
+        let schema = types.schema(&kind, None).with_context(|| format!("{name} is not known; add --definitions"))?;
+        let hash = gdp_msg::hash::type_hash(&schema);
+        kind.hash = hex::decode(hash.trim_start_matches("RIHS01_")).unwrap_or_default();
+        let mapping = Mapping::within(&schema, Encoding::Json, Encoding::Cdr)?;
+        let (root, given) = (Base::Named(schema.name().clone()), Given::parse(values)?);
+        Ok(Self { kind, schema, root, given, mapping })
+    }
+
+    /// With the present time where `now` is given.
+    fn make(&mut self) -> anyhow::Result<Made> {
+        let now = now();
+        let json = fill(&self.schema, &self.given, (now.as_secs(), now.subsec_nanos()))?;
+        let mut body = Vec::new();
+        self.mapping.transcode(json.to_string().as_bytes(), &mut body, &Limits::default()).map_err(|error| {
+            // Where it is in the text that was made here says nothing to the user.
+            anyhow::anyhow!("`{}`: {}", error.path, error.fault)
+        })?;
+        let text = python::value(&View::of(&self.schema, &self.root, &json))?;
+        Ok(Made { body, json, text })
+    }
+}
+
+/// A publisher with its roster.
+struct Source {
+    publisher: Publisher,
+    roster: Outgoing<()>,
+    origin: [u8; 4],
+}
+
+impl Source {
+    fn new(publisher: Publisher, maker: &Maker, offers: Offer) -> Self {
+        let text = Some(maker.schema.text()).filter(|text| text.len() <= roster::MAX_DEFINITION);
+        let mut roster = Outgoing::new(maker.kind.clone(), text);
+        roster.joined((), offers);
+        let origin = roster::origin(roster.number(&()).unwrap_or_default());
+        Self { publisher, roster, origin }
+    }
+
+    fn announce(&mut self) -> anyhow::Result<()> {
+        match self.roster.poll(Instant::now())? {
+            Some(Announcement::Whole(body)) => self.publisher.pin(ROSTER, &body),
+            Some(Announcement::Brief(body)) => self.publisher.mention(ROSTER, &body),
+            None => {}
+        }
+        Ok(())
+    }
+
+    async fn publish(&mut self, options: &Options, context: &Context, maker: &mut Maker) -> anyhow::Result<()> {
+        let times = if options.once { Some(1) } else { options.times };
+        self.announce()?;
+        self.wait(options.wait_matching_subscriptions.unwrap_or(times.is_some().into())).await?;
+        let mut due = tokio::time::interval(Duration::from_secs_f64(1.0 / options.rate));
+        let mut look = tokio::time::interval(LOOK);
+        if !context.output.json {
+            context.output.print(json!({}), || "publisher: beginning loop".into())?;
+        }
+        let mut count = 0;
+        while times.is_none_or(|times| count < times) {
+            tokio::select! {
+                _ = due.tick() => {
+                    count += 1;
+                    let made = maker.make()?;
+                    let draft = Draft { origin: &self.origin, ..Draft::new(sealed(Encoding::Cdr), &made.body) };
+                    self.publisher.send_batch(&[draft]).await?;
+                    let value = json!({"count": count, "message": made.json});
+                    context.output.print(value, || format!("publishing #{count}: {}", made.text))?;
+                }
+                _ = look.tick() => self.announce()?,
+            }
+        }
+        Ok(())
+    }
+
+    async fn wait(&mut self, readers: usize) -> anyhow::Result<()> {
+        if readers == 0 {
+            return Ok(());
+        }
+        let mut told = false;
+        while self.publisher.readers() < readers {
+            if !std::mem::replace(&mut told, true) {
+                eprintln!("Waiting for at least {readers} matching subscription(s)...");
+            }
+            tokio::time::sleep(LOOK).await;
+            self.announce()?;
+        }
+        tokio::time::sleep(DISCOVERY).await;
+        Ok(())
+    }
+
+    /// Waits until readers have everything, and says that this publisher leaves.
+    async fn end(mut self) -> anyhow::Result<()> {
+        self.publisher.flush(PATIENCE).await.context("not everything has arrived")?;
+        self.roster.left(&());
+        self.announce()?;
+        Ok(self.publisher.close(PATIENCE).await?)
+    }
+}

@@ -1,0 +1,95 @@
+//! The node of the fabric that a command is, with the user's key, and what it asks the RIB.
+
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail};
+use gdp::control::{NameRole, Record};
+use gdp::node::LinkTarget;
+use gdp::{Identity, Name, NameCard, Node, NodeConfig, SigningKey};
+
+use super::keyring::Keyring;
+use crate::admin::{Client, Request};
+
+/// Records of one name that are counted.
+const MAX_RECORDS: usize = 100_000;
+
+/// The command's place in the fabric.
+pub struct Fabric {
+    pub node: Node,
+    pub keyring: Keyring,
+}
+
+/// Who publishes and reads a name, or serves and calls it, as the RIB shows it.
+#[derive(Debug, Default)]
+pub struct Parties {
+    /// Publishers or servers.
+    pub writers: Vec<Name>,
+    /// Subscribers or callers.
+    pub readers: Vec<Name>,
+}
+
+/// `id.pem` of the keyring, if nothing else is said.
+pub fn identity(keyring: &Path, key: Option<&PathBuf>, kind: &str) -> anyhow::Result<Identity> {
+    let file = key.cloned().unwrap_or_else(|| keyring.join("id.pem"));
+    match SigningKey::load(&file) {
+        Ok(key) => Ok(Identity::new(key, kind)),
+        Err(error) if error.is_not_found() => {
+            bail!("{error}; make a key with `gdp-ctl key generate {} --kind {kind}`, or say where it is with --key", file.display())
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+impl Fabric {
+    /// Attaches at a switch.
+    pub async fn join(keyring: Keyring, identity: Identity, switch: LinkTarget) -> anyhow::Result<Self> {
+        let papers = keyring.papers.as_ref().map(|files| files.load()).transpose()?;
+        let place = switch.to_string();
+        let config = NodeConfig { papers, ..NodeConfig::new(identity, switch) };
+        let node = Node::connect(config).await.with_context(|| format!("cannot attach at {place}"))?;
+        Ok(Self { node, keyring })
+    }
+
+    /// Without this node itself.
+    pub async fn parties(&self, card: &NameCard) -> anyhow::Result<Parties> {
+        let (name, mut parties, mut after, mut seen) = (card.name(), Parties::default(), None, 0);
+        loop {
+            let (records, truncated) = self.node.query(name.into(), after.clone()).await?;
+            for record in &records {
+                let (role, entity) = role(record)?;
+                let side = match role {
+                    NameRole::Publisher | NameRole::Server => &mut parties.writers,
+                    NameRole::Subscriber | NameRole::Caller => &mut parties.readers,
+                };
+                if entity != self.node.name() && !side.contains(&entity) {
+                    side.push(entity);
+                }
+            }
+            seen += records.len();
+            after = records.last().map(Record::place).transpose()?;
+            if !truncated || after.is_none() || seen >= MAX_RECORDS {
+                return Ok(parties);
+            }
+        }
+    }
+}
+
+fn role(record: &Record) -> anyhow::Result<(NameRole, Name)> {
+    Ok((record.role()?, record.entity.name()?))
+}
+
+/// Where the local daemon takes links over UDP.
+pub fn local_switch(client: &mut Client) -> anyhow::Result<LinkTarget> {
+    let status = client.ask_value(&Request::Status)?;
+    let addr = status["udp"].as_str().and_then(|text| text.parse::<SocketAddr>().ok());
+    let Some(mut addr) = addr else {
+        bail!("the daemon of this machine takes no links over UDP; say where a switch is with --switch, as eth://INTERFACE");
+    };
+    match addr.ip() {
+        IpAddr::V4(Ipv4Addr::UNSPECIFIED) => addr.set_ip(Ipv4Addr::LOCALHOST.into()),
+        IpAddr::V6(Ipv6Addr::UNSPECIFIED) => addr.set_ip(Ipv6Addr::LOCALHOST.into()),
+        _ => {}
+    }
+    Ok(LinkTarget::Udp { host: addr.ip().to_string(), port: addr.port(), interface: None })
+}

@@ -1,0 +1,206 @@
+//! Messages of a topic with what their publishers are: rosters tell it, and for writers that send none the name's card does.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use gdp::node::Subscription;
+use gdp::seal::Message;
+use gdp::{Name, NameCard};
+use gdp_msg::{Base, Mapping, Options, Schema};
+use gdp_ros::roster::{Change, Dialect, Incoming, Kind, Offer, ROSTER, Taken};
+use gdp_ros::types::{TypeError, Types, unsealed};
+use serde_json::Value;
+
+/// How often publishers that are not heard of are looked for.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// What is known of a publisher in ROS.
+#[derive(Clone, Debug)]
+pub struct Publisher {
+    pub kind: Kind,
+    pub definition: Option<Arc<str>>,
+    pub offers: Offer,
+}
+
+/// A message, and what it is of.
+pub struct Heard {
+    pub message: Message,
+    pub kind: Kind,
+    pub definition: Option<Arc<str>>,
+}
+
+/// Reads a topic.
+pub struct Feed {
+    subscription: Subscription,
+    incoming: Incoming,
+    publishers: BTreeMap<(Name, u32), Publisher>,
+    /// For writers that tell no publishers apart.
+    carded: Option<Kind>,
+    released: VecDeque<Heard>,
+    /// What is worth a word of what was left out, since it was last asked for.
+    said: Vec<String>,
+}
+
+impl Feed {
+    pub fn new(subscription: Subscription, card: &NameCard) -> Self {
+        let carded = card.get("type").filter(|text| !text.is_empty());
+        let carded = carded.map(|name| Kind { dialect: Dialect::Ros2, name: name.into(), hash: vec![] });
+        Self {
+            subscription,
+            incoming: Incoming::default(),
+            publishers: BTreeMap::new(),
+            carded,
+            released: VecDeque::new(),
+            said: Vec::new(),
+        }
+    }
+
+    /// By writer and number.
+    pub fn publishers(&self) -> &BTreeMap<(Name, u32), Publisher> {
+        &self.publishers
+    }
+
+    pub fn take_said(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.said)
+    }
+
+    /// The next message; `None` once the right to read has ended. Safe to cancel.
+    pub async fn next(&mut self) -> Option<Heard> {
+        loop {
+            if let Some(heard) = self.released.pop_front() {
+                return Some(heard);
+            }
+            self.step().await?;
+        }
+    }
+
+    /// Takes in what comes next, whatever it is. Safe to cancel.
+    pub async fn step(&mut self) -> Option<()> {
+        tokio::select! {
+            message = self.subscription.recv() => self.take(message?),
+            () = tokio::time::sleep(LOOK) => {
+                let (changes, forgotten) = self.incoming.poll(Instant::now());
+                self.change(changes);
+                self.leave_out(forgotten);
+            }
+        }
+        Some(())
+    }
+
+    fn take(&mut self, message: Message) {
+        if message.encoding != ROSTER {
+            return self.sort(message);
+        }
+        match self.incoming.roster(Instant::now(), &message) {
+            Ok((changes, released)) => {
+                self.change(changes);
+                released.into_iter().for_each(|message| self.sort(message));
+            }
+            Err(error) => self.said.push(format!("what {:#} says of its publishers is not understood: {error}", message.writer)),
+        }
+    }
+
+    fn sort(&mut self, message: Message) {
+        match self.incoming.message(Instant::now(), message) {
+            Taken::From(number, message) => {
+                if let Some(Publisher { kind, definition, .. }) = self.publishers.get(&(message.writer, number)).cloned() {
+                    self.released.push_back(Heard { message, kind, definition });
+                }
+            }
+            Taken::Plain(message) => match self.carded.clone() {
+                Some(kind) => self.released.push_back(Heard { message, kind, definition: None }),
+                None => self.said.push(format!(
+                    "{:#} does not say of what type its messages are, and the name's card does not either",
+                    message.writer
+                )),
+            },
+            Taken::Held => {}
+            Taken::Crowded(gone) => self.leave_out(gone),
+        }
+    }
+
+    fn leave_out(&mut self, messages: usize) {
+        if messages > 0 {
+            self.said.push(format!("{messages} messages are left out: their writers do not say of what they are"));
+        }
+    }
+
+    fn change(&mut self, changes: Vec<Change>) {
+        for change in changes {
+            match change {
+                Change::Joined { writer, number, kind, definition, offers } => {
+                    self.publishers.insert((writer, number), Publisher { kind, definition, offers });
+                }
+                Change::Left { writer, number } => drop(self.publishers.remove(&(writer, number))),
+            }
+        }
+    }
+}
+
+/// Reads messages as values.
+pub struct Decoder {
+    types: Types,
+    known: HashMap<(Kind, Option<Arc<str>>, u16), Reader>,
+}
+
+/// Kinds and encodings that are kept ready to be read.
+const MAX_KNOWN: usize = 256;
+
+struct Reader {
+    schema: Arc<Schema>,
+    root: Base,
+    mapping: Mapping,
+}
+
+/// A message that was read.
+pub struct Decoded<'a> {
+    pub schema: &'a Schema,
+    /// Of the type itself.
+    pub root: &'a Base,
+    pub value: Value,
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum DecodeError {
+    #[error("messages of {0} cannot be read: {1}; --definitions names share folders that define more types")]
+    Type(String, TypeError),
+    #[error("a message that is no {0}: {1}")]
+    Message(String, String),
+}
+
+impl Decoder {
+    pub fn new(types: Types) -> Self {
+        Self { types, known: HashMap::new() }
+    }
+
+    pub fn decode(&mut self, heard: &Heard) -> Result<Decoded<'_>, DecodeError> {
+        let Heard { message, kind, definition } = heard;
+        let key = (kind.clone(), definition.clone(), u16::from(message.encoding));
+        if self.known.len() >= MAX_KNOWN && !self.known.contains_key(&key) {
+            self.known.clear();
+        }
+        let reader = match self.known.entry(key) {
+            std::collections::hash_map::Entry::Occupied(entry) => entry.into_mut(),
+            std::collections::hash_map::Entry::Vacant(entry) => {
+                let made = Reader::new(&self.types, heard).map_err(|error| DecodeError::Type(kind.name.clone(), error))?;
+                entry.insert(made)
+            }
+        };
+        let misread = |error: String| DecodeError::Message(kind.name.clone(), error);
+        let mut json = Vec::new();
+        reader.mapping.transcode(&message.body, &mut json, &Options::default()).map_err(|error| misread(error.to_string()))?;
+        let value = serde_json::from_slice(&json).map_err(|error| misread(error.to_string()))?;
+        Ok(Decoded { schema: &reader.schema, root: &reader.root, value })
+    }
+}
+
+impl Reader {
+    fn new(types: &Types, heard: &Heard) -> Result<Self, TypeError> {
+        let Heard { message, kind, definition } = heard;
+        let schema = types.schema(kind, definition.as_deref())?;
+        let mapping = Mapping::within(&schema, unsealed(message.encoding)?, gdp_msg::Encoding::Json)?;
+        let root = Base::Named(schema.name().clone());
+        Ok(Self { schema, root, mapping })
+    }
+}

@@ -1,0 +1,178 @@
+//! From what a user gives to a whole message: what is not given is what the definition says, and else zero and empty, as in ROS 2. Made as JSON,
+//! which `gdp-msg` then checks against the definition and encodes.
+
+use gdp_msg::{Base, Count, Dialect, Field, Scalar, Schema, TypeName};
+use serde_json::{Map, Value};
+
+use super::given::Given;
+use super::view::{definition, is_octet};
+
+/// Elements of fixed arrays that are filled with zeros, for one message.
+const MAX_FILLED: usize = 1 << 20;
+
+/// Why there is no message.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FillError {
+    #[error("{of} has no field `{field}`; its fields are: {}", there.join(", "))]
+    Unknown { field: String, of: TypeName, there: Vec<String> },
+    #[error("`{path}`: {expected} is expected, and {got} is given")]
+    Other { path: String, expected: String, got: &'static str },
+    #[error("`{path}`: {length} elements, and {got} are given")]
+    Length { path: String, length: u32, got: usize },
+    #[error("`{path}`: give it, as it is too large to be filled with zeros")]
+    TooLarge { path: String },
+}
+
+/// The message that is meant by `given`. `now`: seconds and nanoseconds for times that are given as `now`, and for headers given as `auto`.
+pub fn fill(schema: &Schema, given: &Given, now: (u64, u32)) -> Result<Value, FillError> {
+    Fill { schema, now, room: MAX_FILLED }.message("", schema.name(), given)
+}
+
+struct Fill<'a> {
+    schema: &'a Schema,
+    now: (u64, u32),
+    room: usize,
+}
+
+impl Fill<'_> {
+    fn message(&mut self, path: &str, of: &TypeName, given: &Given) -> Result<Value, FillError> {
+        let fields = definition(self.schema, of).map_or(&[][..], |definition| &definition.fields);
+        let auto = Given::Map(vec![("stamp".into(), Given::Text("now".into()))]);
+        let given = match given {
+            Given::Nothing => &[][..],
+            Given::Map(members) => members,
+            Given::Text(text) if text == "auto" && is(of, "std_msgs", "Header") => match &auto {
+                Given::Map(members) => members,
+                _ => &[][..],
+            },
+            Given::Text(text) if text == "now" && is(of, "builtin_interfaces", "Time") => return Ok(self.stamp(["sec", "nanosec"])),
+            other => return Err(unlike(path, format!("a mapping with fields of {of}"), other)),
+        };
+        if let Some((name, _)) = given.iter().find(|(name, _)| !fields.iter().any(|field| *field.name == **name)) {
+            let there = fields.iter().map(|field| field.name.to_string()).collect();
+            return Err(FillError::Unknown { field: inside(path, name), of: of.clone(), there });
+        }
+        let mut members = Map::new();
+        for field in fields {
+            let path = inside(path, &field.name);
+            let value = match given.iter().find(|(name, _)| *field.name == **name) {
+                Some((_, given)) => self.field(&path, field, given)?,
+                None => self.default(&path, field)?,
+            };
+            members.insert(field.name.to_string(), value);
+        }
+        Ok(Value::Object(members))
+    }
+
+    /// What the definition begins a message with; its texts are YAML.
+    fn default(&mut self, path: &str, field: &Field) -> Result<Value, FillError> {
+        match field.default.as_ref().and_then(|text| Given::parse(text).ok()) {
+            Some(given) => self.field(path, field, &given),
+            None => self.field(path, field, &Given::Nothing),
+        }
+    }
+
+    fn field(&mut self, path: &str, field: &Field, given: &Given) -> Result<Value, FillError> {
+        if field.count == Count::One {
+            return self.one(path, &field.base, given);
+        }
+        let octets = matches!(field.base, Base::Scalar(scalar) if is_octet(scalar));
+        let items = match (given, field.count) {
+            (Given::List(items), Count::Fixed(length)) if items.len() != length as usize => {
+                return Err(FillError::Length { path: path.into(), length, got: items.len() });
+            }
+            (Given::List(items), _) => items,
+            (Given::Nothing, Count::Fixed(length)) => {
+                self.room = self.room.checked_sub(length as usize).ok_or_else(|| FillError::TooLarge { path: path.into() })?;
+                let zeros = (0..length).map(|_| self.one(path, &field.base, &Given::Nothing));
+                return zeros.collect::<Result<_, _>>().map(Value::Array);
+            }
+            (Given::Nothing, _) => &vec![],
+            // As JSON has it.
+            (Given::Text(base64), _) if octets => return Ok(Value::String(base64.clone())),
+            (other, _) => return Err(unlike(path, "a list".into(), other)),
+        };
+        let filled = items.iter().enumerate().map(|(i, item)| self.one(&format!("{path}[{i}]"), &field.base, item));
+        filled.collect::<Result<_, _>>().map(Value::Array)
+    }
+
+    fn one(&mut self, path: &str, base: &Base, given: &Given) -> Result<Value, FillError> {
+        match base {
+            Base::Named(name) => self.message(path, name, given),
+            Base::Time | Base::Duration => self.stamp_of_ros1(path, given),
+            Base::String(_) | Base::WString(_) => match given {
+                Given::Nothing => Ok("".into()),
+                Given::Text(text) => Ok(text.clone().into()),
+                // `data: 5` means a text as well, as in ROS 2.
+                Given::Integer(value) => Ok(value.to_string().into()),
+                Given::Float(value) => Ok(super::python::float(*value).into()),
+                other => Err(unlike(path, "a text, in quotes".into(), other)),
+            },
+            Base::Scalar(scalar) => self.scalar(path, *scalar, given),
+        }
+    }
+
+    fn scalar(&self, path: &str, scalar: Scalar, given: &Given) -> Result<Value, FillError> {
+        let is_float = matches!(scalar, Scalar::Float32 | Scalar::Float64);
+        match (scalar, given) {
+            (Scalar::Bool, Given::Nothing) => Ok(false.into()),
+            (Scalar::Bool, Given::Bool(value)) => Ok((*value).into()),
+            (Scalar::Bool, other) => Err(unlike(path, "true or false".into(), other)),
+            (_, Given::Nothing) => Ok(0.into()),
+            (_, Given::Integer(value)) if is_float => Ok((*value as f64).into()),
+            (_, Given::Integer(value)) => {
+                let small = i64::try_from(*value).map(Value::from);
+                // JSON has larger ones as text, and whether it fits is checked there.
+                Ok(small.unwrap_or_else(|_| value.to_string().into()))
+            }
+            (_, Given::Float(value)) if is_float => Ok(match *value {
+                value if value.is_nan() => "NaN".into(),
+                f64::INFINITY => "Infinity".into(),
+                f64::NEG_INFINITY => "-Infinity".into(),
+                value => value.into(),
+            }),
+            // A character, as `topic echo` prints it; else a number as JSON has it.
+            (Scalar::Byte, Given::Text(text)) if self.schema.dialect() == Dialect::Ros2 && text.chars().count() == 1 => {
+                let byte = text.chars().next().and_then(|c| u8::try_from(c).ok());
+                byte.map(Value::from).ok_or_else(|| unlike(path, "a character of one byte".into(), given))
+            }
+            (Scalar::Int64 | Scalar::UInt64 | Scalar::Float32 | Scalar::Float64, Given::Text(text)) => Ok(text.clone().into()),
+            (_, other) => Err(unlike(path, format!("a number ({})", scalar.name()), other)),
+        }
+    }
+
+    fn stamp_of_ros1(&mut self, path: &str, given: &Given) -> Result<Value, FillError> {
+        let members = match given {
+            Given::Text(text) if text == "now" => return Ok(self.stamp(["secs", "nsecs"])),
+            Given::Nothing => &[][..],
+            Given::Map(members) => members,
+            other => return Err(unlike(path, "a mapping with secs and nsecs".into(), other)),
+        };
+        let mut stamp = Map::new();
+        for name in ["secs", "nsecs"] {
+            let given = members.iter().find(|(given, _)| given == name).map_or(&Given::Nothing, |(_, given)| given);
+            stamp.insert(name.into(), self.scalar(&inside(path, name), Scalar::Int64, given)?);
+        }
+        match members.iter().find(|(name, _)| !stamp.contains_key(name)) {
+            Some((name, given)) => Err(unlike(&inside(path, name), "secs or nsecs".into(), given)),
+            None => Ok(Value::Object(stamp)),
+        }
+    }
+
+    fn stamp(&self, [seconds, nanos]: [&str; 2]) -> Value {
+        serde_json::json!({seconds: self.now.0, nanos: self.now.1})
+    }
+}
+
+fn is(of: &TypeName, package: &str, name: &str) -> bool {
+    of.package() == package && of.name() == name
+}
+
+fn inside(path: &str, field: &str) -> String {
+    if path.is_empty() { field.to_owned() } else { format!("{path}.{field}") }
+}
+
+fn unlike(path: &str, expected: String, got: &Given) -> FillError {
+    let path = if path.is_empty() { "the message" } else { path };
+    FillError::Other { path: path.into(), expected, got: got.what() }
+}

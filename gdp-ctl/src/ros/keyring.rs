@@ -1,0 +1,328 @@
+//! A user's folder of name cards, certificates and one entity key: who may read or publish a topic, told by its ROS name.
+//!
+//! `*.card`, `*.grant` and `*.ad` are what `gdp-ctl name create` and `gdp-ctl grant add` make. With `*.member` (or `membership`) and the card of the domain, the entity
+//! shows itself as a member of it; `*.peer` are what that domain lets others do. What is no such file is named, and left out.
+
+use std::path::{Path, PathBuf};
+
+use gdp::cert::{AdCert, CertError, Issued, Reading};
+use gdp::domain::PaperFiles;
+use gdp::{Name, NameCard, NamePrefix};
+
+use crate::cli::Paper;
+
+/// Entries of a folder that are looked at.
+const MAX_ENTRIES: usize = 10_000;
+
+#[derive(Debug, thiserror::Error)]
+pub enum KeyringError {
+    #[error(
+        "no keyring at {}: {source}; make the folder and put name cards, grants and your key id.pem there, or say where they are with --keyring", path.display()
+    )]
+    Folder { path: PathBuf, source: std::io::Error },
+    #[error("{} has more than {MAX_ENTRIES} entries; keep name cards and grants in a folder of their own", .0.display())]
+    TooMany(PathBuf),
+}
+
+/// Why no card is meant.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FindError {
+    #[error("no name card of a {kind} {what} in {}; `gdp-ctl {kind} list` shows those there are", folder.display())]
+    Unknown { what: String, kind: String, folder: PathBuf },
+    #[error("{what} is the {kind} of several names: {}; give the name itself, or its first digits", listed(names))]
+    Ambiguous { what: String, kind: String, names: Vec<Name> },
+    #[error("{what} is a {got}, and no {kind}")]
+    Other { what: String, kind: String, got: String },
+}
+
+/// Why a certificate is not there.
+#[derive(Debug, thiserror::Error)]
+pub enum RightError {
+    #[error(
+        "no {what} for {of} ({name:#}) in {}; have its owner run `gdp-ctl grant add CARD --key OWNER.pem {option} --entity {entity} -o FILE.{ending}`, and put the file there",
+        folder.display()
+    )]
+    Missing {
+        what: &'static str,
+        option: &'static str,
+        ending: &'static str,
+        of: String,
+        name: Name,
+        entity: Name,
+        folder: PathBuf,
+    },
+    #[error("{}: {source}; have the owner of {of} issue another one", file.display())]
+    Refused { file: PathBuf, of: String, source: CertError },
+}
+
+fn listed(names: &[Name]) -> String {
+    names.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
+
+/// What is in the folder.
+#[derive(Debug, Default)]
+pub struct Keyring {
+    folder: PathBuf,
+    /// In the order of their files.
+    cards: Vec<NameCard>,
+    ads: Vec<(PathBuf, Name, Issued<AdCert>)>,
+    grants: Vec<(PathBuf, Name, Reading)>,
+    /// Of the domain that the entity is a member of.
+    pub papers: Option<PaperFiles>,
+    /// Files that were left out, and why.
+    pub left_out: Vec<String>,
+}
+
+impl Keyring {
+    pub fn open(folder: &Path) -> Result<Self, KeyringError> {
+        let io = |source| KeyringError::Folder { path: folder.into(), source };
+        let mut files = Vec::new();
+        for entry in std::fs::read_dir(folder).map_err(io)? {
+            if files.len() >= MAX_ENTRIES {
+                return Err(KeyringError::TooMany(folder.into()));
+            }
+            files.push(entry.map_err(io)?.path());
+        }
+        files.sort();
+        let mut keyring = Self { folder: folder.into(), ..Self::default() };
+        let (mut domains, mut members, mut peers) = (Vec::new(), Vec::new(), Vec::new());
+        for file in files {
+            let ending = file.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
+            let taken = match ending {
+                "card" => keyring.card(&file).map(|is_domain| domains.extend(is_domain.then(|| file.clone()))),
+                "ad" | "grant" => keyring.right(&file),
+                "member" => Ok(members.push(file.clone())),
+                "peer" => Ok(peers.push(file.clone())),
+                _ if file.file_name().is_some_and(|name| name == "membership") => Ok(members.push(file.clone())),
+                _ => Ok(()),
+            };
+            if let Err(reason) = taken {
+                let file = file.display().to_string();
+                let reason = if reason.contains(&file) { reason } else { format!("{file}: {reason}") };
+                keyring.left_out.push(reason);
+            }
+        }
+        match (&domains[..], &members[..]) {
+            (_, []) => {}
+            ([card], [membership]) => {
+                keyring.papers = Some(PaperFiles { card: card.clone(), membership: membership.clone(), peers });
+            }
+            _ => keyring.left_out.push(format!(
+                "{} memberships and {} cards of domains: one of each makes a member",
+                members.len(),
+                domains.len()
+            )),
+        }
+        Ok(keyring)
+    }
+
+    /// Whether it is that of a domain.
+    fn card(&mut self, file: &Path) -> Result<bool, String> {
+        let card = NameCard::load(file).map_err(|error| error.to_string())?;
+        if card.get("kind") == Some("domain") {
+            return Ok(true);
+        }
+        if !self.cards.contains(&card) {
+            self.cards.push(card);
+        }
+        Ok(false)
+    }
+
+    fn right(&mut self, file: &Path) -> Result<(), String> {
+        let name = |claimed: Result<Name, CertError>| claimed.map_err(|error| error.to_string());
+        match Paper::load(file).map_err(|error| format!("{error:#}"))? {
+            Paper::Ad(ad) => {
+                let of = name(ad.cert.claims_unverified().map(|claims| claims.name))?;
+                self.ads.push((file.into(), of, ad));
+            }
+            Paper::Read(reading) => {
+                let of = name(reading.grant.cert.claims_unverified().map(|claims| claims.name))?;
+                self.grants.push((file.into(), of, reading));
+            }
+            _ => return Err("no certificate to publish or to read; `gdp-ctl cert show` tells what it is".into()),
+        }
+        Ok(())
+    }
+
+    /// Cards of this kind: `topic`, `service` or `action`.
+    pub fn cards(&self, kind: &str) -> impl Iterator<Item = &NameCard> {
+        self.cards.iter().filter(move |card| card.get("kind") == Some(kind))
+    }
+
+    /// The card that is meant by a ROS name, a name or its first digits, or a card file.
+    pub fn find(&self, what: &str, kind: &str) -> Result<NameCard, FindError> {
+        let rooted = if what.starts_with('/') { what.to_owned() } else { format!("/{what}") };
+        let called = |card: &&NameCard| card.get("topic").is_some_and(|topic| topic == rooted || topic == what);
+        let mut found: Vec<NameCard> = self.cards(kind).filter(called).cloned().collect();
+        if found.is_empty() && Path::new(what).is_file() {
+            found.extend(NameCard::load(Path::new(what)).ok());
+        }
+        if let (true, Ok(prefix)) = (found.is_empty(), what.parse::<NamePrefix>()) {
+            found.extend(self.cards.iter().filter(|card| prefix.matches(&card.name())).cloned());
+        }
+        let (what, kind) = (what.to_owned(), kind.to_owned());
+        match found.pop() {
+            None => Err(FindError::Unknown { what, kind, folder: self.folder.clone() }),
+            Some(one) if found.is_empty() => match one.get("kind") {
+                Some(got) if got != kind => Err(FindError::Other { what, kind, got: got.to_owned() }),
+                _ => Ok(one),
+            },
+            Some(last) => {
+                let names = found.iter().chain([&last]).map(NameCard::name).collect();
+                Err(FindError::Ambiguous { what, kind, names })
+            }
+        }
+    }
+
+    /// What lets `entity` read the name.
+    pub fn grant(&self, card: &NameCard, entity: Name, now: u64) -> Result<Reading, RightError> {
+        let ours = self.grants.iter().filter(|(_, of, _)| *of == card.name());
+        let checked = ours.map(|(file, _, grant)| {
+            let until = grant.verify(&card.proof(), entity, None, now).map(|claims| claims.not_after);
+            (file, grant, until)
+        });
+        newest(checked, card)?.cloned().ok_or_else(|| self.missing("grant to read", "--read", "grant", card, entity))
+    }
+
+    /// What lets `entity` publish the name.
+    pub fn ad(&self, card: &NameCard, entity: Name, now: u64) -> Result<Issued<AdCert>, RightError> {
+        let ours = self.ads.iter().filter(|(_, of, _)| *of == card.name());
+        let checked = ours.map(|(file, _, ad)| {
+            let claims = ad.verify(&card.proof(), None, now);
+            let until = claims.and_then(|claims| match claims.entity == entity {
+                true => Ok(claims.not_after),
+                false => Err(CertError::WrongEntity { expected: entity, got: claims.entity }),
+            });
+            (file, ad, until)
+        });
+        newest(checked, card)?.cloned().ok_or_else(|| self.missing("certificate to publish", "--publish", "ad", card, entity))
+    }
+
+    fn missing(
+        &self,
+        what: &'static str,
+        option: &'static str,
+        ending: &'static str,
+        card: &NameCard,
+        entity: Name,
+    ) -> RightError {
+        let of = called(card).to_owned();
+        RightError::Missing { what, option, ending, of, name: card.name(), entity, folder: self.folder.clone() }
+    }
+}
+
+/// The ROS name of a card.
+pub fn called(card: &NameCard) -> &str {
+    card.get("topic").unwrap_or("a name without a topic")
+}
+
+/// Of those that hold, the one that holds longest; why none does, if there are any.
+fn newest<'a, T>(
+    checked: impl Iterator<Item = (&'a PathBuf, &'a T, Result<u64, CertError>)>,
+    card: &NameCard,
+) -> Result<Option<&'a T>, RightError> {
+    let (mut best, mut refused) = (None, None);
+    for (file, right, until) in checked {
+        match until {
+            Ok(until) if best.is_none_or(|(before, _)| until > before) => best = Some((until, right)),
+            Ok(_) => {}
+            Err(source) => refused = Some(RightError::Refused { file: file.clone(), of: called(card).into(), source }),
+        }
+    }
+    match (best, refused) {
+        (Some((_, right)), _) => Ok(Some(right)),
+        (None, Some(refused)) => Err(refused),
+        (None, None) => Ok(None),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gdp::SigningKey;
+    use gdp::cert::{Grantee, ReadGrant, issue};
+
+    const NOW: u64 = 1_000_000;
+
+    struct Folder {
+        folder: tempfile::TempDir,
+        owner: SigningKey,
+    }
+
+    impl Folder {
+        fn new() -> Self {
+            Self { folder: tempfile::tempdir().unwrap(), owner: SigningKey::generate().unwrap() }
+        }
+
+        fn card(&self, file: &str, kind: &str, topic: &str) -> NameCard {
+            let card = NameCard::create(self.owner.verify_key(), kind, topic, "std_msgs/msg/String", None).unwrap();
+            card.save_new(&self.folder.path().join(file)).unwrap();
+            card
+        }
+
+        fn grant(&self, file: &str, name: Name, entity: Name, not_after: u64) {
+            let claims = ReadGrant { name, to: Grantee::Entity(entity), serial: not_after, not_before: 0, not_after };
+            let grant = Reading::from(issue(&self.owner, &claims).unwrap());
+            std::fs::write(self.folder.path().join(file), grant.to_pem()).unwrap();
+        }
+
+        fn open(&self) -> Keyring {
+            Keyring::open(self.folder.path()).unwrap()
+        }
+    }
+
+    #[test]
+    fn a_card_is_found_by_topic_digits_and_file() {
+        let folder = Folder::new();
+        let chatter = folder.card("a.card", "topic", "/chatter");
+        folder.card("b.card", "service", "/plan");
+        let keyring = folder.open();
+        let file = folder.folder.path().join("a.card").display().to_string();
+        let name = chatter.name().to_string();
+        for what in ["/chatter", "chatter", &name, &name[..16], &file] {
+            assert_eq!(keyring.find(what, "topic").unwrap(), chatter, "{what}");
+        }
+        assert_eq!(keyring.cards("topic").count(), 1);
+        assert!(matches!(keyring.find("/plan", "topic"), Err(FindError::Unknown { .. })));
+        assert!(matches!(keyring.find(&name, "service"), Err(FindError::Other { .. })));
+    }
+
+    #[test]
+    fn two_names_of_one_topic_are_told_apart_by_their_digits() {
+        let folder = Folder::new();
+        let (one, two) = (folder.card("a.card", "topic", "/tf"), folder.card("b.card", "topic", "/tf"));
+        let keyring = folder.open();
+        let refusal = keyring.find("/tf", "topic").unwrap_err().to_string();
+        assert!(refusal.contains(&one.name().to_string()) && refusal.contains(&two.name().to_string()), "{refusal}");
+        assert_eq!(keyring.find(&two.name().to_string(), "topic").unwrap(), two);
+    }
+
+    #[test]
+    fn the_grant_that_holds_longest_is_taken_and_the_remedy_is_named() {
+        let folder = Folder::new();
+        let card = folder.card("a.card", "topic", "/chatter");
+        let (entity, other) = (Name::from_bytes([1; 32]), Name::from_bytes([2; 32]));
+        let missing = folder.open().grant(&card, entity, NOW).unwrap_err().to_string();
+        assert!(missing.contains("grant add") && missing.contains(&entity.to_string()), "{missing}");
+        folder.grant("old.grant", card.name(), entity, NOW - 10_000);
+        assert!(folder.open().grant(&card, entity, NOW).unwrap_err().to_string().contains("old.grant"));
+        folder.grant("new.grant", card.name(), entity, NOW + 10);
+        folder.grant("newer.grant", card.name(), entity, NOW + 20);
+        folder.grant("others.grant", card.name(), other, NOW + 30);
+        let taken = folder.open().grant(&card, entity, NOW).unwrap();
+        assert_eq!(taken.grant.cert.claims_unverified().unwrap().not_after, NOW + 20);
+    }
+
+    #[test]
+    fn what_is_no_card_is_named_and_left_out() {
+        let folder = Folder::new();
+        folder.card("a.card", "topic", "/chatter");
+        std::fs::write(folder.folder.path().join("b.card"), "junk").unwrap();
+        std::fs::write(folder.folder.path().join("c.grant"), "junk").unwrap();
+        std::fs::write(folder.folder.path().join("notes.txt"), "junk").unwrap();
+        let keyring = folder.open();
+        assert_eq!((keyring.cards("topic").count(), keyring.left_out.len()), (1, 2));
+        assert!(keyring.left_out.iter().all(|reason| reason.contains("b.card") || reason.contains("c.grant")));
+        assert!(matches!(Keyring::open(Path::new("/nowhere")), Err(KeyringError::Folder { .. })));
+    }
+}

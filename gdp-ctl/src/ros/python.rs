@@ -1,0 +1,155 @@
+//! Values as Python prints them: what `ros2 topic pub`, `ros2 service call` and `ros2 topic echo --raw` show.
+
+use gdp_msg::{Base, Count, Scalar};
+
+use super::view::{View, ViewError};
+
+/// `repr` of a float: the shortest text that reads as the same number.
+pub fn float(value: f64) -> String {
+    if value.is_nan() {
+        return "nan".into();
+    }
+    if value.is_infinite() {
+        return if value > 0.0 { "inf".into() } else { "-inf".into() };
+    }
+    let exponent = match format!("{value:e}").split_once('e') {
+        Some((_, exponent)) => exponent.parse::<i32>().unwrap_or_default(),
+        None => 0,
+    };
+    if value == 0.0 || (-4..16).contains(&exponent) {
+        return format!("{value:?}");
+    }
+    let text = format!("{value:e}");
+    let (digits, _) = text.split_once('e').unwrap_or((&text, ""));
+    let sign = if exponent < 0 { '-' } else { '+' };
+    format!("{digits}e{sign}{:02}", exponent.abs())
+}
+
+/// `repr` of a string.
+pub fn string(value: &str) -> String {
+    let quote = if value.contains('\'') && !value.contains('"') { '"' } else { '\'' };
+    let mut out = String::from(quote);
+    for c in value.chars() {
+        match c {
+            '\n' => out += "\\n",
+            '\r' => out += "\\r",
+            '\t' => out += "\\t",
+            '\\' => out += "\\\\",
+            c if c == quote => out.extend(['\\', c]),
+            c if c.is_control() => out += &format!("\\x{:02x}", c as u32),
+            c => out.push(c),
+        }
+    }
+    out.push(quote);
+    out
+}
+
+/// `repr` of bytes.
+pub fn bytes(value: &[u8]) -> String {
+    let quote = if value.contains(&b'\'') && !value.contains(&b'"') { '"' } else { '\'' };
+    let mut out = format!("b{quote}");
+    for byte in value {
+        match byte {
+            b'\n' => out += "\\n",
+            b'\r' => out += "\\r",
+            b'\t' => out += "\\t",
+            b'\\' => out += "\\\\",
+            byte if char::from(*byte) == quote => out.extend(['\\', quote]),
+            b' '..=b'~' => out.push(char::from(*byte)),
+            byte => out += &format!("\\x{byte:02x}"),
+        }
+    }
+    out.push(quote);
+    out
+}
+
+/// `repr` of a message, or of what is in one.
+pub fn value(view: &View<'_>) -> Result<String, ViewError> {
+    if view.count != Count::One {
+        let (values, _) = view.elements(usize::MAX)?;
+        let items = values.iter().map(|element| value(&view.element(element))).collect::<Result<Vec<_>, _>>()?;
+        let list = format!("[{}]", items.join(", "));
+        return Ok(match (view.count, array_code(view.base)) {
+            (_, Some(_)) if view.is_byte() => list,
+            (Count::Fixed(_), Some((_, numpy))) => format!("array({list}, dtype={numpy})"),
+            (_, Some((code, _))) if items.is_empty() => format!("array('{code}')"),
+            (_, Some((code, _))) => format!("array('{code}', {list})"),
+            _ => list,
+        });
+    }
+    if let Some(fields) = view.fields() {
+        let of = match view.base {
+            Base::Named(name) => format!("{}.{}.{}", name.package(), name.kind().folder(), name.name()),
+            Base::Duration => "genpy.Duration".into(),
+            _ => "genpy.Time".into(),
+        };
+        let shown = |(name, field): (&str, View<'_>)| Ok(format!("{name}={}", value(&field)?));
+        let fields = fields.into_iter().map(shown).collect::<Result<Vec<_>, ViewError>>()?;
+        return Ok(format!("{of}({})", fields.join(", ")));
+    }
+    match view.base {
+        Base::Scalar(Scalar::Bool) => {
+            let value = view.value.as_bool().ok_or(ViewError::Misfit)?;
+            Ok(if value { "True".into() } else { "False".into() })
+        }
+        Base::Scalar(Scalar::Float32 | Scalar::Float64) => Ok(float(view.float()?)),
+        Base::Scalar(_) if view.is_byte() => {
+            let byte = view.integer().and_then(|value| u8::try_from(value).ok()).ok_or(ViewError::Misfit)?;
+            Ok(bytes(&[byte]))
+        }
+        Base::Scalar(_) => view.integer().map(|value| value.to_string()).ok_or(ViewError::Misfit),
+        _ => Ok(string(view.value.as_str().ok_or(ViewError::Misfit)?)),
+    }
+}
+
+/// As the arrays of Python's standard library and those of numpy call what they are of.
+fn array_code(base: &Base) -> Option<(char, &'static str)> {
+    let Base::Scalar(scalar) = base else { return None };
+    Some(match scalar {
+        Scalar::Bool => return None,
+        Scalar::Int8 => ('b', "int8"),
+        Scalar::Byte | Scalar::Char | Scalar::UInt8 => ('B', "uint8"),
+        Scalar::Int16 => ('h', "int16"),
+        Scalar::UInt16 => ('H', "uint16"),
+        Scalar::Int32 => ('i', "int32"),
+        Scalar::UInt32 => ('I', "uint32"),
+        Scalar::Int64 => ('q', "int64"),
+        Scalar::UInt64 => ('Q', "uint64"),
+        Scalar::Float32 => ('f', "float32"),
+        Scalar::Float64 => ('d', "float64"),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What Python 3.11 prints.
+    #[test]
+    fn floats_are_as_short_as_they_can_be() {
+        for (value, printed) in [
+            (0.0, "0.0"),
+            (-0.0, "-0.0"),
+            (1.0, "1.0"),
+            (0.1, "0.1"),
+            (f64::from(0.1f32), "0.10000000149011612"),
+            (0.0001, "0.0001"),
+            (0.00001, "1e-05"),
+            (1.5e-7, "1.5e-07"),
+            (123_456_789_012_345_680.0, "1.2345678901234568e+17"),
+            (1e15, "1000000000000000.0"),
+            (1e16, "1e+16"),
+            (-1e300, "-1e+300"),
+            (f64::INFINITY, "inf"),
+        ] {
+            assert_eq!(float(value), printed);
+        }
+    }
+
+    #[test]
+    fn text_is_in_the_quotes_that_need_fewest_escapes() {
+        assert_eq!(string("it's"), "\"it's\"");
+        assert_eq!(string("a\"'\n\\"), "'a\"\\'\\n\\\\'");
+        assert_eq!(bytes(b"\0\x01a'\xff"), "b\"\\x00\\x01a'\\xff\"");
+    }
+}
