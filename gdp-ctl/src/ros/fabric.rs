@@ -35,7 +35,10 @@ pub fn identity(keyring: &Path, key: Option<&PathBuf>, kind: &str) -> anyhow::Re
     match SigningKey::load(&file) {
         Ok(key) => Ok(Identity::new(key, kind)),
         Err(error) if error.is_not_found() => {
-            bail!("{error}; make a key with `gdp-ctl key generate {} --kind {kind}`, or say where it is with --key", file.display())
+            bail!(
+                "{error}; make a key with `gdp-ctl key generate {} --kind {kind}`, or say where it is with --key",
+                file.display()
+            )
         }
         Err(error) => Err(error.into()),
     }
@@ -84,7 +87,9 @@ pub fn local_switch(client: &mut Client) -> anyhow::Result<LinkTarget> {
     let status = client.ask_value(&Request::Status)?;
     let addr = status["udp"].as_str().and_then(|text| text.parse::<SocketAddr>().ok());
     let Some(mut addr) = addr else {
-        bail!("the daemon of this machine takes no links over UDP; say where a switch is with --switch, as eth://INTERFACE");
+        bail!(
+            "the daemon of this machine takes no links over UDP; say where a switch is with --switch, as eth://INTERFACE"
+        );
     };
     match addr.ip() {
         IpAddr::V4(Ipv4Addr::UNSPECIFIED) => addr.set_ip(Ipv4Addr::LOCALHOST.into()),

@@ -97,14 +97,18 @@ impl Feed {
                 self.change(changes);
                 released.into_iter().for_each(|message| self.sort(message));
             }
-            Err(error) => self.said.push(format!("what {:#} says of its publishers is not understood: {error}", message.writer)),
+            Err(error) => {
+                self.said.push(format!("what {:#} says of its publishers is not understood: {error}", message.writer))
+            }
         }
     }
 
     fn sort(&mut self, message: Message) {
         match self.incoming.message(Instant::now(), message) {
             Taken::From(number, message) => {
-                if let Some(Publisher { kind, definition, .. }) = self.publishers.get(&(message.writer, number)).cloned() {
+                if let Some(Publisher { kind, definition, .. }) =
+                    self.publishers.get(&(message.writer, number)).cloned()
+                {
                     self.released.push_back(Heard { message, kind, definition });
                 }
             }
@@ -183,13 +187,17 @@ impl Decoder {
         let reader = match self.known.entry(key) {
             std::collections::hash_map::Entry::Occupied(entry) => entry.into_mut(),
             std::collections::hash_map::Entry::Vacant(entry) => {
-                let made = Reader::new(&self.types, heard).map_err(|error| DecodeError::Type(kind.name.clone(), error))?;
+                let made =
+                    Reader::new(&self.types, heard).map_err(|error| DecodeError::Type(kind.name.clone(), error))?;
                 entry.insert(made)
             }
         };
         let misread = |error: String| DecodeError::Message(kind.name.clone(), error);
         let mut json = Vec::new();
-        reader.mapping.transcode(&message.body, &mut json, &Options::default()).map_err(|error| misread(error.to_string()))?;
+        reader
+            .mapping
+            .transcode(&message.body, &mut json, &Options::default())
+            .map_err(|error| misread(error.to_string()))?;
         let value = serde_json::from_slice(&json).map_err(|error| misread(error.to_string()))?;
         Ok(Decoded { schema: &reader.schema, root: &reader.root, value })
     }

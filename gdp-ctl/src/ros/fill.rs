@@ -45,7 +45,9 @@ impl Fill<'_> {
                 Given::Map(members) => members,
                 _ => &[][..],
             },
-            Given::Text(text) if text == "now" && is(of, "builtin_interfaces", "Time") => return Ok(self.stamp(["sec", "nanosec"])),
+            Given::Text(text) if text == "now" && is(of, "builtin_interfaces", "Time") => {
+                return Ok(self.stamp(["sec", "nanosec"]));
+            }
             other => return Err(unlike(path, format!("a mapping with fields of {of}"), other)),
         };
         if let Some((name, _)) = given.iter().find(|(name, _)| !fields.iter().any(|field| *field.name == **name)) {
@@ -83,7 +85,8 @@ impl Fill<'_> {
             }
             (Given::List(items), _) => items,
             (Given::Nothing, Count::Fixed(length)) => {
-                self.room = self.room.checked_sub(length as usize).ok_or_else(|| FillError::TooLarge { path: path.into() })?;
+                self.room =
+                    self.room.checked_sub(length as usize).ok_or_else(|| FillError::TooLarge { path: path.into() })?;
                 let zeros = (0..length).map(|_| self.one(path, &field.base, &Given::Nothing));
                 return zeros.collect::<Result<_, _>>().map(Value::Array);
             }
@@ -132,11 +135,15 @@ impl Fill<'_> {
                 value => value.into(),
             }),
             // A character, as `topic echo` prints it; else a number as JSON has it.
-            (Scalar::Byte, Given::Text(text)) if self.schema.dialect() == Dialect::Ros2 && text.chars().count() == 1 => {
+            (Scalar::Byte, Given::Text(text))
+                if self.schema.dialect() == Dialect::Ros2 && text.chars().count() == 1 =>
+            {
                 let byte = text.chars().next().and_then(|c| u8::try_from(c).ok());
                 byte.map(Value::from).ok_or_else(|| unlike(path, "a character of one byte".into(), given))
             }
-            (Scalar::Int64 | Scalar::UInt64 | Scalar::Float32 | Scalar::Float64, Given::Text(text)) => Ok(text.clone().into()),
+            (Scalar::Int64 | Scalar::UInt64 | Scalar::Float32 | Scalar::Float64, Given::Text(text)) => {
+                Ok(text.clone().into())
+            }
             (_, other) => Err(unlike(path, format!("a number ({})", scalar.name()), other)),
         }
     }

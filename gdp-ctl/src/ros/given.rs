@@ -3,6 +3,7 @@
 use std::fmt;
 
 use serde::de::{self, Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
+use serde_saphyr::NonFiniteFloatPolicy;
 
 #[derive(Clone, Debug, PartialEq)]
 pub enum Given {
@@ -25,7 +26,10 @@ impl Given {
         if text.trim().is_empty() {
             return Ok(Self::Nothing);
         }
-        let options = serde_saphyr::options! { with_snippet: false };
+        let options = serde_saphyr::options! {
+            with_snippet: false,
+            non_finite_float_policy: NonFiniteFloatPolicy::PassThrough,
+        };
         serde_saphyr::from_str_with_options(text, options).map_err(|error| GivenError(error.to_string()))
     }
 

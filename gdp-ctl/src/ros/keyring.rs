@@ -195,7 +195,9 @@ impl Keyring {
             });
             (file, ad, until)
         });
-        newest(checked, card)?.cloned().ok_or_else(|| self.missing("certificate to publish", "--publish", "ad", card, entity))
+        newest(checked, card)?
+            .cloned()
+            .ok_or_else(|| self.missing("certificate to publish", "--publish", "ad", card, entity))
     }
 
     fn missing(

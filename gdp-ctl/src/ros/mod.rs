@@ -13,3 +13,6 @@ pub mod keyring;
 pub mod python;
 pub mod view;
 pub mod yaml;
+
+#[cfg(test)]
+mod tests;

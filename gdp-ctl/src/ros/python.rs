@@ -69,13 +69,10 @@ pub fn value(view: &View<'_>) -> Result<String, ViewError> {
         let (values, _) = view.elements(usize::MAX)?;
         let items = values.iter().map(|element| value(&view.element(element))).collect::<Result<Vec<_>, _>>()?;
         let list = format!("[{}]", items.join(", "));
-        return Ok(match (view.count, array_code(view.base)) {
-            (_, Some(_)) if view.is_byte() => list,
-            (Count::Fixed(_), Some((_, numpy))) => format!("array({list}, dtype={numpy})"),
-            (_, Some((code, _))) if items.is_empty() => format!("array('{code}')"),
-            (_, Some((code, _))) => format!("array('{code}', {list})"),
-            _ => list,
-        });
+        // Fixed arrays of numbers are numpy's.
+        let is_numpy =
+            matches!((view.count, view.base), (Count::Fixed(_), Base::Scalar(scalar)) if *scalar != Scalar::Bool);
+        return Ok(if is_numpy && !view.is_byte() { format!("array({list})") } else { list });
     }
     if let Some(fields) = view.fields() {
         let of = match view.base {
@@ -100,24 +97,6 @@ pub fn value(view: &View<'_>) -> Result<String, ViewError> {
         Base::Scalar(_) => view.integer().map(|value| value.to_string()).ok_or(ViewError::Misfit),
         _ => Ok(string(view.value.as_str().ok_or(ViewError::Misfit)?)),
     }
-}
-
-/// As the arrays of Python's standard library and those of numpy call what they are of.
-fn array_code(base: &Base) -> Option<(char, &'static str)> {
-    let Base::Scalar(scalar) = base else { return None };
-    Some(match scalar {
-        Scalar::Bool => return None,
-        Scalar::Int8 => ('b', "int8"),
-        Scalar::Byte | Scalar::Char | Scalar::UInt8 => ('B', "uint8"),
-        Scalar::Int16 => ('h', "int16"),
-        Scalar::UInt16 => ('H', "uint16"),
-        Scalar::Int32 => ('i', "int32"),
-        Scalar::UInt32 => ('I', "uint32"),
-        Scalar::Int64 => ('q', "int64"),
-        Scalar::UInt64 => ('Q', "uint64"),
-        Scalar::Float32 => ('f', "float32"),
-        Scalar::Float64 => ('d', "float64"),
-    })
 }
 
 #[cfg(test)]

@@ -73,7 +73,8 @@ impl<'a> View<'a> {
     /// The fields, if it is a message.
     pub fn fields(&self) -> Option<Vec<(&'a str, Self)>> {
         let members = members(self.schema, self.base).filter(|_| self.count == Count::One)?;
-        let view = |(name, base, count)| Some((name, Self { schema: self.schema, base, count, value: self.value.get(name)? }));
+        let view =
+            |(name, base, count)| Some((name, Self { schema: self.schema, base, count, value: self.value.get(name)? }));
         members.into_iter().map(view).collect()
     }
 

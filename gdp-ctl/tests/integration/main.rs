@@ -18,5 +18,6 @@ mod resigning;
 mod revocations;
 mod services;
 mod switch;
+mod topics;
 mod traces;
 mod user;

@@ -78,7 +78,9 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         match tokio::time::timeout(Duration::from_secs_f64(seconds.min(1e9)), all).await {
             Ok(done) => done,
             Err(_) if shown > 0 => Ok(()),
-            Err(_) => bail!("no message of {} came in time; `gdp-ctl topic info` shows who publishes it", called(&card)),
+            Err(_) => {
+                bail!("no message of {} came in time; `gdp-ctl topic info` shows who publishes it", called(&card))
+            }
         }
     };
     let echoed = options.node.with_fabric(keyring, context, async |fabric| unless_interrupted(echo(fabric)).await);
@@ -116,7 +118,13 @@ enum Failed {
     Output(anyhow::Error),
 }
 
-fn print(options: &Options, context: &Context, card: &NameCard, decoder: &mut Decoder, heard: &Heard) -> Result<(), Failed> {
+fn print(
+    options: &Options,
+    context: &Context,
+    card: &NameCard,
+    decoder: &mut Decoder,
+    heard: &Heard,
+) -> Result<(), Failed> {
     let message = &heard.message;
     let mut value = json!({
         "topic": called(card), "name": message.name, "type": heard.kind.name, "writer": message.writer,
@@ -151,4 +159,3 @@ fn shown(view: &View<'_>, limits: &Limits) -> anyhow::Result<String> {
         other => document(&other),
     })
 }
-

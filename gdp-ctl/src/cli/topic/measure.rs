@@ -69,6 +69,9 @@ pub fn hz(options: &Options, context: &Context) -> anyhow::Result<()> {
 
 pub fn bw(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut sizes = Sizes::new(options.window(SIZES));
+    if !context.output.json {
+        context.output.print(json!({}), || format!("Subscribed to [{}]", options.what))?;
+    }
     measure(options, context, |figure| match figure {
         Figure::Came(at, message) => {
             sizes.came(at, message.body.len());
@@ -141,7 +144,9 @@ pub fn delay(options: &DelayOptions, context: &Context) -> anyhow::Result<()> {
                 }
             };
             if stamped.is_none() && !std::mem::replace(&mut told, true) {
-                eprintln!("gdp-ctl: messages have no header with a stamp: the delay is since they were sent into the fabric");
+                eprintln!(
+                    "gdp-ctl: messages have no header with a stamp: the delay is since they were sent into the fabric"
+                );
             }
             let sent = heard.message.latched.map_or(heard.message.timestamp_ns, |first| first.timestamp_ns);
             delays.came((now().as_nanos() as i128 - stamped.unwrap_or(sent.into())) as i64);
@@ -164,7 +169,8 @@ fn show_delays(delays: &mut Delays, context: &Context) -> anyhow::Result<()> {
 /// Nanoseconds since 1970, by the header of a message.
 fn stamp(message: &Value) -> Option<i128> {
     let stamp = message.get("header")?.get("stamp")?;
-    let part = |names: [&str; 2]| names.iter().find_map(|name| stamp.get(*name)).and_then(Value::as_i64).map(i128::from);
+    let part =
+        |names: [&str; 2]| names.iter().find_map(|name| stamp.get(*name)).and_then(Value::as_i64).map(i128::from);
     Some(part(["sec", "secs"])? * 1_000_000_000 + part(["nanosec", "nsecs"])?)
 }
 

@@ -40,7 +40,7 @@ pub struct Options {
     what: String,
     /// Its type, such as std_msgs/msg/String.
     #[arg(value_name = "TYPE")]
-    kind: String,
+    type_name: String,
     /// Values of fields, in YAML or JSON; fields that are left out are as the definition says, and else zero or empty. `now` is a time, `auto` a header.
     #[arg(default_value = "{}")]
     values: String,
@@ -85,11 +85,11 @@ enum Durable {
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let keyring = options.node.keyring()?;
     let card = keyring.find(&options.what, "topic")?;
-    let mut maker = Maker::new(&options.definitions.load()?, &options.kind, &options.values)?;
+    let mut maker = Maker::new(&options.definitions.load()?, &options.type_name, &options.values)?;
     if let Some(carded) = card.get("type").filter(|text| !text.is_empty())
         && TypeName::parse(carded)? != TypeName::parse(&maker.kind.name)?
     {
-        bail!("{} is of {carded}, and not of {}", called(&card), options.kind);
+        bail!("{} is of {carded}, and not of {}", called(&card), options.type_name);
     }
     // Before the fabric is asked for anything.
     maker.make()?;

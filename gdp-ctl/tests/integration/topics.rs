@@ -1,0 +1,289 @@
+//! `gdp-ctl topic` at a whole daemon, with publishers of the SDK that send rosters as proxies do.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Child, ChildStdout, Output, Stdio};
+use std::time::{Duration, Instant, SystemTime};
+
+use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, Reading, issue};
+use gdp::node::{PublishOptions, Publisher, SubscribeOptions};
+use gdp::seal::{Draft, Encoding};
+use gdp::{Identity, Name, Node, NodeConfig, SigningKey};
+use gdp_ctl::serve::{Running, start};
+use gdp_ros::roster::{self, Change, Dialect, Incoming, Kind, Offer, Outgoing, ROSTER};
+use serde_json::Value;
+
+use crate::owner::Owner;
+use crate::switch::{PATIENCE, config};
+use crate::user::User;
+
+const OFFER: Offer = Offer { reliable: true, transient_local: false, depth: 7, deadline_ns: 0, lifespan_ns: 0 };
+
+#[tokio::test(flavor = "multi_thread")]
+async fn messages_of_a_publisher_elsewhere_are_shown_in_the_form_of_ros2cli() {
+    let site = Site::new(&[("/chatter", "std_msgs/msg/String")]).await;
+    let mut talker = site.talker("/chatter", "string data\n").await;
+    let talking = tokio::spawn(async move {
+        loop {
+            talker.send(b"\0\x01\0\0\x06\0\0\0hello\0").await;
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    });
+
+    assert_eq!(site.text(&["topic", "list", "-t"]).await, "/chatter [std_msgs/msg/String]\n");
+    let listed = site.text(&["topic", "list", "-v"]).await;
+    assert!(listed.starts_with("Published topics:\n * /chatter [std_msgs/msg/String] 1 publisher\n"), "{listed}");
+    let listed = site.json(&["topic", "list"]).await;
+    assert_eq!(listed["topics"][0]["publishers"].as_array().unwrap().len(), 1);
+
+    let info = site.text(&["topic", "info", "chatter", "-v"]).await;
+    for needle in [
+        "Type: std_msgs/msg/String\n\nPublisher count: 1\n\n",
+        "Endpoint type: PUBLISHER\n",
+        "  Reliability: RELIABLE\n  History (Depth): KEEP_LAST (7)\n  Durability: VOLATILE\n  Lifespan: Infinite\n",
+        "\n\nSubscription count: 0\n",
+    ] {
+        assert!(info.contains(needle), "{needle}: {info}");
+    }
+    assert_eq!(site.json(&["topic", "info", "chatter"]).await["publishers"][0]["depth"], 7);
+
+    assert_eq!(site.text(&["topic", "echo", "/chatter", "--once"]).await, "data: hello\n---\n");
+    assert_eq!(site.text(&["topic", "echo", "/chatter", "--once", "--field", "data"]).await, "hello\n---\n");
+    let raw = site.text(&["topic", "echo", "/chatter", "--once", "--raw"]).await;
+    assert_eq!(raw, "b'\\x00\\x01\\x00\\x00\\x06\\x00\\x00\\x00hello\\x00'\n---\n");
+    let prefix = site.owners[0].card.name().to_string()[..12].to_owned();
+    assert_eq!(site.json(&["topic", "echo", &prefix, "--once"]).await["message"]["data"], "hello");
+    let refusal = site.refusal(&["topic", "echo", "/chatter", "--once", "--field", "dato"]).await;
+    assert!(refusal.contains("no field `dato`") && refusal.contains("data"), "{refusal}");
+
+    for (command, needles) in [
+        (&["topic", "hz", "/chatter"][..], &["average rate: ", "\tmin: "][..]),
+        (
+            &["topic", "bw", "/chatter", "-w", "5"],
+            &["B/s from 5 messages", "\tMessage size mean: 14 B min: 14 B max: 14 B"],
+        ),
+        (&["topic", "delay", "/chatter"], &["average delay: ", "\tmin: "]),
+    ] {
+        let mut following = site.follow(command);
+        let lines = following.until(needles[1]);
+        assert!(lines.contains(needles[0]) && lines.contains(needles[1]), "{command:?}: {lines}");
+        following.interrupt();
+    }
+    talking.abort();
+    site.switch.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_published_at_the_command_line_arrives_with_its_roster() {
+    let site = Site::new(&[("/goal", "geometry_msgs/msg/Point")]).await;
+    let owner = &site.owners[0];
+    let reader = site.node(Identity::generate("proxy").unwrap()).await;
+    let mut subscription =
+        reader.subscribe(owner.card.proof(), owner.grant(reader.name()), SubscribeOptions::as_offered()).await.unwrap();
+    let text = site.text(&["topic", "pub", "-1", "/goal", "geometry_msgs/Point", "{x: 1.5, z: -2}"]).await;
+    assert_eq!(text, "publisher: beginning loop\npublishing #1: geometry_msgs.msg.Point(x=1.5, y=0.0, z=-2.0)\n");
+
+    let (mut incoming, mut joined, mut left, mut message) = (Incoming::default(), None, false, None);
+    while !left {
+        let got = tokio::time::timeout(PATIENCE, subscription.recv()).await.unwrap().unwrap();
+        if got.encoding != ROSTER {
+            message = Some(got);
+            continue;
+        }
+        for change in incoming.roster(Instant::now(), &got).unwrap().0 {
+            match change {
+                Change::Joined { number, kind, offers, .. } => joined = Some((number, kind, offers)),
+                Change::Left { .. } => left = true,
+            }
+        }
+    }
+    let ((number, kind, offers), message) = (joined.unwrap(), message.unwrap());
+    assert_eq!((&*kind.name, kind.hash.len(), offers.reliable), ("geometry_msgs/msg/Point", 32, true));
+    assert_eq!(roster::number(&message.origin), Some(number));
+    let cdr = ["00010000", "000000000000f83f", "0000000000000000", "00000000000000c0"].concat();
+    assert_eq!((message.encoding, hex(&message.body)), (Encoding::Cdr, cdr));
+
+    for (arguments, needle) in [
+        (&["/goal", "geometry_msgs/Point", "{w: 1}"][..], "no field `w`; its fields are: x, y, z"),
+        (
+            &["/goal", "std_msgs/String", "{data: hi}"],
+            "/goal is of geometry_msgs/msg/Point, and not of std_msgs/String",
+        ),
+        (&["/goal", "my_robot/Unheard"], "--definitions"),
+        (&["/none", "geometry_msgs/Point"], "no name card of a topic /none"),
+    ] {
+        let refusal = site.refusal(&[&["topic", "pub", "-1"], arguments].concat()).await;
+        assert!(refusal.contains(needle), "{arguments:?}: {refusal}");
+    }
+    site.switch.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_has_no_grant_is_told_how_to_get_one_and_who_waits_in_vain_that_nobody_publishes() {
+    let site = Site::new(&[("/chatter", "std_msgs/msg/String"), ("/other", "std_msgs/msg/String")]).await;
+    let silent = site.output(&["topic", "echo", "/chatter", "--timeout", "5"]).await;
+    let error = String::from_utf8_lossy(&silent.stderr).into_owned();
+    assert_eq!(silent.status.code(), Some(1), "{error}");
+    assert!(error.contains("topic [/chatter] does not appear to be published yet"), "{error}");
+    std::fs::remove_file(site.user.file("keyring/1.grant")).unwrap();
+    let refusal = site.refusal(&["topic", "echo", "/other"]).await;
+    assert!(refusal.contains("gdp-ctl grant add") && refusal.contains(&site.entity.to_string()), "{refusal}");
+    std::fs::remove_file(site.user.file("keyring/id.pem")).unwrap();
+    assert!(site.refusal(&["topic", "hz", "/chatter"]).await.contains("gdp-ctl key generate"));
+    site.switch.stop().await;
+}
+
+/// A daemon, and a user with a keyring for topics.
+struct Site {
+    switch: Running,
+    user: User,
+    entity: Name,
+    owners: Vec<Owner>,
+}
+
+impl Site {
+    async fn new(topics: &[(&str, &str)]) -> Self {
+        let user = User::new();
+        let switch = start(config(user.folder.path(), "ctl")).await.unwrap();
+        let keyring = user.file("keyring");
+        std::fs::create_dir(&keyring).unwrap();
+        let key = SigningKey::generate().unwrap();
+        key.save_new(&keyring.join("id.pem")).unwrap();
+        let entity = Identity::new(key, "proxy").name();
+        let mut owners = Vec::new();
+        for (i, (topic, kind)) in topics.iter().enumerate() {
+            let owner = Owner::of_type("topic", topic, kind);
+            owner.card.save_new(&keyring.join(format!("{i}.card"))).unwrap();
+            std::fs::write(keyring.join(format!("{i}.grant")), owner.grant(entity).to_pem()).unwrap();
+            std::fs::write(keyring.join(format!("{i}.ad")), owner.ad(entity).to_pem()).unwrap();
+            owners.push(owner);
+        }
+        Self { switch, user, entity, owners }
+    }
+
+    async fn node(&self, identity: Identity) -> Node {
+        let link = format!("udp://{}", self.switch.udp_addr().unwrap()).parse().unwrap();
+        Node::connect(NodeConfig::new(identity, link)).await.unwrap()
+    }
+
+    async fn talker(&self, topic: &str, definition: &str) -> Talker {
+        let owner = self.owners.iter().find(|owner| owner.card.get("topic") == Some(topic)).unwrap();
+        let node = self.node(Identity::generate("proxy").unwrap()).await;
+        let publisher =
+            node.publish(owner.card.proof(), owner.ad(node.name()).into(), PublishOptions::reliable()).await.unwrap();
+        let kind = Kind { dialect: Dialect::Ros2, name: owner.card.get("type").unwrap().into(), hash: vec![] };
+        let mut roster = Outgoing::new(kind, Some(definition.into()));
+        roster.joined((), OFFER);
+        Talker { publisher, roster, _node: node }
+    }
+
+    fn command(&self, arguments: &[&str]) -> std::process::Command {
+        let mut command = self.user.command(arguments);
+        command.env("GDP_KEYRING", self.user.file("keyring"));
+        command
+    }
+
+    /// The daemon is in this process, and is not to wait.
+    async fn output(&self, arguments: &[&str]) -> Output {
+        let mut command = self.command(arguments);
+        tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
+    }
+
+    async fn text(&self, arguments: &[&str]) -> String {
+        let output = self.output(arguments).await;
+        assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    async fn json(&self, arguments: &[&str]) -> Value {
+        let text = self.text(&[&["-j"], arguments].concat()).await;
+        let value: Value = serde_json::from_str(&text).unwrap_or_else(|error| panic!("{arguments:?}: {error}: {text}"));
+        assert_eq!(value["v"], 1, "{arguments:?}");
+        value
+    }
+
+    async fn refusal(&self, arguments: &[&str]) -> String {
+        let output = self.output(arguments).await;
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}: {error}");
+        error
+    }
+
+    fn follow(&self, arguments: &[&str]) -> Following {
+        let mut child = self.command(arguments).stdout(Stdio::piped()).spawn().unwrap();
+        let lines = BufReader::new(child.stdout.take().unwrap());
+        Following { child, lines }
+    }
+}
+
+/// A publisher that does what a proxy does for one in ROS.
+struct Talker {
+    publisher: Publisher,
+    roster: Outgoing<()>,
+    _node: Node,
+}
+
+impl Talker {
+    async fn send(&mut self, body: &[u8]) {
+        if let Some(roster::Announcement::Whole(bytes)) = self.roster.poll(Instant::now()).unwrap() {
+            self.publisher.pin(ROSTER, &bytes);
+        }
+        let origin = roster::origin(self.roster.number(&()).unwrap());
+        self.publisher.send_batch(&[Draft { origin: &origin, ..Draft::new(Encoding::Cdr, body) }]).await.unwrap();
+    }
+}
+
+/// A command that runs until it is interrupted.
+struct Following {
+    child: Child,
+    lines: BufReader<ChildStdout>,
+}
+
+impl Following {
+    /// What it prints, up to a line with this.
+    fn until(&mut self, needle: &str) -> String {
+        let mut text = String::new();
+        while !text.contains(needle) {
+            assert!(self.lines.read_line(&mut text).unwrap() > 0, "it ended: {text}");
+        }
+        text
+    }
+
+    fn interrupt(&mut self) {
+        // SAFETY: kill takes two numbers; the child is not waited for yet, so the number is its.
+        unsafe { libc::kill(self.child.id() as i32, libc::SIGINT) };
+        assert!(self.child.wait().unwrap().success(), "^C is no failure");
+    }
+}
+
+impl Drop for Following {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+    }
+}
+
+impl Owner {
+    fn of_type(kind: &str, topic: &str, of: &str) -> Self {
+        let key = SigningKey::generate().unwrap();
+        let card = gdp::NameCard::create(key.verify_key(), kind, topic, of, None).unwrap();
+        Self { key, card }
+    }
+
+    fn grant(&self, entity: Name) -> Reading {
+        let (name, to, not_after) = (self.card.name(), Grantee::Entity(entity), tomorrow());
+        issue(&self.key, &ReadGrant { name, to, serial: 1, not_before: 0, not_after }).unwrap().into()
+    }
+
+    fn ad(&self, entity: Name) -> gdp::cert::Signed<AdCert> {
+        let (name, mode, scope) = (self.card.name(), Mode::Unicast, Vec::new());
+        issue(&self.key, &AdCert { name, entity, mode, scope, serial: 1, not_before: 0, not_after: tomorrow() })
+            .unwrap()
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn tomorrow() -> u64 {
+    SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_secs() + 24 * 3600
+}
