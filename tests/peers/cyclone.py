@@ -24,6 +24,7 @@ def arguments():
     p.add_argument("--size", type=int, default=64)
     p.add_argument("--text", default="hello from the robot")
     p.add_argument("--gate", help="send warm-up messages, numbered -1, until this file exists")
+    p.add_argument("--node", help="announce a ROS node of this name, as rmw_cyclonedds does")
     p.add_argument("--no-wait", action="store_true", help="talk without a listener")
     return p.parse_args()
 
@@ -42,6 +43,7 @@ from cyclonedds.core import Policy, Qos, ReadCondition, ViewState, InstanceState
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.annotations import final
+from cyclonedds.idl.types import array, sequence, uint8
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -52,6 +54,46 @@ from cyclonedds.util import duration
 @final
 class String_(IdlStruct, typename="std_msgs::msg::dds_::String_"):
     data: str
+
+
+@dataclass
+@final
+class Gid_(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
+    data: array[uint8, 16]
+
+
+@dataclass
+@final
+class NodeEntitiesInfo_(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
+    node_namespace: str
+    node_name: str
+    reader_gid_seq: sequence[Gid_]
+    writer_gid_seq: sequence[Gid_]
+
+
+@dataclass
+@final
+class ParticipantEntitiesInfo_(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"):
+    gid: Gid_
+    node_entities_info_seq: sequence[NodeEntitiesInfo_]
+
+
+def announce(participant, readers=(), writers=()):
+    """Says which endpoints are a ROS node's. What is returned says it as long as it lives."""
+    if not args.node:
+        return None
+    latched = Qos(
+        Policy.Reliability.Reliable(duration(seconds=10)),
+        Policy.Durability.TransientLocal,
+        Policy.History.KeepLast(1),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    )
+    gid = lambda entity: Gid_(list(entity.guid.bytes))
+    topic = Topic(participant, "ros_discovery_info", ParticipantEntitiesInfo_, qos=latched)
+    writer = DataWriter(participant, topic, qos=latched)
+    node = NodeEntitiesInfo_("/", args.node, [gid(reader) for reader in readers], [gid(writer) for writer in writers])
+    writer.write(ParticipantEntitiesInfo_(gid(participant), [node]))
+    return writer
 
 
 def say(**fields):
@@ -72,6 +114,7 @@ def qos():
 
 def talk(participant):
     writer = DataWriter(participant, Topic(participant, args.topic, String_, qos=qos()), qos=qos())
+    node = announce(participant, writers=[writer])
     say(event="ready")
     while not args.no_wait and not writer.get_matched_subscriptions():
         time.sleep(0.01)
@@ -103,6 +146,7 @@ def talk(participant):
 
 def listen(participant):
     reader = DataReader(participant, Topic(participant, args.topic, String_, qos=qos()), qos=qos())
+    node = announce(participant, readers=[reader])
     condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.NotRead)
     waitset = WaitSet(participant)
     waitset.attach(condition)

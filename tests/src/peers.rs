@@ -37,10 +37,12 @@ pub struct Traffic {
     pub peer: Option<String>,
     /// Over `lo` alone, as on a robot whose other interfaces come and go; of Cyclone DDS.
     pub on_loopback: bool,
+    /// Be a ROS node of this name, which some bridges insist on; of Cyclone DDS.
+    pub node: Option<String>,
 }
 
 /// What keeps Cyclone DDS on `lo`.
-const ON_LOOPBACK: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" multicast=\"true\"/></Interfaces>\
+pub const ON_LOOPBACK: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" multicast=\"true\"/></Interfaces>\
                            </General></Domain></CycloneDDS>";
 
 impl Default for Traffic {
@@ -55,6 +57,7 @@ impl Default for Traffic {
             depth: 10,
             peer: None,
             on_loopback: false,
+            node: None,
         }
     }
 }
@@ -179,6 +182,9 @@ fn program(tools: &Tools, at: &Namespace, vendor: Vendor, verb: &str, traffic: &
     }
     if let Some(peer) = &traffic.peer {
         command.args(["--peer", peer]);
+    }
+    if let Some(node) = &traffic.node {
+        command.args(["--node", node]);
     }
     Ok(command)
 }

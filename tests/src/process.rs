@@ -45,6 +45,17 @@ impl Process {
         self.child.id()
     }
 
+    /// Processor time that its threads have taken so far, those that have ended left out.
+    pub fn cpu(&self) -> Result<Duration> {
+        let threads = std::fs::read_dir(format!("/proc/{}/task", self.pid())).context("its threads")?;
+        let taken = threads.flatten().filter_map(|thread| {
+            // The first number is nanoseconds on a processor (Documentation/scheduler/sched-stats.rst).
+            let text = std::fs::read_to_string(thread.path().join("schedstat")).ok()?;
+            text.split_ascii_whitespace().next()?.parse::<u64>().ok()
+        });
+        Ok(Duration::from_nanos(taken.sum()))
+    }
+
     /// What it has written to stdout so far.
     pub fn stdout(&self) -> String {
         read(&self.stdout)

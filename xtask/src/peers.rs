@@ -1,6 +1,6 @@
 //! The foreign DDS programs (sources in `tests/peers`): Fast DDS is compiled here, Cyclone DDS is Python.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::SystemTime;
 
@@ -13,6 +13,16 @@ pub fn build() -> Result<()> {
     compile("fastdds-peer", Some("String"), "fastdds.cpp")?;
     compile("fastdds-service-peer", Some("AddTwoInts"), "fastdds_service.cpp")?;
     compile("fastdds-any", None, "any/fastdds_any.cpp")
+}
+
+/// Compiles the zenoh bridge, which has a workspace of its own; its program.
+pub fn build_zenoh() -> Result<PathBuf> {
+    let (manifest, out) =
+        (workspace::root().join("tests/peers/zenoh-bridge/Cargo.toml"), workspace::target().join("zenoh"));
+    let mut command = Command::new("cargo");
+    command.args(["build", "--release", "--locked", "--manifest-path"]).arg(manifest).arg("--target-dir").arg(&out);
+    shell::say_and_run(&mut command)?;
+    Ok(out.join("release/zenoh-bridge"))
 }
 
 /// `interface`: what has to be generated for it.

@@ -38,6 +38,8 @@ pub enum Part {
     Ros1,
     /// Run rclpy nodes against ours.
     Ros2,
+    /// Compile the bridge that `bench ros` measures against; nothing else needs it.
+    Zenoh,
 }
 
 pub fn run(options: Options) -> Result<()> {
@@ -196,6 +198,22 @@ const STEPS: &[Step] = &[
         elsewhere: "python3 -m venv $GDP_VENV && $GDP_VENV/bin/pip install rosbags==0.11.9 && touch $GDP_VENV/gdp-rosbags-0.11.9",
     },
     Step {
+        part: Part::Zenoh,
+        what: "cmake and libclang",
+        why: "the bridge that `bench ros` measures against contains Cyclone DDS, which is C",
+        present: || shell::which("cmake").is_some() && has_libclang(),
+        debian: &["apt-get install -y --no-install-recommends cmake libclang-dev"],
+        elsewhere: "install cmake and libclang",
+    },
+    Step {
+        part: Part::Zenoh,
+        what: "openssl",
+        why: "makes the certificates of that bridge",
+        present: || shell::which("openssl").is_some(),
+        debian: &["apt-get install -y --no-install-recommends openssl"],
+        elsewhere: "install openssl",
+    },
+    Step {
         part: Part::Ros1,
         what: "rosmaster, rospy and the common message packages",
         why: "the master and the applications of ROS 1 that tests run; rospy needs netifaces, though its package only recommends it",
@@ -351,6 +369,12 @@ fn ros1_present() -> bool {
         && modules.iter().all(|module| python.join(module).is_dir())
         && shares.iter().all(|package| Path::new("/usr/share").join(package).is_dir())
         && has_netifaces()
+}
+
+/// Where Debian's versions of LLVM lie.
+fn has_libclang() -> bool {
+    let versions = std::fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
+    versions.filter(|path| path.to_string_lossy().contains("/llvm-")).any(|path| path.join("lib/libclang.so").exists())
 }
 
 fn venv() -> PathBuf {

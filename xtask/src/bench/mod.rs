@@ -6,6 +6,7 @@ mod control;
 mod forward;
 mod latency;
 mod local;
+mod ros;
 mod transport;
 
 use std::process::Command;
@@ -32,6 +33,8 @@ enum Figure {
     Control(control::Options),
     /// From one endpoint to another on the switch's host: through the daemon, on packet sockets, past both
     Local(local::Options),
+    /// ROS 2 messages through two proxies: latency and processor time, beside kernel routers and two zenoh bridges
+    Ros(ros::Options),
     /// Throughput, CPU time and latency of messages: this SDK beside quinn and TLS over TCP
     Transport(transport::Options),
 }
@@ -42,6 +45,7 @@ pub fn run(options: Options) -> Result<()> {
         Figure::Forward(options) => forward::run(options),
         Figure::Control(options) => control::run(options),
         Figure::Local(options) => local::run(options),
+        Figure::Ros(options) => ros::run(options),
         Figure::Transport(options) => transport::run(options),
     }
 }

@@ -1,0 +1,275 @@
+//! ROS 2 messages through two proxies, beside the same DDS programs over kernel routers, and beside two zenoh bridges.
+//!
+//! ```text
+//!  gdp    talker ─lo─ gdp-proxy ──── s1 ── s2 ── s3 ──── gdp-proxy ─lo─ listener     (XDP)
+//!  zenoh  talker ─lo─ zenoh-bridge ─ r1 ── r2 ── r3 ─ zenoh-bridge ─lo─ listener     (kernel IPv4; TLS on both sides, or in clear)
+//!  ip     talker ─────────────────── r1 ── r2 ── r3 ─────────────────── listener     (kernel IPv4, in clear)
+//! ```
+//!
+//! Both ends are Cyclone DDS. What has to keep up with a rate is measured with Fast DDS, whose program here is compiled: without zenoh, which only carries
+//! what belongs to a ROS node, as Cyclone's program is one. Processor time is that of what stands between the two programs: proxies and daemons of switches,
+//! or bridges; what the kernel does for a frame on its way is nobody's.
+
+mod zenoh;
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use gdp_tests::chain::{Chain, ChainOptions};
+use gdp_tests::fabric::{Fabric, FabricOptions};
+use gdp_tests::netns::{self, Namespace};
+use gdp_tests::peers::{self, Conversation, Received, Side, Traffic, Vendor};
+use gdp_tests::process::Process;
+use gdp_tests::{Tools, wait};
+use serde::Serialize;
+
+use self::zenoh::Bridges;
+use crate::setup::{self, Part};
+use crate::workspace::{self, Profile};
+use crate::{build, peers as peer_programs};
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// One JSON object on stdout instead of a table
+    #[arg(long)]
+    json: bool,
+    /// Seconds of each load, per path and round
+    #[arg(long, default_value_t = 10)]
+    seconds: u32,
+    /// Each path is measured this often, in turn
+    #[arg(long, default_value_t = 2)]
+    rounds: u32,
+    /// Only this path (may be repeated)
+    #[arg(long = "path", value_enum)]
+    paths: Vec<Route>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+enum Route {
+    Gdp,
+    Ip,
+    ZenohTls,
+    Zenoh,
+}
+
+const ROUTES: [Route; 4] = [Route::Gdp, Route::Ip, Route::ZenohTls, Route::Zenoh];
+
+/// Messages of one size at one rate.
+struct Load {
+    bytes: usize,
+    /// Messages per second.
+    rate: f64,
+    vendor: Vendor,
+}
+
+const LOADS: [Load; 5] = [
+    Load { bytes: 64, rate: 30.0, vendor: Vendor::Cyclone },
+    Load { bytes: 8_000, rate: 30.0, vendor: Vendor::Cyclone },
+    Load { bytes: 1_000_000, rate: 30.0, vendor: Vendor::Cyclone },
+    Load { bytes: 6_000_000, rate: 30.0, vendor: Vendor::Cyclone },
+    Load { bytes: 64, rate: 5_000.0, vendor: Vendor::FastDds },
+];
+
+impl Load {
+    fn is_carried_by(&self, route: Route) -> bool {
+        self.vendor == Vendor::Cyclone || matches!(route, Route::Gdp | Route::Ip)
+    }
+}
+
+#[derive(Serialize)]
+struct Row {
+    route: Route,
+    bytes: usize,
+    rate: f64,
+    sent: u64,
+    received: u64,
+    /// Bytes that are not as they were sent.
+    damaged: u64,
+    /// From `write` to the callback.
+    latency_us: Latency,
+    /// Microseconds of processor time a message; of nobody over routers.
+    cpu_us: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct Latency {
+    p50: f64,
+    p90: f64,
+    p99: f64,
+    max: f64,
+}
+
+/// What one conversation showed.
+struct Measured {
+    received: Vec<Received>,
+    cpu: Option<Duration>,
+}
+
+pub fn run(options: Options) -> Result<()> {
+    if !workspace::is_root() {
+        bail!("network namespaces need root");
+    }
+    let routes = if options.paths.is_empty() { ROUTES.to_vec() } else { options.paths };
+    setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces, Part::Dds])?;
+    if routes.contains(&Route::Gdp) {
+        build::all(Profile::Release)?;
+    }
+    peer_programs::build()?;
+    let bridge = if routes.iter().any(|route| matches!(route, Route::Zenoh | Route::ZenohTls)) {
+        setup::ensure(&[Part::Zenoh])?;
+        Some(peer_programs::build_zenoh()?)
+    } else {
+        None
+    };
+    wait::catch_interrupts();
+    netns::sweep()?;
+    let bench = Bench { tools: workspace::tools(Profile::Release), bridge };
+    let mut rows = Vec::new();
+    for load in &LOADS {
+        let routes: Vec<Route> = routes.iter().copied().filter(|route| load.is_carried_by(*route)).collect();
+        let count = (load.rate * f64::from(options.seconds)).ceil() as u64;
+        let mut samples: Vec<Vec<Measured>> = routes.iter().map(|_| Vec::new()).collect();
+        for _ in 0..options.rounds {
+            for (route, all) in routes.iter().zip(&mut samples) {
+                eprintln!("{count} messages of {} B at {} Hz: {}", load.bytes, load.rate, name(*route));
+                all.push(bench.measure(*route, load, count)?);
+            }
+        }
+        let sent = count * u64::from(options.rounds);
+        rows.extend(routes.iter().zip(&samples).map(|(route, all)| row(*route, load, sent, all)));
+    }
+    if options.json {
+        println!("{}", serde_json::json!({ "bench": "ros", "switches": 3, "rows": rows }));
+    } else {
+        print_table(&rows);
+    }
+    Ok(())
+}
+
+struct Bench {
+    tools: Tools,
+    bridge: Option<PathBuf>,
+}
+
+impl Bench {
+    fn measure(&self, route: Route, load: &Load, count: u64) -> Result<Measured> {
+        let on_loopback = load.vendor == Vendor::Cyclone && route != Route::Ip;
+        let traffic = Traffic { count, rate: load.rate, size: load.bytes, on_loopback, ..Default::default() };
+        match route {
+            Route::Gdp => {
+                let mut fabric = Fabric::start(self.tools.clone(), FabricOptions::default())?;
+                fabric.start_proxies()?;
+                let ends = [(fabric.chain.robot(), &traffic), (fabric.chain.cloud(), &traffic)];
+                let switches = fabric.switches.iter().map(|switch| &switch.process);
+                let between: Vec<&Process> = switches.chain(&fabric.robot).chain(&fabric.cloud).collect();
+                converse(&self.tools, load.vendor, ends, &between, fabric.folder())
+            }
+            Route::Ip => {
+                let chain = routers()?;
+                let (robot, cloud) = chain.ip_ends();
+                // DDS finds its peers by multicast, which routers do not forward: each is told of the other.
+                let talks = Traffic { peer: Some(cloud), ..traffic.clone() };
+                let hears = Traffic { peer: Some(robot), ..traffic };
+                let folder = logs()?;
+                converse(
+                    &self.tools,
+                    load.vendor,
+                    [(chain.robot(), &talks), (chain.cloud(), &hears)],
+                    &[],
+                    folder.path(),
+                )
+            }
+            Route::ZenohTls | Route::Zenoh => {
+                let Some(bridge) = &self.bridge else { bail!("the bridge was not built") };
+                let (chain, folder) = (routers()?, logs()?);
+                let bridges = Bridges::start(bridge, &chain, route == Route::ZenohTls, folder.path())?;
+                let talks = Traffic { node: Some("talker".into()), ..traffic.clone() };
+                let hears = Traffic { node: Some("listener".into()), ..traffic };
+                let ends = [(chain.robot(), &talks), (chain.cloud(), &hears)];
+                converse(&self.tools, load.vendor, ends, &bridges.processes(), folder.path())
+            }
+        }
+    }
+}
+
+fn routers() -> Result<Chain> {
+    let chain = Chain::build(ChainOptions::default())?;
+    chain.become_ip_routers()?;
+    for end in [chain.robot(), chain.cloud()] {
+        end.enable_loopback_multicast()?;
+    }
+    Ok(chain)
+}
+
+/// `between`: whose processor time counts.
+fn converse(
+    tools: &Tools,
+    vendor: Vendor,
+    [(from, talks), (to, hears)]: [(&Namespace, &Traffic); 2],
+    between: &[&Process],
+    folder: &Path,
+) -> Result<Measured> {
+    let talker = Side { at: from, vendor, traffic: talks };
+    let listener = Side { at: to, vendor, traffic: hears };
+    let mut both = Conversation::start(tools, talker, listener, folder)?;
+    let before = cpu(between)?;
+    both.open()?;
+    let sending = Duration::from_secs_f64(talks.count as f64 / talks.rate);
+    let received = both.finish(sending, Duration::from_secs(10))?;
+    let taken = cpu(between)?.saturating_sub(before);
+    Ok(Measured { received, cpu: (!between.is_empty()).then_some(taken) })
+}
+
+fn cpu(processes: &[&Process]) -> Result<Duration> {
+    processes.iter().map(|process| process.cpu()).sum()
+}
+
+fn logs() -> Result<tempfile::TempDir> {
+    Ok(tempfile::Builder::new().prefix("gdp-bench-").tempdir()?)
+}
+
+fn row(route: Route, load: &Load, sent: u64, all: &[Measured]) -> Row {
+    let messages = || all.iter().flat_map(|measured| &measured.received);
+    let mut sorted: Vec<Duration> = messages().map(|message| message.latency).collect();
+    sorted.sort();
+    let received = sorted.len() as u64;
+    let at = |percent| peers::percentile(&sorted, percent).as_nanos() as f64 / 1000.0;
+    let latency_us = Latency { p50: at(50.0), p90: at(90.0), p99: at(99.0), max: at(100.0) };
+    let cpu: Option<Duration> = all.iter().map(|measured| measured.cpu).sum();
+    let cpu_us = cpu.map(|taken| taken.as_secs_f64() * 1e6 / received.max(1) as f64);
+    let damaged = messages().filter(|message| !message.intact).count() as u64;
+    Row { route, bytes: load.bytes, rate: load.rate, sent, received, damaged, latency_us, cpu_us }
+}
+
+fn name(route: Route) -> &'static str {
+    match route {
+        Route::Gdp => "gdp: proxy, 3 XDP switches, proxy",
+        Route::Ip => "ip: 3 kernel routers, in clear",
+        Route::ZenohTls => "zenoh: two bridges, 3 routers, TLS",
+        Route::Zenoh => "zenoh: two bridges, 3 routers",
+    }
+}
+
+fn print_table(rows: &[Row]) {
+    println!("ROS 2 messages, one way, in microseconds; processor time of what stands between the two DDS programs");
+    println!(
+        "{:<36} {:>8} {:>5} {:>13} {:>8} {:>8} {:>8} {:>8} {:>9}",
+        "path", "bytes", "Hz", "recv/sent", "p50", "p90", "p99", "max", "CPU"
+    );
+    for row in rows {
+        let (l, got) = (&row.latency_us, format!("{}/{}", row.received, row.sent));
+        let cpu = row.cpu_us.map_or_else(|| "-".to_owned(), |cpu| format!("{cpu:.0}"));
+        println!(
+            "{:<36} {:>8} {:>5} {got:>13} {:>8.0} {:>8.0} {:>8.0} {:>8.0} {cpu:>9}",
+            name(row.route),
+            row.bytes,
+            row.rate,
+            l.p50,
+            l.p90,
+            l.p99,
+            l.max
+        );
+    }
+}
