@@ -101,6 +101,15 @@ fn move_by_guid_prefix<D>(
   }
 }
 
+// GDP patch
+const MAX_ATTIC: usize = 4096;
+
+fn shorten<D>(attic: &mut BTreeMap<GUID, D>) {
+  while attic.len() > MAX_ATTIC {
+    attic.pop_first();
+  }
+}
+
 pub(crate) fn discovery_db_read(
   discovery_db: &Arc<RwLock<DiscoveryDB>>,
 ) -> RwLockReadGuard<'_, DiscoveryDB> {
@@ -397,6 +406,28 @@ impl DiscoveryDB {
     for dt in &dead_topics {
       self.topics.remove(dt);
     }
+    // GDP patch: those that told of a topic and are gone were kept as long as the topic was there, and compared with whatever came.
+    let Self {
+      topics,
+      external_topic_readers: readers,
+      external_topic_writers: writers,
+      participant_proxies: participants,
+      my_guid,
+      ..
+    } = self;
+    for sources in topics.values_mut() {
+      sources.retain(|guid, (via, _)| match via {
+        DiscoveredVia::SelfDefined => true,
+        DiscoveredVia::Publication => writers.contains_key(guid),
+        DiscoveredVia::Subscription => readers.contains_key(guid),
+        DiscoveredVia::Topic => {
+          guid.prefix == my_guid.prefix || participants.contains_key(&guid.prefix)
+        }
+      });
+    }
+    // GDP patch: so were endpoints of participants that were lost and never came back.
+    shorten(&mut self.external_topic_readers_attic);
+    shorten(&mut self.external_topic_writers_attic);
   }
 
   pub fn update_local_topic_writer(&mut self, writer: DiscoveredWriterData) {
