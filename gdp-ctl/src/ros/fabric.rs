@@ -58,7 +58,7 @@ impl Fabric {
     pub async fn parties(&self, card: &NameCard) -> anyhow::Result<Parties> {
         let (name, mut parties, mut after, mut seen) = (card.name(), Parties::default(), None, 0);
         loop {
-            let (records, truncated) = self.node.query(name.into(), after.clone()).await?;
+            let (records, truncated) = self.node.query(name.into(), after).await?;
             for record in &records {
                 let (role, entity) = role(record)?;
                 let side = match role {

@@ -168,7 +168,7 @@ pub struct Decoded<'a> {
 #[derive(Debug, thiserror::Error)]
 pub enum DecodeError {
     #[error("messages of {0} cannot be read: {1}; --definitions names share folders that define more types")]
-    Type(String, TypeError),
+    Type(String, Box<TypeError>),
     #[error("a message that is no {0}: {1}")]
     Message(String, String),
 }
@@ -187,8 +187,8 @@ impl Decoder {
         let reader = match self.known.entry(key) {
             std::collections::hash_map::Entry::Occupied(entry) => entry.into_mut(),
             std::collections::hash_map::Entry::Vacant(entry) => {
-                let made =
-                    Reader::new(&self.types, heard).map_err(|error| DecodeError::Type(kind.name.clone(), error))?;
+                let made = Reader::new(&self.types, heard)
+                    .map_err(|error| DecodeError::Type(kind.name.clone(), error.into()))?;
                 entry.insert(made)
             }
         };

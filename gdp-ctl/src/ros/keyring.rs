@@ -38,21 +38,26 @@ pub enum FindError {
 /// Why a certificate is not there.
 #[derive(Debug, thiserror::Error)]
 pub enum RightError {
-    #[error(
-        "no {what} for {of} ({name:#}) in {}; have its owner run `gdp-ctl grant add CARD --key OWNER.pem {option} --entity {entity} -o FILE.{ending}`, and put the file there",
-        folder.display()
-    )]
-    Missing {
-        what: &'static str,
-        option: &'static str,
-        ending: &'static str,
-        of: String,
-        name: Name,
-        entity: Name,
-        folder: PathBuf,
-    },
+    #[error(transparent)]
+    Missing(Box<Missing>),
     #[error("{}: {source}; have the owner of {of} issue another one", file.display())]
-    Refused { file: PathBuf, of: String, source: CertError },
+    Refused { file: PathBuf, of: String, source: Box<CertError> },
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "no {what} for {of} ({name:#}) in {}; have its owner run `gdp-ctl grant add CARD --key OWNER.pem {option} --entity {entity} -o FILE.{ending}`, \
+     and put the file there",
+    folder.display()
+)]
+pub struct Missing {
+    what: &'static str,
+    option: &'static str,
+    ending: &'static str,
+    of: String,
+    name: Name,
+    entity: Name,
+    folder: PathBuf,
 }
 
 fn listed(names: &[Name]) -> String {
@@ -88,14 +93,17 @@ impl Keyring {
         let (mut domains, mut members, mut peers) = (Vec::new(), Vec::new(), Vec::new());
         for file in files {
             let ending = file.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
+            let is_membership = ending == "member" || file.file_name().is_some_and(|name| name == "membership");
             let taken = match ending {
                 "card" => keyring.card(&file).map(|is_domain| domains.extend(is_domain.then(|| file.clone()))),
                 "ad" | "grant" => keyring.right(&file),
-                "member" => Ok(members.push(file.clone())),
-                "peer" => Ok(peers.push(file.clone())),
-                _ if file.file_name().is_some_and(|name| name == "membership") => Ok(members.push(file.clone())),
                 _ => Ok(()),
             };
+            if is_membership {
+                members.push(file.clone());
+            } else if ending == "peer" {
+                peers.push(file.clone());
+            }
             if let Err(reason) = taken {
                 let file = file.display().to_string();
                 let reason = if reason.contains(&file) { reason } else { format!("{file}: {reason}") };
@@ -209,7 +217,8 @@ impl Keyring {
         entity: Name,
     ) -> RightError {
         let of = called(card).to_owned();
-        RightError::Missing { what, option, ending, of, name: card.name(), entity, folder: self.folder.clone() }
+        let missing = Missing { what, option, ending, of, name: card.name(), entity, folder: self.folder.clone() };
+        RightError::Missing(missing.into())
     }
 }
 
@@ -228,7 +237,10 @@ fn newest<'a, T>(
         match until {
             Ok(until) if best.is_none_or(|(before, _)| until > before) => best = Some((until, right)),
             Ok(_) => {}
-            Err(source) => refused = Some(RightError::Refused { file: file.clone(), of: called(card).into(), source }),
+            Err(source) => {
+                refused =
+                    Some(RightError::Refused { file: file.clone(), of: called(card).into(), source: source.into() })
+            }
         }
     }
     match (best, refused) {

@@ -213,7 +213,15 @@ fn converse(
 ) -> Result<Measured> {
     let talker = Side { at: from, vendor, traffic: talks };
     let listener = Side { at: to, vendor, traffic: hears };
-    let mut both = Conversation::start(tools, talker, listener, folder)?;
+    let mut both = match Conversation::start(tools, talker, listener, folder) {
+        Ok(both) => both,
+        // A row as well: what is too much for a path does not keep the others from being measured.
+        Err(error) => {
+            wait::check_interrupt()?;
+            eprintln!("nothing arrives: {error:#}");
+            return Ok(Measured { received: Vec::new(), cpu: None });
+        }
+    };
     let before = cpu(between)?;
     both.open()?;
     let sending = Duration::from_secs_f64(talks.count as f64 / talks.rate);
@@ -238,7 +246,7 @@ fn row(route: Route, load: &Load, sent: u64, all: &[Measured]) -> Row {
     let at = |percent| peers::percentile(&sorted, percent).as_nanos() as f64 / 1000.0;
     let latency_us = Latency { p50: at(50.0), p90: at(90.0), p99: at(99.0), max: at(100.0) };
     let cpu: Option<Duration> = all.iter().map(|measured| measured.cpu).sum();
-    let cpu_us = cpu.map(|taken| taken.as_secs_f64() * 1e6 / received.max(1) as f64);
+    let cpu_us = cpu.filter(|_| received > 0).map(|taken| taken.as_secs_f64() * 1e6 / received as f64);
     let damaged = messages().filter(|message| !message.intact).count() as u64;
     Row { route, bytes: load.bytes, rate: load.rate, sent, received, damaged, latency_us, cpu_us }
 }

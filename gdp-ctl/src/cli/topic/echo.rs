@@ -144,7 +144,7 @@ fn print(
     value["message"] = view.value.clone();
     let length = if options.full_length { usize::MAX } else { options.truncate_length };
     let limits = Limits { length, no_arrays: options.no_arr, no_texts: options.no_str };
-    let text = shown(&view, &limits).map_err(|error| Failed::Message(error.into()))?;
+    let text = shown(&view, &limits).map_err(Failed::Message)?;
     context.output.print(value, || format!("{text}---")).map_err(Failed::Output)
 }
 
