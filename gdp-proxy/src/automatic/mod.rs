@@ -5,11 +5,12 @@
 //! are put together, into plans for the managers of routes and of catalogs.
 
 pub mod choice;
+mod gather;
 mod issuer;
 mod link;
 mod listed;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -22,15 +23,14 @@ use gdp_ros::catalog::{Catalog, Entry, MAX_ENTRIES};
 use tokio::sync::watch;
 
 use self::choice::Choice;
+use self::gather::{Gathering, Kept};
 use self::issuer::{Issuer, Papers};
 use self::link::{CatalogPlan, End};
 use self::listed::{Listed, chosen};
-use crate::config::{Direction, ExposeConfig, ImportConfig, MAX_ROUTES, Side};
+use crate::config::{Direction, ExposeConfig, ImportConfig, Side};
 use crate::graph::{self, Graph, Onlooker};
-use crate::manager::Plan;
 use crate::material::{ImportMaterial, Permission, RouteMaterial};
 use crate::reload::Loaded;
-use crate::renewal::{Renewal, Told};
 use crate::routes::RoutePlan;
 
 pub use self::choice::judge;
@@ -44,13 +44,9 @@ const LOOK: Duration = Duration::from_secs(60);
 pub struct Automatic {
     expose: Option<Expose>,
     imports: Vec<Import>,
-    rights: Rights,
+    kept: Kept,
     look: Instant,
 }
-
-/// The rights to names that were made or learnt here, which routes follow by themselves.
-#[derive(Default)]
-struct Rights(BTreeMap<(Name, Side), watch::Sender<Permission>>);
 
 struct Expose {
     config: ExposeConfig,
@@ -74,7 +70,6 @@ struct Import {
 }
 
 /// What the managers are to run.
-#[derive(Default)]
 pub struct Plans {
     pub routes: Vec<Arc<RoutePlan>>,
     pub catalogs: Vec<CatalogPlan>,
@@ -84,9 +79,9 @@ impl Automatic {
     /// Of a configuration. What `before` knows and is still wanted goes on.
     pub fn new(loaded: &Loaded, graphs: &graph::All, entity: Name, before: Option<Self>) -> Result<Self> {
         let Loaded { config, material } = loaded;
-        let (before_expose, mut before_imports, rights) = match before {
-            Some(Self { expose, imports, rights, .. }) => (expose, imports, rights),
-            None => (None, vec![], Rights::default()),
+        let (before_expose, mut before_imports, kept) = match before {
+            Some(Self { expose, imports, kept, .. }) => (expose, imports, kept),
+            None => (None, vec![], Kept::default()),
         };
         let place = |label: &Option<String>| {
             let (label, _) = config.graphs.get(label.as_deref()).map_err(|reason| anyhow!(reason))?;
@@ -130,7 +125,7 @@ impl Automatic {
                 files: files.clone(),
             })
         });
-        Ok(Self { expose, imports: imports.collect::<Result<_>>()?, rights, look: Instant::now() + LOOK })
+        Ok(Self { expose, imports: imports.collect::<Result<_>>()?, kept, look: Instant::now() + LOOK })
     }
 
     /// Waits until [`Self::plan`] may come to something else. Safe to cancel.
@@ -154,46 +149,12 @@ impl Automatic {
 
     /// What is to run, `explicit` first: what the configuration lists is not exposed or imported a second time.
     pub fn plan(&mut self, explicit: &[Arc<RoutePlan>]) -> Plans {
-        let mut plans = Plans { routes: explicit.to_vec(), catalogs: vec![] };
-        let mut taken: BTreeSet<_> = explicit.iter().map(Plan::place).collect();
-        let mut wanted = BTreeSet::new();
-        let Self { expose, imports, rights, .. } = self;
-        let mut add = |plan: Arc<RoutePlan>| {
-            let room = taken.len() < MAX_ROUTES;
-            if !room {
-                tracing::warn!(topic = %plan.config.topic, "not carried: there are {MAX_ROUTES} routes already; run a second proxy");
-            }
-            let is_new = room && taken.insert(Plan::place(&plan));
-            if is_new {
-                wanted.insert((plan.material.card.name(), plan.material.side));
-                plans.routes.push(plan);
-            }
-            is_new
-        };
-        if let Some(expose) = expose {
-            plans.catalogs.extend(expose.plan(rights, &mut add));
-        }
-        for import in imports.iter_mut() {
-            plans.catalogs.push(import.plan(rights, &mut add));
-        }
-        wanted.extend(plans.catalogs.iter().map(|plan| (plan.card.name(), Side::Out)));
-        rights.0.retain(|key, _| wanted.contains(key));
-        plans
-    }
-}
-
-impl Rights {
-    /// The right as it is told to whoever uses it.
-    fn tell(&mut self, name: Name, side: Side, permission: Permission) -> (Permission, Renewal) {
-        let sender = self.0.entry((name, side)).or_insert_with(|| watch::Sender::new(permission.clone()));
-        sender.send_if_modified(|known| {
-            let is_new = *known != permission;
-            if is_new {
-                *known = permission.clone();
-            }
-            is_new
-        });
-        (permission, Renewal::Told(Told::new(sender.subscribe())))
+        let Self { expose, imports, kept, .. } = self;
+        let mut gathering = Gathering::new(kept, explicit.to_vec());
+        let mut catalogs: Vec<CatalogPlan> =
+            expose.iter_mut().filter_map(|expose| expose.plan(&mut gathering)).collect();
+        catalogs.extend(imports.iter_mut().map(|import| import.plan(&mut gathering)));
+        Plans { routes: gathering.finish(), catalogs }
     }
 }
 
@@ -206,37 +167,37 @@ impl Expose {
         Self { config, ..self }
     }
 
-    fn plan(&mut self, rights: &mut Rights, add: &mut impl FnMut(Arc<RoutePlan>) -> bool) -> Option<CatalogPlan> {
+    fn plan(&mut self, gathering: &mut Gathering) -> Option<CatalogPlan> {
         self.choice.update(&self.config, &self.onlooker.topics(), Instant::now());
         let now = unix_nanos();
         let catalog = self.catalog.clone();
         let own = papers(&self.issuer, &mut self.papers, &self.config, &catalog, now)?;
-        let (right, renewal) = rights.tell(catalog.name(), Side::Out, Permission::Publish(own.cert));
+        let (right, renewal) = gathering.right(catalog.name(), Permission::Publish(own.cert));
         let mut entries = BTreeMap::new();
         let (label, graph) = &self.place;
         for (topic, kind, exposed) in self.choice.iter() {
             if entries.len() >= MAX_ENTRIES {
-                tracing::warn!(%topic, "not exposed: there are {MAX_ENTRIES} names in the catalog already");
+                gathering.tell(topic, format!("there are {MAX_ENTRIES} names in the catalog already"));
                 continue;
             }
             let card = match self.issuer.card(kind, exposed) {
                 Ok(card) => card,
                 Err(error) => {
-                    tracing::error!(%topic, "not exposed: {error}");
+                    gathering.tell(topic, error.to_string());
                     continue;
                 }
             };
             let name = card.name();
             if entries.contains_key(&name) {
-                tracing::warn!(%topic, "not exposed: remap gives it the name of another topic");
+                gathering.tell(topic, "remap gives it the name of another topic".into());
                 continue;
             }
             let Some(issued) = papers(&self.issuer, &mut self.papers, &self.config, &card, now) else { continue };
-            let (permission, file) = rights.tell(name, Side::Out, Permission::Publish(issued.cert));
+            let (permission, file) = gathering.right(name, Permission::Publish(issued.cert));
             let config = exposed.manner.topic(topic, label, Some(kind.clone()), Direction::Out);
             let metadata = card.metadata().clone();
             let material = RouteMaterial { side: Side::Out, card, kind: Some(kind.clone()), permission, file };
-            if add(Arc::new(RoutePlan { config, label: label.clone(), graph: graph.clone(), material })) {
+            if gathering.add(RoutePlan { config, label: label.clone(), graph: graph.clone(), material }) {
                 entries.insert(name, Entry { metadata, grants: issued.grants });
             }
         }
@@ -283,18 +244,16 @@ fn papers(
 }
 
 impl Import {
-    fn plan(&mut self, rights: &mut Rights, add: &mut impl FnMut(Arc<RoutePlan>) -> bool) -> CatalogPlan {
+    fn plan(&mut self, gathering: &mut Gathering) -> CatalogPlan {
         let listed = self.listed.borrow_and_update().clone();
         let (label, graph) = &self.place;
         for (topic, Listed { card, kind, right, .. }) in chosen(&self.config, &listed) {
-            let (permission, file) = rights.tell(card.name(), Side::In, Permission::Read(right.clone()));
+            let (permission, file) = gathering.right(card.name(), Permission::Read(right.clone()));
             let config = self.config.manner().topic(&topic, label, Some(kind.clone()), Direction::In);
             let (card, kind) = (card.clone(), Some(kind.clone()));
             let material = RouteMaterial { side: Side::In, card, kind, permission, file };
             let plan = RoutePlan { config, label: label.clone(), graph: graph.clone(), material };
-            if !add(Arc::new(plan)) {
-                tracing::debug!(%topic, "another route has it");
-            }
+            gathering.add(plan);
         }
         let ImportMaterial { catalog, grant, file } = self.material.clone();
         let end = End::Reads(self.tell.clone(), self.files.clone());

@@ -189,13 +189,22 @@ pub fn remapped(topic: &TopicName, remap: &[Remap]) -> Option<TopicName> {
 }
 
 impl ExposeConfig {
+    fn manners(&self) -> impl Iterator<Item = &Manner> {
+        self.topics.iter().map(|rule| &rule.manner).chain([&self.defaults])
+    }
+
+    /// Whether a topic goes by two links.
+    pub(super) fn duplicates(&self) -> bool {
+        self.manners().any(|manner| manner.duplicate == Some(true))
+    }
+
     /// Errors with the key inside `expose`.
     pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
         graphs.get(self.graph.as_deref()).map_err(|reason| ("graph", reason))?;
         if self.readers.len() > MAX_GRANTS {
             return Err(("readers", format!("more than {MAX_GRANTS}; give them a role in a domain")));
         }
-        let manners = self.topics.iter().map(|rule| &rule.manner).chain([&self.defaults]);
+        let manners = self.manners();
         for key in manners.flat_map(|manner| manner.meta.keys()) {
             if matches!(key.as_str(), "kind" | "topic" | "type" | "nonce") {
                 return Err(("meta", format!("{key} is said by the proxy itself; remove it")));

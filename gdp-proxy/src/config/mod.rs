@@ -230,11 +230,8 @@ impl Config {
         for (i, topic) in self.topics.iter().enumerate() {
             let wrong = |key: &str, reason: String| (format!("topics[{i}].{key}"), reason);
             topic.check(&self.graphs).map_err(|(key, reason)| wrong(key, reason))?;
-            if topic.duplicate && self.links.len() < 2 {
-                return Err(wrong(
-                    "duplicate",
-                    "there is no second link for it; add one to links, or remove this".into(),
-                ));
+            if topic.duplicate {
+                self.check_second_link().map_err(|reason| wrong("duplicate", reason))?;
             }
             if let Some(first) = self.topics[..i].iter().position(|other| other.overlaps(topic, &self.graphs)) {
                 let reason =
@@ -244,14 +241,31 @@ impl Config {
         }
         if let Some(expose) = &self.expose {
             expose.check(&self.graphs).map_err(|(key, reason)| (format!("expose.{key}"), reason))?;
+            if expose.duplicates() {
+                self.check_second_link().map_err(|reason| ("expose".into(), reason))?;
+            }
         }
         if self.import.len() > MAX_IMPORTS {
             return Err(("import".into(), format!("more than {MAX_IMPORTS}; run a second proxy")));
         }
         for (i, import) in self.import.iter().enumerate() {
             import.check(&self.graphs).map_err(|(key, reason)| (format!("import[{i}].{key}"), reason))?;
+            if import.duplicate {
+                self.check_second_link().map_err(|reason| (format!("import[{i}].duplicate"), reason))?;
+            }
+            if let Some(first) = self.import[..i].iter().position(|other| other.catalog == import.catalog) {
+                let reason = format!("is already that of import[{first}]; say all that comes of it there");
+                return Err((format!("import[{i}].catalog"), reason));
+            }
         }
         Ok(())
+    }
+
+    fn check_second_link(&self) -> Result<(), String> {
+        match self.links.len() {
+            0 | 1 => Err("there is no second link for it; add one to links, or remove this".into()),
+            _ => Ok(()),
+        }
     }
 
     fn resolve(&mut self, folder: &Path) {
