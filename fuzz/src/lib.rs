@@ -2,6 +2,7 @@
 //! (`cargo xtask fuzz TARGET`), and by the tests over the [seeds] and over `corpus/TARGET`: a file there is a case worth keeping,
 //! named for what it shows; what a crash leaves goes there under a name of its own.
 
+mod call;
 mod cert;
 mod control;
 mod decide;
@@ -17,6 +18,7 @@ use gdp_tests::frames;
 #[path = "../../gdp-wire/tests/tables/mod.rs"]
 mod tables;
 
+pub use call::call;
 pub use cert::cert;
 pub use control::control;
 pub use decide::decide;
@@ -31,7 +33,7 @@ pub use segments::segments;
 pub type Target = fn(&[u8]);
 
 /// All targets, by the names of their executables and corpora.
-pub const TARGETS: [(&str, Target); 9] = [
+pub const TARGETS: [(&str, Target); 10] = [
     ("decide", decide),
     ("control", control),
     ("cert", cert),
@@ -39,6 +41,7 @@ pub const TARGETS: [(&str, Target); 9] = [
     ("key_box", key_box),
     ("segments", segments),
     ("msg", msg),
+    ("call", call),
     ("xmlrpc", xmlrpc),
     ("ros1_header", ros1_header),
 ];

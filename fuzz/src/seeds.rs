@@ -19,7 +19,7 @@ use serde::Serialize;
 use crate::decide::{TAGGED, TWICE};
 use crate::domains::Domain;
 use crate::frames::fixtures;
-use crate::{key_box, msg, ros1};
+use crate::{call, key_box, msg, ros1};
 
 type Seeds = Vec<(String, Vec<u8>)>;
 
@@ -33,6 +33,7 @@ pub fn seeds(target: &str) -> Seeds {
         "key_box" => key_box::seeds(),
         "segments" => payloads(),
         "msg" => msg::seeds(),
+        "call" => call::seeds(),
         "xmlrpc" => ros1::documents(),
         "ros1_header" => ros1::headers(),
         _ => Vec::new(),

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use gdp_proxy::config::{MAX_ROUTES, schema};
+use gdp_proxy::config::{MAX_CALLS, MAX_ROUTES, schema};
 use gdp_proxy::dry_run;
 use gdp_proxy::proxy;
 use gdp_proxy::reload::{Loaded, Watch};
@@ -64,14 +64,20 @@ fn run(arguments: Arguments) -> Result<()> {
     let loaded = || Loaded::load(&path);
     if arguments.check {
         let Loaded { config, material } = loaded()?;
-        let (file, topics) = (path.display(), config.topics.len());
-        println!("{file}: good, {topics} topics, entity {}", material.identity.name());
+        println!(
+            "{}: good, {} topics, {} services, {} actions, entity {}",
+            path.display(),
+            config.topics.len(),
+            config.services.len(),
+            config.actions.len(),
+            material.identity.name()
+        );
         return Ok(());
     }
     // One thread for links, discovery and statistics; routes have threads of their own.
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
-        .max_blocking_threads(MAX_ROUTES + 16)
+        .max_blocking_threads(MAX_ROUTES + MAX_CALLS + 16)
         .build()
         .context("cannot start the runtime")?;
     runtime.block_on(async {

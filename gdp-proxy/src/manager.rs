@@ -6,6 +6,7 @@
 //! returned by [`Manager::failed`].
 
 use std::collections::BTreeMap;
+use std::ops::Add;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -70,6 +71,14 @@ pub struct Changed {
     pub begun: usize,
     pub ended: usize,
     pub kept: usize,
+}
+
+impl Add for Changed {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self { begun: self.begun + other.begun, ended: self.ended + other.ended, kept: self.kept + other.kept }
+    }
 }
 
 impl<P: Plan> Manager<P> {

@@ -12,6 +12,7 @@ use gdp::cert::{AdCert, CertError, Issued, MAX_CERT_FILE, Reading};
 use gdp::domain::{PaperFiles, Papers, Stamps, Trust};
 use gdp::{Identity, Name, NameCard, SigningKey};
 
+use crate::call::{self, material::CallMaterial};
 use crate::cert_file::CertFile;
 use crate::config::{Config, ExposeConfig, ImportConfig, Side, TopicConfig};
 use crate::relay::Relay;
@@ -29,6 +30,8 @@ pub struct Material {
     pub expose: Option<ExposeMaterial>,
     /// In the order of the configuration.
     pub imports: Vec<ImportMaterial>,
+    /// Of services and actions, each with which one it is in the order of [`Config::calls`].
+    pub calls: Vec<(usize, CallMaterial)>,
 }
 
 /// Of what is exposed by pattern.
@@ -109,7 +112,8 @@ impl Material {
         let expose = config.expose.as_ref().map(load_expose).transpose()?;
         let imports = config.import.iter().enumerate();
         let imports = imports.map(|(i, import)| load_import(i, import, identity.name())).collect::<Result<_, _>>()?;
-        let material = Self { identity, papers, relay, routes, expose, imports };
+        let calls = call::material::load(config, identity.name())?;
+        let material = Self { identity, papers, relay, routes, expose, imports, calls };
         material.check_names(config)?;
         Ok(material)
     }
@@ -153,7 +157,7 @@ fn load_papers(files: &PaperFiles, entity: Name) -> Result<(Papers, Stamps), Mat
 /// Errors with the key inside the topic.
 fn load_route(topic: &TopicConfig, side: Side, entity: Name) -> Result<RouteMaterial, (&'static str, String)> {
     let card = NameCard::load(&topic.card).map_err(|error| ("card", with_path(error, &topic.card)))?;
-    let kind = agree_on_type(topic, &card).map_err(|reason| ("type", reason))?;
+    let kind = carded_type(topic.kind.as_ref(), &card, &topic.card, "topic").map_err(|reason| ("type", reason))?;
     let key = match side {
         Side::Out => "cert",
         Side::In => "grant",
@@ -198,15 +202,21 @@ fn load_import(at: usize, config: &ImportConfig, entity: Name) -> Result<ImportM
     }
 }
 
-fn agree_on_type(topic: &TopicConfig, card: &NameCard) -> Result<Option<TypeName>, String> {
+/// The type of a topic, service or action, by what the configuration and its name card say.
+pub(crate) fn carded_type(
+    configured: Option<&TypeName>,
+    card: &NameCard,
+    path: &Path,
+    what: &str,
+) -> Result<Option<TypeName>, String> {
     let carded = card.get("type").filter(|text| !text.is_empty()).map(TypeName::parse).transpose();
-    let carded = carded.map_err(|error| format!("{}: {error}", topic.card.display()))?;
-    match (&topic.kind, carded) {
+    let carded = carded.map_err(|error| format!("{}: {error}", path.display()))?;
+    match (configured, carded) {
         (Some(configured), Some(carded)) if *configured != carded => Err(format!(
-            "{configured}, but the name is of a topic of {carded} ({}): correct one of them",
-            topic.card.display()
+            "{configured}, but the name is of a {what} of {carded} ({}): correct one of them",
+            path.display()
         )),
-        (configured, carded) => Ok(configured.clone().or(carded)),
+        (configured, carded) => Ok(configured.cloned().or(carded)),
     }
 }
 

@@ -12,6 +12,9 @@ use gdp::node::{LinkConfig, NodeConfig};
 use tokio::time::{Interval, MissedTickBehavior};
 
 use crate::automatic::{self, Automatic, CatalogStats, Links};
+use crate::call::CallStats;
+use crate::call::material::CallMaterial;
+use crate::calls::{self, CallPlan, Calls};
 use crate::graph;
 use crate::manager::Changed;
 use crate::material::RouteMaterial;
@@ -70,29 +73,33 @@ async fn carry(
     let stamps = loaded.material.papers.as_ref().map(|(_, stamps)| stamps.clone());
     let mut keeping = std::pin::pin!(keep_papers(&node, files.as_ref().zip(stamps)));
 
-    let (mut routes, mut catalogs) = (routes::manager(node.clone(), types), automatic::manager(node.clone()));
+    let mut running = Running {
+        routes: routes::manager(node.clone(), types.clone()),
+        calls: calls::manager(node.clone(), types),
+        catalogs: automatic::manager(node.clone()),
+    };
     let mut explicit = plans(&loaded, &graphs)?;
     let mut automatic = Automatic::new(&loaded, &graphs, node.name(), None)?;
-    want(&mut automatic, &explicit, &mut routes, &mut catalogs);
+    running.want(&mut automatic, &explicit);
+    running.calls.want(call_plans(&loaded, &graphs)?);
     watch.look_at(loaded.cards());
     let mut shown = Shown::new(stats);
     let ended = loop {
         tokio::select! {
             () = &mut stop => break Ok(()),
-            error = routes.failed() => break Err(error),
-            error = catalogs.failed() => break Err(error),
+            error = running.failed() => break Err(error),
             () = automatic.changed() => {
-                want(&mut automatic, &explicit, &mut routes, &mut catalogs);
+                running.want(&mut automatic, &explicit);
             }
-            () = shown.due() => shown.show(&node, routes.stats(), catalogs.stats()),
+            () = shown.due() => shown.show(&node, running.stats()),
             () = watch.changed() => match load_again(&loaded, &watch, &mut graphs, &ros_node).await {
                 Ok(new) => {
                     loaded = new;
                     watch.look_at(loaded.cards());
                     explicit = plans(&loaded, &graphs)?;
                     automatic = Automatic::new(&loaded, &graphs, node.name(), Some(automatic))?;
-                    let changed = want(&mut automatic, &explicit, &mut routes, &mut catalogs);
-                    let Changed { begun, ended, kept } = changed;
+                    let (topics, calls) = (running.want(&mut automatic, &explicit), call_plans(&loaded, &graphs)?);
+                    let Changed { begun, ended, kept } = topics + running.calls.want(calls);
                     tracing::info!(begun, ended, kept, "took the changed configuration");
                 }
                 Err(error) => tracing::error!("the changed configuration is not taken, everything goes on as it was: {error:#}"),
@@ -102,19 +109,54 @@ async fn carry(
     };
 
     tracing::info!("leaving");
-    let (topics, catalogs) = tokio::join!(routes.close(), catalogs.close());
-    shown.show(&node, topics, catalogs);
+    let last = running.close().await;
+    shown.show(&node, last);
     drop((automatic, explicit));
     node.close().await;
     graph::leave(graphs).await;
     ended
 }
 
-/// Has run what is to run now.
-fn want(automatic: &mut Automatic, explicit: &[Arc<RoutePlan>], routes: &mut Routes, catalogs: &mut Links) -> Changed {
-    let plans = automatic.plan(explicit);
-    catalogs.want(plans.catalogs);
-    routes.want(plans.routes)
+/// All that runs.
+struct Running {
+    routes: Routes,
+    calls: Calls,
+    catalogs: Links,
+}
+
+/// What is shown of it.
+struct RunningStats {
+    topics: Vec<RouteStats>,
+    calls: Vec<CallStats>,
+    catalogs: Vec<CatalogStats>,
+}
+
+impl Running {
+    /// From now on these topics cross, and what matches by itself.
+    fn want(&mut self, automatic: &mut Automatic, explicit: &[Arc<RoutePlan>]) -> Changed {
+        let plans = automatic.plan(explicit);
+        self.catalogs.want(plans.catalogs);
+        self.routes.want(plans.routes)
+    }
+
+    /// What only a new start can mend. Safe to cancel.
+    async fn failed(&mut self) -> anyhow::Error {
+        tokio::select! {
+            error = self.routes.failed() => error,
+            error = self.calls.failed() => error,
+            error = self.catalogs.failed() => error,
+        }
+    }
+
+    fn stats(&self) -> RunningStats {
+        RunningStats { topics: self.routes.stats(), calls: self.calls.stats(), catalogs: self.catalogs.stats() }
+    }
+
+    /// Ends all of it.
+    async fn close(self) -> RunningStats {
+        let (topics, calls, catalogs) = tokio::join!(self.routes.close(), self.calls.close(), self.catalogs.close());
+        RunningStats { topics, calls, catalogs }
+    }
 }
 
 /// The configuration as it is now, with its graphs joined.
@@ -147,8 +189,12 @@ async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
 
 /// A route for each direction of the topics.
 fn plans(Loaded { config, material }: &Loaded, graphs: &graph::All) -> Result<Vec<Arc<RoutePlan>>> {
-    if config.topics.is_empty() && config.expose.is_none() && config.import.is_empty() {
-        tracing::warn!("no topics are configured, so nothing is exposed");
+    if config.topics.is_empty()
+        && config.expose.is_none()
+        && config.import.is_empty()
+        && config.calls().next().is_none()
+    {
+        tracing::warn!("no topics, services or actions are configured, so nothing is exposed");
     }
     let plan = |(at, material): &(usize, RouteMaterial)| {
         let topic = &config.topics[*at];
@@ -157,6 +203,17 @@ fn plans(Loaded { config, material }: &Loaded, graphs: &graph::All) -> Result<Ve
         Ok(Arc::new(RoutePlan { config: topic.clone(), label: label.into(), graph, material: material.clone() }))
     };
     material.routes.iter().map(plan).collect()
+}
+
+/// One for each service and action.
+fn call_plans(Loaded { config, material }: &Loaded, graphs: &graph::All) -> Result<Vec<Arc<CallPlan>>> {
+    let plan = |(at, material): &(usize, CallMaterial)| {
+        let (_, call) = config.calls().nth(*at).context("a service that is not configured")?;
+        let (label, _) = config.graphs.get(call.graph.as_deref()).map_err(|reason| anyhow!(reason))?;
+        let graph = graphs.get(label).cloned().context("a graph that was not joined")?;
+        Ok(Arc::new(CallPlan { config: call.clone(), label: label.into(), graph, material: material.clone() }))
+    };
+    material.calls.iter().map(plan).collect()
 }
 
 /// The statistics file, if there is one. Topics are worth more than their statistics: a full disk stops only these, until it is mended.
@@ -181,13 +238,14 @@ impl Shown {
         }
     }
 
-    fn show(&mut self, node: &Node, topics: Vec<RouteStats>, catalogs: Vec<CatalogStats>) {
+    fn show(&mut self, node: &Node, RunningStats { topics, calls, catalogs }: RunningStats) {
         let Some(file) = &self.file else { return };
         let result = file.replace(&Stats {
             version: VERSION,
             entity: node.name(),
             switch: node.switch().ok(),
             topics,
+            calls,
             catalogs,
             links: node.links(),
             node: node.counters(),

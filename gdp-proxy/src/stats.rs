@@ -11,6 +11,7 @@ use gdp::node::{LinkStatus, Meter, NodeCounters, PublisherCounters, Subscription
 use serde::Serialize;
 
 use crate::automatic::CatalogStats;
+use crate::call::CallStats;
 use crate::config::Side;
 use crate::timing::{Percentiles, Timing};
 
@@ -174,7 +175,7 @@ pub struct StageLatency {
 }
 
 /// Of the statistics file's format: another one whenever a key goes, or means something else.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
 
 /// The whole statistics file: one JSON object.
 #[derive(Serialize)]
@@ -188,6 +189,8 @@ pub struct Stats {
     pub topics: Vec<RouteStats>,
     /// Of what crosses by itself.
     pub catalogs: Vec<CatalogStats>,
+    /// Services and actions.
+    pub calls: Vec<CallStats>,
     /// In the order of the configuration.
     pub links: Vec<LinkStatus>,
     /// The fabric's side of it.
@@ -233,10 +236,11 @@ mod tests {
     use gdp::node::LinkState;
 
     use super::*;
+    use crate::config::What;
 
-    /// Of version 3.
-    const KEYS: [&str; 9] = [
-        "catalogs entity links node switch topics version",
+    /// Of version 4.
+    const KEYS: [&str; 10] = [
+        "calls catalogs entity links node switch topics version",
         "bytes direction drops fabric graph latency_us messages name status topic type",
         "lost malformed max_hz own send_failed stalled unannounced unconvertible unreadable write_failed",
         "arrival handling",
@@ -248,6 +252,7 @@ mod tests {
          repeated replaced slowed",
         "beyond delivered drops duplicates expired given_up incompatible_writers overtaken \
          queue_full repeats",
+        "answers calls direction events events_dropped failures graph name pending servers service status type what",
     ];
 
     #[test]
@@ -304,8 +309,19 @@ mod tests {
             copies_sent: 0,
             copies_dropped: 0,
         };
-        let (topics, links, node) = (vec![route], vec![link], NodeCounters::default());
-        let stats = Stats { version: VERSION, entity: name, switch: None, topics, catalogs: vec![], links, node };
+        let call = CallStats {
+            what: What::Action,
+            service: "/move".into(),
+            graph: "ros2".into(),
+            kind: None,
+            status: "up".into(),
+            direction: Side::In,
+            name,
+            counted: Default::default(),
+        };
+        let (topics, calls, links, node) = (vec![route], vec![call], vec![link], NodeCounters::default());
+        let stats =
+            Stats { version: VERSION, entity: name, switch: None, topics, catalogs: vec![], calls, links, node };
         let shown = serde_json::to_value(stats).unwrap();
         let keys = |of: &serde_json::Value| of.as_object().unwrap().keys().cloned().collect::<Vec<_>>().join(" ");
         let of_fabric = |of: FabricStats| keys(&serde_json::to_value(of).unwrap());
@@ -320,8 +336,9 @@ mod tests {
             keys(&shown["node"]),
             of_fabric(FabricStats::Out(PublisherCounters::default())),
             of_fabric(FabricStats::In(SubscriptionCounters::default())),
+            keys(&shown["calls"][0]),
         ];
-        assert_eq!((VERSION, found), (3, KEYS.map(str::to_owned)));
+        assert_eq!((VERSION, found), (4, KEYS.map(str::to_owned)));
     }
 
     #[test]
@@ -341,6 +358,7 @@ mod tests {
                 switch: None,
                 topics,
                 catalogs: Vec::new(),
+                calls: Vec::new(),
                 links: Vec::new(),
                 node: NodeCounters::default(),
             })

@@ -10,7 +10,7 @@ use gdp_msg::{Encoding, LoadError, MapError, Mapping, NameError, Options, Regist
 use crate::roster::{Dialect, Kind, MAX_DEFINITION};
 
 /// What is known here: the common interfaces, and what was [loaded](Types::load).
-pub struct Types(Registry);
+pub struct Types(pub(crate) Registry);
 
 /// Messages of a type, laid out in some way.
 #[derive(Clone, Debug)]

@@ -13,7 +13,7 @@ use crate::{shell, workspace};
 #[derive(clap::Args)]
 pub struct Options {
     /// What to fuzz: an executable of `fuzz`
-    #[arg(value_parser = ["decide", "control", "cert", "feedback", "key_box", "segments", "msg", "xmlrpc", "ros1_header"])]
+    #[arg(value_parser = ["decide", "control", "cert", "feedback", "key_box", "segments", "msg", "call", "xmlrpc", "ros1_header"])]
     target: String,
     /// How long
     #[arg(long, default_value_t = 60)]

@@ -4,6 +4,7 @@
 //! This is the file alone; [`crate::material`] reads the files it names.
 
 mod automatic;
+mod calls;
 mod graphs;
 mod pattern;
 mod relay;
@@ -25,6 +26,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
 
 pub use self::automatic::{ExposeConfig, ImportConfig, Manner, Reader, Remap, Rule, remapped};
+pub use self::calls::{CallConfig, What};
 pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config};
 pub use self::pattern::{Pattern, is_hidden};
 pub use self::relay::RelayConfig;
@@ -34,7 +36,7 @@ pub use self::topics::{Conversion, Direction, Side, TopicConfig};
 /// A longer file is no configuration.
 const MAX_FILE: u64 = 1024 * 1024;
 
-/// Topics of one proxy.
+/// Topics of one proxy, and services, and actions.
 const MAX_TOPICS: usize = 1024;
 
 /// Catalogs that it reads.
@@ -42,6 +44,9 @@ const MAX_IMPORTS: usize = 64;
 
 /// Topics, once for each direction.
 pub const MAX_ROUTES: usize = 2 * MAX_TOPICS;
+
+/// Services and actions.
+pub const MAX_CALLS: usize = 2 * MAX_TOPICS;
 
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -78,6 +83,14 @@ pub struct Config {
     /// Topics elsewhere that cross by themselves.
     #[serde(default)]
     pub import: Vec<ImportConfig>,
+    /// Services that cross, with the files of each.
+    #[serde(default, deserialize_with = "calls::services")]
+    #[schemars(with = "Vec<calls::Service>")]
+    pub services: Vec<CallConfig>,
+    /// Actions of ROS 2 that cross, likewise.
+    #[serde(default, deserialize_with = "calls::actions")]
+    #[schemars(with = "Vec<calls::Action>")]
+    pub actions: Vec<CallConfig>,
 }
 
 /// The only one there is.
@@ -210,8 +223,9 @@ impl Config {
     }
 
     fn check(&self) -> Result<(), (String, String)> {
-        if self.topics.len() > MAX_TOPICS {
-            return Err(("topics".into(), format!("more than {MAX_TOPICS}; run a second proxy")));
+        let lists = [("topics", self.topics.len()), ("services", self.services.len()), ("actions", self.actions.len())];
+        if let Some((key, _)) = lists.into_iter().find(|(_, length)| *length > MAX_TOPICS) {
+            return Err((key.into(), format!("more than {MAX_TOPICS}; run a second proxy")));
         }
         if !(1..=MAX_LANES).contains(&self.links.len()) {
             return Err(("links".into(), format!("{} of them; a proxy has 1 to {MAX_LANES}", self.links.len())));
@@ -258,6 +272,17 @@ impl Config {
                 return Err((format!("import[{i}].catalog"), reason));
             }
         }
+        for calls in [&self.services, &self.actions] {
+            for (i, call) in calls.iter().enumerate() {
+                let list = call.what.list();
+                let wrong = |key: &str, reason: String| (format!("{list}[{i}].{key}"), reason);
+                call.check(&self.graphs).map_err(|(key, reason)| wrong(key, reason))?;
+                if let Some(first) = calls[..i].iter().position(|other| other.is_same(call, &self.graphs)) {
+                    let reason = format!("{} is already {list}[{first}], in this graph; remove one of them", call.name);
+                    return Err(wrong(call.what.as_str(), reason));
+                }
+            }
+        }
         Ok(())
     }
 
@@ -266,6 +291,12 @@ impl Config {
             0 | 1 => Err("there is no second link for it; add one to links, or remove this".into()),
             _ => Ok(()),
         }
+    }
+
+    /// Services and actions, with the key that each is under.
+    pub fn calls(&self) -> impl Iterator<Item = (String, &CallConfig)> {
+        let all = self.services.iter().enumerate().chain(self.actions.iter().enumerate());
+        all.map(|(i, call)| (format!("{}[{i}]", call.what.list()), call))
     }
 
     fn resolve(&mut self, folder: &Path) {
@@ -292,6 +323,10 @@ impl Config {
         }
         for import in &mut self.import {
             [&mut import.catalog, &mut import.grant].into_iter().for_each(resolve);
+        }
+        for call in self.services.iter_mut().chain(&mut self.actions) {
+            resolve(&mut call.card);
+            call.cert.iter_mut().chain(&mut call.grant).for_each(resolve);
         }
     }
 }

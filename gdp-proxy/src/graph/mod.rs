@@ -4,6 +4,9 @@
 mod onlooker;
 mod ros1;
 mod ros2;
+mod services;
+
+pub use services::{Asked, Asker, Caller, CallerError, Peer, Servers, Stand};
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -50,6 +50,10 @@ impl Master {
         self.node.graph()
     }
 
+    pub fn node(&self) -> &Node {
+        &self.node
+    }
+
     pub async fn leave(self) {
         self.node.leave().await;
     }

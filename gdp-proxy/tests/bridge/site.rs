@@ -17,8 +17,10 @@ pub struct Site {
     hub: Running,
 }
 
-/// A topic, and its owner.
+/// A topic, a service or an action, and its owner.
 pub struct Topic {
+    /// `topic`, `service` or `action`.
+    what: &'static str,
     topic: String,
     owner: SigningKey,
     card: NameCard,
@@ -54,15 +56,26 @@ impl Site {
     }
 
     pub fn topic(&self, topic: &str, kind: &str) -> Topic {
-        let owner = SigningKey::generate().unwrap();
-        let card = NameCard::create(owner.verify_key(), "topic", topic, kind, None).unwrap();
-        Topic { topic: topic.into(), owner, card }
+        self.name("topic", topic, kind)
     }
 
-    /// In this graph, with these topics, of each of which `says` is said.
+    /// Of a `topic`, a `service` or an `action`.
+    pub fn name(&self, what: &'static str, topic: &str, kind: &str) -> Topic {
+        let owner = SigningKey::generate().unwrap();
+        let card = NameCard::create(owner.verify_key(), what, topic, kind, None).unwrap();
+        Topic { what, topic: topic.into(), owner, card }
+    }
+
+    /// In this graph, with these, those of a kind together, of each of which `says` is said.
     pub fn proxy(&self, label: &str, graph: &str, topics: &[Topic], says: &str) -> Proxy {
-        let topics: String = topics.iter().enumerate().map(|(i, topic)| self.give(label, i, topic, says)).collect();
-        self.begin(label, graph, &format!("topics:\n{topics}"))
+        let mut config = String::new();
+        for (i, topic) in topics.iter().enumerate() {
+            if i == 0 || topics[i - 1].what != topic.what {
+                config += &format!("{}s:\n", topic.what);
+            }
+            config += &self.give(label, i, topic, says);
+        }
+        self.begin(label, graph, &config)
     }
 
     /// Gives a proxy what it needs for a topic, its `i`th; returns the line of the configuration.
@@ -78,7 +91,7 @@ impl Site {
             rights += &format!("grant: {i}.grant, ");
         }
         fs::write(folder.join(format!("{i}.card")), topic.card.to_json()).unwrap();
-        format!("  - {{topic: {}, card: {i}.card, {rights}{says}}}\n", topic.topic)
+        format!("  - {{{}: {}, card: {i}.card, {rights}{says}}}\n", topic.what, topic.topic)
     }
 
     /// Where the files of a proxy are.

@@ -106,7 +106,8 @@ pub struct Process {
 }
 
 impl Process {
-    fn spawn(name: &str, mut command: Command, port: u16, folder: &Path) -> Self {
+    /// Of a master at this port. What it prints goes to the folder.
+    pub fn spawn(name: &str, mut command: Command, port: u16, folder: &Path) -> Self {
         let output = folder.join(format!("{name}.out"));
         let file = File::create(&output).unwrap();
         command.stdin(Stdio::null()).stdout(file.try_clone().unwrap()).stderr(file);
@@ -119,7 +120,7 @@ impl Process {
                 _ => Err(std::io::Error::last_os_error()),
             });
         }
-        let child = command.spawn().unwrap_or_else(|error| panic!("{PYTHON}: {error}\n{INSTALL}"));
+        let child = command.spawn().unwrap_or_else(|error| panic!("{name}: {error}\n{INSTALL}"));
         Self { name: name.to_owned(), child, output, seen: 0 }
     }
 
@@ -173,7 +174,8 @@ impl Process {
     }
 }
 
-const INSTALL: &str = "These tests need rosmaster and rospy from Debian: `cargo xtask setup` installs them.";
+const INSTALL: &str =
+    "These tests need rosmaster and rospy from Debian, and some rclpy: `cargo xtask setup` installs them.";
 
 impl Drop for Process {
     fn drop(&mut self) {

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use gdp_wire::Name;
+use tokio::sync::watch;
 
 use super::clock::unix_now;
 use super::desk::Tray;
@@ -196,6 +197,13 @@ impl State {
         let (costs, services) = (self.costs(), lock(&self.services));
         let called = services.get(&(service, NameRole::Caller));
         called.map_or_else(Vec::new, |called| called.parties.instances(|switch| costs.get(switch).copied()))
+    }
+
+    pub(super) fn server_changes(&self, service: Name) -> watch::Receiver<()> {
+        let services = lock(&self.services);
+        let called = services.get(&(service, NameRole::Caller));
+        // Nothing changes any more about what is not called.
+        called.map_or_else(|| watch::channel(()).1, |called| called.parties.changes())
     }
 
     pub(super) fn servers(&self, service: Name) -> usize {

@@ -85,11 +85,12 @@ struct Party {
 }
 
 impl Party {
-    fn leave(&mut self, now: u64) {
-        if let Some(presence) = self.presence.take() {
-            presence.left.send_replace(true);
-            self.absent_since = now;
-        }
+    /// Whether it was attached.
+    fn leave(&mut self, now: u64) -> bool {
+        let Some(presence) = self.presence.take() else { return false };
+        presence.left.send_replace(true);
+        self.absent_since = now;
+        true
     }
 }
 
@@ -98,12 +99,19 @@ pub struct Parties {
     own: Name,
     known: HashMap<Name, Party>,
     revocation: Option<Revocation>,
+    /// Told when others are attached than before.
+    changed: watch::Sender<()>,
 }
 
 impl Parties {
     /// None yet, of the entity `own`.
     pub fn new(own: Name) -> Self {
-        Self { own, known: HashMap::new(), revocation: None }
+        Self { own, known: HashMap::new(), revocation: None, changed: watch::Sender::new(()) }
+    }
+
+    /// Sees a change whenever one is attached that was not, or is not any more; the end once there are no parties for good.
+    pub fn changes(&self) -> watch::Receiver<()> {
+        self.changed.subscribe()
     }
 
     /// Takes what the RIB told of the `service` at `now` (steady clock, nanoseconds), and was verified. Returns whom that concerns.
@@ -121,7 +129,9 @@ impl Parties {
                     tracing::warn!(%service, party = %right.entity, "more than {MAX_PARTIES} entities on the other side; this one is left out");
                 }
                 PeerEvent::Left(entity) => {
-                    self.known.get_mut(entity).into_iter().for_each(|party| party.leave(now));
+                    if self.known.get_mut(entity).is_some_and(|party| party.leave(now)) {
+                        self.changed.send_replace(());
+                    }
                 }
                 PeerEvent::Expelled(entity) => {
                     self.known.get_mut(entity).into_iter().for_each(|party| party.right.not_after = 0);
@@ -151,9 +161,10 @@ impl Parties {
             tie: Backend::default().sha256(&[own.as_bytes(), entity.as_bytes()]),
         };
         let party = self.known.entry(entity).or_insert_with(new);
-        party
-            .presence
-            .get_or_insert_with(|| Presence { calls: AtomicUsize::new(0), left: watch::Sender::new(false) }.into());
+        if party.presence.is_none() {
+            party.presence = Some(Presence { calls: AtomicUsize::new(0), left: watch::Sender::new(false) }.into());
+            self.changed.send_replace(());
+        }
         (party.right, party.told) = (right, told);
     }
 
@@ -171,7 +182,9 @@ impl Parties {
         let ended = self.known.iter().filter(|(_, party)| !holds(&party.right)).map(|(name, _)| *name);
         let gone: BTreeSet<Name> = gone.chain(ended).collect();
         for name in &gone {
-            self.known.remove(name).into_iter().for_each(|mut party| party.leave(now));
+            if self.known.remove(name).is_some_and(|mut party| party.leave(now)) {
+                self.changed.send_replace(());
+            }
         }
         gone
     }
@@ -179,7 +192,9 @@ impl Parties {
     /// Nobody is a party any more. Returns those who were.
     pub fn clear(&mut self, now: u64) -> BTreeSet<Name> {
         let mut known = std::mem::take(&mut self.known);
-        known.values_mut().for_each(|party| party.leave(now));
+        if known.values_mut().filter_map(|party| party.leave(now).then_some(())).count() > 0 {
+            self.changed.send_replace(());
+        }
         known.into_keys().collect()
     }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use gdp_wire::Name;
-use tokio::sync::oneshot;
+use tokio::sync::{oneshot, watch};
 
 use super::desk::Desk;
 use super::ending::{Ended, Ending};
@@ -122,8 +122,8 @@ impl Client {
         self.ending.wait()
     }
 
-    /// Calls on by this grant, as [`Subscription::renew`](super::Subscription::renew) reads.
-    pub async fn renew(&mut self, grant: Reading) -> Result<(), NodeError> {
+    /// Calls on by this grant, as [`Subscription::renew`](super::Subscription::renew) reads; also while calls wait.
+    pub async fn renew(&self, grant: Reading) -> Result<(), NodeError> {
         let renewed = |proof| Statement::Read { proof, grant };
         self.node.state.renew(self.name, Stated::Called, renewed).await
     }
@@ -136,6 +136,11 @@ impl Client {
     /// These servers, the one that is called next in front.
     pub fn instances(&self) -> Vec<Instance> {
         self.node.state.instances(self.name)
+    }
+
+    /// Sees a change whenever a server is attached that was not, or is not any more: ask [`Self::instances`] then. Ends with the client.
+    pub fn changes(&self) -> watch::Receiver<()> {
+        self.node.state.server_changes(self.name)
     }
 
     /// Sends a request to one server, and waits for the reply to it for as long as the caller of this function does. The server is the

@@ -18,6 +18,7 @@ async fn calls_are_shared_and_each_stays_with_its_server() {
     let servers = [owner.serve(&one).await, owner.serve(&two).await];
     let client = Arc::new(owner.client(&cloud).await);
     assert_eq!(client.servers(), 2);
+    let mut changes = client.changes();
     let seen = requests_seen(&fabric, &cloud);
     let first = client.instances()[0].name;
     let (mut near, mut other) = servers.into();
@@ -42,7 +43,10 @@ async fn calls_are_shared_and_each_stays_with_its_server() {
 
     // It goes, and what waits there fails at once; it is sent to no other.
     let before = seen(other_name);
+    assert!(!changes.has_changed().unwrap(), "the same two all the while");
     drop(near);
+    soon(changes.changed()).await.unwrap();
+    assert_eq!(client.instances().iter().map(|one| one.name).collect::<Vec<_>>(), [other_name]);
     let failed = soon(waiting).await.unwrap().unwrap_err();
     let expected = (owner.name(), near_name);
     assert!(
@@ -58,11 +62,14 @@ async fn calls_are_shared_and_each_stays_with_its_server() {
 
     // It comes back.
     let mut near = owner.serve(if near_name == one.name() { &one } else { &two }).await;
-    eventually("both to serve", || client.servers() == 2).await;
-    assert_eq!(client.instances()[0].name, near_name);
+    soon(changes.changed()).await.unwrap();
+    assert_eq!((client.servers(), client.instances()[0].name), (2, near_name));
     let (reply, ()) = tokio::join!(soon(client.call(Encoding::Bytes, b"again")), echo(&mut near));
     assert_eq!(reply.unwrap().writer, near_name);
     drop(unanswered);
+    drop(client);
+    // Whoever was there leaves, and then there is nothing to wait for.
+    while soon(changes.changed()).await.is_ok() {}
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -85,7 +85,7 @@ async fn servers_and_clients_renew_too() {
     let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
     let soon = unix_now() + 2;
     let mut server = robot.serve(owner.card().proof(), owner.ad_cert_until(robot.name(), 1, soon)).await.unwrap();
-    let mut client = cloud.client(owner.card().proof(), owner.grant_until(&cloud, 1, soon)).await.unwrap();
+    let client = cloud.client(owner.card().proof(), owner.grant_until(&cloud, 1, soon)).await.unwrap();
     server.renew(owner.ad_cert_until(robot.name(), 2, soon + 60)).await.unwrap();
     client.renew(owner.grant_until(&cloud, 2, soon + 60)).await.unwrap();
     eventually("the first have ended", || unix_now() > soon + 1).await;

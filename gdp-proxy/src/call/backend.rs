@@ -1,0 +1,175 @@
+//! The local servers behind a name that is called from elsewhere.
+
+use std::collections::HashMap;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use gdp::Name;
+use gdp::node::Call;
+use gdp_ros::action::{Goals, Log, cdr};
+use gdp_ros::call::{Description, Events, Failure, FailureCode, Part};
+use gdp_ros::types::Types;
+
+use super::lock;
+use crate::graph::{Caller, CallerError, Graph, GraphError, Peer};
+use crate::ros2::{self, RawReader, RosError};
+
+/// How long a question about events waits for some. A link may have lost the answer, or the asker may be gone.
+const HOLD: Duration = Duration::from_secs(60);
+
+pub enum Backend {
+    Service(Caller),
+    Action(Box<Action>),
+}
+
+pub struct Action {
+    send_goal: Caller,
+    cancel_goal: Caller,
+    get_result: Caller,
+    feedback: RawReader,
+    status: RawReader,
+    goals: Mutex<Goals<Name>>,
+    log: Mutex<Log>,
+    /// Questions that wait for events, by who asks, with the event that it has.
+    questions: Mutex<HashMap<Name, (Call, u64, Instant)>>,
+}
+
+/// Events that somebody waits for.
+pub type Told = (Call, Events);
+
+impl Backend {
+    /// With what others are told of it. Waits until it may be called.
+    pub async fn new(
+        graph: &Graph,
+        types: &Types,
+        name: &ros2::TopicName,
+        peer: &Peer,
+        is_action: bool,
+    ) -> Result<(Self, Description), CallerError> {
+        if !is_action {
+            let (caller, kind) = Caller::new(graph, name, peer).await?;
+            return Ok((Self::Service(caller), types.describe_service(kind)));
+        }
+        let (Graph::Ros2(domain), Peer::Ros2(peer)) = (graph, peer) else { return Err(GraphError::Left.into()) };
+        let of = |error: ros2::NameError| GraphError::from(RosError::from(error));
+        let parts = ros2::Action::new(name, &peer.kind).map_err(of)?;
+        let reader = |(topic, kind): &(_, _), qos: ros2::Qos| domain.reader(topic, kind, &qos.into());
+        let feedback = reader(&parts.feedback, ros2::Action::feedback_qos()).map_err(GraphError::from)?;
+        let status = reader(&parts.status, ros2::Action::status_qos()).map_err(GraphError::from)?;
+        let services = [&parts.send_goal, &parts.cancel_goal, &parts.get_result].map(|(name, kind)| (name, kind));
+        let [send_goal, cancel_goal, get_result] = Caller::several(domain, services, peer.mapping).await?;
+        let (goals, log, questions) = Default::default();
+        let action = Action { send_goal, cancel_goal, get_result, feedback, status, goals, log, questions };
+        Ok((Self::Action(action.into()), types.describe_action(peer.kind.to_string())))
+    }
+
+    /// Asks for as long as it takes.
+    pub async fn call(&self, part: Part, caller: Name, body: Bytes) -> Result<Bytes, Failure> {
+        match (self, part) {
+            (Self::Service(service), Part::Service) => service.call(body).await,
+            (Self::Action(action), Part::SendGoal) => action.send_goal(caller, body).await,
+            (Self::Action(action), Part::CancelGoal) => action.cancel_goal.call(body).await,
+            (Self::Action(action), Part::GetResult) => action.get_result(body).await,
+            (Self::Service(_), _) => {
+                Err(Failure::new(FailureCode::Malformed, "the name is of a service, and not of an action"))
+            }
+            (Self::Action(_), _) => {
+                Err(Failure::new(FailureCode::Malformed, "the name is of an action, and not of a service"))
+            }
+        }
+    }
+
+    /// What happens at its topics: whom that is told. Also counts what is dropped for it. Safe to cancel.
+    pub async fn heard(&self) -> Result<(Vec<Told>, u64), String> {
+        let Self::Action(action) = self else { return std::future::pending().await };
+        tokio::select! {
+            message = action.feedback.recv() => Ok(action.take_feedback(message.map_err(|error| error.to_string())?.sample.bytes)),
+            message = action.status.recv() => Ok((action.take_status(&message.map_err(|error| error.to_string())?.sample.bytes)?, 0)),
+        }
+    }
+
+    /// Somebody asks what is new after an event.
+    pub fn ask(&self, call: Call, after: u64) -> Result<Option<Told>, (Call, Failure)> {
+        let Self::Action(action) = self else {
+            return Err((
+                call,
+                Failure::new(FailureCode::Malformed, "the name is of a service, and services have no events"),
+            ));
+        };
+        let (caller, now) = (call.client(), Instant::now());
+        if let Err(error) = lock(&action.log).heard(now, caller) {
+            return Err((call, Failure::new(FailureCode::Busy, error)));
+        }
+        match lock(&action.log).after(&caller, after) {
+            Some(events) => Ok(Some((call, events))),
+            None => {
+                lock(&action.questions).insert(caller, (call, after, now));
+                Ok(None)
+            }
+        }
+    }
+
+    /// Forgets what is over. Whose questions have waited for long enough, with the answer that there is nothing.
+    pub fn sweep(&self) -> Vec<Told> {
+        let (Self::Action(action), now) = (self, Instant::now()) else { return vec![] };
+        let mut goals = lock(&action.goals);
+        goals.sweep(now);
+        lock(&action.log).sweep(now, |caller| goals.has_live(*caller));
+        let mut questions = lock(&action.questions);
+        let over = questions.iter().filter(|(_, (_, _, since))| now.saturating_duration_since(*since) >= HOLD);
+        let over: Vec<Name> = over.map(|(caller, _)| *caller).collect();
+        let over = over.iter().filter_map(|caller| questions.remove(caller));
+        over.map(|(call, last, _)| (call, Events { last, ..Events::default() })).collect()
+    }
+}
+
+impl Action {
+    async fn send_goal(&self, caller: Name, body: Bytes) -> Result<Bytes, Failure> {
+        let goal = cdr::goal_of(&body).map_err(|error| Failure::new(FailureCode::Malformed, error))?;
+        lock(&self.log).heard(Instant::now(), caller).map_err(|error| Failure::new(FailureCode::Busy, error))?;
+        // What it says of the goal may come before its answer.
+        lock(&self.goals).begin(goal, caller).map_err(|error| Failure::new(FailureCode::Busy, error))?;
+        let answer = self.send_goal.call(body).await;
+        if !answer.as_ref().is_ok_and(|answer| cdr::is_accepted(answer).unwrap_or_default()) {
+            lock(&self.goals).forget(&goal);
+        }
+        answer
+    }
+
+    async fn get_result(&self, body: Bytes) -> Result<Bytes, Failure> {
+        let goal = cdr::goal_of(&body).map_err(|error| Failure::new(FailureCode::Malformed, error))?;
+        let answer = self.get_result.call(body).await?;
+        lock(&self.goals).end(Instant::now(), &goal);
+        Ok(answer)
+    }
+
+    fn take_feedback(&self, message: Bytes) -> (Vec<Told>, u64) {
+        // Goals of clients here, and of other proxies, are not for anybody.
+        let caller = cdr::goal_of(&message).ok().and_then(|goal| lock(&self.goals).get(&goal));
+        let Some(caller) = caller else { return (vec![], 0) };
+        let dropped = lock(&self.log).feedback(&caller, message);
+        (self.tell(&caller).into_iter().collect(), dropped)
+    }
+
+    fn take_status(&self, message: &[u8]) -> Result<Vec<Told>, String> {
+        let statuses = cdr::statuses(message).map_err(|error| error.to_string())?;
+        let (now, mut goals, mut log) = (Instant::now(), lock(&self.goals), lock(&self.log));
+        let callers: Vec<Name> = log.callers().copied().collect();
+        for caller in &callers {
+            let own = statuses.iter().filter(|status| goals.get(&status.goal) == Some(*caller)).copied();
+            log.status(caller, cdr::status_array(&own.collect::<Vec<_>>()));
+        }
+        statuses.iter().filter(|status| status.is_final()).for_each(|status| goals.end(now, &status.goal));
+        drop((goals, log));
+        Ok(callers.iter().filter_map(|caller| self.tell(caller)).collect())
+    }
+
+    /// If it asks.
+    fn tell(&self, caller: &Name) -> Option<Told> {
+        let mut questions = lock(&self.questions);
+        let (_, after, _) = questions.get(caller)?;
+        let events = lock(&self.log).after(caller, *after)?;
+        questions.remove(caller).map(|(call, ..)| (call, events))
+    }
+}

@@ -1,0 +1,174 @@
+//! What became of calls, for the statistics.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+use gdp::Name;
+use serde::Serialize;
+
+use crate::config::{Side, What};
+
+/// Why a call has no answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// Its server has left; it may have carried the request out.
+    Left,
+    /// Its server said that it failed.
+    Refused,
+    /// Too many wait, here or at the server's proxy.
+    Busy,
+    /// The request or the answer is not of its type, or not of one that this proxy can convert.
+    Unconvertible,
+    /// What the other proxy says, or a local client, is not what one sends.
+    Malformed,
+    /// The server was another than the one that was described.
+    Changed,
+    /// The fabric did not take it.
+    SendFailed,
+    /// The local graph did not take the answer.
+    Unanswered,
+}
+
+impl Reason {
+    const ALL: [Self; 8] = [
+        Self::Left,
+        Self::Refused,
+        Self::Busy,
+        Self::Unconvertible,
+        Self::Malformed,
+        Self::Changed,
+        Self::SendFailed,
+        Self::Unanswered,
+    ];
+
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Left => "left",
+            Self::Refused => "refused",
+            Self::Busy => "busy",
+            Self::Unconvertible => "unconvertible",
+            Self::Malformed => "malformed",
+            Self::Changed => "changed",
+            Self::SendFailed => "send_failed",
+            Self::Unanswered => "unanswered",
+        }
+    }
+}
+
+/// Of one service or action in one direction.
+#[derive(Default)]
+pub struct CallCounters {
+    calls: AtomicU64,
+    answers: AtomicU64,
+    pending: AtomicU64,
+    servers: AtomicU64,
+    events: AtomicU64,
+    events_dropped: AtomicU64,
+    failures: [AtomicU64; Reason::ALL.len()],
+}
+
+/// A call that waits, for as long as this lives.
+pub struct Pending<'a>(&'a CallCounters);
+
+impl Drop for Pending<'_> {
+    fn drop(&mut self) {
+        self.0.pending.fetch_sub(1, Relaxed);
+    }
+}
+
+impl CallCounters {
+    pub fn begun(&self) -> Pending<'_> {
+        self.calls.fetch_add(1, Relaxed);
+        self.pending.fetch_add(1, Relaxed);
+        Pending(self)
+    }
+
+    pub fn answered(&self) {
+        self.answers.fetch_add(1, Relaxed);
+    }
+
+    /// True for the first one for this reason.
+    pub fn failed(&self, reason: Reason) -> bool {
+        self.failures[reason as usize].fetch_add(1, Relaxed) == 0
+    }
+
+    /// So many can be called.
+    pub fn servers(&self, now: usize) {
+        self.servers.store(now as u64, Relaxed);
+    }
+
+    pub fn events(&self, passed: u64, dropped: u64) {
+        self.events.fetch_add(passed, Relaxed);
+        self.events_dropped.fetch_add(dropped, Relaxed);
+    }
+
+    pub fn read(&self) -> CallsCounted {
+        let of = |counter: &AtomicU64| counter.load(Relaxed);
+        CallsCounted {
+            calls: of(&self.calls),
+            answers: of(&self.answers),
+            pending: of(&self.pending),
+            servers: of(&self.servers),
+            events: of(&self.events),
+            events_dropped: of(&self.events_dropped),
+            failures: Reason::ALL
+                .iter()
+                .map(|reason| (reason.as_str(), of(&self.failures[*reason as usize])))
+                .collect(),
+        }
+    }
+}
+
+/// One service or action, as the statistics file shows it.
+#[derive(Serialize)]
+pub struct CallStats {
+    pub what: What,
+    pub service: String,
+    /// The ROS graph, as the configuration calls it.
+    pub graph: String,
+    /// ROS type, as that graph calls it; null while it is not known.
+    #[serde(rename = "type")]
+    pub kind: Option<String>,
+    /// `up`, or what it waits for.
+    pub status: String,
+    pub direction: Side,
+    pub name: Name,
+    #[serde(flatten)]
+    pub counted: CallsCounted,
+}
+
+/// What the counters say at one moment.
+#[derive(Default, Serialize)]
+pub struct CallsCounted {
+    pub calls: u64,
+    pub answers: u64,
+    /// All reasons, also those that did not happen.
+    pub failures: BTreeMap<&'static str, u64>,
+    /// Calls that wait at this moment.
+    pub pending: u64,
+    /// Those that can be called at this moment: `out`, 1 if there is a local one; `in`, the proxies that have one.
+    pub servers: u64,
+    /// Of actions: messages of feedback and status that crossed.
+    pub events: u64,
+    /// Feedback that found no room, or came too late.
+    pub events_dropped: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_waits_is_counted_as_long_as_it_does() {
+        let counters = CallCounters::default();
+        let pending = counters.begun();
+        assert_eq!((counters.read().calls, counters.read().pending), (1, 1));
+        drop(pending);
+        assert_eq!((counters.read().calls, counters.read().pending), (1, 0));
+        for (at, reason) in Reason::ALL.into_iter().enumerate() {
+            assert_eq!(reason as usize, at);
+            assert!(counters.failed(reason) && !counters.failed(reason));
+            assert_eq!(counters.read().failures[reason.as_str()], 2);
+        }
+    }
+}

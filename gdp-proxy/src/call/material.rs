@@ -1,0 +1,101 @@
+//! The files that the configuration names for a service or an action, as [`crate::material`] has those of topics.
+
+use gdp::{Name, NameCard};
+
+use crate::cert_file::CertFile;
+use crate::config::{CallConfig, Config, Side};
+use crate::material::{MaterialError, Permission, carded_type, with_path};
+use crate::ros2::TypeName;
+
+#[derive(Clone)]
+pub struct CallMaterial {
+    pub side: Side,
+    pub card: NameCard,
+    /// From the configuration or the card.
+    pub kind: Option<TypeName>,
+    pub permission: Permission,
+    /// Where that came from.
+    pub(crate) file: CertFile,
+}
+
+/// All of them.
+pub fn load(config: &Config, entity: Name) -> Result<Vec<(usize, CallMaterial)>, MaterialError> {
+    let mut all: Vec<(usize, CallMaterial)> = Vec::new();
+    for (at, (key, call)) in config.calls().enumerate() {
+        let wrong = |part: &str, reason: String| MaterialError { key: format!("{key}.{part}"), reason };
+        let loaded = load_one(call, entity).map_err(|(part, reason)| wrong(part, reason))?;
+        let name = loaded.card.name();
+        if all.iter().any(|(_, other)| (other.card.name(), other.side) == (name, loaded.side)) {
+            let reason = format!(
+                "the name {name:#} is already that of another, in the same direction; make a card of its own for {}",
+                call.name
+            );
+            return Err(wrong("card", reason));
+        }
+        all.push((at, loaded));
+    }
+    Ok(all)
+}
+
+fn load_one(call: &CallConfig, entity: Name) -> Result<CallMaterial, (&'static str, String)> {
+    let card = NameCard::load(&call.card).map_err(|error| ("card", with_path(error, &call.card)))?;
+    let what = call.what.as_str();
+    if let Some(kind) = card.get("kind").filter(|kind| *kind != what) {
+        return Err(("card", format!("{} is of a {kind}; make one of kind {what}", call.card.display())));
+    }
+    let kind = carded_type(call.kind.as_ref(), &card, &call.card, what).map_err(|reason| ("type", reason))?;
+    let (key, path) = call.right();
+    let path = path.ok_or((key, "missing".to_owned()))?;
+    let opened = CertFile::open(path, call.side, call.name.as_str(), &card, entity);
+    let (file, permission) = opened.map_err(|error| (key, with_path(error, path)))?;
+    Ok(CallMaterial { side: call.side, card, kind, permission, file })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use gdp::cert::{AdCert, issue};
+
+    use super::*;
+    use crate::material::Material;
+    use crate::material::tests::Files;
+
+    /// With a name of this kind and type, and what is said of it.
+    fn load(kind: &str, of: &str, said: &str) -> Result<Vec<CallMaterial>, MaterialError> {
+        let files = Files::new();
+        let card = NameCard::create(files.owner.verify_key(), kind, "/light", of, None).unwrap();
+        card.save_new(&files.path("light.card")).unwrap();
+        let cert = AdCert { name: card.name(), ..files.claims() };
+        fs::write(files.path("light.ad"), issue(&files.owner, &cert).unwrap().to_pem()).unwrap();
+        let text = format!("{{version: 1, identity: id.pem, links: [{{to: 'eth://r0'}}], services: [{said}]}}");
+        let config = Config::parse(&text, &files.path("robot.yaml")).unwrap();
+        Material::load(&config).map(|material| material.calls.into_iter().map(|(_, call)| call).collect())
+    }
+
+    const LIGHT: &str = "{service: /light, direction: out, card: light.card, cert: light.ad}";
+
+    #[test]
+    fn files_that_belong_together_are_taken() {
+        let loaded = load("service", "std_srvs/srv/SetBool", LIGHT).unwrap();
+        let [light] = &loaded[..] else { panic!("one service") };
+        assert_eq!(light.kind.as_ref().unwrap().as_str(), "std_srvs/srv/SetBool");
+        assert!(matches!(light.permission, Permission::Publish(_)));
+    }
+
+    #[test]
+    fn what_does_not_fit_is_named() {
+        let refusal = |kind, of, said: &str| load(kind, of, said).err().expect("a refusal").to_string();
+        let of_topic = refusal("topic", "std_srvs/srv/SetBool", LIGHT);
+        assert!(
+            of_topic.starts_with("services[0].card: ") && of_topic.contains("make one of kind service"),
+            "{of_topic}"
+        );
+        let typed = LIGHT.replace("card:", "type: std_srvs/srv/Trigger, card:");
+        let other_type = refusal("service", "std_srvs/srv/SetBool", &typed);
+        assert!(other_type.starts_with("services[0].type: ") && other_type.contains("SetBool"), "{other_type}");
+        let twice = format!("{LIGHT}, {}", LIGHT.replace("/light", "/lamp"));
+        let same_name = refusal("service", "", &twice);
+        assert!(same_name.starts_with("services[1].card: "), "{same_name}");
+    }
+}

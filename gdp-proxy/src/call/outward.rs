@@ -1,0 +1,265 @@
+//! Servers here, for clients elsewhere. The name is served only while there is a local server.
+
+use std::convert::Infallible;
+use std::pin::{Pin, pin};
+use std::time::Duration;
+
+use futures::StreamExt;
+use futures::stream::FuturesUnordered;
+use gdp::cert::{AdCert, Issued};
+use gdp::node::{Call, NodeError, Server};
+use gdp::{NameCard, Node};
+use gdp_ros::call::{CALL, Description, Epoch, Failure, FailureCode, Reply, Request};
+use gdp_ros::services::service_name;
+use tokio::sync::{Notify, watch};
+
+use super::backend::{Backend, Told};
+use super::counters::Reason;
+use super::{CallError, MAX_PENDING, RETRY, Route, ended_because, ticks};
+use crate::cert_file::CertFile;
+use crate::config::What;
+use crate::graph::{CallerError, Graph, Peer, Servers};
+use crate::material::Permission;
+use crate::ros2::TypeName;
+
+/// Between attempts to ask a local server what it serves.
+const PROBE: Duration = Duration::from_secs(1);
+
+/// The right to serve, and where it came from.
+pub struct Right {
+    pub cert: Issued<AdCert>,
+    pub file: CertFile,
+}
+
+/// A local server, as it is offered.
+struct Offer {
+    peer: Peer,
+    backend: Backend,
+    epoch: Epoch,
+    description: Description,
+    /// Told when a call has shown that the server is not there, whatever the graph says: a master of ROS 1 does not notice.
+    lost: Notify,
+}
+
+/// Why nothing is served any more.
+enum Turn {
+    Gone,
+    Ended(NodeError),
+}
+
+/// An answer that is being made.
+type Answering<'a> = Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
+
+impl Route {
+    pub(super) async fn run_out(
+        &self,
+        graph: &Graph,
+        node: &Node,
+        kind: Option<&TypeName>,
+        card: &NameCard,
+        mut right: Right,
+    ) -> Result<Infallible, CallError> {
+        let mut servers = Servers::new(graph, &self.config.name, self.config.what);
+        let mut pause = RETRY.0;
+        loop {
+            self.set_status("waiting for a local server");
+            let peer = servers.until_there().await?;
+            let offer = match self.offer(graph, kind, peer.clone()).await {
+                Ok(offer) => offer,
+                Err(Unfit::Call(CallerError::Graph(error))) => return Err(error.into()),
+                Err(error @ (Unfit::Call(_) | Unfit::Random)) => {
+                    self.pause_after(error, &mut { PROBE }).await;
+                    continue;
+                }
+                Err(error @ Unfit::OtherType { .. }) => {
+                    tracing::warn!(service = %self.config.name, "not carried: {error}");
+                    self.set_status(&error.to_string());
+                    servers.until_gone(&peer).await?;
+                    continue;
+                }
+            };
+            let mut server = match node.serve(card.proof(), right.cert.clone()).await {
+                Ok(server) => server,
+                Err(error) => {
+                    self.wait_for_right(error, &mut pause, &mut right).await;
+                    continue;
+                }
+            };
+            pause = RETRY.0;
+            self.is_up(&offer.description.kind.name);
+            self.counters.servers(1);
+            let turn = self.serve(&mut servers, &offer, &mut server, &mut right).await;
+            self.counters.servers(0);
+            drop(server);
+            match turn? {
+                Turn::Gone => tracing::info!(service = %self.config.name, "the local server has gone"),
+                Turn::Ended(error) => self.wait_for_right(error, &mut pause, &mut right).await,
+            }
+        }
+    }
+
+    async fn wait_for_right(&self, error: NodeError, pause: &mut Duration, right: &mut Right) {
+        self.pause_after(error, pause).await;
+        if let Some(new) = right.file.changed().and_then(Permission::publish) {
+            right.cert = new;
+            right.file.taken();
+        }
+    }
+
+    async fn offer(&self, graph: &Graph, kind: Option<&TypeName>, peer: Peer) -> Result<Offer, Unfit> {
+        let is_action = self.config.what == What::Action;
+        let (backend, description) = Backend::new(graph, &self.types, &self.config.name, &peer, is_action).await?;
+        let got = &description.kind.name;
+        let wanted = match kind {
+            Some(kind) if is_action => kind.to_string(),
+            Some(kind) => service_name(kind.as_str(), graph.dialect()).unwrap_or_default(),
+            None => got.clone(),
+        };
+        if wanted != *got {
+            return Err(Unfit::OtherType { got: got.clone(), wanted });
+        }
+        let epoch = Epoch(u64::from_be_bytes(gdp::crypto::random().map_err(|_| Unfit::Random)?));
+        Ok(Offer { peer, backend, epoch, description, lost: Notify::new() })
+    }
+
+    async fn serve(
+        &self,
+        servers: &mut Servers,
+        offer: &Offer,
+        server: &mut Server,
+        right: &mut Right,
+    ) -> Result<Turn, CallError> {
+        let (mut ticks, mut ended) = (ticks(), pin!(server.ended()));
+        let (gone, is_gone) = watch::channel(false);
+        let mut answering = FuturesUnordered::<Answering<'_>>::new();
+        let turn = loop {
+            tokio::select! {
+                Some(()) = answering.next() => {}
+                call = server.recv() => match call {
+                    Some(call) => self.take(call, offer, &is_gone, &mut answering),
+                    None => break ended_because(ended.await).map(Turn::Ended),
+                },
+                heard = offer.backend.heard() => match heard {
+                    Ok((told, dropped)) => {
+                        self.counters.events(0, dropped);
+                        answering.extend(told.into_iter().map(|told| -> Answering<'_> { Box::pin(self.tell(told)) }));
+                    }
+                    Err(error) => self.failed(Reason::Malformed, error),
+                },
+                left = servers.until_gone(&offer.peer) => break left.map(|()| Turn::Gone).map_err(Into::into),
+                () = offer.lost.notified() => break Ok(Turn::Gone),
+                why = &mut ended => break ended_because(why).map(Turn::Ended),
+                _ = ticks.tick() => {
+                    if let Some(new) = right.file.changed().and_then(Permission::publish)
+                        && self.renewed(&mut right.file, server.renew(new.clone()).await)
+                    {
+                        right.cert = new;
+                    }
+                    let told = offer.backend.sweep();
+                    answering.extend(told.into_iter().map(|told| -> Answering<'_> { Box::pin(self.tell(told)) }));
+                }
+            }
+        };
+        // Those who wait learn that it is over.
+        gone.send_replace(true);
+        while answering.next().await.is_some() {}
+        turn
+    }
+
+    fn take<'a>(
+        &'a self,
+        call: Call,
+        offer: &'a Offer,
+        is_gone: &watch::Receiver<bool>,
+        answering: &mut FuturesUnordered<Answering<'a>>,
+    ) {
+        let request = if call.encoding() == CALL { Request::from_bytes(call.body()).ok() } else { None };
+        let failure = |code, text: &str| Reply::Failure(Failure::new(code, text));
+        let reply = match request {
+            None => {
+                self.failed(Reason::Malformed, "a request that no proxy of this release sends");
+                failure(FailureCode::Malformed, "not a request of this release")
+            }
+            Some(Request::Describe) => Reply::Description(offer.epoch, offer.description.clone()),
+            Some(Request::Call { epoch, .. } | Request::Events { epoch, .. }) if epoch != offer.epoch => {
+                failure(FailureCode::Changed, "")
+            }
+            Some(Request::Events { after, .. }) => match offer.backend.ask(call, after) {
+                Ok(None) => return,
+                Ok(Some(told)) => return answering.push(Box::pin(self.tell(told))),
+                Err((call, failure)) => {
+                    return answering.push(Box::pin(self.reply(call, Reply::Failure(failure))));
+                }
+            },
+            Some(Request::Call { .. }) if answering.len() >= MAX_PENDING => {
+                self.failed(Reason::Busy, "too many wait");
+                failure(FailureCode::Busy, "")
+            }
+            Some(Request::Call { part, body, .. }) => {
+                let mut is_gone = is_gone.clone();
+                let answer = async move {
+                    let _pending = self.counters.begun();
+                    let answer = tokio::select! {
+                        answer = offer.backend.call(part, call.client(), body) => answer,
+                        _ = is_gone.wait_for(|gone| *gone) => Err(Failure::new(FailureCode::Gone, "")),
+                    };
+                    let reply = match answer {
+                        Ok(answer) => {
+                            self.counters.answered();
+                            Reply::Answer(answer)
+                        }
+                        Err(failure) => {
+                            self.failed(failure.code.into(), &failure);
+                            if failure.code == FailureCode::Gone && matches!(offer.peer, Peer::Ros1(_)) {
+                                offer.lost.notify_one();
+                            }
+                            Reply::Failure(failure)
+                        }
+                    };
+                    self.reply(call, reply).await;
+                };
+                return answering.push(Box::pin(answer));
+            }
+        };
+        answering.push(Box::pin(self.reply(call, reply)));
+    }
+
+    async fn tell(&self, (call, events): Told) {
+        self.counters.events(events.events.len() as u64, 0);
+        self.reply(call, Reply::Events(events)).await;
+    }
+
+    async fn reply(&self, call: Call, reply: Reply) {
+        match reply.to_bytes() {
+            Ok(bytes) => {
+                if let Err(error) = call.reply(CALL, &bytes).await {
+                    self.failed(Reason::SendFailed, error);
+                }
+            }
+            Err(error) => self.failed(Reason::Malformed, error),
+        }
+    }
+}
+
+impl From<FailureCode> for Reason {
+    fn from(code: FailureCode) -> Self {
+        match code {
+            FailureCode::Gone => Self::Left,
+            FailureCode::Refused => Self::Refused,
+            FailureCode::Busy => Self::Busy,
+            FailureCode::Malformed => Self::Malformed,
+            FailureCode::Changed => Self::Changed,
+        }
+    }
+}
+
+/// Why a local server is not offered.
+#[derive(Debug, thiserror::Error)]
+enum Unfit {
+    #[error(transparent)]
+    Call(#[from] CallerError),
+    #[error("the local server is of {got}, and the name is of {wanted}")]
+    OtherType { got: String, wanted: String },
+    #[error("the system gives no random numbers")]
+    Random,
+}

@@ -1,0 +1,235 @@
+//! What is said of one service or action.
+
+use std::path::PathBuf;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::{GraphConfig, Graphs, Side};
+use crate::ros2::{TopicName, TypeName};
+
+/// One service or action that crosses.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CallConfig {
+    pub what: What,
+    /// As the ROS graph here has it.
+    pub name: TopicName,
+    /// Which of the graphs, if there are several.
+    pub graph: Option<String>,
+    /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing, what the servers use.
+    pub kind: Option<TypeName>,
+    /// `out`: servers here are called from elsewhere; `in`: servers elsewhere are called from here.
+    pub side: Side,
+    /// Its name card (`gdp-ctl name create`).
+    pub card: PathBuf,
+    /// `out`: the owner's permission for this proxy to serve (`gdp-ctl grant add --publish`), `in`: to call (`--read`).
+    pub cert: Option<PathBuf>,
+    pub grant: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum What {
+    Service,
+    Action,
+}
+
+impl What {
+    /// The kind of its name card, and the key of its name in the configuration.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Service => "service",
+            Self::Action => "action",
+        }
+    }
+
+    /// The list of the configuration that it stands in.
+    pub fn list(self) -> &'static str {
+        match self {
+            Self::Service => "services",
+            Self::Action => "actions",
+        }
+    }
+
+    fn folder(self) -> &'static str {
+        match self {
+            Self::Service => "srv",
+            Self::Action => "action",
+        }
+    }
+}
+
+/// A service.
+#[derive(Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Service {
+    /// As the ROS graph here has it.
+    service: TopicName,
+    /// Which of the graphs, if there are several.
+    graph: Option<String>,
+    /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing, what the servers use.
+    #[serde(rename = "type")]
+    kind: Option<TypeName>,
+    /// `out`: servers here are called from elsewhere; `in`: servers elsewhere are called from here.
+    direction: Side,
+    /// Its name card (`gdp-ctl name create`).
+    card: PathBuf,
+    /// `out`: the owner's permission for this proxy to serve (`gdp-ctl grant add --publish`).
+    cert: Option<PathBuf>,
+    /// `in`: the owner's permission to call (`gdp-ctl grant add --read`).
+    grant: Option<PathBuf>,
+}
+
+/// An action.
+#[derive(Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Action {
+    /// As the ROS graph here has it.
+    action: TopicName,
+    /// Which of the graphs, if there are several.
+    graph: Option<String>,
+    /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing, what the servers use.
+    #[serde(rename = "type")]
+    kind: Option<TypeName>,
+    /// `out`: servers here are called from elsewhere; `in`: servers elsewhere are called from here.
+    direction: Side,
+    /// Its name card (`gdp-ctl name create`).
+    card: PathBuf,
+    /// `out`: the owner's permission for this proxy to serve (`gdp-ctl grant add --publish`).
+    cert: Option<PathBuf>,
+    /// `in`: the owner's permission to call (`gdp-ctl grant add --read`).
+    grant: Option<PathBuf>,
+}
+
+pub fn services<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<CallConfig>, D::Error> {
+    let all = Vec::<Service>::deserialize(deserializer)?.into_iter();
+    let all = all.map(|Service { service: name, graph, kind, direction: side, card, cert, grant }| CallConfig {
+        what: What::Service,
+        name,
+        graph,
+        kind,
+        side,
+        card,
+        cert,
+        grant,
+    });
+    Ok(all.collect())
+}
+
+pub fn actions<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<CallConfig>, D::Error> {
+    let all = Vec::<Action>::deserialize(deserializer)?.into_iter();
+    let all = all.map(|Action { action: name, graph, kind, direction: side, card, cert, grant }| CallConfig {
+        what: What::Action,
+        name,
+        graph,
+        kind,
+        side,
+        card,
+        cert,
+        grant,
+    });
+    Ok(all.collect())
+}
+
+impl CallConfig {
+    /// The file with the right to it, and its key.
+    pub fn right(&self) -> (&'static str, Option<&PathBuf>) {
+        match self.side {
+            Side::Out => ("cert", self.cert.as_ref()),
+            Side::In => ("grant", self.grant.as_ref()),
+        }
+    }
+
+    /// Errors with the key inside it.
+    pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
+        let (_, graph) = graphs.get(self.graph.as_deref()).map_err(|reason| ("graph", reason))?;
+        if self.what == What::Action && matches!(graph, GraphConfig::Ros1(_)) {
+            let reason = "actions of ROS 1 are topics: list NAME/goal, NAME/cancel, NAME/status, NAME/feedback and NAME/result under topics";
+            return Err(("graph", reason.into()));
+        }
+        let folder = self.what.folder();
+        if let Some(kind) = self.kind.as_ref().filter(|kind| kind.as_str().split('/').nth(1) != Some(folder)) {
+            return Err((
+                "type",
+                format!("{kind} is no type of a {}: write it as package/{folder}/Name", self.what.as_str()),
+            ));
+        }
+        let unused = match self.side {
+            Side::Out => ("grant", self.grant.is_some()),
+            Side::In => ("cert", self.cert.is_some()),
+        };
+        match (self.side, self.right(), unused) {
+            (_, (_, Some(_)), (key, true)) => Err((key, "is for the other direction; remove it".into())),
+            (_, (_, Some(_)), _) => Ok(()),
+            (Side::Out, (key, None), _) => {
+                Err((key, "missing: the owner's permission to serve (gdp-ctl grant add --publish)".into()))
+            }
+            (Side::In, (key, None), _) => {
+                Err((key, "missing: the owner's permission to call (gdp-ctl grant add --read)".into()))
+            }
+        }
+    }
+
+    /// Whether both are the same service or action of the same graph.
+    pub(super) fn is_same(&self, other: &Self, graphs: &Graphs) -> bool {
+        let graph = |of: &Self| graphs.get(of.graph.as_deref()).ok().map(|(name, _)| name.to_owned());
+        (self.what, &self.name, graph(self)) == (other.what, &other.name, graph(other))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::config::{Config, ConfigError};
+
+    const SERVICE: &str = "services: [{service: /light, direction: out, card: c, cert: light.ad}]";
+    const ACTION: &str = "actions: [{action: /dock, direction: in, card: c, grant: dock.grant}]";
+
+    fn parse(calls: &str) -> Result<Config, ConfigError> {
+        let text = format!("{{version: 1, identity: i, links: [{{to: 'eth://r0'}}], {calls}}}");
+        Config::parse(&text, Path::new("/etc/gdp/p.yaml"))
+    }
+
+    #[test]
+    fn services_and_actions_are_read_and_their_files_lie_beside() {
+        let config = parse(&format!("{SERVICE}, {ACTION}")).unwrap();
+        let calls: Vec<_> = config.calls().collect();
+        let [(first, light), (second, dock)] = &calls[..] else { panic!("{calls:?}") };
+        assert_eq!((first.as_str(), second.as_str()), ("services[0]", "actions[0]"));
+        assert_eq!((light.what, light.side, dock.what, dock.side), (What::Service, Side::Out, What::Action, Side::In));
+        assert_eq!(dock.right(), ("grant", Some(&PathBuf::from("/etc/gdp/dock.grant"))));
+        assert!(light.kind.is_none() && parse("").unwrap().calls().next().is_none());
+    }
+
+    /// Each refusal names the key, and what is wrong.
+    #[test]
+    fn what_is_wrong_is_refused_and_named() {
+        let twice =
+            "[{service: /a, direction: out, card: c, cert: d}, {service: /a, direction: in, card: c, grant: d}]";
+        let cases = [
+            (SERVICE.replace("service: /light", "topic: /light"), "topic"),
+            (SERVICE.replace("direction: out", "direction: both"), "both"),
+            (SERVICE.replace("direction: out", "direction: in"), "services[0].grant: missing"),
+            (ACTION.replace("direction: in", "direction: out"), "actions[0].cert: missing"),
+            (SERVICE.replace("cert:", "grant: g, cert:"), "services[0].grant: is for the other direction"),
+            (SERVICE.replace("card:", "qos: {depth: 1}, card:"), "qos"),
+            (
+                SERVICE.replace("card:", "type: std_msgs/msg/String, card:"),
+                "services[0].type: std_msgs/msg/String is no type",
+            ),
+            (ACTION.replace("card:", "type: a/srv/B, card:"), "write it as package/action/Name"),
+            (SERVICE.replace("card:", "graph: lab, card:"), "services[0].graph: there is no graph lab"),
+            (
+                format!("graphs: {{a: {{master: 'http://b:11311'}}}}, {ACTION}"),
+                "actions[0].graph: actions of ROS 1 are topics",
+            ),
+            (format!("services: {twice}"), "services[1].service: /a is already services[0]"),
+        ];
+        for (text, says) in cases {
+            let refusal = parse(&text).expect_err(&text).to_string();
+            assert!(refusal.contains(says), "{text}: {refusal}");
+        }
+    }
+}

@@ -1,0 +1,253 @@
+//! Services of a ROS graph, of either version: local servers that come and go, calls of them, and servers that stand for ones elsewhere. Requests
+//! and responses are in the graph's own encoding.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use gdp_ros1::{CallError, ServiceServer, ServiceType};
+use tokio::sync::{Mutex, mpsc, oneshot, watch};
+
+use super::{Graph, GraphError, NODE};
+use crate::config::What;
+use crate::ros2::{self, Mapping, RawSample, RequestId, ServicePeer, TopicName, TypeName};
+use gdp_ros::call::{Description, Failure, FailureCode};
+use gdp_ros::roster::{Dialect, Kind};
+
+/// For a ROS 1 server to say what it serves.
+const PROBE: Duration = Duration::from_secs(5);
+
+/// Until the participants of local servers have discovered a client that was made for them: DDS does not say when they have, and a request that comes
+/// before is lost.
+const SETTLE: Duration = Duration::from_millis(300);
+
+/// Requests of ROS 1 that are answered at once; others wait at their connections.
+const CONCURRENT: usize = 256;
+
+/// Sees the local servers of one service or action. Those of proxies are none: they stand for servers elsewhere.
+pub enum Servers {
+    Ros1 { graph: gdp_ros1::Graph, service: String },
+    Ros2 { graph: watch::Receiver<std::sync::Arc<ros2::Graph>>, name: TopicName, what: What },
+}
+
+/// One of them.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Peer {
+    /// The node's name.
+    Ros1(String),
+    Ros2(ServicePeer),
+}
+
+impl Servers {
+    pub fn new(graph: &Graph, name: &TopicName, what: What) -> Self {
+        match graph {
+            Graph::Ros1(master) => Self::Ros1 { graph: master.node().graph(), service: name.as_str().into() },
+            Graph::Ros2(domain) => Self::Ros2 { graph: domain.graph(), name: name.clone(), what },
+        }
+    }
+
+    /// Waits until there is one. Safe to cancel, as [`Self::until_gone`].
+    pub async fn until_there(&mut self) -> Result<Peer, GraphError> {
+        self.until(|peers| peers.first().cloned()).await
+    }
+
+    /// Waits until this one is not there any more.
+    pub async fn until_gone(&mut self, peer: &Peer) -> Result<(), GraphError> {
+        self.until(|peers| (!peers.contains(peer)).then_some(())).await
+    }
+
+    async fn until<T>(&mut self, mut is_so: impl FnMut(Vec<Peer>) -> Option<T>) -> Result<T, GraphError> {
+        match self {
+            Self::Ros1 { graph, service } => loop {
+                let nodes = graph.snapshot().services.get(service).into_iter().flatten();
+                let peers = nodes.filter(|node| !is_proxy(node)).cloned().map(Peer::Ros1);
+                if let Some(found) = is_so(peers.collect()) {
+                    return Ok(found);
+                }
+                graph.changes().await.ok_or(GraphError::Left)?;
+            },
+            Self::Ros2 { graph, name, what } => loop {
+                let peers: Vec<Peer> = {
+                    let now = graph.borrow_and_update();
+                    let servers = match what {
+                        What::Service => now.services.get(name).map(|service| &service.servers),
+                        What::Action => now.actions.get(name).map(|action| &action.servers),
+                    };
+                    servers.into_iter().flatten().cloned().map(Peer::Ros2).collect()
+                };
+                if let Some(found) = is_so(peers) {
+                    return Ok(found);
+                }
+                graph.changed().await.map_err(|_| GraphError::Left)?;
+            },
+        }
+    }
+}
+
+fn is_proxy(node: &str) -> bool {
+    node.strip_prefix('/').is_some_and(|name| name.starts_with(NODE))
+}
+
+/// Calls the local servers of a service.
+pub enum Caller {
+    Ros1 { client: gdp_ros1::ServiceClient, md5sum: String },
+    Ros2(ros2::Client),
+}
+
+impl Caller {
+    /// Of a server, with what its graph calls its type. Waits until it may be called.
+    pub async fn new(graph: &Graph, name: &TopicName, peer: &Peer) -> Result<(Self, Kind), CallerError> {
+        match (graph, peer) {
+            (Graph::Ros1(master), Peer::Ros1(_)) => {
+                let client = master.node().client(name.as_str()).map_err(GraphError::from)?;
+                let gdp_ros1::ServiceInfo { kind: name, md5sum, .. } = client.probe(PROBE).await?;
+                let hash = hex::decode(&md5sum).unwrap_or_default();
+                Ok((Self::Ros1 { client, md5sum }, Kind { dialect: Dialect::Ros1, name, hash }))
+            }
+            (Graph::Ros2(domain), Peer::Ros2(peer)) => {
+                let kind = Kind { dialect: Dialect::Ros2, name: peer.kind.to_string(), hash: vec![] };
+                let [caller] = Self::several(domain, [(name, &peer.kind)], peer.mapping).await?;
+                Ok((caller, kind))
+            }
+            _ => Err(GraphError::Left.into()),
+        }
+    }
+
+    /// Of several services of one server of ROS 2.
+    pub async fn several<const N: usize>(
+        domain: &ros2::Domain,
+        services: [(&TopicName, &TypeName); N],
+        mapping: Mapping,
+    ) -> Result<[Self; N], GraphError> {
+        let mut callers = Vec::with_capacity(N);
+        for (name, kind) in services {
+            callers.push(Self::Ros2(domain.client(name, kind, mapping)?));
+        }
+        tokio::time::sleep(SETTLE).await;
+        callers.try_into().map_err(|_| GraphError::Left)
+    }
+
+    /// Asks, and waits for as long as it takes.
+    pub async fn call(&self, request: Bytes) -> Result<Bytes, Failure> {
+        match self {
+            Self::Ros1 { client, md5sum } => {
+                client.call(md5sum, request, Duration::MAX).await.map_err(|error| match error {
+                    CallError::Failed { text, .. } => Failure::new(FailureCode::Refused, text),
+                    error => Failure::new(FailureCode::Gone, error),
+                })
+            }
+            Self::Ros2(client) => {
+                let malformed = || Failure::new(FailureCode::Malformed, "not a CDR encapsulation that ROS 2 uses");
+                let sample = RawSample::parse(request).ok_or_else(malformed)?;
+                let answer = client.call(sample).await.map_err(|error| match error {
+                    ros2::CallError::Busy => Failure::new(FailureCode::Busy, error),
+                    ros2::CallError::BigEndian => Failure::new(FailureCode::Malformed, error),
+                    ros2::CallError::Write(_) | ros2::CallError::Closed => Failure::new(FailureCode::Gone, error),
+                })?;
+                Ok(answer.bytes)
+            }
+        }
+    }
+}
+
+/// Why a local server cannot be called.
+#[derive(Debug, thiserror::Error)]
+pub enum CallerError {
+    #[error(transparent)]
+    Graph(#[from] GraphError),
+    /// It may be there later, and another one.
+    #[error(transparent)]
+    Call(#[from] CallError),
+}
+
+/// A server that local clients see, as long as it lives.
+pub enum Stand {
+    Ros1 { requests: Mutex<mpsc::Receiver<Asked>>, _server: ServiceServer },
+    Ros2(ros2::Server),
+}
+
+/// What a local client asks.
+pub struct Asked {
+    pub request: Bytes,
+    pub asker: Asker,
+}
+
+/// Who waits for the response.
+pub enum Asker {
+    Ros1(oneshot::Sender<Result<Bytes, String>>),
+    Ros2(RequestId),
+}
+
+impl Stand {
+    /// Of a service as this graph has it.
+    pub fn new(graph: &Graph, name: &TopicName, here: &Description) -> Result<Self, GraphError> {
+        match graph {
+            Graph::Ros1(master) => {
+                let kind = ServiceType { name: here.kind.name.clone(), md5sum: hex::encode(&here.kind.hash) };
+                let (sender, requests) = mpsc::channel(CONCURRENT);
+                let server = master.node().serve(name.as_str(), kind, CONCURRENT, move |request| {
+                    let sender = sender.clone();
+                    async move {
+                        let (asker, answer) = oneshot::channel();
+                        let gone = || "the service is not reached any more".to_owned();
+                        let asked = Asked { request: request.data, asker: Asker::Ros1(asker) };
+                        sender.send(asked).await.map_err(|_| gone())?;
+                        answer.await.unwrap_or_else(|_| Err(gone()))
+                    }
+                })?;
+                Ok(Self::Ros1 { requests: Mutex::new(requests), _server: server })
+            }
+            Graph::Ros2(domain) => {
+                let kind = TypeName::parse(&here.kind.name).map_err(ros2::RosError::from)?;
+                Ok(Self::Ros2(domain.server(name, &kind, None)?))
+            }
+        }
+    }
+
+    /// The next request; `Err` says of what cannot be understood why not. Safe to cancel.
+    pub async fn next(&self) -> Result<Asked, String> {
+        match self {
+            Self::Ros1 { requests, .. } => match requests.lock().await.recv().await {
+                Some(asked) => Ok(asked),
+                // The node has left.
+                None => std::future::pending().await,
+            },
+            Self::Ros2(server) => {
+                let request = server.recv().await.map_err(|error| error.to_string())?;
+                Ok(Asked { request: request.sample.bytes, asker: Asker::Ros2(request.id) })
+            }
+        }
+    }
+
+    /// Responds.
+    pub async fn answer(&self, asker: Asker, response: Bytes) -> Result<(), String> {
+        match (self, asker) {
+            (Self::Ros2(server), Asker::Ros2(id)) => {
+                let sample = RawSample::parse(response).ok_or("the response is no CDR that ROS 2 uses")?;
+                server.respond(&id, sample).await.map_err(|error| error.to_string())
+            }
+            (_, Asker::Ros1(asker)) => {
+                // Whoever hung up meanwhile needs none.
+                _ = asker.send(Ok(response));
+                Ok(())
+            }
+            (Self::Ros1 { .. }, Asker::Ros2(_)) => Err("a request of another server".into()),
+        }
+    }
+}
+
+impl Asker {
+    /// There is no response. ROS 1 has a way to say so.
+    pub fn refuse(self, why: String) {
+        if let Self::Ros1(asker) = self {
+            _ = asker.send(Err(why));
+        }
+    }
+
+    /// Returns when nobody waits any more, as far as the graph tells.
+    pub async fn hangs_up(&mut self) {
+        match self {
+            Self::Ros1(asker) => asker.closed().await,
+            Self::Ros2(_) => std::future::pending().await,
+        }
+    }
+}
