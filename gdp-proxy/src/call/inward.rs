@@ -29,8 +29,13 @@ use crate::ros2::TypeName;
 /// Servers elsewhere that are told apart; of more, the nearest.
 const MAX_SERVERS: usize = 64;
 
-/// For a server's proxy to describe it, and to answer a question about events, which it does once a minute though there are none.
+/// For a server's proxy to answer a question about events, which it does once a minute though there are none.
 const PATIENCE: Duration = Duration::from_secs(90);
+
+/// To have a server described: how often it is asked, how long each answer is waited for, and how soon it is asked again if that cannot be.
+const ATTEMPTS: usize = 20;
+const ATTEMPT: Duration = Duration::from_secs(2);
+const SOON: Duration = Duration::from_millis(200);
 
 /// Before a server is asked again that was of no use.
 const ASK_AGAIN: Duration = Duration::from_secs(5);
@@ -460,13 +465,23 @@ async fn ask(client: &Client, instance: Name, request: &Request) -> Result<Reply
     reply.ok_or(NodeError::Protocol("a reply that no proxy of this release sends"))
 }
 
+/// Asks again and again, which does no harm: the way to a server that has only just come may not be open yet, and the first to go by it may be
+/// lost. So no call is.
 async fn describe(client: &Client, instance: Name) -> Result<(Epoch, Description), String> {
-    let asked = tokio::time::timeout(PATIENCE, ask(client, instance, &Request::Describe));
-    match asked.await.map_err(|_| "it does not say what it serves")?.map_err(|error| error.to_string())? {
-        Reply::Description(epoch, description) => Ok((epoch, description)),
-        Reply::Failure(failure) => Err(failure.to_string()),
-        Reply::Answer(_) | Reply::Events(_) => Err("it answered another question".into()),
+    let mut last = "it does not say what it serves".to_owned();
+    for _ in 0..ATTEMPTS {
+        match tokio::time::timeout(ATTEMPT, ask(client, instance, &Request::Describe)).await {
+            Err(_) => {}
+            Ok(Ok(Reply::Description(epoch, description))) => return Ok((epoch, description)),
+            Ok(Ok(Reply::Failure(failure))) => return Err(failure.to_string()),
+            Ok(Ok(Reply::Answer(_) | Reply::Events(_))) => return Err("it answered another question".into()),
+            Ok(Err(error)) => {
+                last = error.to_string();
+                tokio::time::sleep(SOON).await;
+            }
+        }
     }
+    Err(last)
 }
 
 /// After a pause.

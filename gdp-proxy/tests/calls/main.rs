@@ -34,8 +34,8 @@ async fn a_service_is_there_while_its_server_lives() {
     watch.event("gone").await;
     let mut server = robot.peer("adder", &["serve", "/add"]).await;
     watch.event("there").await;
-    let mut client = cloud.begin("client", &["call", "/add", "40", "2", "20"]);
-    for sum in 42..62 {
+    let mut client = cloud.begin("client", &["call", "/add", "40", "2", "5"]);
+    for sum in 42..47 {
         let response = client.event("response").await;
         assert_eq!((&response["sum"], &response["server"]), (&sum.into(), &"adder".into()));
     }
@@ -133,6 +133,7 @@ async fn a_goal_stays_with_its_server_and_ends_with_it() {
         (&result["status"], &result["shown"], &result["length"]),
         (&"aborted".into(), &"aborted".into(), &0.into())
     );
+    // The other may have been found only now.
     let mut second = cloud.begin("second", &["send", "/fibonacci", "5"]);
     assert_eq!(second.event("result").await["status"], "succeeded");
     assert_eq!(servers[other].event("goal").await["order"], 5);

@@ -102,7 +102,7 @@ def compute(node, action, seconds):
     def run(goal):
         say("goal", order=goal.request.order)
         sequence = [0, 1]
-        while len(sequence) < goal.request.order:
+        while len(sequence) < goal.request.order and rclpy.ok():
             if goal.is_cancel_requested:
                 say("canceled")
                 goal.canceled()
@@ -110,7 +110,8 @@ def compute(node, action, seconds):
             sequence.append(sequence[-1] + sequence[-2] & 0x7FFFFFFF)
             goal.publish_feedback(Fibonacci.Feedback(sequence=sequence))
             time.sleep(float(seconds))
-        goal.succeed()
+        if rclpy.ok():
+            goal.succeed()
         return Fibonacci.Result(sequence=sequence)
 
     group = ReentrantCallbackGroup()
@@ -176,7 +177,10 @@ if __name__ == "__main__":
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
-        # Says goodbye. A callback may sleep on.
+        # Says goodbye, once nothing uses the node any more; but a callback may sleep on.
+        executor.shutdown(2, wait_for_threads=False)
+        if hasattr(node, "server"):
+            node.server.destroy()
         node.destroy_node()
         rclpy.try_shutdown()
         sys.stdout.flush()
