@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use gdp_proxy::config::{MAX_CALLS, MAX_ROUTES, schema};
+use gdp_proxy::config::{MAX_THREADS, schema};
 use gdp_proxy::dry_run;
 use gdp_proxy::proxy;
 use gdp_proxy::reload::{Loaded, Watch};
@@ -77,7 +77,7 @@ fn run(arguments: Arguments) -> Result<()> {
     // One thread for links, discovery and statistics; routes have threads of their own.
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
-        .max_blocking_threads(MAX_ROUTES + MAX_CALLS + 16)
+        .max_blocking_threads(MAX_THREADS)
         .build()
         .context("cannot start the runtime")?;
     runtime.block_on(async {

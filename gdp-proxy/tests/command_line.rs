@@ -72,14 +72,15 @@ fn a_dry_run_shows_what_would_cross_under_which_name() {
     let topics = ["/a/b", "/a/secret", "/c", "/chatter"];
     let _writers = topics.map(|topic| node.writer(&TopicName::parse(topic).unwrap(), &kind, &offer).unwrap());
 
-    // Long enough for a busy machine.
-    let rows = {
-        let output = files.proxy(&["--dry-run", "6", "-j"]);
+    // Longer and longer, for a busy machine.
+    let mut looks = ["2", "5", "15", "40"].iter().map(|seconds| {
+        let output = files.proxy(&["--dry-run", seconds, "-j"]);
         assert!(output.status.success(), "{output:?}");
         let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(report["entity"], files.entity);
         report["topics"].as_array().unwrap().clone()
-    };
+    });
+    let rows = looks.find(|rows| topics.iter().all(|topic| rows.iter().any(|row| row["topic"] == *topic))).unwrap();
     let shown = |topic: &str, key: &str| rows.iter().find(|row| row["topic"] == topic).unwrap()[key].clone();
     let of = |topic: &str| (shown(topic, "direction"), shown(topic, "because").as_str().unwrap().to_owned());
     assert_eq!(of("/chatter"), ("out".into(), "topics[0]".into()));

@@ -49,7 +49,7 @@ async fn what_matches_crosses_while_it_is_published_and_deny_wins() {
             }
         }
     });
-    assert!(heard.await.unwrap().sample.bytes.ends_with(b"light\0"));
+    assert_eq!(text(&heard.await.unwrap().sample.bytes), "light");
     assert_eq!(site.carried("robot"), ["/camera/image"]);
     assert_eq!(site.carried("cloud"), ["/far/r1/camera/image"]);
 
@@ -65,7 +65,7 @@ async fn what_matches_crosses_while_it_is_published_and_deny_wins() {
             }
         }
     });
-    assert!(back.await.unwrap().sample.bytes.ends_with(b"again\0"));
+    assert_eq!(text(&back.await.unwrap().sample.bytes), "again");
     assert_eq!(site.carried("robot"), ["/camera/image"]);
     camera.leave().await;
     onlooker.leave().await;
@@ -98,8 +98,7 @@ async fn a_changed_configuration_disturbs_no_topic_that_is_the_same() {
             if message.encoding != Encoding::Cdr {
                 continue;
             }
-            let text = std::str::from_utf8(&message.body[8..message.body.len() - 1]).unwrap();
-            let number: u32 = text.parse().unwrap();
+            let number: u32 = text(&message.body).parse().unwrap();
             assert!(last.is_none_or(|last| number == last + 1), "{number} after {last:?}");
             assert!(of.is_none_or(|of| of == message.session), "another session");
             (last, of) = (Some(number), Some(message.session));
@@ -135,6 +134,12 @@ async fn a_changed_configuration_disturbs_no_topic_that_is_the_same() {
     talking.abort();
     counting.abort();
     participant.leave().await;
+}
+
+/// Of a `std_msgs/msg/String`; padding may follow.
+fn text(cdr: &[u8]) -> &str {
+    let length = u32::from_le_bytes(cdr[4..8].try_into().unwrap()) as usize;
+    std::str::from_utf8(&cdr[8..8 + length - 1]).unwrap()
 }
 
 async fn until(what: &str, mut is_so: impl FnMut() -> bool) {
