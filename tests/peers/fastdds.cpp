@@ -26,6 +26,7 @@
 #include <string>
 #include <thread>
 #include <type_traits>
+#include <vector>
 
 using namespace eprosima::fastdds::dds;
 using namespace eprosima::fastrtps::rtps;
@@ -37,7 +38,7 @@ namespace {
 
 struct Arguments {
     std::string verb, gate, topic = "rt/chatter", peer, text = "hello from the robot";
-    int domain = 0, depth = 10;
+    int domain = 0, depth = 10, topics = 1;
     bool best_effort = false, transient_local = false, no_wait = false;
     uint64_t count = 0, size = 64;
     double rate = 10;
@@ -61,6 +62,7 @@ Arguments parse(int argc, char** argv) {
         if (++i == argc) usage("no value for " + flag);
         std::string value = argv[i];
         if (flag == "--topic") a.topic = value;
+        else if (flag == "--topics") a.topics = std::max(1, std::atoi(value.c_str()));
         else if (flag == "--peer") a.peer = value;
         else if (flag == "--gate") a.gate = value;
         else if (flag == "--text") a.text = value;
@@ -139,17 +141,20 @@ void sleep_forever() {
     for (;;) std::this_thread::sleep_for(std::chrono::hours(1));
 }
 
-void talk(const Arguments& a, DomainParticipant* p, Topic* topic) {
+void talk(const Arguments& a, DomainParticipant* p, const std::vector<Topic*>& topics) {
     DataWriterQos qos = DATAWRITER_QOS_DEFAULT;
     common_qos(qos, a);
     qos.publish_mode().kind = a.size > 60000 ? ASYNCHRONOUS_PUBLISH_MODE : SYNCHRONOUS_PUBLISH_MODE;
-    auto* writer = p->create_publisher(PUBLISHER_QOS_DEFAULT)->create_datawriter(topic, qos);
+    auto* publisher = p->create_publisher(PUBLISHER_QOS_DEFAULT);
+    std::vector<DataWriter*> writers;
+    for (auto* topic : topics) writers.push_back(publisher->create_datawriter(topic, qos));
     std::printf("{\"event\":\"ready\"}\n");
-    for (PublicationMatchedStatus status; !a.no_wait;) {
-        writer->get_publication_matched_status(status);
-        if (status.current_count > 0) break;
-        std::this_thread::sleep_for(std::chrono::milliseconds(10));
-    }
+    for (auto* writer : writers)
+        for (PublicationMatchedStatus status; !a.no_wait;) {
+            writer->get_publication_matched_status(status);
+            if (status.current_count > 0) break;
+            std::this_thread::sleep_for(std::chrono::milliseconds(10));
+        }
     std::printf("{\"event\":\"matched\"}\n");
     std::string filler;
     const size_t room = a.size > 43 ? a.size - 43 : 0;
@@ -157,26 +162,26 @@ void talk(const Arguments& a, DomainParticipant* p, Topic* topic) {
     filler.resize(room);
     const uint32_t crc = crc32(filler.data(), filler.size());
     String message;
-    auto write = [&](int64_t sequence) {
+    auto write = [&](DataWriter* writer, int64_t sequence) {
         char head[64];
         std::snprintf(head, sizeof head, "%010" PRId64 " %020" PRId64 " %010" PRIu32 " ", sequence, monotonic_ns(), crc);
         message.data(head + filler);
         writer->write(&message);
     };
     while (!a.gate.empty() && access(a.gate.c_str(), F_OK) != 0) {
-        write(-1);
-        std::this_thread::sleep_for(std::chrono::duration<double>(1 / a.rate));
+        for (auto* writer : writers) write(writer, -1);
+        std::this_thread::sleep_for(std::chrono::duration<double>(writers.size() / a.rate));
     }
     const auto start = std::chrono::steady_clock::now();
     for (uint64_t sequence = 0; a.count == 0 || sequence < a.count; ++sequence) {
         std::this_thread::sleep_until(start + std::chrono::duration<double>(sequence / a.rate));
-        write(static_cast<int64_t>(sequence));
+        write(writers[sequence % writers.size()], static_cast<int64_t>(sequence));
     }
     std::printf("{\"event\":\"done\",\"sent\":%" PRIu64 "}\n", a.count);
     sleep_forever();
 }
 
-void report(const std::string& data, int64_t now) {
+void report(const std::string& data, int64_t now, size_t topic) {
     long long sequence = -1, clock = now;
     unsigned long crc = 0;
     int used = 0;
@@ -186,16 +191,12 @@ void report(const std::string& data, int64_t now) {
     std::string text = data.substr(filler, 40);
     for (char& c : text)
         if (c < 0x20 || c == '"' || c == '\\' || c > 0x7e) c = '?';
-    std::printf("{\"event\":\"message\",\"seq\":%lld,\"latency_ns\":%lld,\"bytes\":%zu,\"intact\":%s,\"text\":\"%s\"}\n", sequence,
-                static_cast<long long>(now - clock), data.size(), intact ? "true" : "false", text.c_str());
+    std::printf("{\"event\":\"message\",\"seq\":%lld,\"latency_ns\":%lld,\"bytes\":%zu,\"intact\":%s,\"topic\":%zu,\"text\":\"%s\"}\n",
+                sequence, static_cast<long long>(now - clock), data.size(), intact ? "true" : "false", topic, text.c_str());
 }
 
 // Takes on a thread of its own, as a ROS executor does: what is slow here does not keep Fast DDS from receiving.
-void listen(const Arguments& a, DomainParticipant* p, Topic* topic) {
-    DataReaderQos qos = DATAREADER_QOS_DEFAULT;
-    common_qos(qos, a);
-    auto* reader = p->create_subscriber(SUBSCRIBER_QOS_DEFAULT)->create_datareader(topic, qos);
-    std::printf("{\"event\":\"ready\"}\n");
+void take(DataReader* reader, size_t topic) {
     String message;
     SampleInfo info;
     for (bool matched = false;;) {
@@ -207,9 +208,21 @@ void listen(const Arguments& a, DomainParticipant* p, Topic* topic) {
         }
         while (some && reader->take_next_sample(&message, &info) == ReturnCode_t::RETCODE_OK) {
             const int64_t now = monotonic_ns();
-            if (info.valid_data) report(message.data(), now);
+            if (info.valid_data) report(message.data(), now, topic);
         }
     }
+}
+
+void listen(const Arguments& a, DomainParticipant* p, const std::vector<Topic*>& topics) {
+    DataReaderQos qos = DATAREADER_QOS_DEFAULT;
+    common_qos(qos, a);
+    auto* subscriber = p->create_subscriber(SUBSCRIBER_QOS_DEFAULT);
+    std::vector<DataReader*> readers;
+    for (auto* topic : topics) readers.push_back(subscriber->create_datareader(topic, qos));
+    std::printf("{\"event\":\"ready\"}\n");
+    std::vector<std::thread> takers;
+    for (size_t i = 0; i < readers.size(); ++i) takers.emplace_back(take, readers[i], i);
+    for (auto& taker : takers) taker.join();
 }
 
 }  // namespace
@@ -220,6 +233,10 @@ int main(int argc, char** argv) {
     auto* p = participant(a);
     TypeSupport type(new StringType());
     type.register_type(p);
-    auto* topic = p->create_topic(a.topic, type.get_type_name(), TOPIC_QOS_DEFAULT);
-    a.verb == "talk" ? talk(a, p, topic) : listen(a, p, topic);
+    std::vector<Topic*> topics;
+    for (int i = 0; i < a.topics; ++i) {
+        const std::string name = a.topic + (i == 0 ? "" : std::to_string(i));
+        topics.push_back(p->create_topic(name, type.get_type_name(), TOPIC_QOS_DEFAULT));
+    }
+    a.verb == "talk" ? talk(a, p, topics) : listen(a, p, topics);
 }

@@ -27,6 +27,8 @@ pub struct FabricOptions {
     pub best_effort: bool,
     pub transient_local: bool,
     pub depth: u32,
+    /// That cross from robot to cloud: [`TOPIC`], and others like it with a number behind.
+    pub topics: u32,
     /// Whether what is in the kernel outlives the daemons; in a BPF file system of the fabric's own.
     pub pinned: bool,
 }
@@ -39,6 +41,7 @@ impl Default for FabricOptions {
             best_effort: false,
             transient_local: false,
             depth: 10,
+            topics: 1,
             pinned: false,
         }
     }
@@ -90,6 +93,9 @@ impl Fabric {
         let name = authority.topic()?;
         authority.admit("robot", "--publish")?;
         authority.admit("cloud", "--read")?;
+        for i in 1..options.topics {
+            authority.further_topic(i)?;
+        }
         let bpffs = options.pinned.then(|| Mounted(files.path().join(BPFFS)));
         let switches = names
             .iter()
@@ -233,19 +239,24 @@ impl Fabric {
         let file = |name: &str| self.folder_of(label).join(name);
         let options = &self.options;
         let right = if direction == "in" { "grant" } else { "cert" };
-        let config = json!({
-            "identity": "key.pem",
-            "links": [{"to": format!("eth://{interface}")}],
-            "version": 1,
-            "graphs": {"ros2": {"domain_id": 0}},
-            "topics": [{
-                "topic": TOPIC, "type": TYPE, "direction": direction, "card": "chatter.card", (right): "chatter.cert",
+        let topic = |i: u32| {
+            let behind = if i == 0 { String::new() } else { i.to_string() };
+            json!({
+                "topic": format!("{TOPIC}{behind}"), "type": TYPE, "direction": direction,
+                "card": format!("chatter{behind}.card"), (right): format!("chatter{behind}.cert"),
                 "qos": {
                     "reliability": if options.best_effort { "best_effort" } else { "reliable" },
                     "durability": if options.transient_local { "transient_local" } else { "volatile" },
                     "depth": options.depth,
                 },
-            }],
+            })
+        };
+        let config = json!({
+            "identity": "key.pem",
+            "links": [{"to": format!("eth://{interface}")}],
+            "version": 1,
+            "graphs": {"ros2": {"domain_id": 0}},
+            "topics": (0..options.topics).map(topic).collect::<Vec<_>>(),
         });
         let path = file("proxy.yaml");
         write_yaml(&path, &config)?;
@@ -358,6 +369,17 @@ impl Authority<'_> {
     pub fn name(&self, topic: &str, kind: &str, card: &str) -> Result<String> {
         let topic = ["--owner", "owner.pem", "--topic", topic, "--type", kind, "-o", card];
         field(&self.ctl(OWNER, &[&["name", "create"], &topic[..]].concat())?, "name")
+    }
+
+    /// One more topic of the owner, for robot and cloud, who have their keys: `chatterI.card` and `chatterI.cert`.
+    fn further_topic(&self, i: u32) -> Result<()> {
+        let name = format!("chatter{i}");
+        self.name(&format!("{TOPIC}{i}"), TYPE, &format!("{name}.card"))?;
+        for (label, right) in [("robot", "--publish"), ("cloud", "--read")] {
+            let entity = field(&self.ctl(label, &["key", "show", "key.pem", "--kind", "proxy"])?, "name")?;
+            self.hand(label, &entity, &[right], &name)?;
+        }
+        Ok(())
     }
 
     /// A proxy makes its key and tells the owner its name; the owner hands it the card and a certificate.

@@ -1,5 +1,6 @@
 //! The foreign DDS programs of `tests/peers`, at either end of a chain.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
@@ -37,6 +38,8 @@ pub struct Traffic {
     pub peer: Option<String>,
     /// Over `lo` alone, as on a robot whose other interfaces come and go; of Cyclone DDS.
     pub on_loopback: bool,
+    /// On so many topics in turn, each with the number behind its name but for the first; of Fast DDS.
+    pub topics: u32,
     /// Be a ROS node of this name, which some bridges insist on; of Cyclone DDS.
     pub node: Option<String>,
 }
@@ -57,6 +60,7 @@ impl Default for Traffic {
             depth: 10,
             peer: None,
             on_loopback: false,
+            topics: 1,
             node: None,
         }
     }
@@ -79,10 +83,11 @@ pub struct Conversation {
     pub listener: Process,
     gate: PathBuf,
     count: u64,
+    topics: u32,
 }
 
 impl Conversation {
-    /// Starts both and waits until warm-up messages arrive, so that afterwards every message counts. `folder` takes
+    /// Starts both and waits until warm-up messages arrive on every topic, so that afterwards every message counts. `folder` takes
     /// the output of both.
     pub fn start(tools: &Tools, talks: Side, hears: Side, folder: &Path) -> Result<Self> {
         let listener = listener(tools, hears.at, hears.vendor, hears.traffic, folder)?;
@@ -90,9 +95,13 @@ impl Conversation {
         let mut command = talk_command(tools, talks.at, talks.vendor, talks.traffic)?;
         command.arg("--gate").arg(&gate);
         let talker = Process::spawn("talker", command, folder)?;
-        let mut this = Self { talker, listener, gate, count: talks.traffic.count };
+        let Traffic { count, topics, .. } = *talks.traffic;
+        let mut this = Self { talker, listener, gate, count, topics };
         this.listener.wait_until("a first message", Duration::from_secs(30), |p| {
-            p.json_lines().iter().any(|line| line["event"] == "message").then_some(())
+            let lines = p.json_lines();
+            let messages = lines.iter().filter(|line| line["event"] == "message");
+            let heard: BTreeSet<_> = messages.map(|line| line["topic"].as_u64()).collect();
+            (heard.len() >= topics as usize).then_some(())
         })?;
         Ok(this)
     }
@@ -105,8 +114,13 @@ impl Conversation {
     /// Waits until the talker has sent all, and the last has come (or, after `limit` more, will not come).
     pub fn finish(&mut self, sending: Duration, limit: Duration) -> Result<Vec<Received>> {
         self.talker.wait_event("done", sending + limit)?;
-        let last = self.count as i64 - 1;
-        let arrived = |p: &Process| received(p).iter().any(|m| m.sequence == last).then_some(());
+        let (last, all) = (self.count as i64 - 1, self.count as usize);
+        // Topics overtake one another.
+        let is_over = |messages: &[Received]| match self.topics {
+            1 => messages.iter().any(|message| message.sequence == last),
+            _ => messages.len() >= all,
+        };
+        let arrived = |p: &Process| is_over(&received(p)).then_some(());
         let waited = self.listener.wait_until("the last message", limit, arrived);
         check_interrupt()?;
         self.listener.check_alive()?;
@@ -182,6 +196,9 @@ fn program(tools: &Tools, at: &Namespace, vendor: Vendor, verb: &str, traffic: &
     }
     if let Some(peer) = &traffic.peer {
         command.args(["--peer", peer]);
+    }
+    if traffic.topics > 1 {
+        command.args(["--topics", &traffic.topics.to_string()]);
     }
     if let Some(node) = &traffic.node {
         command.args(["--node", node]);

@@ -200,9 +200,9 @@ const STEPS: &[Step] = &[
     Step {
         part: Part::Zenoh,
         what: "cmake and libclang",
-        why: "the bridge that `bench ros` measures against contains Cyclone DDS, which is C",
+        why: "the bridge that `bench ros` measures against contains Cyclone DDS, which is C; of LLVM 22, as the eBPF compiler",
         present: || shell::which("cmake").is_some() && has_libclang(),
-        debian: &["apt-get install -y --no-install-recommends cmake libclang-dev"],
+        debian: &["apt-get install -y --no-install-recommends cmake libclang-22-dev"],
         elsewhere: "install cmake and libclang",
     },
     Step {

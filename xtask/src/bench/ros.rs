@@ -59,17 +59,19 @@ const ROUTES: [Route; 4] = [Route::Gdp, Route::Ip, Route::ZenohTls, Route::Zenoh
 /// Messages of one size at one rate.
 struct Load {
     bytes: usize,
-    /// Messages per second.
+    /// Messages per second, on all topics together.
     rate: f64,
+    topics: u32,
     vendor: Vendor,
 }
 
-const LOADS: [Load; 5] = [
-    Load { bytes: 64, rate: 30.0, vendor: Vendor::Cyclone },
-    Load { bytes: 8_000, rate: 30.0, vendor: Vendor::Cyclone },
-    Load { bytes: 1_000_000, rate: 30.0, vendor: Vendor::Cyclone },
-    Load { bytes: 6_000_000, rate: 30.0, vendor: Vendor::Cyclone },
-    Load { bytes: 64, rate: 5_000.0, vendor: Vendor::FastDds },
+const LOADS: [Load; 6] = [
+    Load { bytes: 64, rate: 30.0, topics: 1, vendor: Vendor::Cyclone },
+    Load { bytes: 8_000, rate: 30.0, topics: 1, vendor: Vendor::Cyclone },
+    Load { bytes: 1_000_000, rate: 30.0, topics: 1, vendor: Vendor::Cyclone },
+    Load { bytes: 6_000_000, rate: 30.0, topics: 1, vendor: Vendor::Cyclone },
+    Load { bytes: 64, rate: 5_000.0, topics: 1, vendor: Vendor::FastDds },
+    Load { bytes: 64, rate: 20_000.0, topics: 20, vendor: Vendor::FastDds },
 ];
 
 impl Load {
@@ -82,7 +84,9 @@ impl Load {
 struct Row {
     route: Route,
     bytes: usize,
+    /// Per second, on all topics together.
     rate: f64,
+    topics: u32,
     sent: u64,
     received: u64,
     /// Bytes that are not as they were sent.
@@ -133,7 +137,13 @@ pub fn run(options: Options) -> Result<()> {
         let mut samples: Vec<Vec<Measured>> = routes.iter().map(|_| Vec::new()).collect();
         for _ in 0..options.rounds {
             for (route, all) in routes.iter().zip(&mut samples) {
-                eprintln!("{count} messages of {} B at {} Hz: {}", load.bytes, load.rate, name(*route));
+                eprintln!(
+                    "{count} messages of {} B at {} Hz on {} topics: {}",
+                    load.bytes,
+                    load.rate,
+                    load.topics,
+                    name(*route)
+                );
                 all.push(bench.measure(*route, load, count)?);
             }
         }
@@ -156,10 +166,11 @@ struct Bench {
 impl Bench {
     fn measure(&self, route: Route, load: &Load, count: u64) -> Result<Measured> {
         let on_loopback = load.vendor == Vendor::Cyclone && route != Route::Ip;
-        let traffic = Traffic { count, rate: load.rate, size: load.bytes, on_loopback, ..Default::default() };
+        let Load { bytes: size, rate, topics, .. } = *load;
+        let traffic = Traffic { count, rate, size, topics, on_loopback, ..Default::default() };
         match route {
             Route::Gdp => {
-                let mut fabric = Fabric::start(self.tools.clone(), FabricOptions::default())?;
+                let mut fabric = Fabric::start(self.tools.clone(), FabricOptions { topics, ..Default::default() })?;
                 fabric.start_proxies()?;
                 let ends = [(fabric.chain.robot(), &traffic), (fabric.chain.cloud(), &traffic)];
                 let switches = fabric.switches.iter().map(|switch| &switch.process);
@@ -248,7 +259,8 @@ fn row(route: Route, load: &Load, sent: u64, all: &[Measured]) -> Row {
     let cpu: Option<Duration> = all.iter().map(|measured| measured.cpu).sum();
     let cpu_us = cpu.filter(|_| received > 0).map(|taken| taken.as_secs_f64() * 1e6 / received as f64);
     let damaged = messages().filter(|message| !message.intact).count() as u64;
-    Row { route, bytes: load.bytes, rate: load.rate, sent, received, damaged, latency_us, cpu_us }
+    let Load { bytes, rate, topics, .. } = *load;
+    Row { route, bytes, rate, topics, sent, received, damaged, latency_us, cpu_us }
 }
 
 fn name(route: Route) -> &'static str {
@@ -263,17 +275,18 @@ fn name(route: Route) -> &'static str {
 fn print_table(rows: &[Row]) {
     println!("ROS 2 messages, one way, in microseconds; processor time of what stands between the two DDS programs");
     println!(
-        "{:<36} {:>8} {:>5} {:>13} {:>8} {:>8} {:>8} {:>8} {:>9}",
-        "path", "bytes", "Hz", "recv/sent", "p50", "p90", "p99", "max", "CPU"
+        "{:<36} {:>8} {:>6} {:>6} {:>13} {:>8} {:>8} {:>8} {:>8} {:>9}",
+        "path", "bytes", "Hz", "topics", "recv/sent", "p50", "p90", "p99", "max", "CPU"
     );
     for row in rows {
         let (l, got) = (&row.latency_us, format!("{}/{}", row.received, row.sent));
         let cpu = row.cpu_us.map_or_else(|| "-".to_owned(), |cpu| format!("{cpu:.0}"));
         println!(
-            "{:<36} {:>8} {:>5} {got:>13} {:>8.0} {:>8.0} {:>8.0} {:>8.0} {cpu:>9}",
+            "{:<36} {:>8} {:>6} {:>6} {got:>13} {:>8.0} {:>8.0} {:>8.0} {:>8.0} {cpu:>9}",
             name(row.route),
             row.bytes,
             row.rate,
+            row.topics,
             l.p50,
             l.p90,
             l.p99,
