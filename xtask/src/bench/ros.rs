@@ -89,7 +89,7 @@ struct Row {
     topics: u32,
     sent: u64,
     received: u64,
-    /// Bytes that are not as they were sent.
+    /// Messages that are not as they were sent.
     damaged: u64,
     /// From `write` to the callback.
     latency_us: Latency,
