@@ -12,8 +12,10 @@ use crate::seal::{Draft, Encoding, Latched, MessageId};
 const MAX_ORIGINS: usize = 1024;
 
 pub struct LatchedSamples {
-    /// Of each origin.
+    /// Of each origin of which nothing else was said.
     most: usize,
+    /// Of origins of which it was.
+    most_of: HashMap<Vec<u8>, usize>,
     pinned: Option<About>,
     /// What is to be sent next about the name, and what was taken of it.
     next: Option<About>,
@@ -52,6 +54,7 @@ impl LatchedSamples {
     pub fn new(most: usize) -> Self {
         Self {
             most,
+            most_of: HashMap::new(),
             pinned: None,
             next: None,
             taken: None,
@@ -72,13 +75,22 @@ impl LatchedSamples {
         self.next.get_or_insert_with(|| About { encoding, body: body.into() });
     }
 
+    /// Of this origin so many are kept from now on.
+    pub fn limit(&mut self, origin: &[u8], most: usize) {
+        self.most_of.insert(origin.to_vec(), most);
+        while self.counts.get(origin).is_some_and(|count| *count > most) {
+            self.remove_oldest(origin);
+        }
+    }
+
     /// Keeps messages that are sent now, the first of them with this sequence.
     pub fn keep(&mut self, first: u64, timestamp_ns: u64, drafts: &[Draft<'_>]) {
-        if self.most == 0 {
-            return;
-        }
         for (sequence, draft) in (first..).zip(drafts) {
-            self.make_room(draft.origin);
+            let most = self.most_of.get(draft.origin).copied().unwrap_or(self.most);
+            if most == 0 {
+                continue;
+            }
+            self.make_room(draft.origin, most);
             *self.counts.entry(draft.origin.to_vec()).or_default() += 1;
             self.samples.push_back(Sample {
                 first: Latched { sequence, timestamp_ns },
@@ -91,12 +103,9 @@ impl LatchedSamples {
         }
     }
 
-    fn make_room(&mut self, origin: &[u8]) {
+    fn make_room(&mut self, origin: &[u8], most: usize) {
         match self.counts.get(origin) {
-            Some(count) if *count >= self.most => {
-                let oldest = self.samples.iter().position(|sample| sample.origin == origin);
-                oldest.into_iter().for_each(|at| self.remove(at));
-            }
+            Some(count) if *count >= most => self.remove_oldest(origin),
             Some(_) => {}
             None => {
                 while self.counts.len() >= MAX_ORIGINS {
@@ -104,6 +113,11 @@ impl LatchedSamples {
                 }
             }
         }
+    }
+
+    fn remove_oldest(&mut self, origin: &[u8]) {
+        let oldest = self.samples.iter().position(|sample| sample.origin == origin);
+        oldest.into_iter().for_each(|at| self.remove(at));
     }
 
     fn remove(&mut self, at: usize) {
@@ -116,8 +130,9 @@ impl LatchedSamples {
         }
     }
 
-    /// Keeps nothing of this origin any more.
+    /// Keeps nothing of this origin any more, and knows nothing of it.
     pub fn forget(&mut self, origin: &[u8]) {
+        self.most_of.remove(origin);
         if self.counts.remove(origin).is_some() {
             self.samples.retain(|sample| sample.origin != origin);
         }
@@ -204,6 +219,21 @@ mod tests {
         samples.forget(&[2]);
         assert_eq!(again(&mut samples), [pinned, sent[1].clone(), sent[4].clone()]);
         assert!(!samples.has_again());
+    }
+
+    #[test]
+    fn of_an_origin_as_many_are_kept_as_was_said() {
+        let mut samples = LatchedSamples::new(0);
+        let of = |origin: &'static [u8]| Draft { origin, ..Draft::new(Encoding::Bytes, b"") };
+        samples.limit(&[1], 2);
+        samples.keep(1, 7, &[of(&[1]), of(&[2]), of(&[1]), of(&[1])]);
+        let kept = |samples: &LatchedSamples| samples.samples.iter().map(|s| s.first.sequence).collect::<Vec<_>>();
+        assert_eq!(kept(&samples), [3, 4], "the other origin latches nothing");
+        samples.limit(&[1], 1);
+        assert_eq!(kept(&samples), [4]);
+        samples.forget(&[1]);
+        samples.keep(5, 7, &[of(&[1])]);
+        assert_eq!(kept(&samples), [] as [u64; 0]);
     }
 
     #[test]

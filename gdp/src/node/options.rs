@@ -40,7 +40,7 @@ pub struct PublishOptions {
     /// two.
     pub duplicate: bool,
     /// How many of the last messages of each origin a reader that comes later is sent, sealed for it anew. Of origins, the last 1024 that
-    /// sent something.
+    /// sent something. [`Publisher::latch`](super::Publisher::latch) says it for one origin.
     pub latched: usize,
     /// When the content key is replaced though nobody was revoked.
     pub rotation: Rotation,

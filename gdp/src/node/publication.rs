@@ -323,6 +323,11 @@ impl Publication {
         self.send_again(outlet);
     }
 
+    /// Latches so many of this origin.
+    pub fn limit_latched(&self, origin: &[u8], most: usize) {
+        lock(&self.sealing).latched.limit(origin, most);
+    }
+
     /// Latches nothing of this origin any more.
     pub fn forget(&self, outlet: &Outlet, origin: &[u8]) {
         // What was gathered is latched when it is sealed.

@@ -152,6 +152,12 @@ impl Publisher {
         self.publication.mention(&self.node.state.outlet, encoding, body);
     }
 
+    /// Latches the last `most` messages of this origin, whatever [`PublishOptions::latched`](super::PublishOptions::latched) says of the others; until
+    /// it is [forgotten](Self::forget).
+    pub fn latch(&self, origin: &[u8], most: usize) {
+        self.publication.limit_latched(origin, most);
+    }
+
     /// Sends readers that come later nothing more of what was [latched](super::PublishOptions::latched) with this origin.
     pub fn forget(&self, origin: &[u8]) {
         self.publication.forget(&self.node.state.outlet, origin);
