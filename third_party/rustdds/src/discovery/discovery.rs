@@ -302,7 +302,8 @@ impl Discovery {
   const PARTICIPANT_CLEANUP_PERIOD: StdDuration = StdDuration::from_secs(2);
   const TOPIC_CLEANUP_PERIOD: StdDuration = StdDuration::from_secs(60); // timer for cleaning up inactive topics
   const SPDP_PUBLISH_PERIOD: StdDuration = StdDuration::from_secs(10);
-  const CHECK_PARTICIPANT_MESSAGES: StdDuration = StdDuration::from_secs(1);
+  // GDP patch: as often as the shortest lease needs it; before, once in a second, which kept none of less than two.
+  const CHECK_PARTICIPANT_MESSAGES: StdDuration = StdDuration::from_millis(200);
   #[cfg(feature = "security")]
   const CACHED_SECURE_DISCOVERY_MESSAGE_RESEND_PERIOD: StdDuration = StdDuration::from_secs(1);
 

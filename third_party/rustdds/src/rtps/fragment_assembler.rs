@@ -40,6 +40,11 @@ impl AssemblyBuffer {
     let fragment_size: u16 = datafrag.fragment_size;
     debug!("new AssemblyBuffer data_size={data_size} frag_size={fragment_size}");
 
+    // GDP patch: one datagram says how much memory there is to be; before, up to 4 GB were allocated.
+    if data_size > MAX_SAMPLE_BYTES {
+      error!("a sample of {data_size} bytes is not taken: at most {MAX_SAMPLE_BYTES} are");
+      return None;
+    }
     if fragment_size == 0 || fragment_size as usize > data_size {
       error!("Cannot create AssemblyBuffer: fragment_size={fragment_size} data_size={data_size}");
       return None;
@@ -185,6 +190,10 @@ impl AssemblyBuffer {
 // under best effort is lost anyway and under reliable will be re-requested.
 const MAX_ASSEMBLY_BUFFERS: usize = 128;
 
+// GDP patch: the largest sample, and bytes of all incomplete ones of a writer.
+const MAX_SAMPLE_BYTES: usize = 64 << 20;
+const MAX_ASSEMBLY_BYTES: usize = 2 * MAX_SAMPLE_BYTES;
+
 // Assembles fragments from a single (remote) Writer
 // So there is only one sequence of SNs
 pub(crate) struct FragmentAssembler {
@@ -283,7 +292,7 @@ impl FragmentAssembler {
       //  * Best effort: there is no retransmission, so a low incomplete buffer is
       //    lost anyway. Evict the OLDEST (lowest SN) to free room for newer samples
       //    that may still complete.
-      while self.assembly_buffers.len() > MAX_ASSEMBLY_BUFFERS {
+      while self.assembly_buffers.len() > MAX_ASSEMBLY_BUFFERS || self.assembly_bytes() > MAX_ASSEMBLY_BYTES {
         let evicted = if self.reliable {
           self.assembly_buffers.pop_last()
         } else {
@@ -295,6 +304,10 @@ impl FragmentAssembler {
       }
       None
     }
+  }
+
+  fn assembly_bytes(&self) -> usize {
+    self.assembly_buffers.values().map(|ab| ab.buffer_bytes.len()).sum()
   }
 
   pub fn garbage_collect_before(&mut self, expire_before: Timestamp) {
@@ -425,5 +438,26 @@ mod tests {
     assert!(fa
       .new_datafrag(&bad, BitFlags::<DATAFRAG_Flags>::empty())
       .is_none());
+  }
+
+  // GDP patch
+  #[test]
+  fn what_datagrams_claim_is_bounded() {
+    use enumflags2::BitFlags;
+
+    use super::{FragmentAssembler, MAX_ASSEMBLY_BYTES, MAX_SAMPLE_BYTES};
+    use crate::structure::sequence_number::SequenceNumber;
+
+    assert!(AssemblyBuffer::new(&datafrag(1, 1, 1024, u32::MAX, vec![0; 1024])).is_none());
+    for reliable in [true, false] {
+      let mut fa = FragmentAssembler::new(1024, reliable);
+      for sn in 1..9 {
+        let mut large = datafrag(1, 1, 1024, MAX_SAMPLE_BYTES as u32, vec![0; 1024]);
+        large.writer_sn = SequenceNumber::new(sn);
+        assert!(fa.new_datafrag(&large, BitFlags::empty()).is_none());
+        assert!(fa.assembly_bytes() <= MAX_ASSEMBLY_BYTES);
+      }
+      assert_eq!(fa.is_partially_received(SequenceNumber::new(1)), reliable);
+    }
   }
 }
