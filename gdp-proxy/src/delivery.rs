@@ -14,13 +14,10 @@ const REPAIRABLE: usize = 256;
 const ALL: usize = 10_000;
 
 /// For publishers of which each offers no more than this. A reliable topic drops its oldest message rather than wait for room, as a
-/// keep-last history does: a reader that fell behind holds up neither the ROS nodes nor the other readers.
+/// keep-last history does: a reader that fell behind holds up neither the ROS nodes nor the other readers. What is latched is said of each
+/// publisher ([`latched`]).
 pub fn publish_options(offers: &Offer, topic: &TopicConfig) -> PublishOptions {
-    let depth = match offers.depth {
-        0 => ALL,
-        depth => ALL.min(depth as usize),
-    };
-    let latched = if offers.transient_local { depth } else { 0 };
+    let depth = depth(offers);
     let options = if offers.reliable {
         PublishOptions {
             reliability: Reliability::Reliable { overflow: Overflow::DropOldest },
@@ -30,7 +27,25 @@ pub fn publish_options(offers: &Offer, topic: &TopicConfig) -> PublishOptions {
     } else {
         PublishOptions { history: depth, ..PublishOptions::best_effort() }
     };
-    PublishOptions { latched, class: topic.priority.get(), duplicate: topic.duplicate, ..options }
+    PublishOptions { class: topic.priority.get(), duplicate: topic.duplicate, ..options }
+}
+
+/// How many of a publisher's last messages those get who come later.
+pub fn latched(offers: &Offer) -> usize {
+    if offers.transient_local { depth(offers) } else { 0 }
+}
+
+/// Whether a name that is published for the one offers less than the other needs.
+pub fn lacks(published: &Offer, offers: &Offer) -> bool {
+    let history = |offers: &Offer| if offers.reliable { depth(offers).max(REPAIRABLE) } else { depth(offers) };
+    (offers.reliable && !published.reliable) || history(offers) > history(published)
+}
+
+fn depth(offers: &Offer) -> usize {
+    match offers.depth {
+        0 => ALL,
+        depth => ALL.min(depth as usize),
+    }
 }
 
 pub fn subscribe_options(topic: &TopicConfig) -> SubscribeOptions {
@@ -56,6 +71,7 @@ pub fn stronger(a: Offer, b: Offer) -> Offer {
         depth,
         deadline_ns: 0,
         lifespan_ns: 0,
+        liveliness_ns: 0,
     }
 }
 
@@ -67,7 +83,7 @@ mod tests {
     use crate::config::Config;
 
     const BEST_EFFORT: Offer =
-        Offer { reliable: false, transient_local: false, depth: 3, deadline_ns: 0, lifespan_ns: 0 };
+        Offer { reliable: false, transient_local: false, depth: 3, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
 
     #[test]
     fn best_effort_keeps_the_depth_and_asks_for_nothing_again() {
@@ -91,10 +107,17 @@ mod tests {
 
     #[test]
     fn transient_local_gives_late_readers_the_depth() {
-        for reliable in [true, false] {
-            let offers = Offer { reliable, transient_local: true, depth: 7, ..BEST_EFFORT };
-            assert_eq!(publish_options(&offers, &topic("")).latched, 7);
-        }
+        let latching = Offer { transient_local: true, depth: 7, ..BEST_EFFORT };
+        assert_eq!((latched(&latching), latched(&BEST_EFFORT)), (7, 0));
+        assert_eq!(publish_options(&latching, &topic("")).latched, 0, "it is nobody else's");
+    }
+
+    #[test]
+    fn a_name_is_published_anew_only_for_what_it_lacks() {
+        let reliable = Offer { reliable: true, depth: 10, ..BEST_EFFORT };
+        let latching = Offer { transient_local: true, depth: 1, ..reliable };
+        assert!(!lacks(&reliable, &latching) && !lacks(&latching, &reliable) && !lacks(&reliable, &BEST_EFFORT));
+        assert!(lacks(&BEST_EFFORT, &reliable) && lacks(&reliable, &Offer { depth: 0, ..reliable }));
     }
 
     #[test]

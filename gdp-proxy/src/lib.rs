@@ -26,3 +26,4 @@ pub mod route;
 pub mod routes;
 pub mod stats;
 pub mod timing;
+pub mod twins;

@@ -28,11 +28,13 @@ pub enum Drop {
     MaxHz,
     /// A message is not of its type, or not of one that this proxy can convert.
     Unconvertible,
+    /// A remote message's publisher has no counterpart here; the status says why.
+    NoCounterpart,
     /// Remote messages of a writer that has not said of what they are.
     Unannounced,
     /// A remote message, or what its writer says of the topic, is not what a proxy sends.
     Malformed,
-    /// A remote message is one that this proxy sent.
+    /// A remote message is one that this proxy sent, or another in the same ROS graph.
     Own,
     /// A reliable local subscriber does not keep up.
     Stalled,
@@ -41,12 +43,13 @@ pub enum Drop {
 }
 
 impl Drop {
-    const ALL: [Self; 10] = [
+    const ALL: [Self; 11] = [
         Self::Unreadable,
         Self::Lost,
         Self::SendFailed,
         Self::MaxHz,
         Self::Unconvertible,
+        Self::NoCounterpart,
         Self::Unannounced,
         Self::Malformed,
         Self::Own,
@@ -61,6 +64,7 @@ impl Drop {
             Self::SendFailed => "send_failed",
             Self::MaxHz => "max_hz",
             Self::Unconvertible => "unconvertible",
+            Self::NoCounterpart => "no_counterpart",
             Self::Unannounced => "unannounced",
             Self::Malformed => "malformed",
             Self::Own => "own",
@@ -242,7 +246,7 @@ mod tests {
     const KEYS: [&str; 10] = [
         "calls catalogs entity links node switch topics version",
         "bytes direction drops fabric graph latency_us messages name status topic type",
-        "lost malformed max_hz own send_failed stalled unannounced unconvertible unreadable write_failed",
+        "lost malformed max_hz no_counterpart own send_failed stalled unannounced unconvertible unreadable write_failed",
         "arrival handling",
         "p50 p99",
         "copies_dropped copies_sent frames_sent frames_unsent main reason state switch target",

@@ -9,7 +9,8 @@ use gdp_proxy::graph::{self, Arrived, Event, Reader};
 use gdp_proxy::ros2::{Domain, RawReader, RawSample, RawWriter, TopicName, TypeName};
 use gdp_ros::roster::Offer;
 
-const RELIABLE: Offer = Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0 };
+const RELIABLE: Offer =
+    Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
 const LATCHED: Offer = Offer { transient_local: true, ..RELIABLE };
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -136,7 +136,9 @@ impl Feed {
                 Change::Joined { writer, number, kind, definition, offers } => {
                     self.publishers.insert((writer, number), Publisher { kind, definition, offers });
                 }
-                Change::Left { writer, number } => drop(self.publishers.remove(&(writer, number))),
+                Change::Left { writer, number } | Change::Silent { writer, number } => {
+                    drop(self.publishers.remove(&(writer, number)))
+                }
             }
         }
     }

@@ -15,6 +15,7 @@ use bytes::Bytes;
 
 use crate::config::{GraphConfig, Graphs};
 use crate::ros2::{Domain, Qos, RosError, TopicName, TypeName};
+use crate::twins::Twins;
 use gdp_ros::roster::{Dialect, Kind, Offer};
 use gdp_ros::types::{TypeError, Types};
 
@@ -137,6 +138,14 @@ impl Graph {
         }
     }
 
+    /// What other proxies in it carry.
+    pub fn twins(&self) -> &Arc<Twins> {
+        match self {
+            Self::Ros1(master) => master.twins(),
+            Self::Ros2(domain) => domain.twins(),
+        }
+    }
+
     /// A type as this graph calls it.
     pub fn kind(&self, kind: &TypeName) -> Kind {
         let name = match self.dialect() {
@@ -195,6 +204,15 @@ impl Reader<'_> {
         }
     }
 
+    /// What is latched is to be read once more.
+    pub fn again(&mut self) -> Result<(), GraphError> {
+        match self {
+            // All that nodes of ROS 1 offer is alike, so there is never a reason.
+            Self::Ros1(_) => Ok(()),
+            Self::Ros2(reader) => Ok(reader.again()?),
+        }
+    }
+
     /// Of the topic's type, if its publishers tell.
     pub fn definition(&self) -> Option<&str> {
         match self {
@@ -205,6 +223,14 @@ impl Reader<'_> {
 }
 
 impl Writer {
+    /// Whether a subscriber has found it, or had.
+    pub fn is_matched(&self) -> bool {
+        match self {
+            Self::Ros1(writer) => writer.is_matched(),
+            Self::Ros2(writer) => writer.is_matched(),
+        }
+    }
+
     /// Writes one message as of `timestamp_ns` (nanoseconds since 1970).
     pub async fn write(&mut self, bytes: Bytes, timestamp_ns: u64) -> Result<(), WriteError> {
         match self {

@@ -11,17 +11,23 @@ use gdp_ros1::{
     SourceStates, SubscribeOptions, Subscription,
 };
 use tokio::sync::watch;
+use tokio::task::{JoinHandle, JoinSet};
 
 use super::{Arrived, Event, GraphError, Key, NODE, WriteError};
 use crate::config::Ros1Config;
 use crate::ros2::TopicName;
+use crate::twins::{self, Twins, Voice};
 use gdp_ros::roster::{Dialect, Kind, Offer};
 
 /// What a publisher of ROS 1 comes to: it waits for nobody, and its subscribers take a queue full.
-const OFFER: Offer = Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0 };
+const OFFER: Offer =
+    Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
 
 /// What is published, as long as somebody writes it.
 type Shared = (MessageType, Weak<gdp_ros1::Publisher>);
+
+/// Nodes that take leave.
+type Leaving = Arc<Mutex<JoinSet<()>>>;
 
 /// The proxy at a master.
 pub struct Master {
@@ -31,7 +37,15 @@ pub struct Master {
     shared: Mutex<HashMap<String, Shared>>,
     /// Of nodes that were made for one publisher.
     made: AtomicU32,
+    /// Those of them that take leave of the master.
+    leaving: Leaving,
+    twins: Arc<Twins>,
+    presence: JoinHandle<()>,
 }
+
+/// What proxies at a master tell one another, as `std_msgs/String`.
+const PRESENCE: &str = "/gdp_proxy/carries";
+const STRING_MD5: &str = "992ce8a1687cec8c8bd883ec73ca41d1";
 
 impl Master {
     /// As the ROS node `name`, without a slash in front. The master need not be there yet.
@@ -43,7 +57,30 @@ impl Master {
         };
         let config = NodeConfig::on_this_machine(&format!("/{name}"), variable);
         let node = Node::start(config.clone()).await?;
-        Ok(Self { node, config, shared: Mutex::default(), made: AtomicU32::new(0) })
+        let kind = MessageType {
+            name: "std_msgs/String".into(),
+            md5sum: STRING_MD5.into(),
+            definition: "string data\n".into(),
+        };
+        let publisher = node.publish(PRESENCE, kind.clone(), PublishOptions::default())?;
+        let options = SubscribeOptions { kind: Some((kind.name, kind.md5sum)), ..SubscribeOptions::default() };
+        let voice = Presence { publisher, subscription: node.subscribe(PRESENCE, options)? };
+        let twins: Arc<Twins> = Arc::default();
+        let presence = tokio::spawn(twins::beat(twins.clone(), voice));
+        Ok(Self {
+            node,
+            config,
+            twins,
+            presence,
+            shared: Mutex::default(),
+            made: AtomicU32::new(0),
+            leaving: Leaving::default(),
+        })
+    }
+
+    /// What other proxies at the master carry.
+    pub fn twins(&self) -> &Arc<Twins> {
+        &self.twins
     }
 
     pub fn graph(&self) -> gdp_ros1::Graph {
@@ -55,7 +92,9 @@ impl Master {
     }
 
     pub async fn leave(self) {
-        self.node.leave().await;
+        self.presence.abort();
+        let mut leaving = std::mem::take(&mut *self.leaving.lock().unwrap_or_else(PoisonError::into_inner));
+        let ((), ()) = tokio::join!(self.node.leave(), async { while leaving.join_next().await.is_some() {} });
     }
 
     fn lock(&self) -> MutexGuard<'_, HashMap<String, Shared>> {
@@ -81,6 +120,24 @@ impl Master {
         let publisher = Arc::new(self.node.publish(topic, kind.clone(), options)?);
         shared.insert(topic.to_owned(), (kind, Arc::downgrade(&publisher)));
         Ok(publisher)
+    }
+}
+
+struct Presence {
+    publisher: gdp_ros1::Publisher,
+    subscription: Subscription,
+}
+
+impl Voice for Presence {
+    async fn tell(&mut self, text: String) {
+        let bytes = [&(text.len() as u32).to_le_bytes(), text.as_bytes()].concat();
+        if let Err(error) = self.publisher.publish(bytes.into()) {
+            tracing::warn!("other proxies at the master do not hear of this one: {error}");
+        }
+    }
+
+    async fn hear(&mut self) -> Option<Vec<u8>> {
+        Some(self.subscription.next().await?.data.get(4..).unwrap_or_default().to_vec())
     }
 }
 
@@ -186,7 +243,16 @@ pub fn is_proxy(caller_id: &str) -> bool {
 pub struct Writer {
     publisher: Arc<gdp_ros1::Publisher>,
     /// One that latches has a node for itself: of a node's topic only the last message is latched, and so only one publisher's.
-    _node: Option<Node>,
+    node: Option<(Node, Leaving)>,
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        let Some((node, leaving)) = self.node.take() else { return };
+        let mut leaving = leaving.lock().unwrap_or_else(PoisonError::into_inner);
+        while leaving.try_join_next().is_some() {}
+        leaving.spawn(node.leave());
+    }
 }
 
 impl Writer {
@@ -204,12 +270,19 @@ impl Writer {
         let queue = QueueLimits { messages: messages.max(10), ..QueueLimits::default() };
         let options = PublishOptions { latch: offers.transient_local, queue };
         if !options.latch {
-            return Ok(Self { publisher: master.share(topic.as_str(), kind, options)?, _node: None });
+            return Ok(Self { publisher: master.share(topic.as_str(), kind, options)?, node: None });
         }
         let number = master.made.fetch_add(1, Ordering::Relaxed);
         let name = format!("{}_at_{number}", master.config.name);
         let node = Node::start(NodeConfig { name, ..master.config.clone() }).await?;
-        Ok(Self { publisher: Arc::new(node.publish(topic.as_str(), kind, options)?), _node: Some(node) })
+        Ok(Self {
+            publisher: Arc::new(node.publish(topic.as_str(), kind, options)?),
+            node: Some((node, master.leaving.clone())),
+        })
+    }
+
+    pub fn is_matched(&self) -> bool {
+        !self.publisher.subscribers().is_empty()
     }
 
     pub fn write(&self, bytes: Bytes) -> Result<(), WriteError> {

@@ -24,12 +24,19 @@ pub struct Reader<'a> {
     kind: Option<TypeName>,
     qos: Option<Qos>,
     graph: watch::Receiver<Arc<Graph>>,
-    known: BTreeMap<Key, (Kind, Offer)>,
+    known: BTreeMap<Key, Known>,
     live: Option<Half>,
     latched: Option<Half>,
     events: VecDeque<Event>,
     /// Messages of publishers that are not known yet: until when they wait, and whether the reader of what is latched has them.
     early: VecDeque<(Instant, bool, ros2::Arrived)>,
+}
+
+struct Known {
+    kind: Kind,
+    offers: Offer,
+    /// It is not there any more; when that is told. What it has written may come after what discovery says.
+    gone: Option<Instant>,
 }
 
 struct Half {
@@ -41,6 +48,9 @@ struct Half {
 const EARLY: Duration = Duration::from_secs(3);
 const MAX_EARLY: usize = 256;
 const MAX_EARLY_BYTES: usize = 32 << 20;
+
+/// For how long messages of a publisher that has gone are still waited for.
+const LATE: Duration = Duration::from_millis(200);
 
 /// Stands for a publisher elsewhere.
 pub struct Writer(RawWriter);
@@ -69,7 +79,8 @@ impl<'a> Reader<'a> {
             if let Some(event) = self.events.pop_front() {
                 return Ok(event);
             }
-            let Self { graph, live, latched, early, .. } = self;
+            let Self { graph, live, latched, early, known, .. } = self;
+            let gone = known.values().filter_map(|known| known.gone).min();
             let (is_latched, arrived) = tokio::select! {
                 biased;
                 changed = graph.changed() => {
@@ -80,8 +91,12 @@ impl<'a> Reader<'a> {
                     self.look()?;
                     continue;
                 }
-                () = sleep_until_over(early) => {
+                () = sleep_until(early.front().map(|(over, ..)| *over)) => {
                     self.drop_early();
+                    continue;
+                }
+                () = sleep_until(gone) => {
+                    self.tell_of_gone();
                     continue;
                 }
                 arrived = recv(latched) => (true, arrived),
@@ -96,7 +111,7 @@ impl<'a> Reader<'a> {
 
     fn take(&mut self, is_latched: bool, arrived: ros2::Arrived) {
         let key = Key::from_be_bytes(arrived.writer.to_bytes());
-        let Some((_, offers)) = self.known.get(&key) else {
+        let Some(Known { offers, .. }) = self.known.get(&key) else {
             // Discovery looks only so often.
             self.early.push_back((Instant::now() + EARLY, is_latched, arrived));
             while self.early.len() > MAX_EARLY || self.early_bytes() > MAX_EARLY_BYTES {
@@ -132,31 +147,46 @@ impl<'a> Reader<'a> {
         let found = graph.topics.get(&self.topic).map_or(&[][..], |topic| &topic.publishers);
         let found: BTreeMap<Key, (Kind, Offer)> =
             found.iter().map(|publisher| (Key::from_be_bytes(publisher.id), described(publisher))).collect();
-        let gone = self.known.keys().filter(|key| !found.contains_key(key)).map(|key| Event::Left(*key));
-        self.events.extend(gone);
-        for (key, (kind, offers)) in &found {
-            if self.known.get(key).is_none_or(|(kind_before, before)| (kind_before, before) != (kind, offers)) {
-                self.events.push_back(Event::Joined { key: *key, kind: kind.clone(), offers: *offers });
+        let told = Instant::now() + LATE;
+        for (key, known) in &mut self.known {
+            let is_gone = !found.contains_key(key);
+            known.gone = is_gone.then(|| known.gone.unwrap_or(told));
+        }
+        for (key, (kind, offers)) in found {
+            if self.known.get(&key).is_none_or(|before| (&before.kind, before.offers) != (&kind, offers)) {
+                self.events.push_back(Event::Joined { key, kind: kind.clone(), offers });
+                self.known.insert(key, Known { kind, offers, gone: None });
             }
         }
-        self.known = found;
         for (_, is_latched, arrived) in std::mem::take(&mut self.early) {
             self.take(is_latched, arrived);
         }
         self.ask()
     }
 
+    fn tell_of_gone(&mut self) {
+        let now = Instant::now();
+        let gone = self.known.extract_if(.., |_, known| known.gone.is_some_and(|told| told <= now));
+        self.events.extend(gone.map(|(key, _)| Event::Left(key)));
+    }
+
+    /// What is latched is to be read once more.
+    pub fn again(&mut self) -> Result<(), RosError> {
+        self.latched = None;
+        self.ask()
+    }
+
     /// Makes the readers that the known publishers need.
     fn ask(&mut self) -> Result<(), RosError> {
         if self.kind.is_none()
-            && let Some((kind, _)) = self.known.values().next()
+            && let Some(Known { kind, .. }) = self.known.values().next()
         {
             self.kind = Some(TypeName::parse(&kind.name)?);
         }
         let Some(kind) = &self.kind else { return Ok(()) };
         let name = kind.to_string();
         let of = |latches: bool| {
-            let offers = self.known.values().filter(|(kind, _)| kind.name == name).map(|(_, offers)| *offers);
+            let offers = self.known.values().filter(|known| known.kind.name == name).map(|known| known.offers);
             let offers: Vec<Offer> = offers.filter(|offers| offers.transient_local == latches).collect();
             let depth = offers.iter().map(|offers| offers.depth).max()?;
             let half = if latches { &self.latched } else { &self.live };
@@ -165,7 +195,7 @@ impl<'a> Reader<'a> {
             // loses what it has not been asked for yet.
             let reliable = offers.iter().all(|offers| offers.reliable) && before.is_none_or(|before| before.reliable);
             let depth = before.map_or(depth, |before| before.depth);
-            Some(Offer { reliable, transient_local: latches, depth, deadline_ns: 0, lifespan_ns: 0 })
+            Some(Offer { reliable, transient_local: latches, depth, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 })
         };
         let (live, latched) = match self.qos {
             Some(qos) => (Some(Offer::from(qos)), None),
@@ -184,7 +214,7 @@ impl<'a> Reader<'a> {
 /// last one.
 fn described(publisher: &Endpoint) -> (Kind, Offer) {
     let Endpoint { kind, hash, qos, .. } = publisher;
-    let ShownQos { reliability, durability, deadline, lifespan, .. } = *qos;
+    let ShownQos { reliability, durability, deadline, lifespan, liveliness_lease, .. } = *qos;
     let hash = hash.as_ref().and_then(|hash| hex::decode(hash.as_str().strip_prefix("RIHS01_")?).ok());
     let ns = |time: Option<Duration>| time.map_or(0, |time| u64::try_from(time.as_nanos()).unwrap_or(0));
     let transient_local = durability == Durability::TransientLocal;
@@ -194,13 +224,14 @@ fn described(publisher: &Endpoint) -> (Kind, Offer) {
         depth: if transient_local { 1 } else { 10 },
         deadline_ns: ns(deadline),
         lifespan_ns: ns(lifespan),
+        liveliness_ns: ns(liveliness_lease),
     };
     (Kind { dialect: Dialect::Ros2, name: kind.to_string(), hash: hash.unwrap_or_default() }, offers)
 }
 
-async fn sleep_until_over(early: &VecDeque<(Instant, bool, ros2::Arrived)>) {
-    match early.front() {
-        Some((over, ..)) => tokio::time::sleep_until(*over).await,
+async fn sleep_until(when: Option<Instant>) {
+    match when {
+        Some(when) => tokio::time::sleep_until(when).await,
         None => std::future::pending().await,
     }
 }
@@ -215,6 +246,10 @@ async fn recv(half: &Option<Half>) -> Result<ros2::Arrived, ros2::Unreadable> {
 impl Writer {
     pub fn new(domain: &Domain, topic: &TopicName, kind: &Kind, offers: Offer) -> Result<Self, RosError> {
         domain.writer(topic, &TypeName::parse(&kind.name)?, &offers).map(Self)
+    }
+
+    pub fn is_matched(&self) -> bool {
+        self.0.has_matched()
     }
 
     pub async fn write(&mut self, bytes: Bytes, timestamp_ns: u64) -> Result<(), WriteError> {

@@ -7,6 +7,7 @@ mod action;
 mod discovery;
 mod graph;
 mod names;
+mod presence;
 mod qos;
 mod raw;
 mod service;
@@ -31,6 +32,9 @@ use discovery::Discovery;
 use gdp_ros::roster::Offer;
 use graph::PROXY_TOPIC;
 
+use crate::twins::{self, Twins};
+use presence::Presence;
+
 /// The largest domain id whose ports (7400 + 250 · id and up) exist.
 pub const MAX_DOMAIN_ID: u16 = 232;
 
@@ -43,8 +47,9 @@ pub struct Domain {
     /// Announces the proxy to ROS tools (`ros2 node list`) as long as it lives.
     node: Node,
     watch: JoinHandle<()>,
-    /// What tells other proxies that this is one.
-    presence: Option<RawWriter>,
+    /// What the other proxies carry, and what tells them that this is one.
+    twins: Arc<Twins>,
+    presence: Option<JoinHandle<()>>,
 }
 
 /// What DDS refused to make.
@@ -74,15 +79,23 @@ impl Domain {
         let discovery = Arc::new(Discovery::default());
         let node = announce(&participant, node)?;
         let watch = tokio::spawn(discovery.clone().watch(participant.clone()));
-        Ok(Self { participant, publisher, subscriber, discovery, node, watch, presence: None })
+        let twins = Arc::default();
+        Ok(Self { participant, publisher, subscriber, discovery, node, watch, twins, presence: None })
     }
 
     /// The same, and tells other proxies that this is one: they take nothing from it.
     pub fn join_as_proxy(domain: u16, node: &str) -> Result<Self, RosError> {
         let mut joined = Self::join(domain, node)?;
         let (topic, kind) = (TopicName::parse("/gdp_proxy")?, TypeName::parse("gdp_proxy/msg/Presence")?);
-        joined.presence = Some(joined.raw_writer(&topic, PROXY_TOPIC, &kind, &Qos::default().into())?);
+        let writer = joined.raw_writer(&topic, PROXY_TOPIC, &kind, &Qos::default().into())?;
+        let reader = joined.raw_reader(&topic, PROXY_TOPIC, &kind, &Qos::default().into())?;
+        joined.presence = Some(tokio::spawn(twins::beat(joined.twins.clone(), Presence { writer, reader })));
         Ok(joined)
+    }
+
+    /// What other proxies in the domain carry.
+    pub fn twins(&self) -> &Arc<Twins> {
+        &self.twins
     }
 
     /// What the others in the domain publish, subscribe to, serve and call, and every change of it.
@@ -122,9 +135,11 @@ impl Domain {
     /// domain are of no use afterwards.
     pub async fn leave(self) {
         // The task holds the participant as well; RustDDS leaves when the last owner does, and joins its threads then.
-        self.watch.abort();
-        let _ = self.watch.await;
-        let rest = (self.presence, self.node, self.publisher, self.subscriber, self.participant);
+        for task in self.presence.into_iter().chain([self.watch]) {
+            task.abort();
+            let _ = task.await;
+        }
+        let rest = (self.node, self.publisher, self.subscriber, self.participant);
         let _ = tokio::task::spawn_blocking(move || drop(rest)).await;
     }
 }

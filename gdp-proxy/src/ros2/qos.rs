@@ -82,6 +82,7 @@ impl From<Qos> for Offer {
             depth: qos.depth.get().into(),
             deadline_ns: 0,
             lifespan_ns: 0,
+            liveliness_ns: 0,
         }
     }
 }
@@ -100,6 +101,10 @@ pub(super) fn writer(offers: &Offer) -> QosPolicies {
     }
     if offers.lifespan_ns > 0 {
         builder = builder.lifespan(policy::Lifespan { duration: duration(offers.lifespan_ns) });
+    }
+    if offers.liveliness_ns > 0 {
+        let lease_duration = duration(offers.liveliness_ns);
+        builder = builder.liveliness(policy::Liveliness::Automatic { lease_duration });
     }
     builder.build()
 }

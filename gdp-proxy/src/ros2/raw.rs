@@ -15,8 +15,8 @@ use rustdds::dds::{CreateError, ReadError};
 use rustdds::no_key::{DataWriter, SimpleDataReader};
 use rustdds::rpc::SampleIdentity;
 use rustdds::{
-    GUID, Publisher, QosPolicies, RTPSEntity, RepresentationIdentifier, SequenceNumber, Timestamp, Topic, WriteOptions,
-    WriteOptionsBuilder,
+    DataWriterStatus, GUID, Publisher, QosPolicies, RTPSEntity, RepresentationIdentifier, SequenceNumber,
+    StatusEvented, Timestamp, Topic, WriteOptions, WriteOptionsBuilder,
 };
 
 /// Bytes of the encapsulation header: representation (2), options (2).
@@ -230,6 +230,13 @@ impl RawWriter {
             return written;
         }
         tokio::time::timeout(WRITE_DEADLINE, write).await.unwrap_or(Err(WriteError::Stalled))
+    }
+
+    /// Whether it has matched a reader, since this was asked last.
+    pub fn has_matched(&self) -> bool {
+        let is_match =
+            |status| matches!(status, DataWriterStatus::PublicationMatched { current, .. } if current.count() > 0);
+        std::iter::from_fn(|| self.little_endian.try_recv_status()).any(is_match)
     }
 
     /// Of the writer of little-endian messages.

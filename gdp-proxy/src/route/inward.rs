@@ -1,31 +1,30 @@
 //! From the fabric into a ROS graph: each publisher elsewhere has a writer here, for as long as it is there.
 
-use std::collections::HashMap;
 use std::convert::Infallible;
-use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-use bytes::Bytes;
+use gdp::Name;
 use gdp::cert::Reading;
 use gdp::node::{NodeError, Subscription};
 use gdp::seal::Message;
-use gdp::{Name, NameCard, Node};
-use gdp_msg::Encoding;
 
-use super::{RETRY, Route, RouteError, ended_because, ticks};
+use super::local::{Local, Made};
+use super::locals::{Locals, Whose};
+use super::{RETRY, Route, RouteError, Way, ended_because, ticks};
 use crate::delivery::subscribe_options;
-use crate::graph::{Graph, WriteError, Writer};
+use crate::graph::Graph;
 use crate::material::Permission;
 use crate::renewal::Renewal;
 use crate::ros2::{Qos, TypeName};
 use crate::stats::{Drop, FabricCounters};
-use gdp_ros::roster::{Change, Incoming, Kind, Offer, ROSTER, Taken};
-use gdp_ros::types::{Converter, Form, unsealed};
+use crate::twins::Place;
+use gdp_ros::roster::{Change, Dialect, Incoming, Kind, Offer, ROSTER, Taken};
+use gdp_ros::types::Form;
 
 const NOT_SAID: &str = "its writer does not say of what it is";
 
-/// Counterparts of publishers elsewhere, for one topic. More have none.
-const MAX_LOCALS: usize = 512;
+/// How often it is looked whether subscribers have found a new writer.
+const LOOK_FOR_SUBSCRIBERS: Duration = Duration::from_millis(20);
 
 /// The right to read, and where it came from.
 pub struct Right {
@@ -33,55 +32,37 @@ pub struct Right {
     pub file: Renewal,
 }
 
-/// What stands in the graph for a publisher elsewhere.
-struct Local {
-    writer: Writer,
-    /// Of the publisher, and the same in this graph.
-    kinds: (Kind, Kind),
-    definitions: (Option<Arc<str>>, Option<String>),
-    /// By what messages are in; nearly always one.
-    converters: Vec<(Encoding, Converter)>,
-}
-
 /// The publishers elsewhere, as far as they are known.
 struct In<'a> {
     graph: &'a Graph,
     own: Name,
+    place: &'a Place,
     /// Of the name's card or the configuration.
     kind: Option<&'a TypeName>,
     incoming: Incoming,
-    /// Not there if it cannot be made, which has been said.
-    locals: HashMap<(Name, u32), Option<Local>>,
-    /// For writers that tell no publishers apart.
-    plain: Option<Option<Local>>,
+    locals: Locals,
 }
 
 impl Route {
-    pub(super) async fn run_in(
-        &self,
-        graph: &Graph,
-        node: &Node,
-        kind: Option<&TypeName>,
-        card: &NameCard,
-        mut right: Right,
-    ) -> Result<Infallible, RouteError> {
-        let (incoming, locals, plain) = (Incoming::default(), HashMap::new(), None);
-        let mut to = In { graph, own: node.name(), kind, incoming, locals, plain };
+    pub(super) async fn run_in(&self, way: &Way<'_>, right: &mut Right) -> Result<Infallible, RouteError> {
+        let Way { graph, node, kind, card, place } = *way;
+        let (incoming, locals) = (Incoming::default(), Locals::new(Instant::now()));
+        let mut to = In { graph, own: node.name(), place, kind, incoming, locals };
         let mut pause = RETRY.0;
         loop {
             let error = match node.subscribe(card.proof(), right.grant.clone(), subscribe_options(&self.config)).await {
                 Ok(mut subscription) => {
                     self.progress().fabric = FabricCounters::In(subscription.meter());
                     pause = RETRY.0;
-                    self.is_up();
-                    self.carry_in(&mut to, &mut subscription, &mut right).await?
+                    self.is_up(place);
+                    self.carry_in(&mut to, &mut subscription, right).await?
                 }
                 Err(error) => error,
             };
             // Nothing more is heard of those elsewhere.
             let changes = to.incoming.clear();
             self.change(&mut to, changes).await;
-            self.pause_after(error, &mut pause).await;
+            self.pause_after(error, &mut pause, place).await;
             if let Some(new) = right.file.changed().and_then(Permission::read) {
                 right.grant = new;
                 right.file.taken();
@@ -98,8 +79,13 @@ impl Route {
     ) -> Result<NodeError, RouteError> {
         let mut ticks = ticks();
         loop {
+            let is_busy = to.locals.is_busy();
             let received = tokio::select! {
                 received = subscription.recv() => received,
+                () = tokio::time::sleep(LOOK_FOR_SUBSCRIBERS), if is_busy => {
+                    self.look(to).await;
+                    continue;
+                }
                 _ = ticks.tick() => {
                     if let Some(new) = right.file.changed().and_then(Permission::read)
                         && self.renewed(&mut right.file, subscription.renew(new.clone()).await)
@@ -109,6 +95,7 @@ impl Route {
                     let (changes, forgotten) = to.incoming.poll(Instant::now());
                     self.change(to, changes).await;
                     self.drop_all(Drop::Unannounced, forgotten as u64, NOT_SAID);
+                    self.look(to).await;
                     continue;
                 }
             };
@@ -122,6 +109,9 @@ impl Route {
     async fn take(&self, to: &mut In<'_>, message: Message) {
         if message.writer == to.own {
             return self.drop(Drop::Own, "this proxy wrote it");
+        }
+        if to.place.is_twin(Instant::now(), &message.writer) {
+            return self.drop(Drop::Own, "another proxy of the same ROS graph wrote it");
         }
         if message.encoding == ROSTER {
             match to.incoming.roster(Instant::now(), &message) {
@@ -140,15 +130,13 @@ impl Route {
 
     async fn sort(&self, to: &mut In<'_>, message: Message) {
         match to.incoming.message(Instant::now(), message) {
-            Taken::From(number, message) => {
-                let local = to.locals.get_mut(&(message.writer, number)).and_then(Option::as_mut);
-                self.write(local, message).await;
-            }
+            Taken::From(number, message) => self.write(to, Some((message.writer, number)), message).await,
             Taken::Plain(message) => {
-                if to.plain.is_none() {
-                    to.plain = Some(self.plain(to).await);
+                if to.locals.get(&None).is_none() {
+                    to.locals.insert(None, plain(to.kind));
+                    self.make(to).await;
                 }
-                self.write(to.plain.as_mut().and_then(Option::as_mut), message).await;
+                self.write(to, None, message).await;
             }
             Taken::Held => {}
             Taken::Crowded(gone) => self.drop_all(Drop::Unannounced, gone as u64, NOT_SAID),
@@ -156,100 +144,107 @@ impl Route {
     }
 
     async fn change(&self, to: &mut In<'_>, changes: Vec<Change>) {
+        if changes.is_empty() {
+            return;
+        }
         for change in changes {
-            match change {
-                Change::Left { writer, number } => {
-                    to.locals.remove(&(writer, number));
+            if !to.locals.change(Instant::now(), change) {
+                tracing::warn!(topic = %self.config.topic, "more publishers elsewhere than have a counterpart here");
+            }
+        }
+        self.make(to).await;
+        self.show(to);
+    }
+
+    /// What time brings: writers that are tried again, messages that need not wait any more, counterparts that may go.
+    async fn look(&self, to: &mut In<'_>) {
+        self.make(to).await;
+        let now = Instant::now();
+        for made in to.locals.made() {
+            for (reason, why) in made.look(&self.counters, now).await {
+                self.drop(reason, why);
+            }
+        }
+        to.locals.sweep(now);
+        self.show(to);
+    }
+
+    /// Makes the writers that are due.
+    async fn make(&self, to: &mut In<'_>) {
+        for whose in to.locals.due(Instant::now()) {
+            let Some(local) = to.locals.get(&whose) else { continue };
+            let made = self.try_to_make(to.graph, to.kind, local).await;
+            let kept = match made {
+                Ok(made) => local.made(made),
+                Err(why) => {
+                    tracing::warn!(topic = %self.config.topic, "{}", no_counterpart(&whose, &why));
+                    local.failed(Instant::now(), why);
+                    continue;
                 }
-                Change::Joined { writer, number, kind, definition, offers } => {
-                    // The one before goes first: subscribers need not see both.
-                    to.locals.remove(&(writer, number));
-                    if to.locals.len() >= MAX_LOCALS {
-                        tracing::warn!(topic = %self.config.topic, "more than {MAX_LOCALS} publishers elsewhere: one has no counterpart here");
-                        continue;
-                    }
-                    let local = self.local(to, kind, definition, offers).await;
-                    to.locals.insert((writer, number), local);
-                }
+            };
+            for message in kept {
+                self.write_to(local, message).await;
             }
         }
     }
 
-    /// For those of whom nothing is known but what the configuration says.
-    async fn plain(&self, to: &In<'_>) -> Option<Local> {
-        let Some(kind) = to.kind else {
-            tracing::warn!(topic = %self.config.topic, "a writer does not say of what type its messages are; state it as `type`");
-            return None;
-        };
-        let kind = Kind { dialect: gdp_ros::roster::Dialect::Ros2, name: kind.to_string(), hash: vec![] };
-        self.local(to, kind, None, Qos::default().into()).await
-    }
-
-    async fn local(&self, to: &In<'_>, kind: Kind, definition: Option<Arc<str>>, offers: Offer) -> Option<Local> {
-        let made = self.try_local(to, kind, definition, offers).await;
-        made.inspect_err(|error| {
-            tracing::warn!(topic = %self.config.topic, "a publisher elsewhere has no counterpart here: {error}");
-            self.set_status(error);
-        })
-        .ok()
-    }
-
-    async fn try_local(
-        &self,
-        to: &In<'_>,
-        kind: Kind,
-        definition: Option<Arc<str>>,
-        offers: Offer,
-    ) -> Result<Local, String> {
-        let form = Form { kind: &kind, definition: definition.as_deref(), encoding: kind.dialect.native() };
-        let found = self.types.counterpart(&form, to.graph.dialect()).map_err(|error| error.to_string())?;
+    async fn try_to_make(&self, graph: &Graph, stated: Option<&TypeName>, local: &Local) -> Result<Made, String> {
+        let Local { kind, definition, offers, .. } = local;
+        if kind.name.is_empty() {
+            return Err("it does not say of what type its messages are; state it as `type`".into());
+        }
+        let form = Form { kind, definition: definition.as_deref(), encoding: kind.dialect.native() };
+        let found = self.types.counterpart(&form, graph.dialect()).map_err(|error| error.to_string())?;
         let (here, text) = found;
-        if let Some(stated) = to.kind.filter(|stated| to.graph.kind(stated).name != here.name) {
+        if let Some(stated) = stated.filter(|stated| graph.kind(stated).name != here.name) {
             return Err(format!("it publishes {}, and the topic is of {stated}", kind.name));
         }
-        let offers = self.config.qos.map_or(offers, Offer::from);
-        let writer = to.graph.writer(&self.types, &self.config.topic, &here, text.as_deref(), offers);
+        let offers = self.config.qos.map_or(*offers, Offer::from);
+        let writer = graph.writer(&self.types, &self.config.topic, &here, text.as_deref(), offers);
         let writer = writer.await.map_err(|error| error.to_string())?;
         self.progress().kind = Some(here.name.clone());
-        Ok(Local { writer, kinds: (kind, here), definitions: (definition, text), converters: vec![] })
+        Ok(Made::new(Instant::now(), writer, (kind.clone(), here), (definition.clone(), text)))
     }
 
-    async fn write(&self, local: Option<&mut Local>, message: Message) {
-        let Some(local) = local else {
-            return self.drop(Drop::Unconvertible, "its publisher has no counterpart here");
+    async fn write(&self, to: &mut In<'_>, whose: Whose, message: Message) {
+        let Some(local) = to.locals.get(&whose) else {
+            return self.drop(Drop::NoCounterpart, "there are too many publishers elsewhere");
         };
+        local.keep(&message);
+        self.write_to(local, message).await;
+    }
+
+    async fn write_to(&self, local: &mut Local, message: Message) {
         self.counters.arrival.record_since(message.timestamp_ns);
-        let (timestamp_ns, began) = (message.timestamp_ns, Instant::now());
-        let bytes = match self.convert(local, message) {
-            Ok(bytes) => bytes,
-            Err(error) => return self.drop(Drop::Unconvertible, error),
+        let result = match local.made_mut() {
+            Some(made) => made.take(&self.types, &self.counters, message).await,
+            None => Err((Drop::NoCounterpart, "its publisher has no counterpart here".into())),
         };
-        let length = bytes.len();
-        match local.writer.write(bytes, timestamp_ns).await {
-            Ok(()) => {
-                self.counters.handling.record(began.elapsed());
-                self.counters.passed(length);
-            }
-            Err(error @ WriteError::Malformed) => self.drop(Drop::Malformed, error),
-            Err(error @ WriteError::Stalled) => self.drop(Drop::Stalled, error),
-            Err(error @ WriteError::Failed(_)) => self.drop(Drop::WriteFailed, error),
+        if let Err((reason, why)) = result {
+            self.drop(reason, why);
         }
     }
 
-    fn convert(&self, local: &mut Local, message: Message) -> Result<Bytes, String> {
-        let encoding = unsealed(message.encoding).map_err(|error| error.to_string())?;
-        let Local { kinds, definitions, converters, .. } = local;
-        let at = match converters.iter().position(|(of, _)| *of == encoding) {
-            Some(at) => at,
-            None => {
-                let from = Form { kind: &kinds.0, definition: definitions.0.as_deref(), encoding };
-                let native = kinds.1.dialect.native();
-                let to = Form { kind: &kinds.1, definition: definitions.1.as_deref(), encoding: native };
-                let converter = self.types.converter(&from, &to).map_err(|error| error.to_string())?;
-                converters.push((encoding, converter));
-                converters.len() - 1
-            }
-        };
-        converters[at].1.convert(message.body).map_err(|error| error.to_string())
+    /// Says in the status which publishers have no counterpart.
+    fn show(&self, to: &In<'_>) {
+        let faults: Vec<_> = to.locals.faults().map(|(whose, why)| no_counterpart(whose, why)).collect();
+        match &faults[..] {
+            [] => self.set_status("up"),
+            [only] => self.set_status(only),
+            [first, rest @ ..] => self.set_status(&format!("{first}; and {} more", rest.len())),
+        }
+    }
+}
+
+/// What stands for those of whom nothing is known but what the configuration says.
+fn plain(kind: Option<&TypeName>) -> Local {
+    let name = kind.map_or_else(String::new, ToString::to_string);
+    Local::new(Kind { dialect: Dialect::Ros2, name, hash: vec![] }, None, Qos::default().into())
+}
+
+fn no_counterpart(whose: &Whose, why: &str) -> String {
+    match whose {
+        Some((writer, number)) => format!("publisher {number} of {writer:#} has no counterpart here: {why}"),
+        None => format!("a writer elsewhere has no counterpart here: {why}"),
     }
 }

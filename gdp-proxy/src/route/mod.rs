@@ -2,24 +2,30 @@
 //! message goes straight from one side to the other, without a queue or a wake-up in between. A topic whose right has ended is
 //! asked for again and again, and the others go on.
 
+mod hold;
 mod inward;
+mod local;
+mod locals;
 mod outward;
 mod pace;
 
 use std::convert::Infallible;
 use std::fmt::Display;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use gdp::node::{Ended, NodeError, Publisher};
-use gdp::{Name, Node};
+use gdp::{Name, NameCard, Node};
 use tokio::time::{Interval, MissedTickBehavior};
 
 use crate::config::{Side, TopicConfig};
 use crate::graph::{Graph, GraphError};
 use crate::material::{Permission, RouteMaterial};
 use crate::renewal::Renewal;
+use crate::ros2::TypeName;
 use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
+use crate::twins::{Part, Place};
+use gdp_ros::roster::ROSTER;
 use gdp_ros::types::Types;
 
 /// Between attempts to have a name published or subscribed: doubled from the first to the second.
@@ -27,6 +33,9 @@ const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_
 
 /// How often it is looked for another certificate, and whether a roster is due.
 const LOOK: Duration = Duration::from_secs(1);
+
+/// How often it is looked whether another proxy of the graph carries the topic.
+const LOOK_FOR_TWINS: Duration = Duration::from_millis(250);
 
 /// How long a route that ends waits for what it has sent to arrive.
 const FLUSH: Duration = Duration::from_secs(3);
@@ -39,6 +48,48 @@ pub struct Route {
     types: Arc<Types>,
     counters: RouteCounters,
     progress: Mutex<Progress>,
+}
+
+/// From where to where, and as what.
+struct Way<'a> {
+    graph: &'a Graph,
+    node: &'a Node,
+    /// Of the name's card or the configuration.
+    kind: Option<&'a TypeName>,
+    card: &'a NameCard,
+    place: &'a Place,
+}
+
+enum Right {
+    Publish(outward::Right),
+    Read(inward::Right),
+}
+
+impl Right {
+    fn new(permission: Permission, file: Renewal) -> Self {
+        match permission {
+            Permission::Publish(cert) => Self::Publish(outward::Right { cert, file }),
+            Permission::Read(grant) => Self::Read(inward::Right { grant, file }),
+        }
+    }
+}
+
+/// Waits for what is wanted of who carries a topic instead of this proxy; and tells meanwhile whether this one could.
+async fn until<T>(node: &Node, place: &Place, wanted: impl Fn(Option<Name>) -> Option<T>) -> T {
+    loop {
+        place.set_attached(node.switch().is_ok());
+        if let Some(found) = wanted(place.ahead(Instant::now())) {
+            return found;
+        }
+        tokio::time::sleep(LOOK_FOR_TWINS).await;
+    }
+}
+
+/// A name that is published.
+struct Published {
+    publisher: Publisher,
+    /// The roster of nobody.
+    farewell: Vec<u8>,
 }
 
 /// How far a route has come, for people and tests.
@@ -104,20 +155,42 @@ impl Route {
         graph: &Graph,
         node: &Node,
         material: RouteMaterial,
-        publisher: &mut Option<Publisher>,
+        publisher: &mut Option<Published>,
     ) -> Result<Infallible, RouteError> {
+        let part = Part { name: self.name, side: self.side, topic: self.config.topic.to_string() };
+        let place = graph.twins().enter(node.name(), part);
         let RouteMaterial { card, kind, permission, file, .. } = material;
-        match permission {
-            Permission::Publish(cert) => {
-                self.run_out(graph, node, kind.as_ref(), &card, outward::Right { cert, file }, publisher).await
+        let way = Way { graph, node, kind: kind.as_ref(), card: &card, place: &place };
+        let mut right = Right::new(permission, file);
+        loop {
+            let ahead = tokio::select! {
+                Err(error) = self.carry_as_first(&way, &mut right, publisher) => return Err(error),
+                ahead = until(node, &place, |ahead| ahead) => ahead,
+            };
+            if let Some(publisher) = publisher.take() {
+                self.close(publisher).await;
             }
-            Permission::Read(grant) => {
-                self.run_in(graph, node, kind.as_ref(), &card, inward::Right { grant, file }).await
-            }
+            tracing::info!(topic = %self.config.topic, side = ?self.side, name = %self.name, "standing by for {ahead}");
+            self.set_status(&format!("standing by for {ahead}"));
+            until(node, &place, |ahead| ahead.is_none().then_some(())).await;
         }
     }
 
-    async fn close(&self, publisher: Publisher) {
+    async fn carry_as_first(
+        &self,
+        way: &Way<'_>,
+        right: &mut Right,
+        publisher: &mut Option<Published>,
+    ) -> Result<Infallible, RouteError> {
+        match right {
+            Right::Publish(right) => self.run_out(way, right, publisher).await,
+            Right::Read(right) => self.run_in(way, right).await,
+        }
+    }
+
+    /// Those who read the name hear that its publishers are not carried any more, and need not miss them.
+    async fn close(&self, Published { publisher, farewell }: Published) {
+        publisher.pin(ROSTER, &farewell);
         if let Err(error) = publisher.close(FLUSH).await {
             tracing::warn!(topic = %self.config.topic, name = %self.name, "left with messages under way: {error}");
         }
@@ -136,7 +209,8 @@ impl Route {
     }
 
     /// A refusal is no reason to end: other topics may be fine, and owners, RIBs and clocks mend.
-    async fn pause_after(&self, error: NodeError, pause: &mut Duration) {
+    async fn pause_after(&self, error: NodeError, pause: &mut Duration, place: &Place) {
+        place.set_permitted(false);
         let message = error.to_string();
         tracing::warn!(topic = %self.config.topic, name = %self.name, "{message}; asking again in {pause:?}");
         self.set_status(&message);
@@ -159,7 +233,8 @@ impl Route {
         self.progress.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn is_up(&self) {
+    fn is_up(&self, place: &Place) {
+        place.set_permitted(true);
         tracing::info!(topic = %self.config.topic, side = ?self.side, name = %self.name, "carrying");
         self.set_status("up");
     }
@@ -193,6 +268,8 @@ fn ticks() -> Interval {
 pub enum RouteError {
     #[error(transparent)]
     Graph(#[from] GraphError),
+    #[error(transparent)]
+    Cbor(#[from] gdp::cbor::CborError),
     #[error("the node is closed")]
     NodeClosed,
 }

@@ -1,6 +1,6 @@
 //! From a ROS graph into the fabric.
 
-use std::collections::{BTreeSet, HashSet};
+use std::collections::{BTreeSet, HashSet, VecDeque};
 use std::convert::Infallible;
 use std::pin::pin;
 use std::time::{Duration, Instant};
@@ -8,16 +8,16 @@ use std::time::{Duration, Instant};
 use gdp::cert::{AdCert, Issued};
 use gdp::node::{ErrorCode, FrameError, NodeError, Publisher};
 use gdp::seal::Draft;
-use gdp::{NameCard, Node};
 
 use super::pace::Pace;
-use super::{RETRY, Route, RouteError, ended_because, ticks};
-use crate::delivery::{publish_options, stronger};
-use crate::graph::{Arrived, Event, Graph, Key, Reader};
+use super::{Published, RETRY, Route, RouteError, Way, ended_because, ticks};
+use crate::delivery::{lacks, latched, publish_options, stronger};
+use crate::graph::{Arrived, Event, Graph, GraphError, Key, Reader};
 use crate::material::Permission;
 use crate::renewal::Renewal;
 use crate::ros2::TypeName;
 use crate::stats::{Drop, FabricCounters};
+use crate::twins::Place;
 use gdp_ros::roster::{self, Announcement, Kind, Offer, Outgoing};
 use gdp_ros::types::{Converter, Form, TypeError, sealed};
 
@@ -32,8 +32,16 @@ enum Turn {
     /// The right to publish has ended.
     Ended(NodeError),
     /// A publisher offers more than the name does.
-    More(Offer),
+    More,
 }
+
+/// A name that was just published has no readers yet, and what is sent to nobody is lost: how long the first is waited for, and how many events of the
+/// topic wait meanwhile.
+const FIRST_READER: Duration = Duration::from_secs(1);
+const MAX_WAITING: usize = 256;
+
+/// How often it is looked for a first reader.
+const LOOK_FOR_READERS: Duration = Duration::from_millis(10);
 
 /// What is known of the topic once it has a publisher, or the configuration says all.
 struct Out<'a> {
@@ -42,8 +50,11 @@ struct Out<'a> {
     kind: Kind,
     encoding: gdp::seal::Encoding,
     converter: Converter,
-    pace: Pace,
+    pace: Pace<Arrived>,
+    /// What the name is published for.
     offers: Offer,
+    /// What happened while nobody read the name.
+    waiting: VecDeque<Event>,
     /// Publishers of another type.
     strangers: HashSet<Key>,
 }
@@ -51,47 +62,49 @@ struct Out<'a> {
 impl Route {
     pub(super) async fn run_out(
         &self,
-        graph: &Graph,
-        node: &Node,
-        kind: Option<&TypeName>,
-        card: &NameCard,
-        mut right: Right,
-        publisher: &mut Option<Publisher>,
+        way: &Way<'_>,
+        right: &mut Right,
+        publisher: &mut Option<Published>,
     ) -> Result<Infallible, RouteError> {
-        let mut offers = self.config.qos.map(Offer::from);
+        let Way { graph, node, kind, card, place } = *way;
+        let mut out = self.learn(graph, kind, self.config.qos.map(Offer::from)).await?;
         let mut pause = RETRY.0;
         loop {
-            // Published anew, it is read anew, with all that is latched in the graph.
-            let mut out = self.learn(graph, kind, offers).await?;
+            let farewell = out.roster.farewell()?;
             let new = loop {
                 let options = publish_options(&out.offers, &self.config);
                 match node.publish(card.proof(), right.cert.clone(), options).await {
-                    Ok(new) => break publisher.insert(new),
-                    Err(error) => self.wait_for_right(error, &mut pause, &mut right).await,
+                    Ok(new) => break &mut publisher.insert(Published { publisher: new, farewell }).publisher,
+                    Err(error) => self.wait_for_right(error, &mut pause, right, place).await,
                 }
             };
             self.progress().fabric = FabricCounters::Out(new.meter());
             pause = RETRY.0;
-            self.is_up();
-            let turn = self.carry_out(&mut out, new, &mut right).await?;
+            self.is_up(place);
+            out.roster.offers().for_each(|(number, offers)| new.latch(&roster::origin(number), latched(&offers)));
+            out.wait_for_reader(new).await?;
+            let turn = self.carry_out(&mut out, new, right).await?;
             let published = publisher.take();
             match turn {
-                Turn::More(more) => {
-                    offers = Some(more);
+                Turn::More => {
                     if let Some(published) = published {
                         self.close(published).await;
                     }
+                    out.again()?;
                 }
                 Turn::Ended(error) => {
                     drop(published);
-                    self.wait_for_right(error, &mut pause, &mut right).await;
+                    let offers = out.offers;
+                    self.wait_for_right(error, &mut pause, right, place).await;
+                    // What has come meanwhile is old by now.
+                    out = self.learn(graph, kind, Some(offers)).await?;
                 }
             }
         }
     }
 
-    async fn wait_for_right(&self, error: NodeError, pause: &mut Duration, right: &mut Right) {
-        self.pause_after(error, pause).await;
+    async fn wait_for_right(&self, error: NodeError, pause: &mut Duration, right: &mut Right, place: &Place) {
+        self.pause_after(error, pause, place).await;
         if let Some(new) = right.file.changed().and_then(Permission::publish) {
             right.cert = new;
             right.file.taken();
@@ -147,6 +160,7 @@ impl Route {
             converter,
             pace: Pace::new(self.config.max_hz),
             offers,
+            waiting: VecDeque::new(),
             strangers: HashSet::new(),
         })
     }
@@ -171,9 +185,18 @@ impl Route {
                 self.tell(error);
             }
             self.announce(out, publisher);
+            let due = out.pace.next().into_iter().chain(out.roster.due()).min();
             let event = tokio::select! {
-                event = out.reader.next() => event?,
+                event = out.next() => event?,
                 why = &mut ended => return ended_because(why).map(Turn::Ended),
+                () = until(due) => {
+                    while let Some(arrived) = out.pace.overdue(Instant::now()) {
+                        if let Some(error) = self.send(out, publisher, arrived).await? {
+                            return Ok(Turn::Ended(error));
+                        }
+                    }
+                    continue;
+                }
                 _ = ticks.tick() => {
                     if let Some(new) = right.file.changed().and_then(Permission::publish)
                         && self.renewed(&mut right.file, publisher.renew(new.clone()).await)
@@ -192,13 +215,21 @@ impl Route {
                     }
                     let offers = self.config.qos.map_or(offers, Offer::from);
                     out.roster.joined(key, offers);
-                    let more = stronger(out.offers, offers);
-                    if more != out.offers {
-                        return Ok(Turn::More(more));
+                    if let Some(number) = out.roster.number(&key) {
+                        publisher.latch(&roster::origin(number), latched(&offers));
+                    }
+                    let is_lacking = lacks(&out.offers, &offers);
+                    out.offers = stronger(out.offers, offers);
+                    if is_lacking {
+                        return Ok(Turn::More);
                     }
                 }
                 Event::Left(key) => {
-                    out.pace.left(key);
+                    if let Some(arrived) = out.pace.left(key)
+                        && let Some(error) = self.send(out, publisher, arrived).await?
+                    {
+                        return Ok(Turn::Ended(error));
+                    }
                     out.strangers.remove(&key);
                     if let Some(number) = out.roster.left(&key) {
                         publisher.forget(&roster::origin(number));
@@ -206,12 +237,29 @@ impl Route {
                 }
                 Event::Unreadable(why) => self.drop(Drop::Unreadable, why),
                 Event::Message(arrived) => {
-                    if let Some(error) = self.send(out, publisher, arrived).await? {
+                    if let Some(arrived) = self.paced(out, arrived)
+                        && let Some(error) = self.send(out, publisher, arrived).await?
+                    {
                         return Ok(Turn::Ended(error));
                     }
                 }
             }
         }
+    }
+
+    /// The message, if it is to be sent now.
+    fn paced(&self, out: &mut Out<'_>, arrived: Arrived) -> Option<Arrived> {
+        self.drop_all(Drop::Lost, arrived.lost, "messages were lost before they came to the proxy");
+        if let Some(written_ns) = arrived.written_ns {
+            self.counters.arrival.record_since(written_ns);
+        }
+        if arrived.from.is_some_and(|key| out.strangers.contains(&key)) {
+            self.drop(Drop::Unconvertible, "its publisher uses another type");
+            return None;
+        }
+        let (goes, replaced) = out.pace.take(Instant::now(), arrived.from, arrived);
+        self.counters.dropped(Drop::MaxHz, replaced);
+        goes
     }
 
     /// Sends a roster, if one is due.
@@ -232,19 +280,7 @@ impl Route {
         arrived: Arrived,
     ) -> Result<Option<NodeError>, RouteError> {
         let began = Instant::now();
-        let Arrived { from, bytes, written_ns, lost } = arrived;
-        self.drop_all(Drop::Lost, lost, "messages were lost before they came to the proxy");
-        if let Some(written_ns) = written_ns {
-            self.counters.arrival.record_since(written_ns);
-        }
-        if from.is_some_and(|key| out.strangers.contains(&key)) {
-            self.drop(Drop::Unconvertible, "its publisher uses another type");
-            return Ok(None);
-        }
-        if !out.pace.takes(began, from) {
-            self.counters.dropped(Drop::MaxHz, 1);
-            return Ok(None);
-        }
+        let Arrived { from, bytes, .. } = arrived;
         let body = match out.converter.convert(bytes) {
             Ok(body) => body,
             Err(error) => {
@@ -282,5 +318,40 @@ impl Route {
             }
             _ => tracing::warn!(topic = %self.config.topic, name = %self.name, "the switch refused a frame: {error}"),
         }
+    }
+}
+
+impl Out<'_> {
+    /// What happens next, after what has waited. Safe to cancel.
+    async fn next(&mut self) -> Result<Event, GraphError> {
+        match self.waiting.pop_front() {
+            Some(event) => Ok(event),
+            None => self.reader.next().await,
+        }
+    }
+
+    /// Lets what happens wait until somebody reads the name, for a while.
+    async fn wait_for_reader(&mut self, publisher: &Publisher) -> Result<(), GraphError> {
+        let over = Instant::now() + FIRST_READER;
+        while publisher.readers() == 0 && Instant::now() < over && self.waiting.len() < MAX_WAITING {
+            // It is safe to cancel.
+            if let Ok(event) = tokio::time::timeout(LOOK_FOR_READERS, self.reader.next()).await {
+                self.waiting.push_back(event?);
+            }
+        }
+        Ok(())
+    }
+
+    /// The name is published anew: nobody knows what was told, and what is latched is to be read again.
+    fn again(&mut self) -> Result<(), GraphError> {
+        self.roster.again();
+        self.reader.again()
+    }
+}
+
+async fn until(when: Option<Instant>) {
+    match when {
+        Some(when) => tokio::time::sleep_until(when.into()).await,
+        None => std::future::pending().await,
     }
 }

@@ -115,7 +115,7 @@ async fn a_changed_configuration_disturbs_no_topic_that_is_the_same() {
     more().await;
 
     site.configure("robot", &graph, &format!("topics:\n{steady}{second}"));
-    proxy.hang_up();
+    proxy.signal(libc::SIGHUP);
     until("the second topic is carried", || site.carried("robot").len() == 2).await;
     more().await;
 

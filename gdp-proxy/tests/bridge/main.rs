@@ -7,10 +7,12 @@
 mod automatic;
 #[path = "../hub/mod.rs"]
 mod hub;
+mod lives;
 #[allow(dead_code, reason = "the tests of the ROS 1 node, whose it is, use the rest")]
 #[path = "../../../gdp-ros1/tests/rospy/master.rs"]
 mod master;
 mod site;
+mod twins;
 
 use std::time::Duration;
 
@@ -22,7 +24,8 @@ use gdp_ros::roster::Offer;
 use master::{Master, Process};
 use site::Site;
 
-const RELIABLE: Offer = Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0 };
+const RELIABLE: Offer =
+    Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
 const LATCHED: Offer = Offer { transient_local: true, depth: 1, ..RELIABLE };
 
 #[tokio::test(flavor = "multi_thread")]
@@ -75,8 +78,7 @@ async fn what_one_ros_version_says_the_other_understands_both_ways() {
     let _talker = master.begin("talker", &["publish", "/chatter", "hello"]);
     let reader = participant.reader(&topic("/chatter"), &kind, &RELIABLE).unwrap();
     let heard = within("a message of rospy", reader.recv()).await.unwrap().sample.bytes;
-    let text = std::str::from_utf8(&heard[8..heard.len() - 1]).unwrap();
-    assert!(heard[..4] == [0, 1, 0, 0] && text.starts_with("hello "), "{heard:?}");
+    assert!(heard[..4] == [0, 1, 0, 0] && text(&heard).starts_with("hello "), "{heard:?}");
 
     let mut writer = participant.writer(&topic("/answers"), &kind, &LATCHED).unwrap();
     writer.write(cdr("good morning"), 0).await.unwrap();
@@ -150,6 +152,21 @@ fn graph(master: &Master) -> String {
 
 async fn within<T>(what: &str, future: impl Future<Output = T>) -> T {
     tokio::time::timeout(PATIENCE, future).await.unwrap_or_else(|_| panic!("not in {PATIENCE:?}: {what}"))
+}
+
+async fn until(what: &str, mut is_so: impl FnMut() -> bool) {
+    within(what, async {
+        while !is_so() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    })
+    .await
+}
+
+/// What a `std_msgs/msg/String` says; DDS pads it.
+fn text(cdr: &[u8]) -> &str {
+    let length = u32::from_le_bytes(cdr[4..8].try_into().unwrap()) as usize;
+    std::str::from_utf8(&cdr[8..7 + length]).unwrap()
 }
 
 /// A `std_msgs/msg/String`.

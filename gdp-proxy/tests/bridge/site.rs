@@ -6,9 +6,10 @@ use std::process::{Child, Command, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
-use gdp::node::{SubscribeOptions, Subscription};
+use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp::{Identity, Name, NameCard, Node, NodeConfig, SigningKey};
 use gdp_ctl::serve::{Running, start};
+use serde_json::Value;
 
 use crate::hub;
 
@@ -27,19 +28,37 @@ pub struct Topic {
 }
 
 /// A proxy as a program, that ends with the test.
-pub struct Proxy(Child);
-
-impl Proxy {
-    pub fn hang_up(&self) {
-        assert!(Command::new("kill").args(["-HUP", &self.0.id().to_string()]).status().unwrap().success());
-    }
+pub struct Proxy {
+    child: Child,
+    stats: PathBuf,
 }
 
 impl Drop for Proxy {
     fn drop(&mut self) {
         // It may have ended by itself.
-        _ = self.0.kill();
-        _ = self.0.wait();
+        _ = self.child.kill();
+        _ = self.child.wait();
+    }
+}
+
+impl Proxy {
+    /// Of its routes, as the statistics say them; none before there are some.
+    pub fn statuses(&self) -> Vec<String> {
+        let stats: Value =
+            fs::read(&self.stats).ok().and_then(|read| serde_json::from_slice(&read).ok()).unwrap_or_default();
+        let routes = stats["topics"].as_array().cloned().unwrap_or_default();
+        routes.iter().map(|route| route["status"].as_str().unwrap().to_owned()).collect()
+    }
+
+    pub fn signal(&self, signal: i32) {
+        // SAFETY: no memory is involved; the child is not reaped yet, so this is its number.
+        assert_eq!(unsafe { libc::kill(self.child.id() as i32, signal) }, 0);
+    }
+
+    /// Ends it as whoever runs it does.
+    pub fn stop(mut self) {
+        self.signal(libc::SIGTERM);
+        self.child.wait().unwrap();
     }
 }
 
@@ -121,14 +140,29 @@ impl Site {
         let folder = self.folder(label);
         let log = fs::File::create(folder.join("log")).unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_gdp-proxy"));
-        command.arg("--config").arg(folder.join("proxy.yaml")).arg("--stats").arg(folder.join("stats"));
+        let stats = folder.join("stats.json");
+        command.arg("--config").arg(folder.join("proxy.yaml")).arg("--stats").arg(&stats);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
-        Proxy(command.spawn().unwrap())
+        Proxy { child: command.spawn().unwrap(), stats }
+    }
+
+    async fn node(&self) -> (Identity, Node) {
+        let identity = Identity::generate("proxy").unwrap();
+        let target = format!("udp://{}", self.hub.udp_addr().unwrap()).parse().unwrap();
+        let node = Node::connect(NodeConfig::new(identity.clone(), target)).await.unwrap();
+        (identity, node)
+    }
+
+    /// Publishes a topic's name without a proxy.
+    pub async fn publish(&self, topic: &Topic) -> Publisher {
+        let (identity, node) = self.node().await;
+        let cert = topic.signed_ad_cert(identity.name());
+        node.publish(topic.card.proof(), cert.into(), PublishOptions::reliable()).await.unwrap()
     }
 
     /// The topics that a proxy shows in its statistics as carried.
     pub fn carried(&self, label: &str) -> Vec<String> {
-        let stats = fs::read(self.folder(label).join("stats")).unwrap_or_default();
+        let stats = fs::read(self.folder(label).join("stats.json")).unwrap_or_default();
         let stats: serde_json::Value = serde_json::from_slice(&stats).unwrap_or_default();
         let topics = stats["topics"].as_array().cloned().unwrap_or_default();
         let up = topics.iter().filter(|topic| topic["status"] == "up");
@@ -137,9 +171,7 @@ impl Site {
 
     /// Reads a topic's name without a proxy.
     pub async fn subscribe(&self, topic: &Topic) -> Subscription {
-        let identity = Identity::generate("proxy").unwrap();
-        let target = format!("udp://{}", self.hub.udp_addr().unwrap()).parse().unwrap();
-        let node = Node::connect(NodeConfig::new(identity.clone(), target)).await.unwrap();
+        let (identity, node) = self.node().await;
         let (proof, grant) = (topic.card.proof(), topic.grant(identity.name()));
         node.subscribe(proof, grant.into(), SubscribeOptions::as_offered()).await.unwrap()
     }
@@ -147,9 +179,13 @@ impl Site {
 
 impl Topic {
     fn ad_cert(&self, entity: Name) -> String {
+        self.signed_ad_cert(entity).to_pem()
+    }
+
+    fn signed_ad_cert(&self, entity: Name) -> gdp::cert::Signed<AdCert> {
         let (name, mode, scope, serial) = (self.card.name(), Mode::Multicast, vec![], now());
         let cert = AdCert { name, entity, mode, scope, serial, not_before: 0, not_after: u64::MAX };
-        issue(&self.owner, &cert).unwrap().to_pem()
+        issue(&self.owner, &cert).unwrap()
     }
 
     fn grant(&self, entity: Name) -> gdp::cert::Signed<ReadGrant> {

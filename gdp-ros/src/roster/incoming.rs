@@ -28,11 +28,17 @@ pub struct Incoming {
 struct Peer {
     kind: Kind,
     definition: Option<Arc<str>>,
-    /// None of one that is not heard of any more: it may come back, and say no more than that.
-    writers: BTreeMap<u32, Offer>,
+    writers: BTreeMap<u32, Listed>,
     /// The message that said so, in its session.
     said: ([u8; 16], u64),
     heard: Instant,
+}
+
+#[derive(Clone, Copy)]
+struct Listed {
+    offers: Offer,
+    /// Nothing was heard for as long as its lease.
+    is_silent: bool,
 }
 
 /// What becomes of a publisher's counterpart here.
@@ -45,6 +51,11 @@ pub enum Change {
         kind: Kind,
         definition: Option<Arc<str>>,
         offers: Offer,
+    },
+    /// Nothing is heard of it any more: it may have gone, or it joins again, as the same.
+    Silent {
+        writer: Name,
+        number: u32,
     },
     Left {
         writer: Name,
@@ -70,8 +81,18 @@ impl Incoming {
     pub fn roster(&mut self, now: Instant, message: &Message) -> Result<(Vec<Change>, Vec<Message>), RosterError> {
         let Roster { kind, definition, writers, .. } = Roster::from_bytes(&message.body)?;
         let (writer, said) = (message.writer, (message.session, message.sequence));
-        if !self.peers.contains_key(&writer) && self.peers.len() >= MAX_PEERS && !self.forget_silent(now) {
-            return Err(RosterError::TooMuch { what: "writers of a name", got: MAX_PEERS + 1, most: MAX_PEERS });
+        let mut changes = Vec::new();
+        if !self.peers.contains_key(&writer) && self.peers.len() >= MAX_PEERS {
+            match self.forget_silent(now) {
+                Some(left) => changes = left,
+                None => {
+                    return Err(RosterError::TooMuch {
+                        what: "writers of a name",
+                        got: MAX_PEERS + 1,
+                        most: MAX_PEERS,
+                    });
+                }
+            }
         }
         let before = self.peers.get(&writer);
         let same_session = before.is_some_and(|peer| peer.said.0 == said.0);
@@ -83,19 +104,24 @@ impl Incoming {
         // A brief one leaves the definition as it is.
         let definition_is_new = definition.is_some() && definition.as_deref() != known.as_deref();
         let definition = definition.map(Arc::from).or(known);
-        let writers: BTreeMap<u32, Offer> = writers.iter().map(|writer| (writer.number, writer.offers)).collect();
+        let listed = |offers| Listed { offers, is_silent: false };
+        let writers: BTreeMap<u32, Listed> =
+            writers.iter().map(|writer| (writer.number, listed(writer.offers))).collect();
         let empty = BTreeMap::new();
         let there = before.map_or(&empty, |peer| &peer.writers);
         // Another session's numbers are other publishers.
         let stays = |number: &u32| same_session && writers.contains_key(number);
         let left = there.keys().filter(|number| !stays(number)).map(|number| Change::Left { writer, number: *number });
         let stands = same_kind && !definition_is_new;
-        let joined = writers.iter().filter(|(number, offers)| !(stands && there.get(number) == Some(offers)));
-        let joined = joined.map(|(number, offers)| {
+        let is_as_before = |number: &u32, offers: &Offer| {
+            stands && there.get(number).is_some_and(|before| !before.is_silent && before.offers == *offers)
+        };
+        let joined = writers.iter().filter(|(number, now)| !is_as_before(number, &now.offers));
+        let joined = joined.map(|(number, now)| {
             let (kind, definition) = (kind.clone(), definition.clone());
-            Change::Joined { writer, number: *number, kind, definition, offers: *offers }
+            Change::Joined { writer, number: *number, kind, definition, offers: now.offers }
         });
-        let changes = left.chain(joined).collect();
+        changes.extend(left.chain(joined));
         self.peers.insert(writer, Peer { kind, definition, writers, said, heard: now });
         Ok((changes, self.release(writer)))
     }
@@ -103,8 +129,14 @@ impl Incoming {
     /// What came with a name, other than a roster.
     pub fn message(&mut self, now: Instant, message: Message) -> Taken {
         let Some(number) = number(&message.origin) else { return Taken::Plain(message) };
-        let peer = self.peers.get(&message.writer);
-        if peer.is_some_and(|peer| peer.said.0 == message.session && peer.writers.contains_key(&number)) {
+        if let Some(peer) = self.peers.get_mut(&message.writer)
+            && peer.said.0 == message.session
+            && let Some(from) = peer.writers.get(&number)
+        {
+            // Of those that are silent the next roster tells, which is on its way.
+            if !from.is_silent {
+                peer.heard = now;
+            }
             return Taken::From(number, message);
         }
         self.held_bytes += message.body.len();
@@ -117,13 +149,16 @@ impl Incoming {
         if gone == 0 { Taken::Held } else { Taken::Crowded(gone) }
     }
 
-    /// Publishers whose writers are not heard of any more have left. Messages that waited for as long are dropped: how many.
+    /// Who is not heard of any more. Messages that waited for so long are dropped: how many.
     pub fn poll(&mut self, now: Instant) -> (Vec<Change>, usize) {
         let mut changes = Vec::new();
         for (writer, peer) in &mut self.peers {
-            if now.saturating_duration_since(peer.heard) >= LEASE {
-                let numbers = std::mem::take(&mut peer.writers).into_keys();
-                changes.extend(numbers.map(|number| Change::Left { writer: *writer, number }));
+            let silence = now.saturating_duration_since(peer.heard);
+            for (number, listed) in &mut peer.writers {
+                if !listed.is_silent && silence >= listed.offers.lease() {
+                    listed.is_silent = true;
+                    changes.push(Change::Silent { writer: *writer, number: *number });
+                }
             }
         }
         let before = self.held.len();
@@ -140,11 +175,14 @@ impl Incoming {
         std::mem::take(self).peers.into_iter().flat_map(numbers).collect()
     }
 
-    /// Makes room for one more writer, if one is not heard of any more.
-    fn forget_silent(&mut self, now: Instant) -> bool {
-        let silent = |peer: &Peer| now.saturating_duration_since(peer.heard) >= LEASE && peer.writers.is_empty();
-        let found = self.peers.iter().find(|(_, peer)| silent(peer)).map(|(writer, _)| *writer);
-        found.is_some_and(|writer| self.peers.remove(&writer).is_some())
+    /// Makes room for one more writer, if one is not heard of any more: its publishers have left.
+    fn forget_silent(&mut self, now: Instant) -> Option<Vec<Change>> {
+        let is_silent = |peer: &Peer| {
+            now.saturating_duration_since(peer.heard) >= LEASE && peer.writers.values().all(|listed| listed.is_silent)
+        };
+        let writer = *self.peers.iter().find(|(_, peer)| is_silent(peer))?.0;
+        let numbers = self.peers.remove(&writer)?.writers.into_keys();
+        Some(numbers.map(|number| Change::Left { writer, number }).collect())
     }
 
     fn drop_oldest(&mut self) {

@@ -28,6 +28,9 @@ pub const REFRESH: Duration = Duration::from_secs(3);
 /// publishers, and what is repaired then finds them.
 pub const LEASE: Duration = Duration::from_secs(30);
 
+/// The shortest lease that a publisher's promises make.
+pub const MIN_LEASE: Duration = Duration::from_secs(1);
+
 /// Publishers of a topic in one ROS graph. More are not told apart.
 pub const MAX_WRITERS: usize = 512;
 
@@ -37,7 +40,7 @@ pub const MAX_DEFINITION: usize = 256 << 10;
 const MAX_ROSTER: usize = MAX_DEFINITION + MAX_WRITERS * 256;
 const MAX_KIND: usize = 256;
 const MAX_HASH: usize = 32;
-const VERSION: u8 = 1;
+const VERSION: u8 = 2;
 
 /// What is told of a topic.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -100,6 +103,16 @@ pub struct Offer {
     pub deadline_ns: u64,
     /// Nanoseconds after which a message is not delivered any more; 0 for never.
     pub lifespan_ns: u64,
+    /// Nanoseconds within which it shows that it is alive; 0 for no promise.
+    pub liveliness_ns: u64,
+}
+
+impl Offer {
+    /// For how long a publisher that offers this is taken for there, if nothing is heard of its proxy: [`LEASE`], or as long as its promises hold.
+    pub fn lease(&self) -> Duration {
+        let promises = [self.deadline_ns, self.liveliness_ns].into_iter().filter(|ns| *ns > 0).min();
+        promises.map_or(LEASE, |ns| Duration::from_nanos(ns).clamp(MIN_LEASE, LEASE))
+    }
 }
 
 /// Why a roster is not taken.

@@ -1,11 +1,11 @@
 //! The side that tells: numbers the publishers of a topic in a ROS graph, and says when a roster is to be sent.
 
 use std::collections::{BTreeMap, HashMap};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use gdp::cbor::CborError;
 
-use super::{Kind, MAX_WRITERS, Offer, REFRESH, Roster, VERSION, Writer};
+use super::{Kind, LEASE, MAX_WRITERS, Offer, REFRESH, Roster, VERSION, Writer};
 
 /// Of a topic that goes out. `K` is what tells publishers apart in the ROS graph.
 pub struct Outgoing<K> {
@@ -73,6 +73,27 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
         self.numbers.get(key).copied()
     }
 
+    /// Of all that are there.
+    pub fn offers(&self) -> impl Iterator<Item = (u32, Offer)> {
+        self.writers.iter().map(|(number, offers)| (*number, *offers))
+    }
+
+    /// How often a roster is sent: so that three may be lost before a publisher is missed.
+    fn refresh(&self) -> Duration {
+        let lease = self.writers.values().map(Offer::lease).min().unwrap_or(LEASE);
+        REFRESH.min(lease / 4)
+    }
+
+    /// When the next roster is due, if nothing changes.
+    pub fn due(&self) -> Option<Instant> {
+        self.due
+    }
+
+    /// The publishers are not carried any more: what tells so.
+    pub fn farewell(&self) -> Result<Vec<u8>, CborError> {
+        Roster { version: VERSION, kind: self.kind.clone(), definition: None, writers: vec![] }.to_bytes()
+    }
+
     /// What is to be sent now, if anything is.
     pub fn poll(&mut self, now: Instant) -> Result<Option<Announcement>, CborError> {
         if !self.changed && self.due.is_some_and(|due| now < due) {
@@ -81,7 +102,7 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
         // What is best effort may have lost the one before.
         let whole = std::mem::take(&mut self.changed) || self.briefs >= BRIEFS;
         self.briefs = if whole { 0 } else { self.briefs + 1 };
-        self.due = Some(now + REFRESH);
+        self.due = Some(now + self.refresh());
         let writers = self.writers.iter().map(|(number, offers)| Writer { number: *number, offers: *offers }).collect();
         let definition = self.definition.clone().filter(|_| whole);
         let bytes = Roster { version: VERSION, kind: self.kind.clone(), definition, writers }.to_bytes()?;

@@ -1,5 +1,5 @@
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use gdp::Name;
@@ -7,7 +7,8 @@ use gdp::seal::Message;
 
 use super::*;
 
-const RELIABLE: Offer = Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0 };
+const RELIABLE: Offer =
+    Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
 const LATCHED: Offer = Offer { transient_local: true, depth: 1, ..RELIABLE };
 
 fn kind() -> Kind {
@@ -75,8 +76,10 @@ fn publishers_come_and_go_at_the_other_end() {
     let (late, _) = into.roster(now, &message(1, 3, b"", brief_of(&changed))).unwrap();
     assert_eq!(late, [], "an earlier one changes nothing");
 
+    let silent = |number| Change::Silent { writer: name(1), number };
     assert_eq!(into.poll(now + LEASE / 2).0, []);
-    assert_eq!(into.poll(now + LEASE).0, [left(1), left(2)]);
+    assert_eq!(into.poll(now + LEASE).0, [silent(1), silent(2)]);
+    assert_eq!(into.poll(now + 2 * LEASE).0, [], "once");
     let back = body(out.poll(now + LEASE).unwrap());
     let (changes, _) = into.roster(now + LEASE, &message(1, 9, b"", back)).unwrap();
     assert_eq!(changes, [joined(1, RELIABLE, definition), joined(2, RELIABLE, definition)], "its definition is known");
@@ -87,6 +90,31 @@ fn publishers_come_and_go_at_the_other_end() {
 fn brief_of(roster: &[u8]) -> Vec<u8> {
     let roster = Roster::from_bytes(roster).unwrap();
     Roster { writers: vec![], definition: None, ..roster }.to_bytes().unwrap()
+}
+
+#[test]
+fn who_promises_more_is_missed_sooner_and_spoken_of_more_often() {
+    let now = Instant::now();
+    let (mut out, mut into) = (Outgoing::new(kind(), None), Incoming::default());
+    let lively = Offer { liveliness_ns: 2_000_000_000, deadline_ns: 9_000_000_000, ..RELIABLE };
+    out.joined(0, RELIABLE);
+    assert_eq!((RELIABLE.lease(), lively.lease()), (LEASE, Duration::from_secs(2)));
+    assert_eq!(Offer { deadline_ns: 1, ..RELIABLE }.lease(), MIN_LEASE);
+    out.joined(1, lively);
+    let roster = body(out.poll(now).unwrap());
+    into.roster(now, &message(1, 1, b"", roster)).unwrap();
+    assert_eq!(out.due(), Some(now + Duration::from_millis(500)));
+    let at = |ms| now + Duration::from_millis(ms);
+    // A message shows that its proxy is there as well as a roster does.
+    into.message(at(1500), message(1, 2, &origin(0), "x"));
+    assert_eq!(into.poll(at(3499)).0, []);
+    let missed = Change::Silent { writer: name(1), number: 1 };
+    assert_eq!(into.poll(at(3500)).0, [missed]);
+    let again = body(out.poll(at(3600)).unwrap());
+    let (changes, _) = into.roster(at(3600), &message(1, 3, b"", again)).unwrap();
+    assert_eq!(changes, [joined(1, lively, None)], "the other was never missed");
+    let (changes, _) = into.roster(at(3700), &message(1, 4, b"", out.farewell().unwrap())).unwrap();
+    assert_eq!(changes, [0, 1].map(|number| Change::Left { writer: name(1), number }));
 }
 
 #[test]
@@ -144,7 +172,7 @@ fn what_is_no_roster_is_refused_and_named() {
     let refused = |roster: &Roster| Roster::from_bytes(&roster.to_bytes().unwrap()).unwrap_err().to_string();
     assert!(Roster::from_bytes(b"").is_err() && Roster::from_bytes(&[0xff; 9]).is_err());
     assert!(Roster::from_bytes(&good.to_bytes().unwrap()).is_ok());
-    assert!(refused(&Roster { version: 2, ..good.clone() }).contains("version 2"));
+    assert!(refused(&Roster { version: 1, ..good.clone() }).contains("version 1"));
     let long = Kind { name: "x".repeat(257), ..kind() };
     assert!(refused(&Roster { kind: long, ..good.clone() }).contains("name: 257 where at most 256"));
     let definition = Some("x".repeat(MAX_DEFINITION + 1));

@@ -3,6 +3,7 @@
 
 peer.py NAME publish TOPIC TEXT     std_msgs/String, 20 a second: "TEXT 0", "TEXT 1", …
 peer.py NAME latch TOPIC TEXT       std_msgs/String, once
+peer.py NAME once TOPIC TEXT        std_msgs/String, once as soon as somebody is connected, and ends
 peer.py NAME publish-image TOPIC N  sensor_msgs/Image of N bytes, once, latched
 peer.py NAME listen TOPIC           std_msgs/String
 peer.py NAME listen-image TOPIC     sensor_msgs/Image
@@ -45,6 +46,14 @@ def latch(topic, text):
     publisher.publish(text)
     say("ready")
     rospy.spin()
+
+
+def once(topic, text):
+    publisher = rospy.Publisher(topic, String, queue_size=1)
+    while publisher.get_num_connections() == 0:
+        rospy.sleep(0.01)
+    publisher.publish(text)
+    rospy.sleep(0.1)
 
 
 def publish_image(topic, size):

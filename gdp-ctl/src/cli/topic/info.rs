@@ -76,13 +76,13 @@ fn kind(card: &NameCard, info: &Info) -> String {
 
 fn value(card: &NameCard, info: &Info) -> Value {
     let publisher = |((writer, number), publisher): &((Name, u32), Publisher)| {
-        let Offer { reliable, transient_local, depth, deadline_ns, lifespan_ns, .. } = publisher.offers;
+        let Offer { reliable, transient_local, depth, deadline_ns, lifespan_ns, liveliness_ns } = publisher.offers;
         json!({
             "writer": writer, "number": number, "type": publisher.kind.name, "type_hash": hash(&publisher.kind),
             "dialect": publisher.kind.dialect, "reliability": if reliable { "reliable" } else { "best_effort" },
             "durability": if transient_local { "transient_local" } else { "volatile" },
             "history": if depth == 0 { "keep_all" } else { "keep_last" }, "depth": depth,
-            "deadline_ns": deadline_ns, "lifespan_ns": lifespan_ns,
+            "deadline_ns": deadline_ns, "lifespan_ns": lifespan_ns, "liveliness_lease_ns": liveliness_ns,
         })
     };
     json!({
@@ -142,11 +142,12 @@ fn qos(offers: &Offer) -> String {
     };
     format!(
         "  Reliability: {}\n  History (Depth): {history}\n  Durability: {}\n  Lifespan: {}\n  Deadline: {}\n  Liveliness: AUTOMATIC\n  \
-         Liveliness lease duration: Infinite",
+         Liveliness lease duration: {}",
         if offers.reliable { "RELIABLE" } else { "BEST_EFFORT" },
         if offers.transient_local { "TRANSIENT_LOCAL" } else { "VOLATILE" },
         time(offers.lifespan_ns),
         time(offers.deadline_ns),
+        time(offers.liveliness_ns),
     )
 }
 

@@ -108,7 +108,14 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
 fn offer(options: &Options) -> Offer {
     let (reliable, transient_local) =
         (options.qos_reliability == Reliable::Reliable, options.qos_durability == Durable::TransientLocal);
-    Offer { reliable, transient_local, depth: options.qos_depth.max(1), deadline_ns: 0, lifespan_ns: 0 }
+    Offer {
+        reliable,
+        transient_local,
+        depth: options.qos_depth.max(1),
+        deadline_ns: 0,
+        lifespan_ns: 0,
+        liveliness_ns: 0,
+    }
 }
 
 fn publish_options(options: &Options) -> PublishOptions {

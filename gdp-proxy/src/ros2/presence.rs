@@ -1,0 +1,47 @@
+//! What the proxies in a DDS domain tell one another: a CDR string on a topic that is none of ROS.
+
+use super::{RawReader, RawSample, RawWriter, Representation};
+use crate::twins::Voice;
+
+pub struct Presence {
+    pub writer: RawWriter,
+    pub reader: RawReader,
+}
+
+impl Voice for Presence {
+    async fn tell(&mut self, text: String) {
+        if let Err(error) = self.writer.write(written(&text), 0).await {
+            tracing::debug!("other proxies in the domain were not told: {error}");
+        }
+    }
+
+    async fn hear(&mut self) -> Option<Vec<u8>> {
+        Some(self.reader.recv().await.map_or_else(|_| vec![], |arrived| read(&arrived.sample)))
+    }
+}
+
+fn written(text: &str) -> RawSample {
+    let length = text.len() as u32 + 1;
+    let bytes = [&[0, 1, 0, 0], &length.to_le_bytes()[..], text.as_bytes(), &[0]].concat();
+    RawSample { representation: Representation::CdrLe, bytes: bytes.into() }
+}
+
+/// Nothing, if it is no string.
+fn read(sample: &RawSample) -> Vec<u8> {
+    let [_, _, _, _, a, b, c, d, text @ ..] = &sample.bytes[..] else { return vec![] };
+    let length = u32::from_le_bytes([*a, *b, *c, *d]) as usize;
+    text.get(..length.saturating_sub(1)).unwrap_or_default().to_vec()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_written_is_read_and_nonsense_is_nothing() {
+        assert_eq!(read(&written("{}")), b"{}");
+        for bytes in [&[0, 1, 0, 0][..], &[0, 1, 0, 0, 9, 0, 0, 0, 1], &[0, 1, 0, 0, 0, 0, 0, 0]] {
+            assert_eq!(read(&RawSample { representation: Representation::CdrLe, bytes: bytes.to_vec().into() }), b"");
+        }
+    }
+}

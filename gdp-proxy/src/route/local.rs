@@ -1,0 +1,228 @@
+//! What stands in the graph for one publisher elsewhere.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use gdp::seal::Message;
+use gdp_msg::Encoding;
+
+use super::hold::Hold;
+use crate::delivery::latched;
+use crate::graph::{WriteError, Writer};
+use crate::stats::{Drop, RouteCounters};
+use gdp_ros::roster::{Kind, Offer};
+use gdp_ros::types::{Converter, Form, Types, unsealed};
+
+/// For how long it stays after its publisher has gone and something was written: so that reliable subscribers can have it repaired.
+const LINGER: Duration = Duration::from_secs(1);
+
+/// Bytes that are kept of what one publisher latches.
+const MAX_KEPT_BYTES: usize = 64 << 20;
+
+/// Between attempts to make one: doubled from the first to the second.
+const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
+
+/// The counterpart of a publisher, or what is known of one that cannot be made.
+pub struct Local {
+    pub kind: Kind,
+    pub definition: Option<Arc<str>>,
+    pub offers: Offer,
+    state: State,
+    /// What the publisher latches, for a writer that is made later.
+    kept: VecDeque<Message>,
+}
+
+enum State {
+    /// It is to be made.
+    Wanted,
+    Made(Box<Made>),
+    /// Nothing is heard of its publisher.
+    Silent,
+    Failed {
+        why: String,
+        again: Instant,
+        pause: Duration,
+    },
+}
+
+/// A writer, and how messages become such as it takes.
+pub struct Made {
+    pub writer: Writer,
+    /// Of the publisher, and the same in this graph.
+    pub kinds: (Kind, Kind),
+    pub definitions: (Option<Arc<str>>, Option<String>),
+    /// By what messages are in; nearly always one.
+    converters: Vec<(Encoding, Converter)>,
+    hold: Option<Hold<(Bytes, u64)>>,
+    written: Option<Instant>,
+}
+
+/// Why a message was not written.
+pub type Refused = (Drop, String);
+
+impl Local {
+    pub fn new(kind: Kind, definition: Option<Arc<str>>, offers: Offer) -> Self {
+        Self { kind, definition, offers, state: State::Wanted, kept: VecDeque::new() }
+    }
+
+    /// Whether it is time to try to make it.
+    pub fn is_due(&self, now: Instant) -> bool {
+        match &self.state {
+            State::Wanted => true,
+            State::Failed { again, .. } => *again <= now,
+            State::Made(_) | State::Silent => false,
+        }
+    }
+
+    /// Why there is none, if one could not be made.
+    pub fn fault(&self) -> Option<&str> {
+        match &self.state {
+            State::Failed { why, .. } => Some(why),
+            _ => None,
+        }
+    }
+
+    /// It is made: what its publisher latches is written first.
+    pub fn made(&mut self, made: Made) -> Vec<Message> {
+        self.state = State::Made(made.into());
+        self.kept.iter().cloned().collect()
+    }
+
+    pub fn failed(&mut self, now: Instant, why: String) {
+        let pause = match &self.state {
+            State::Failed { pause, .. } => (*pause * 2).min(RETRY.1),
+            _ => RETRY.0,
+        };
+        self.state = State::Failed { why, again: now + pause, pause };
+    }
+
+    /// Nothing is heard of its publisher: subscribers here see it go.
+    pub fn silence(&mut self) -> Option<Made> {
+        match std::mem::replace(&mut self.state, State::Silent) {
+            State::Made(made) => Some(*made),
+            _ => None,
+        }
+    }
+
+    /// It is to be made anew, for this. What was there, if it was.
+    pub fn renew(&mut self, kind: Kind, definition: Option<Arc<str>>, offers: Offer) -> Option<Made> {
+        if kind != self.kind {
+            self.kept.clear();
+        }
+        (self.kind, self.definition, self.offers) = (kind, definition, offers);
+        match std::mem::replace(&mut self.state, State::Wanted) {
+            State::Made(made) => Some(*made),
+            _ => None,
+        }
+    }
+
+    pub fn into_made(mut self) -> Option<Made> {
+        self.silence()
+    }
+
+    /// Keeps a message that its publisher latches.
+    pub fn keep(&mut self, message: &Message) {
+        let most = latched(&self.offers);
+        if most == 0 {
+            return self.kept.clear();
+        }
+        self.kept.push_back(message.clone());
+        let bytes = |kept: &VecDeque<Message>| kept.iter().map(|message| message.body.len()).sum::<usize>();
+        while self.kept.len() > most || (self.kept.len() > 1 && bytes(&self.kept) > MAX_KEPT_BYTES) {
+            self.kept.pop_front();
+        }
+    }
+
+    pub fn made_mut(&mut self) -> Option<&mut Made> {
+        match &mut self.state {
+            State::Made(made) => Some(made),
+            _ => None,
+        }
+    }
+}
+
+impl Made {
+    pub fn new(
+        now: Instant,
+        writer: Writer,
+        kinds: (Kind, Kind),
+        definitions: (Option<Arc<str>>, Option<String>),
+    ) -> Self {
+        Self { writer, kinds, definitions, converters: vec![], hold: Some(Hold::new(now)), written: None }
+    }
+
+    /// Writes a message, or has it wait.
+    pub async fn take(&mut self, types: &Types, counters: &RouteCounters, message: Message) -> Result<(), Refused> {
+        let (timestamp_ns, began) = (message.timestamp_ns, Instant::now());
+        let bytes = self.convert(types, message).map_err(|why| (Drop::Unconvertible, why))?;
+        match &mut self.hold {
+            Some(hold) => {
+                let length = bytes.len();
+                hold.push((bytes, timestamp_ns), length);
+            }
+            None => {
+                self.write(counters, bytes, timestamp_ns).await?;
+                counters.handling.record(began.elapsed());
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether something waits.
+    pub fn is_holding(&self) -> bool {
+        self.hold.is_some()
+    }
+
+    /// Writes what has waited, once it need not wait any more; what was refused.
+    pub async fn look(&mut self, counters: &RouteCounters, now: Instant) -> Vec<Refused> {
+        let Self { writer, hold, .. } = self;
+        let mut refused = Vec::new();
+        if hold.as_mut().is_some_and(|hold| hold.is_over(now, || writer.is_matched()))
+            && let Some(hold) = self.hold.take()
+        {
+            for (bytes, timestamp_ns) in hold.into_waiting() {
+                refused.extend(self.write(counters, bytes, timestamp_ns).await.err());
+            }
+        }
+        refused
+    }
+
+    /// Whether it may go, its publisher having gone.
+    pub fn is_over(&self, now: Instant) -> bool {
+        self.hold.is_none() && self.written.is_none_or(|written| now >= written + LINGER)
+    }
+
+    async fn write(&mut self, counters: &RouteCounters, bytes: Bytes, timestamp_ns: u64) -> Result<(), Refused> {
+        let length = bytes.len();
+        let result = self.writer.write(bytes, timestamp_ns).await;
+        self.written = Some(Instant::now());
+        match result {
+            Ok(()) => {
+                counters.passed(length);
+                Ok(())
+            }
+            Err(error @ WriteError::Malformed) => Err((Drop::Malformed, error.to_string())),
+            Err(error @ WriteError::Stalled) => Err((Drop::Stalled, error.to_string())),
+            Err(error @ WriteError::Failed(_)) => Err((Drop::WriteFailed, error.to_string())),
+        }
+    }
+
+    fn convert(&mut self, types: &Types, message: Message) -> Result<Bytes, String> {
+        let encoding = unsealed(message.encoding).map_err(|error| error.to_string())?;
+        let Self { kinds, definitions, converters, .. } = self;
+        let at = match converters.iter().position(|(of, _)| *of == encoding) {
+            Some(at) => at,
+            None => {
+                let from = Form { kind: &kinds.0, definition: definitions.0.as_deref(), encoding };
+                let native = kinds.1.dialect.native();
+                let to = Form { kind: &kinds.1, definition: definitions.1.as_deref(), encoding: native };
+                let converter = types.converter(&from, &to).map_err(|error| error.to_string())?;
+                converters.push((encoding, converter));
+                converters.len() - 1
+            }
+        };
+        converters[at].1.convert(message.body).map_err(|error| error.to_string())
+    }
+}

@@ -1,0 +1,146 @@
+//! The counterparts of all publishers elsewhere, for one topic.
+
+use std::collections::{HashMap, VecDeque};
+use std::time::{Duration, Instant};
+
+use gdp::Name;
+
+use super::local::{Local, Made};
+use gdp_ros::roster::Change;
+
+/// Publishers elsewhere that have a counterpart. More have none.
+const MAX_LOCALS: usize = 512;
+
+/// Counterparts that stay for a moment after their publisher. Of more, the oldest go at once.
+const MAX_LEAVING: usize = 64;
+
+/// Writers that are made: so many at once, and one more in each period. Who says something else of its publishers with every message would keep the whole ROS
+/// graph busy.
+const BURST: u32 = MAX_LOCALS as u32;
+const PERIOD: Duration = Duration::from_millis(50);
+
+/// Whose counterpart it is. `None`: of all writers that tell no publishers apart.
+pub type Whose = Option<(Name, u32)>;
+
+pub struct Locals {
+    by: HashMap<Whose, Local>,
+    leaving: VecDeque<Made>,
+    budget: Budget,
+}
+
+struct Budget {
+    left: u32,
+    since: Instant,
+}
+
+impl Locals {
+    pub fn new(now: Instant) -> Self {
+        Self { by: HashMap::new(), leaving: VecDeque::new(), budget: Budget { left: BURST, since: now } }
+    }
+
+    pub fn get(&mut self, whose: &Whose) -> Option<&mut Local> {
+        self.by.get_mut(whose)
+    }
+
+    pub fn insert(&mut self, whose: Whose, local: Local) {
+        self.by.insert(whose, local);
+    }
+
+    /// False if there is no room.
+    pub fn change(&mut self, now: Instant, change: Change) -> bool {
+        let gone = match change {
+            Change::Left { writer, number } => self.by.remove(&Some((writer, number))).and_then(Local::into_made),
+            Change::Silent { writer, number } => {
+                // Nobody is to take it for there a moment longer.
+                self.by.get_mut(&Some((writer, number))).and_then(Local::silence);
+                None
+            }
+            Change::Joined { writer, number, kind, definition, offers } => {
+                let (whose, is_full) = (Some((writer, number)), self.by.len() >= MAX_LOCALS);
+                match self.by.get_mut(&whose) {
+                    Some(local) => local.renew(kind, definition, offers),
+                    None if is_full => return false,
+                    None => {
+                        self.by.insert(whose, Local::new(kind, definition, offers));
+                        None
+                    }
+                }
+            }
+        };
+        self.leaving.extend(gone.filter(|made| !made.is_over(now)));
+        while self.leaving.len() > MAX_LEAVING {
+            self.leaving.pop_front();
+        }
+        true
+    }
+
+    /// Those that are to be made now, as far as so many may be.
+    pub fn due(&mut self, now: Instant) -> Vec<Whose> {
+        let due: Vec<Whose> = self.by.iter().filter(|(_, local)| local.is_due(now)).map(|(whose, _)| *whose).collect();
+        due.into_iter().take_while(|_| self.budget.take(now)).collect()
+    }
+
+    /// All that are there, also those that are about to go.
+    pub fn made(&mut self) -> impl Iterator<Item = &mut Made> {
+        self.by.values_mut().filter_map(Local::made_mut).chain(&mut self.leaving)
+    }
+
+    pub fn is_busy(&mut self) -> bool {
+        self.made().any(|made| made.is_holding())
+    }
+
+    /// Lets those go whose time is over.
+    pub fn sweep(&mut self, now: Instant) {
+        self.leaving.retain(|made| !made.is_over(now));
+    }
+
+    /// The publishers that have none, and why.
+    pub fn faults(&self) -> impl Iterator<Item = (&Whose, &str)> {
+        self.by.iter().filter_map(|(whose, local)| Some((whose, local.fault()?)))
+    }
+}
+
+impl Budget {
+    fn take(&mut self, now: Instant) -> bool {
+        let periods = now.saturating_duration_since(self.since).as_millis() / PERIOD.as_millis();
+        if periods > 0 {
+            let more = u32::try_from(periods).unwrap_or(BURST);
+            (self.left, self.since) = (self.left.saturating_add(more).min(BURST), now);
+        }
+        let may = self.left > 0;
+        self.left -= u32::from(may);
+        may
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gdp_ros::roster::{Dialect, Kind, Offer};
+
+    #[test]
+    fn a_roster_that_changes_all_the_time_makes_only_so_many_writers() {
+        let start = Instant::now();
+        let mut locals = Locals::new(start);
+        let kind = Kind { dialect: Dialect::Ros2, name: "std_msgs/msg/String".into(), hash: vec![] };
+        let offers = Offer {
+            reliable: true,
+            transient_local: false,
+            depth: 1,
+            deadline_ns: 0,
+            lifespan_ns: 0,
+            liveliness_ns: 0,
+        };
+        let (writer, mut made) = (Name::from_bytes([1; 32]), 0);
+        for i in 0..10_000 {
+            let now = start + Duration::from_millis(i);
+            let offers = Offer { depth: i as u32, ..offers };
+            locals.change(now, Change::Joined { writer, number: 7, kind: kind.clone(), definition: None, offers });
+            made += locals.due(now).len();
+        }
+        assert!((512..=512 + 200).contains(&made), "{made}");
+        let joined = |number| Change::Joined { writer, number, kind: kind.clone(), definition: None, offers };
+        let taken = (100..1000).filter(|number| locals.change(start, joined(*number))).count();
+        assert_eq!(taken, MAX_LOCALS - 1);
+    }
+}

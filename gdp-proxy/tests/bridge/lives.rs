@@ -1,0 +1,188 @@
+//! Publishers that come and go: whoever is there hears what they say, and nobody takes one for there that has gone.
+
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use gdp::node::Subscription;
+use gdp::seal::Message;
+use gdp_proxy::ros2::{Domain, RawReader, RawWriter, TopicName, TypeName};
+use gdp_ros::roster::{Announcement, Dialect, Kind, Offer, Outgoing, ROSTER};
+
+use crate::master::Master;
+use crate::site::{Proxy, Site};
+use crate::{LATCHED, RELIABLE, cdr, graph, text, texts, until, within};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_publisher_of_a_single_message_is_heard() {
+    let site = Site::start().await;
+    let (here, there) = (Master::start().await, Master::start().await);
+    let (near, far) = (site.domain_id() + 1, site.domain_id() + 2);
+    let topics = [site.topic("/ros1", "std_msgs/msg/String")];
+    let others = [site.topic("/ros2", "std_msgs/msg/String")];
+    let _proxies = [
+        site.proxy("a", &graph(&here), &topics, "direction: out"),
+        site.proxy("b", &graph(&there), &topics, "direction: in"),
+        site.proxy("c", &domain(near), &others, "direction: out"),
+        site.proxy("d", &domain(far), &others, "direction: in"),
+    ];
+    let (mut listener, _) = there.peer("listener", &["listen", "/ros1"]).await;
+    let _once = here.begin("once", &["once", "/ros1", "only this"]);
+    assert_eq!(texts(&mut listener, 1).await, ["only this"]);
+
+    let (talking, listening) = (Domain::join(near, "talker").unwrap(), Domain::join(far, "listener").unwrap());
+    let reader = listening.reader(&topic("/ros2"), &string(), &RELIABLE).unwrap();
+    // A first one, of whom all is learned, and one that comes when all is known.
+    for said in ["the first", "the second"] {
+        let mut writer = talking.writer(&topic("/ros2"), &string(), &RELIABLE).unwrap();
+        matched(&writer).await;
+        writer.write(cdr(said), 0).await.unwrap();
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        drop(writer);
+        assert_eq!(text(&received(&reader).await), said);
+    }
+    talking.leave().await;
+    listening.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_publisher_beside_one_that_latches_does_not_latch_and_the_last_of_a_burst_is_not_lost() {
+    let site = Site::start().await;
+    let id = site.domain_id() + 3;
+    let topics = [site.topic("/mixed", "std_msgs/msg/String")];
+    let _proxy = site.proxy("robot", &domain(id), &topics, "direction: out, max_hz: 2");
+    let talking = Domain::join(id, "talker").unwrap();
+    let mut early = site.subscribe(&topics[0]).await;
+    let mut writers = [LATCHED, RELIABLE].map(|offers| talking.writer(&topic("/mixed"), &string(), &offers).unwrap());
+    for (writer, texts) in writers.iter_mut().zip([["a 1", "a 2", "a 3"], ["b 1", "b 2", "b 3"]]) {
+        matched(writer).await;
+        for text in texts {
+            writer.write(cdr(text), 0).await.unwrap();
+        }
+    }
+    let (mut heard, last) = (Vec::new(), ["a 3", "b 3"].map(|text| cdr(text).bytes));
+    while !last.iter().all(|last| heard.contains(last)) {
+        heard.push(message(&mut early).await.body);
+    }
+    assert!(heard.len() < 6, "two a second: {heard:?}");
+
+    let mut late = site.subscribe(&topics[0]).await;
+    assert_eq!(message(&mut late).await.body, last[0]);
+    let more = tokio::time::timeout(Duration::from_millis(1500), message(&mut late)).await;
+    assert!(more.is_err(), "{more:?}");
+    talking.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_publisher_that_is_not_heard_of_is_missed_and_comes_back_with_what_it_latches() {
+    let (site, there) = (Site::start().await, Master::start().await);
+    let near = site.domain_id() + 4;
+    let topics = [site.topic("/map", "std_msgs/msg/String")];
+    let out = site.proxy("robot", &domain(near), &topics, "direction: out");
+    let _in = site.proxy("cloud", &graph(&there), &topics, "direction: in");
+    let talking = Domain::join(near, "talker").unwrap();
+    let lively = Offer { liveliness_ns: 1_000_000_000, ..LATCHED };
+    let mut writer = talking.writer(&topic("/map"), &string(), &lively).unwrap();
+    writer.write(cdr("the map"), 0).await.unwrap();
+    let mut early = there.begin("early", &["listen", "/map"]);
+    assert_eq!(texts(&mut early, 1).await, ["the map"]);
+
+    // Its proxy is not heard of for longer than it promised to show that it lives.
+    let onlooker = there.node("/onlooker").await;
+    let mut shown = onlooker.graph();
+    publishers(&mut shown, "/map", 1).await;
+    out.signal(libc::SIGSTOP);
+    publishers(&mut shown, "/map", 0).await;
+    out.signal(libc::SIGCONT);
+    let mut late = there.begin("late", &["listen", "/map"]);
+    assert_eq!(texts(&mut late, 1).await, ["the map"], "nobody has written it again");
+    onlooker.leave().await;
+    talking.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_status_says_which_publisher_has_no_counterpart_until_it_has_gone() {
+    let site = Site::start().await;
+    let topics = [site.topic("/chatter", "std_msgs/msg/String")];
+    let proxy = site.proxy("cloud", &domain(site.domain_id() + 6), &topics, "direction: in");
+    status(&proxy, "up").await;
+    let publisher = site.publish(&topics[0]).await;
+    let kind = Kind { dialect: Dialect::Ros2, name: "std_msgs/msg/Int32".into(), hash: vec![] };
+    let mut roster = Outgoing::new(kind, None);
+    roster.joined('a', RELIABLE);
+    let Some(Announcement::Whole(body)) = roster.poll(Instant::now()).unwrap() else { panic!("it is news") };
+    publisher.pin(ROSTER, &body);
+    status(&proxy, "publishes std_msgs/msg/Int32, and the topic is of std_msgs/msg/String").await;
+    publisher.pin(ROSTER, &roster.farewell().unwrap());
+    status(&proxy, "up").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_proxy_that_ends_leaves_nothing_at_the_master() {
+    let site = Site::start().await;
+    let (here, there) = (Master::start().await, Master::start().await);
+    let topics = [site.topic("/latched", "std_msgs/msg/String")];
+    let out = site.proxy("robot", &graph(&here), &topics, "direction: out");
+    let into = site.proxy("cloud", &graph(&there), &topics, "direction: in");
+    let onlooker = there.node("/onlooker").await;
+    let mut shown = onlooker.graph();
+    let one = here.begin("one", &["latch", "/latched", "one"]);
+    let _two = here.begin("two", &["latch", "/latched", "two"]);
+    publishers(&mut shown, "/latched", 2).await;
+    drop(one);
+    publishers(&mut shown, "/latched", 1).await;
+    into.stop();
+    publishers(&mut shown, "/latched", 0).await;
+    drop(out);
+    onlooker.leave().await;
+}
+
+/// The next that is no roster.
+async fn message(subscription: &mut Subscription) -> Message {
+    within("a message", async {
+        loop {
+            let message = subscription.recv().await.unwrap();
+            if message.encoding != ROSTER {
+                return message;
+            }
+        }
+    })
+    .await
+}
+
+/// Waits until the master knows so many publishers of a topic.
+async fn publishers(shown: &mut gdp_ros1::Graph, topic: &str, count: usize) {
+    within(&format!("{count} publishers of {topic}"), async {
+        let publishers =
+            |shown: &gdp_ros1::Graph| shown.snapshot().topics.get(topic).map_or(0, |topic| topic.publishers.len());
+        while publishers(shown) != count {
+            shown.changes().await.unwrap();
+        }
+    })
+    .await;
+}
+
+/// Waits for the status of its only route.
+async fn status(proxy: &Proxy, expected: &str) {
+    let is_so = |status: &str| if expected == "up" { status == expected } else { status.contains(expected) };
+    until(expected, || proxy.statuses().first().is_some_and(|status| is_so(status))).await;
+}
+
+async fn matched(writer: &RawWriter) {
+    until("a reader", || writer.has_matched()).await;
+}
+
+pub async fn received(reader: &RawReader) -> Bytes {
+    within("a message", reader.recv()).await.unwrap().sample.bytes
+}
+
+pub fn domain(id: u16) -> String {
+    format!("{{domain_id: {id}}}")
+}
+
+pub fn topic(name: &str) -> TopicName {
+    TopicName::parse(name).unwrap()
+}
+
+pub fn string() -> TypeName {
+    TypeName::parse("std_msgs/msg/String").unwrap()
+}

@@ -1,0 +1,145 @@
+//! One copy of each message, however many proxies could carry it.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use gdp_proxy::ros2::{Domain, RawReader, RawWriter};
+
+use crate::lives::{domain, string, topic};
+use crate::site::{Proxy, Site};
+use crate::{RELIABLE, cdr, text, until, within};
+
+/// ```text
+///    proxy a ──┐
+///    domain x  ├── switch ── proxy c, domain y
+///    proxy b ──┘
+/// ```
+#[tokio::test(flavor = "multi_thread")]
+async fn of_two_proxies_in_one_graph_one_carries_and_the_other_takes_over() {
+    let site = Site::start().await;
+    let (x, y) = (site.domain_id() + 7, site.domain_id() + 8);
+    let topics = [site.topic("/chatter", "std_msgs/msg/String")];
+    let start = |label, id| site.proxy(label, &domain(id), &topics, "direction: both");
+    let mut twins = vec![start("a", x), start("b", x)];
+    let _far = start("c", y);
+    let mut ends = [End::join(x), End::join(y)];
+    until("one stands by", || twins.iter().any(stands_by)).await;
+    warm_up(&mut ends).await;
+    each_is_heard_once(&mut ends).await;
+
+    let first = twins.iter().position(|proxy| !stands_by(proxy)).unwrap();
+    // Without a goodbye.
+    drop(twins.remove(first));
+    until("the other takes over", || !stands_by(&twins[0])).await;
+    warm_up(&mut ends).await;
+    each_is_heard_once(&mut ends).await;
+    for end in ends {
+        end.domain.leave().await;
+    }
+}
+
+/// Each site is joined to each other by way of the switch.
+#[tokio::test(flavor = "multi_thread")]
+async fn three_sites_that_all_say_and_hear_a_topic_hear_each_message_once() {
+    let site = Site::start().await;
+    let ids = [9, 10, 11].map(|i| site.domain_id() + i);
+    let topics = [site.topic("/chatter", "std_msgs/msg/String")];
+    let _proxies = ids.map(|id| site.proxy(&id.to_string(), &domain(id), &topics, "direction: both"));
+    let mut ends = ids.map(End::join);
+    warm_up(&mut ends).await;
+    each_is_heard_once(&mut ends).await;
+    for end in ends {
+        end.domain.leave().await;
+    }
+}
+
+/// A node that says and hears.
+struct End {
+    domain: Domain,
+    writer: RawWriter,
+    reader: RawReader,
+    /// How often each message was heard.
+    heard: BTreeMap<String, usize>,
+}
+
+impl End {
+    fn join(id: u16) -> Self {
+        let domain = Domain::join(id, "node").unwrap();
+        let writer = domain.writer(&topic("/chatter"), &string(), &RELIABLE).unwrap();
+        let reader = domain.reader(&topic("/chatter"), &string(), &RELIABLE).unwrap();
+        Self { domain, writer, reader, heard: BTreeMap::new() }
+    }
+
+    async fn say(&mut self, text: &str) {
+        self.writer.write(cdr(text), 0).await.unwrap();
+    }
+
+    /// What comes for a while.
+    async fn listen(&mut self, time: Duration) {
+        let over = tokio::time::Instant::now() + time;
+        while let Ok(arrived) = tokio::time::timeout_at(over, self.reader.recv()).await {
+            *self.heard.entry(text(&arrived.unwrap().sample.bytes).to_owned()).or_default() += 1;
+        }
+    }
+
+    fn has_heard(&self, text: &str) -> bool {
+        self.heard.contains_key(text)
+    }
+}
+
+fn stands_by(proxy: &Proxy) -> bool {
+    let statuses = proxy.statuses();
+    !statuses.is_empty() && statuses.iter().all(|status| status.starts_with("standing by for "))
+}
+
+/// Until each hears each other, and what was said on the way has come.
+async fn warm_up(ends: &mut [End]) {
+    within("each hears each other", async {
+        let mut round = 0;
+        loop {
+            round += 1;
+            for (i, end) in ends.iter_mut().enumerate() {
+                end.say(&format!("warm {i} {round}")).await;
+            }
+            for end in ends.iter_mut() {
+                end.heard.clear();
+                end.listen(Duration::from_millis(200)).await;
+            }
+            let hears = |i: usize, end: &End| {
+                (0..ends.len()).all(|from| from == i || end.has_heard(&format!("warm {from} {round}")))
+            };
+            if ends.iter().enumerate().all(|(i, end)| hears(i, end)) {
+                break;
+            }
+        }
+    })
+    .await;
+    for end in ends {
+        end.listen(Duration::from_millis(500)).await;
+        end.heard.clear();
+    }
+}
+
+/// What this process itself writes is not heard by its own readers, so a node hears all others and would hear an echo of itself.
+async fn each_is_heard_once(ends: &mut [End]) {
+    const EACH: usize = 10;
+    for round in 0..EACH {
+        for (i, end) in ends.iter_mut().enumerate() {
+            end.say(&format!("{i} {round}")).await;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    let count = ends.len();
+    for (i, end) in ends.iter_mut().enumerate() {
+        within("all of the others", async {
+            while end.heard.len() < (count - 1) * EACH {
+                end.listen(Duration::from_millis(100)).await;
+            }
+        })
+        .await;
+        // A second copy would be here by now.
+        end.listen(Duration::from_secs(1)).await;
+        let again: Vec<_> = end.heard.iter().filter(|(_, times)| **times != 1).collect();
+        assert!(again.is_empty() && end.heard.len() == (count - 1) * EACH, "{i}: {again:?}");
+    }
+}
