@@ -6,7 +6,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use gdp_proxy::config::Graphs;
 use gdp_proxy::graph::{self, Arrived, Event, Reader};
-use gdp_proxy::ros2::{Domain, RawReader, RawSample, RawWriter, TopicName, TypeName};
+use gdp_proxy::ros2::{Domain, Range, RawReader, RawSample, RawWriter, TopicName, TypeName};
 use gdp_ros::roster::Offer;
 
 const RELIABLE: Offer =
@@ -122,6 +122,17 @@ async fn a_best_effort_reader_is_served_by_a_reliable_writer() {
     let reader = there.reader(&topic, &kind(), &best_effort).unwrap();
     let received = within("a message crosses", until_received(&mut writer, &reader)).await;
     assert_eq!(received, sample([0, 1, 0, 0], 64));
+    here.leave().await;
+    there.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_stays_on_the_host_finds_others_there() {
+    let [here, there] = [(); 2].map(|()| Domain::join_within(Range::Localhost, domain_id(), "gdp_proxy_test").unwrap());
+    let topic = topic("localhost");
+    let mut writer = here.writer(&topic, &kind(), &RELIABLE).unwrap();
+    let reader = there.reader(&topic, &kind(), &RELIABLE).unwrap();
+    within("a message crosses", until_received(&mut writer, &reader)).await;
     here.leave().await;
     there.leave().await;
 }

@@ -9,6 +9,7 @@ mod graph;
 mod names;
 mod presence;
 mod qos;
+mod range;
 mod raw;
 mod service;
 
@@ -16,10 +17,12 @@ pub use action::Action;
 pub use graph::{ActionInfo, Endpoint, Graph, ServiceInfo, ServicePeer, ShownQos, TopicInfo, TypeHash};
 pub use names::{NameError, Part, TopicName, TypeName};
 pub use qos::{Depth, Durability, Qos, Reliability};
+pub use range::{Range, RangeError};
 pub use raw::{Arrived, ENCAPSULATION, RawReader, RawSample, RawWriter, Representation, Unreadable, WriteError};
 
 pub use service::{BadRequest, CallError, Client, Headless, Mapping, Request, RequestId, Server};
 
+use std::net::Ipv4Addr;
 use std::sync::Arc;
 
 use ros2_client::{Context, Node, NodeName, NodeOptions};
@@ -63,16 +66,29 @@ pub enum RosError {
     #[error("cannot announce the ROS node /{node}: {reason}")]
     Node { node: String, reason: String },
     #[error(transparent)]
+    Range(#[from] RangeError),
+    #[error(transparent)]
     Name(#[from] NameError),
     #[error("cannot make a DDS {what} for {topic}: {source}")]
     Endpoint { what: &'static str, topic: TopicName, source: CreateError },
 }
 
 impl Domain {
-    /// Joins a domain, at most [`MAX_DOMAIN_ID`], as the ROS node `node` in the root namespace. Needs a tokio runtime.
+    /// Joins a domain, at most [`MAX_DOMAIN_ID`], as the ROS node `node` in the root namespace, as far as the environment says. Needs a tokio
+    /// runtime.
     pub fn join(domain: u16, node: &str) -> Result<Self, RosError> {
+        Self::join_within(Range::from_variables(|variable| std::env::var(variable).ok())?, domain, node)
+    }
+
+    pub fn join_within(range: Range, domain: u16, node: &str) -> Result<Self, RosError> {
         let refused = |source| RosError::Join { domain, source };
-        let participant = DomainParticipantBuilder::new(domain).build().map_err(refused)?;
+        let builder = DomainParticipantBuilder::new(domain);
+        let builder = match range {
+            // It tells others of no other address, and asks by no other interface.
+            Range::Localhost => builder.with_only_networks([Ipv4Addr::LOCALHOST]),
+            Range::Subnet => builder,
+        };
+        let participant = builder.build().map_err(refused)?;
         let none = QosPolicies::qos_none();
         let publisher = participant.create_publisher(&none).map_err(refused)?;
         let subscriber = participant.create_subscriber(&none).map_err(refused)?;

@@ -1,0 +1,64 @@
+//! How far nodes of ROS 2 look for one another, as the environment says it.
+
+/// Where others are found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Range {
+    /// On this host.
+    Localhost,
+    /// Where multicast goes.
+    Subnet,
+}
+
+/// What the environment says cannot be done.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum RangeError {
+    #[error("ROS_AUTOMATIC_DISCOVERY_RANGE is {0:?}: write LOCALHOST, SUBNET or SYSTEM_DEFAULT")]
+    Unknown(String),
+    #[error(
+        "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: a proxy finds its topics by discovery, and has no static peers; write LOCALHOST, or take the \
+         graph out of the configuration"
+    )]
+    Off,
+}
+
+impl Range {
+    /// As `rcl` reads it: ROS_LOCALHOST_ONLY, where it is 1, goes before ROS_AUTOMATIC_DISCOVERY_RANGE.
+    pub fn from_variables(variable: impl Fn(&str) -> Option<String>) -> Result<Self, RangeError> {
+        if variable("ROS_LOCALHOST_ONLY").as_deref() == Some("1") {
+            return Ok(Self::Localhost);
+        }
+        match variable("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref() {
+            Some("LOCALHOST") => Ok(Self::Localhost),
+            None | Some("" | "SUBNET" | "SYSTEM_DEFAULT") => Ok(Self::Subnet),
+            Some("OFF") => Err(RangeError::Off),
+            Some(other) => Err(RangeError::Unknown(other.to_owned())),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_environment_is_read_as_ros_reads_it() {
+        let read = |only: &str, range: &str| {
+            Range::from_variables(|variable| match variable {
+                "ROS_LOCALHOST_ONLY" => Some(only.to_owned()),
+                _ => Some(range.to_owned()),
+            })
+        };
+        assert_eq!(Range::from_variables(|_| None), Ok(Range::Subnet));
+        for (only, range, expected) in [
+            ("0", "LOCALHOST", Range::Localhost),
+            ("1", "SUBNET", Range::Localhost),
+            ("", "SUBNET", Range::Subnet),
+            ("0", "SYSTEM_DEFAULT", Range::Subnet),
+            ("0", "", Range::Subnet),
+        ] {
+            assert_eq!(read(only, range), Ok(expected), "{only} {range}");
+        }
+        assert_eq!(read("0", "OFF"), Err(RangeError::Off));
+        assert!(read("0", "localhost").unwrap_err().to_string().contains("\"localhost\""));
+    }
+}
