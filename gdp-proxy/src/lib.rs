@@ -12,6 +12,7 @@ pub mod calls;
 mod cert_file;
 pub mod config;
 mod delivery;
+pub mod diagnostics;
 pub mod dry_run;
 pub mod graph;
 pub mod manager;

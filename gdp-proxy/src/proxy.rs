@@ -15,6 +15,7 @@ use crate::automatic::{self, Automatic, CatalogStats, Links};
 use crate::call::CallStats;
 use crate::call::material::CallMaterial;
 use crate::calls::{self, CallPlan, Calls};
+use crate::diagnostics::{self, Diagnostics};
 use crate::graph;
 use crate::manager::Changed;
 use crate::material::RouteMaterial;
@@ -75,7 +76,7 @@ async fn carry(
 
     let mut running = Running {
         routes: routes::manager(node.clone(), types.clone()),
-        calls: calls::manager(node.clone(), types),
+        calls: calls::manager(node.clone(), types.clone()),
         catalogs: automatic::manager(node.clone()),
     };
     let mut explicit = plans(&loaded, &graphs)?;
@@ -84,6 +85,7 @@ async fn carry(
     running.calls.want(call_plans(&loaded, &graphs)?);
     watch.look_at(loaded.cards());
     let mut shown = Shown::new(stats);
+    let mut diagnostics = Diagnostics::wanted(&loaded.config, node.name(), &graphs, &types).await?;
     let ended = loop {
         tokio::select! {
             () = &mut stop => break Ok(()),
@@ -92,8 +94,16 @@ async fn carry(
                 running.want(&mut automatic, &explicit);
             }
             () = shown.due() => shown.show(&node, running.stats()),
+            () = diagnostics::due(&mut diagnostics) => {
+                if let Some(diagnostics) = &mut diagnostics {
+                    diagnostics.tell(&running.routes.stats()).await;
+                }
+            }
             () = watch.changed() => match load_again(&loaded, &watch, &mut graphs, &ros_node).await {
                 Ok(new) => {
+                    if new.config.diagnostics != loaded.config.diagnostics || new.config.graphs != loaded.config.graphs {
+                        diagnostics = Diagnostics::wanted(&new.config, node.name(), &graphs, &types).await?;
+                    }
                     loaded = new;
                     watch.look_at(loaded.cards());
                     explicit = plans(&loaded, &graphs)?;
@@ -111,7 +121,7 @@ async fn carry(
     tracing::info!("leaving");
     let last = running.close().await;
     shown.show(&node, last);
-    drop((automatic, explicit));
+    drop((automatic, explicit, diagnostics));
     node.close().await;
     graph::leave(graphs).await;
     ended

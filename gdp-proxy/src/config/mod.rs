@@ -77,6 +77,9 @@ pub struct Config {
     /// What defines message types beyond the common ones.
     #[serde(default)]
     pub definitions: Definitions,
+    /// Whether `/diagnostics` says in each graph how each topic does.
+    #[serde(default)]
+    pub diagnostics: bool,
     /// Topics that cross, with the files of each.
     #[serde(default)]
     pub topics: Vec<TopicConfig>,

@@ -1,0 +1,225 @@
+//! What ROS tools show of the proxy: `/diagnostics`, with a status for each topic and direction.
+
+use std::collections::HashMap;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use gdp::Name;
+use gdp_msg::Encoding;
+use serde::Serialize;
+use tokio::time::{Interval, MissedTickBehavior};
+
+use crate::config::{Config, Side};
+use crate::graph::{All, GraphError, Writer};
+use crate::ros2::{NameError, Qos, TopicName};
+use crate::stats::RouteStats;
+use gdp_ros::roster::{Dialect, Kind};
+use gdp_ros::types::{Converter, Form, TypeError, Types};
+
+const PERIOD: Duration = Duration::from_secs(1);
+const TOPIC: &str = "/diagnostics";
+const KIND: &str = "diagnostic_msgs/msg/DiagnosticArray";
+
+/// As `diagnostic_msgs/DiagnosticStatus` numbers them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Level {
+    Ok = 0,
+    Warn = 1,
+    Error = 2,
+    /// It has had nothing to do yet.
+    Stale = 3,
+}
+
+/// Why there are no diagnostics.
+#[derive(Debug, thiserror::Error)]
+pub enum DiagnosticsError {
+    #[error(transparent)]
+    Graph(#[from] GraphError),
+    #[error(transparent)]
+    Type(#[from] TypeError),
+    #[error(transparent)]
+    Name(#[from] NameError),
+}
+
+/// The topic in all graphs that a proxy is in.
+pub struct Diagnostics {
+    entity: Name,
+    outlets: Vec<(Writer, Converter)>,
+    ticks: Interval,
+    /// Messages and drops of each route when it was told last.
+    before: HashMap<(String, String, Side), (u64, u64)>,
+}
+
+#[derive(Serialize)]
+struct Array {
+    header: Header,
+    status: Vec<Status>,
+}
+
+#[derive(Serialize)]
+struct Header {
+    stamp: Stamp,
+    frame_id: &'static str,
+}
+
+#[derive(Serialize)]
+struct Stamp {
+    sec: u64,
+    nanosec: u32,
+}
+
+#[derive(Serialize)]
+struct Status {
+    level: u8,
+    name: String,
+    message: String,
+    hardware_id: String,
+    values: Vec<Value>,
+}
+
+#[derive(Serialize)]
+struct Value {
+    key: String,
+    value: String,
+}
+
+impl Diagnostics {
+    async fn new(entity: Name, graphs: &All, types: &Types) -> Result<Self, DiagnosticsError> {
+        let (topic, ros2) =
+            (TopicName::parse(TOPIC)?, Kind { dialect: Dialect::Ros2, name: KIND.into(), hash: vec![] });
+        let told = Form { kind: &ros2, definition: None, encoding: Encoding::Json };
+        let mut outlets = Vec::new();
+        for graph in graphs.values() {
+            let (kind, _) = types.counterpart(&told, graph.dialect())?;
+            let definition = types.definition(&kind);
+            let written = Form { kind: &kind, definition: None, encoding: kind.dialect.native() };
+            let converter = types.converter(&told, &written)?;
+            let writer = graph.writer(types, &topic, &kind, definition.as_deref(), Qos::default().into()).await?;
+            outlets.push((writer, converter));
+        }
+        let mut ticks = tokio::time::interval(PERIOD);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        Ok(Self { entity, outlets, ticks, before: HashMap::new() })
+    }
+
+    /// In all graphs, if the configuration wants it.
+    pub async fn wanted(
+        config: &Config,
+        entity: Name,
+        graphs: &All,
+        types: &Types,
+    ) -> Result<Option<Self>, DiagnosticsError> {
+        match config.diagnostics {
+            true => Self::new(entity, graphs, types).await.map(Some),
+            false => Ok(None),
+        }
+    }
+
+    /// To be done once a second.
+    pub async fn tell(&mut self, routes: &[RouteStats]) {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        if let Err(error) = self.tell_once(now, routes).await {
+            tracing::warn!("no diagnostics: {error}");
+        }
+    }
+
+    /// `now`: since 1970.
+    async fn tell_once(&mut self, now: Duration, routes: &[RouteStats]) -> Result<(), Box<dyn std::error::Error>> {
+        let status = routes.iter().map(|route| self.status(route)).collect();
+        let stamp = Stamp { sec: now.as_secs(), nanosec: now.subsec_nanos() };
+        let json = serde_json::to_vec(&Array { header: Header { stamp, frame_id: "" }, status })?;
+        for (writer, converter) in &mut self.outlets {
+            let bytes = converter.convert(json.clone().into())?;
+            writer.write(bytes, u64::try_from(now.as_nanos())?).await?;
+        }
+        Ok(())
+    }
+
+    fn status(&mut self, route: &RouteStats) -> Status {
+        let RouteStats { topic, graph, status, direction, name, counted, kind, .. } = route;
+        let drops = counted.drops.values().sum();
+        let key = (topic.clone(), graph.clone(), *direction);
+        let (messages_before, drops_before) = self.before.insert(key, (counted.messages, drops)).unwrap_or_default();
+        let level = level(status, drops > drops_before);
+        let direction = match direction {
+            Side::Out => "out",
+            Side::In => "in",
+        };
+        let value = |key: &str, value: String| Value { key: key.into(), value };
+        let mut values = vec![
+            value("name", name.to_string()),
+            value("graph", graph.clone()),
+            value("direction", direction.into()),
+            value("type", kind.clone().unwrap_or_default()),
+            value("rate (Hz)", counted.messages.saturating_sub(messages_before).to_string()),
+            value("messages", counted.messages.to_string()),
+        ];
+        let dropped = counted.drops.iter().filter(|(_, count)| **count > 0);
+        values.extend(dropped.map(|(reason, count)| value(&format!("dropped: {reason}"), count.to_string())));
+        Status {
+            level: level as u8,
+            name: format!("gdp_proxy: {topic} {direction}"),
+            message: status.clone(),
+            hardware_id: format!("{:#}", self.entity),
+            values,
+        }
+    }
+}
+
+/// Once a second, if there are any. Safe to cancel.
+pub async fn due(diagnostics: &mut Option<Diagnostics>) {
+    match diagnostics {
+        Some(diagnostics) => _ = diagnostics.ticks.tick().await,
+        None => std::future::pending().await,
+    }
+}
+
+/// Of a route with this status, that has dropped something lately or not.
+fn level(status: &str, drops: bool) -> Level {
+    match status {
+        "up" if drops => Level::Warn,
+        "up" => Level::Ok,
+        "starting" | "waiting for a local publisher" => Level::Stale,
+        standing_by if standing_by.starts_with("standing by") => Level::Ok,
+        _ => Level::Error,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_route_is_as_well_as_its_status_says() {
+        let cases = [
+            ("up", false, Level::Ok),
+            ("up", true, Level::Warn),
+            ("starting", false, Level::Stale),
+            ("standing by for 75e1", false, Level::Ok),
+            ("the right has ended", false, Level::Error),
+        ];
+        for (status, drops, expected) in cases {
+            assert_eq!(level(status, drops), expected, "{status}");
+        }
+    }
+
+    /// The definitions are among those that the proxy brings.
+    #[test]
+    fn it_is_written_in_either_dialect() {
+        let types = Types::load([]).unwrap();
+        let ros2 = Kind { dialect: Dialect::Ros2, name: KIND.into(), hash: vec![] };
+        let told = Form { kind: &ros2, definition: None, encoding: Encoding::Json };
+        let values = vec![Value { key: "rate (Hz)".into(), value: "10".into() }];
+        let (name, message, hardware_id) = ("n".to_owned(), "m".to_owned(), "h".to_owned());
+        let status = vec![Status { level: Level::Error as u8, name, message, hardware_id, values }];
+        let array = Array { header: Header { stamp: Stamp { sec: 1, nanosec: 2 }, frame_id: "" }, status };
+        let json = bytes::Bytes::from(serde_json::to_vec(&array).unwrap());
+        for dialect in [Dialect::Ros1, Dialect::Ros2] {
+            let (kind, _) = types.counterpart(&told, dialect).unwrap();
+            let native = Form { kind: &kind, definition: None, encoding: dialect.native() };
+            let bytes = types.converter(&told, &native).unwrap().convert(json.clone()).unwrap();
+            let back = types.converter(&native, &told).unwrap().convert(bytes).unwrap();
+            let back: serde_json::Value = serde_json::from_slice(&back).unwrap();
+            assert_eq!(back, serde_json::from_slice::<serde_json::Value>(&json).unwrap(), "{dialect:?}");
+        }
+    }
+}
