@@ -56,6 +56,11 @@ pub enum Event {
         kind: Kind,
         offers: Offer,
     },
+    /// A publisher is there that is not heard, because it offers less than the configuration asks for: in which policy.
+    Incompatible {
+        key: Key,
+        policy: &'static str,
+    },
     Left(Key),
     Message(Arrived),
     /// A message that cannot be carried, with the reason.
@@ -143,6 +148,14 @@ impl Graph {
         match self {
             Self::Ros1(master) => master.twins(),
             Self::Ros2(domain) => domain.twins(),
+        }
+    }
+
+    /// The policy in which a subscriber of the topic here asks for more than this, if one does: it does not hear who offers this.
+    pub fn misfit(&self, topic: &TopicName, offers: &Offer) -> Option<&'static str> {
+        match self {
+            Self::Ros1(_) => None,
+            Self::Ros2(domain) => ros2::misfit(domain, topic, offers),
         }
     }
 

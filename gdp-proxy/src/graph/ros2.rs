@@ -154,7 +154,11 @@ impl<'a> Reader<'a> {
         }
         for (key, (kind, offers)) in found {
             if self.known.get(&key).is_none_or(|before| (&before.kind, before.offers) != (&kind, offers)) {
-                self.events.push_back(Event::Joined { key, kind: kind.clone(), offers });
+                let asked = self.qos.map(Offer::from);
+                self.events.push_back(match asked.and_then(|asked| lacking(&offers, &asked)) {
+                    Some(policy) => Event::Incompatible { key, policy },
+                    None => Event::Joined { key, kind: kind.clone(), offers },
+                });
                 self.known.insert(key, Known { kind, offers, gone: None });
             }
         }
@@ -210,7 +214,29 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// What discovery says of a publisher. It does not say how many messages it keeps: 10 as ROS 2 has it by default, or of what is latched the
+/// The policy in which a publisher offers less than is asked for.
+fn lacking(offers: &Offer, asked: &Offer) -> Option<&'static str> {
+    // Asked for no promise, any will do.
+    let breaks = |offered: u64, asked: u64| asked > 0 && (offered == 0 || offered > asked);
+    let lacking = [
+        ("reliability", asked.reliable && !offers.reliable),
+        ("durability", asked.transient_local && !offers.transient_local),
+        ("deadline", breaks(offers.deadline_ns, asked.deadline_ns)),
+        ("liveliness", breaks(offers.liveliness_ns, asked.liveliness_ns)),
+    ];
+    lacking.into_iter().find(|(_, lacks)| *lacks).map(|(policy, _)| policy)
+}
+
+pub fn misfit(domain: &Domain, topic: &TopicName, offers: &Offer) -> Option<&'static str> {
+    let graph = domain.graph().borrow().clone();
+    let subscribers = &graph.topics.get(topic)?.subscribers;
+    subscribers.iter().find_map(|subscriber| match subscriber.qos.manual_liveliness {
+        true => Some("liveliness"),
+        false => lacking(offers, &described(subscriber).1),
+    })
+}
+
+/// What discovery says of a publisher or a subscriber. It does not say how many messages it keeps: 10 as ROS 2 has it by default, or of what is latched the
 /// last one.
 fn described(publisher: &Endpoint) -> (Kind, Offer) {
     let Endpoint { kind, hash, qos, .. } = publisher;
@@ -258,5 +284,34 @@ impl Writer {
             ros2::WriteError::Stalled => WriteError::Stalled,
             ros2::WriteError::Failed(why) => WriteError::Failed(why),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_asked_for_and_not_offered_is_named() {
+        let least = Offer {
+            reliable: false,
+            transient_local: false,
+            depth: 1,
+            deadline_ns: 0,
+            lifespan_ns: 0,
+            liveliness_ns: 0,
+        };
+        let most =
+            Offer { reliable: true, transient_local: true, deadline_ns: 5, lifespan_ns: 5, liveliness_ns: 5, ..least };
+        assert_eq!((lacking(&most, &least), lacking(&most, &most), lacking(&least, &least)), (None, None, None));
+        for (asked, policy) in [
+            (Offer { reliable: true, ..least }, "reliability"),
+            (Offer { transient_local: true, ..least }, "durability"),
+            (Offer { deadline_ns: 9, ..least }, "deadline"),
+            (Offer { liveliness_ns: 9, ..least }, "liveliness"),
+        ] {
+            assert_eq!((lacking(&least, &asked), lacking(&most, &asked)), (Some(policy), None));
+        }
+        assert_eq!(lacking(&most, &Offer { deadline_ns: 4, ..most }), Some("deadline"));
     }
 }

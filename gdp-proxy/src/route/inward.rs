@@ -41,13 +41,15 @@ struct In<'a> {
     kind: Option<&'a TypeName>,
     incoming: Incoming,
     locals: Locals,
+    /// Which of them a subscriber here does not hear.
+    misfit: Option<String>,
 }
 
 impl Route {
     pub(super) async fn run_in(&self, way: &Way<'_>, right: &mut Right) -> Result<Infallible, RouteError> {
         let Way { graph, node, kind, card, place } = *way;
         let (incoming, locals) = (Incoming::default(), Locals::new(Instant::now()));
-        let mut to = In { graph, own: node.name(), place, kind, incoming, locals };
+        let mut to = In { graph, own: node.name(), place, kind, incoming, locals, misfit: None };
         let mut pause = RETRY.0;
         loop {
             let error = match node.subscribe(card.proof(), right.grant.clone(), subscribe_options(&self.config)).await {
@@ -95,6 +97,7 @@ impl Route {
                     let (changes, forgotten) = to.incoming.poll(Instant::now());
                     self.change(to, changes).await;
                     self.drop_all(Drop::Unannounced, forgotten as u64, NOT_SAID);
+                    to.misfit = self.misfit(to);
                     self.look(to).await;
                     continue;
                 }
@@ -203,7 +206,7 @@ impl Route {
         let writer = graph.writer(&self.types, &self.config.topic, &here, text.as_deref(), offers);
         let writer = writer.await.map_err(|error| error.to_string())?;
         self.progress().kind = Some(here.name.clone());
-        Ok(Made::new(Instant::now(), writer, (kind.clone(), here), (definition.clone(), text)))
+        Ok(Made::new(Instant::now(), writer, offers, (kind.clone(), here), (definition.clone(), text)))
     }
 
     async fn write(&self, to: &mut In<'_>, whose: Whose, message: Message) {
@@ -225,9 +228,18 @@ impl Route {
         }
     }
 
-    /// Says in the status which publishers have no counterpart.
-    fn show(&self, to: &In<'_>) {
-        let faults: Vec<_> = to.locals.faults().map(|(whose, why)| no_counterpart(whose, why)).collect();
+    fn misfit(&self, to: &mut In<'_>) -> Option<String> {
+        let graph = to.graph;
+        to.locals.offers().find_map(|(whose, offers)| {
+            let policy = graph.misfit(&self.config.topic, &offers)?;
+            Some(format!("incompatible QoS: a subscriber here asks for more in {policy} than {} offers", name(&whose)))
+        })
+    }
+
+    /// Says in the status which publishers have no counterpart, or one that is not heard.
+    fn show(&self, to: &mut In<'_>) {
+        let mut faults: Vec<_> = to.locals.faults().map(|(whose, why)| no_counterpart(whose, why)).collect();
+        faults.extend(to.misfit.clone());
         match &faults[..] {
             [] => self.set_status("up"),
             [only] => self.set_status(only),
@@ -243,8 +255,12 @@ fn plain(kind: Option<&TypeName>) -> Local {
 }
 
 fn no_counterpart(whose: &Whose, why: &str) -> String {
+    format!("{} has no counterpart here: {why}", name(whose))
+}
+
+fn name(whose: &Whose) -> String {
     match whose {
-        Some((writer, number)) => format!("publisher {number} of {writer:#} has no counterpart here: {why}"),
-        None => format!("a writer elsewhere has no counterpart here: {why}"),
+        Some((writer, number)) => format!("publisher {number} of {writer:#}"),
+        None => "a writer elsewhere".into(),
     }
 }

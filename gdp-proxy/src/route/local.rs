@@ -50,6 +50,7 @@ enum State {
 /// A writer, and how messages become such as it takes.
 pub struct Made {
     pub writer: Writer,
+    pub offers: Offer,
     /// Of the publisher, and the same in this graph.
     pub kinds: (Kind, Kind),
     pub definitions: (Option<Arc<str>>, Option<String>),
@@ -147,10 +148,11 @@ impl Made {
     pub fn new(
         now: Instant,
         writer: Writer,
+        offers: Offer,
         kinds: (Kind, Kind),
         definitions: (Option<Arc<str>>, Option<String>),
     ) -> Self {
-        Self { writer, kinds, definitions, converters: vec![], hold: Some(Hold::new(now)), written: None }
+        Self { writer, offers, kinds, definitions, converters: vec![], hold: Some(Hold::new(now)), written: None }
     }
 
     /// Writes a message, or has it wait.

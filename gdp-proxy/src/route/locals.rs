@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use gdp::Name;
 
 use super::local::{Local, Made};
-use gdp_ros::roster::Change;
+use gdp_ros::roster::{Change, Offer};
 
 /// Publishers elsewhere that have a counterpart. More have none.
 const MAX_LOCALS: usize = 512;
@@ -94,6 +94,11 @@ impl Locals {
         self.leaving.retain(|made| !made.is_over(now));
     }
 
+    /// What each of them offers that is there.
+    pub fn offers(&mut self) -> impl Iterator<Item = (Whose, Offer)> {
+        self.by.iter_mut().filter_map(|(whose, local)| Some((*whose, local.made_mut()?.offers)))
+    }
+
     /// The publishers that have none, and why.
     pub fn faults(&self) -> impl Iterator<Item = (&Whose, &str)> {
         self.by.iter().filter_map(|(whose, local)| Some((whose, local.fault()?)))
@@ -116,7 +121,7 @@ impl Budget {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gdp_ros::roster::{Dialect, Kind, Offer};
+    use gdp_ros::roster::{Dialect, Kind};
 
     #[test]
     fn a_roster_that_changes_all_the_time_makes_only_so_many_writers() {

@@ -1,6 +1,6 @@
 //! From a ROS graph into the fabric.
 
-use std::collections::{BTreeSet, HashSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::convert::Infallible;
 use std::pin::pin;
 use std::time::{Duration, Instant};
@@ -55,8 +55,8 @@ struct Out<'a> {
     offers: Offer,
     /// What happened while nobody read the name.
     waiting: VecDeque<Event>,
-    /// Publishers of another type.
-    strangers: HashSet<Key>,
+    /// Publishers that are not carried, and why.
+    strangers: BTreeMap<Key, String>,
 }
 
 impl Route {
@@ -81,6 +81,7 @@ impl Route {
             self.progress().fabric = FabricCounters::Out(new.meter());
             pause = RETRY.0;
             self.is_up(place);
+            self.show_out("up", &out.strangers);
             out.roster.offers().for_each(|(number, offers)| new.latch(&roster::origin(number), latched(&offers)));
             out.wait_for_reader(new).await?;
             let turn = self.carry_out(&mut out, new, right).await?;
@@ -119,24 +120,28 @@ impl Route {
         kind: Option<&TypeName>,
         offers: Option<Offer>,
     ) -> Result<Out<'a>, RouteError> {
+        let mut strangers = BTreeMap::new();
         let mut reader = graph.reader(&self.config.topic, kind, self.config.qos)?;
         let wanted = kind.map(|kind| graph.kind(kind));
         let stated = wanted.clone().filter(|_| self.config.qos.is_some());
         let (first, kind, offered) = match (stated, self.config.qos) {
             (Some(kind), Some(qos)) => (None, kind, qos.into()),
-            _ => {
-                self.set_status("waiting for a local publisher");
-                loop {
-                    match reader.next().await? {
-                        Event::Joined { key, kind, offers } if wanted.as_ref().is_none_or(|it| it.agrees(&kind)) => {
-                            break (Some(key), kind, offers);
-                        }
-                        Event::Joined { kind, .. } => self.tell_of_stranger(&kind, wanted.as_ref()),
-                        Event::Unreadable(why) => self.drop(Drop::Unreadable, why),
-                        Event::Left(_) | Event::Message(_) => {}
+            _ => loop {
+                self.show_out("waiting for a local publisher", &strangers);
+                match reader.next().await? {
+                    Event::Joined { key, kind, offers } if wanted.as_ref().is_none_or(|it| it.agrees(&kind)) => {
+                        strangers.remove(&key);
+                        break (Some(key), kind, offers);
                     }
+                    Event::Joined { key, kind, .. } => {
+                        _ = strangers.insert(key, self.of_another_type(&kind, wanted.as_ref()))
+                    }
+                    Event::Incompatible { key, policy } => _ = strangers.insert(key, self.incompatible(policy)),
+                    Event::Unreadable(why) => self.drop(Drop::Unreadable, why),
+                    Event::Left(key) => _ = strangers.remove(&key),
+                    Event::Message(_) => {}
                 }
-            }
+            },
         };
         self.progress().kind = Some(kind.name.clone());
         let definition = reader.definition().map(str::to_owned).or_else(|| self.types.definition(&kind));
@@ -161,7 +166,7 @@ impl Route {
             pace: Pace::new(self.config.max_hz),
             offers,
             waiting: VecDeque::new(),
-            strangers: HashSet::new(),
+            strangers,
         })
     }
 
@@ -209,9 +214,12 @@ impl Route {
             match event {
                 Event::Joined { key, kind, offers } => {
                     if !kind.agrees(&out.kind) {
-                        out.strangers.insert(key);
-                        self.tell_of_stranger(&kind, Some(&out.kind));
+                        out.strangers.insert(key, self.of_another_type(&kind, Some(&out.kind)));
+                        self.show_out("up", &out.strangers);
                         continue;
+                    }
+                    if out.strangers.remove(&key).is_some() {
+                        self.show_out("up", &out.strangers);
                     }
                     let offers = self.config.qos.map_or(offers, Offer::from);
                     out.roster.joined(key, offers);
@@ -224,13 +232,19 @@ impl Route {
                         return Ok(Turn::More);
                     }
                 }
+                Event::Incompatible { key, policy } => {
+                    out.strangers.insert(key, self.incompatible(policy));
+                    self.show_out("up", &out.strangers);
+                }
                 Event::Left(key) => {
                     if let Some(arrived) = out.pace.left(key)
                         && let Some(error) = self.send(out, publisher, arrived).await?
                     {
                         return Ok(Turn::Ended(error));
                     }
-                    out.strangers.remove(&key);
+                    if out.strangers.remove(&key).is_some() {
+                        self.show_out("up", &out.strangers);
+                    }
                     if let Some(number) = out.roster.left(&key) {
                         publisher.forget(&roster::origin(number));
                     }
@@ -253,7 +267,7 @@ impl Route {
         if let Some(written_ns) = arrived.written_ns {
             self.counters.arrival.record_since(written_ns);
         }
-        if arrived.from.is_some_and(|key| out.strangers.contains(&key)) {
+        if arrived.from.is_some_and(|key| out.strangers.contains_key(&key)) {
             self.drop(Drop::Unconvertible, "its publisher uses another type");
             return None;
         }
@@ -305,9 +319,30 @@ impl Route {
         }
     }
 
-    fn tell_of_stranger(&self, kind: &Kind, wanted: Option<&Kind>) {
+    fn of_another_type(&self, kind: &Kind, wanted: Option<&Kind>) -> String {
         let wanted = wanted.map_or("another type", |wanted| &wanted.name);
-        tracing::warn!(topic = %self.config.topic, "a publisher of {} is not carried: the topic is of {wanted}", kind.name);
+        self.not_carried(format!("it publishes {}, and the topic is of {wanted}", kind.name))
+    }
+
+    fn incompatible(&self, policy: &str) -> String {
+        self.not_carried(format!("incompatible QoS: `qos` asks for more than it offers in {policy}"))
+    }
+
+    fn not_carried(&self, why: String) -> String {
+        tracing::warn!(topic = %self.config.topic, "a publisher here is not carried: {why}");
+        why
+    }
+
+    /// Says in the status which publishers are not carried.
+    fn show_out(&self, otherwise: &str, strangers: &BTreeMap<Key, String>) {
+        match strangers.iter().next() {
+            None => self.set_status(otherwise),
+            Some((key, why)) => {
+                let more = strangers.len() - 1;
+                let more = if more == 0 { String::new() } else { format!("; and {more} more") };
+                self.set_status(&format!("publisher {key:x} here is not carried: {why}{more}"));
+            }
+        }
     }
 
     fn tell(&self, error: FrameError) {

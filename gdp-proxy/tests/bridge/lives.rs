@@ -106,14 +106,40 @@ async fn the_status_says_which_publisher_has_no_counterpart_until_it_has_gone() 
     let proxy = site.proxy("cloud", &domain(site.domain_id() + 6), &topics, "direction: in");
     status(&proxy, "up").await;
     let publisher = site.publish(&topics[0]).await;
-    let kind = Kind { dialect: Dialect::Ros2, name: "std_msgs/msg/Int32".into(), hash: vec![] };
-    let mut roster = Outgoing::new(kind, None);
+    let int32 = Kind { dialect: Dialect::Ros2, name: "std_msgs/msg/Int32".into(), hash: vec![] };
+    let mut roster = Outgoing::new(int32.clone(), None);
     roster.joined('a', RELIABLE);
     let Some(Announcement::Whole(body)) = roster.poll(Instant::now()).unwrap() else { panic!("it is news") };
     publisher.pin(ROSTER, &body);
     status(&proxy, "publishes std_msgs/msg/Int32, and the topic is of std_msgs/msg/String").await;
     publisher.pin(ROSTER, &roster.farewell().unwrap());
     status(&proxy, "up").await;
+
+    let mut roster = Outgoing::new(Kind { name: "std_msgs/msg/String".into(), ..int32 }, None);
+    roster.joined('a', Offer { reliable: false, ..RELIABLE });
+    let Some(Announcement::Whole(body)) = roster.poll(Instant::now()).unwrap() else { panic!("it is news") };
+    publisher.pin(ROSTER, &body);
+    let listening = Domain::join(site.domain_id() + 6, "listener").unwrap();
+    let reader = listening.reader(&topic("/chatter"), &string(), &RELIABLE).unwrap();
+    status(&proxy, "incompatible QoS: a subscriber here asks for more in reliability than publisher 0 of").await;
+    drop(reader);
+    status(&proxy, "up").await;
+    listening.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_status_says_which_publisher_is_not_heard_and_why() {
+    let site = Site::start().await;
+    let id = site.domain_id() + 12;
+    let topics = [site.topic("/chatter", "std_msgs/msg/String")];
+    let proxy = site.proxy("robot", &domain(id), &topics, "direction: out, qos: {reliability: reliable}");
+    let talking = Domain::join(id, "talker").unwrap();
+    let unreliable = Offer { reliable: false, ..RELIABLE };
+    let writer = talking.writer(&topic("/chatter"), &string(), &unreliable).unwrap();
+    status(&proxy, "incompatible QoS: `qos` asks for more than it offers in reliability").await;
+    drop(writer);
+    status(&proxy, "up").await;
+    talking.leave().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
