@@ -18,6 +18,7 @@ def arguments():
     p.add_argument("--best-effort", action="store_true")
     p.add_argument("--transient-local", action="store_true")
     p.add_argument("--depth", type=int, default=10)
+    p.add_argument("--lease", type=int, help="ask for liveliness and a message in so many milliseconds, and say what comes of it")
     p.add_argument("--peer", help="discover this address by unicast, nothing by multicast")
     p.add_argument("--count", type=int, default=0, help="0: until killed")
     p.add_argument("--rate", type=float, default=10)
@@ -39,7 +40,7 @@ if args.peer:
     )
 
 from cyclonedds._clayer import ddspy_take
-from cyclonedds.core import Policy, Qos, ReadCondition, ViewState, InstanceState, SampleState, WaitSet
+from cyclonedds.core import Listener, Policy, Qos, ReadCondition, ViewState, InstanceState, SampleState, WaitSet
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.annotations import final
@@ -103,7 +104,12 @@ def say(**fields):
 
 def qos():
     reliable = Policy.Reliability.Reliable(duration(seconds=10))
+    promises = []
+    if args.lease:
+        lease = duration(milliseconds=args.lease)
+        promises = [Policy.Liveliness.Automatic(lease), Policy.Deadline(lease)]
     return Qos(
+        *promises,
         Policy.Reliability.BestEffort if args.best_effort else reliable,
         Policy.Durability.TransientLocal if args.transient_local else Policy.Durability.Volatile,
         Policy.History.KeepLast(args.depth),
@@ -144,8 +150,20 @@ def talk(participant):
         time.sleep(3600)
 
 
+class Promises(Listener):
+    lost = 0
+
+    def on_liveliness_changed(self, reader, status):
+        self.lost += max(0, status.not_alive_count_change)
+        say(event="liveliness", alive=status.alive_count, lost=self.lost)
+
+    def on_requested_deadline_missed(self, reader, status):
+        say(event="deadline missed")
+
+
 def listen(participant):
-    reader = DataReader(participant, Topic(participant, args.topic, String_, qos=qos()), qos=qos())
+    listener = Promises() if args.lease else None
+    reader = DataReader(participant, Topic(participant, args.topic, String_, qos=qos()), qos=qos(), listener=listener)
     node = announce(participant, readers=[reader])
     condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.NotRead)
     waitset = WaitSet(participant)

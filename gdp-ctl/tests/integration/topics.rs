@@ -16,7 +16,8 @@ use crate::owner::Owner;
 use crate::switch::{PATIENCE, config};
 use crate::user::User;
 
-const OFFER: Offer = Offer { reliable: true, transient_local: false, depth: 7, deadline_ns: 0, lifespan_ns: 0 };
+const OFFER: Offer =
+    Offer { reliable: true, transient_local: false, depth: 7, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
 
 #[tokio::test(flavor = "multi_thread")]
 async fn messages_of_a_publisher_elsewhere_are_shown_in_the_form_of_ros2cli() {
@@ -92,7 +93,7 @@ async fn what_is_published_at_the_command_line_arrives_with_its_roster() {
         for change in incoming.roster(Instant::now(), &got).unwrap().0 {
             match change {
                 Change::Joined { number, kind, offers, .. } => joined = Some((number, kind, offers)),
-                Change::Left { .. } => left = true,
+                Change::Left { .. } | Change::Silent { .. } => left = true,
             }
         }
     }

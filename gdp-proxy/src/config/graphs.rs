@@ -11,7 +11,7 @@ use crate::ros2;
 const MAX_GRAPHS: usize = 16;
 
 /// The graphs by the names that topics refer to them by. Without any, there is one of ROS 2 with ROS_DOMAIN_ID.
-#[derive(Debug, Deserialize, JsonSchema)]
+#[derive(Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(try_from = "BTreeMap<String, GraphConfig>")]
 pub struct Graphs(BTreeMap<String, GraphConfig>);
 

@@ -13,6 +13,7 @@ use gdp_proxy::ros2::{
     Domain, Graph, Mapping, Qos, RawReader, RawSample, RawWriter, Reliability, Server, ServiceInfo, TopicName, TypeName,
 };
 
+use gdp_ros::roster::Offer;
 use peer::{Peer, Vendor, within};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -66,6 +67,27 @@ async fn the_graph_has_what_vendors_announce_and_loses_what_leaves() {
         graph.topics.get(&chatter).is_some_and(|topic| topic.subscribers.is_empty())
     })
     .await;
+    domain.leave().await;
+}
+
+/// What a proxy mirrors of a publisher elsewhere, and takes away when that is lost.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_lease_is_kept_while_the_writer_is_there_and_its_end_is_seen() {
+    let domain = Domain::join(domain(4), "gdp_proxy_test").unwrap();
+    let lease_ns = 1_000_000_000;
+    let offers = Offer { deadline_ns: lease_ns, liveliness_ns: lease_ns, ..Qos::default().into() };
+    let mut writer = domain.writer(&topic(), &string(), &offers).unwrap();
+    let mut listener = Peer::topic(Vendor::Cyclone, "listen", self::domain(4), &["--lease", "1000"]);
+    warm_up(&mut writer, &mut listener).await;
+    // Nothing is written for several leases: the deadline is missed, and the writer lives.
+    for _ in 0..3 {
+        listener.event("deadline missed").await;
+    }
+    write(&mut writer, 0, 64).await;
+    assert_eq!(listener.message().await["seq"], 0);
+    drop(writer);
+    let end = listener.event("liveliness").await;
+    assert_eq!((end["alive"].as_u64(), end["lost"].as_u64()), (Some(0), Some(0)), "it was never lost before: {end}");
     domain.leave().await;
 }
 
