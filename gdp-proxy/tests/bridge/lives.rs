@@ -162,6 +162,33 @@ async fn a_proxy_that_ends_leaves_nothing_at_the_master() {
     onlooker.leave().await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn diagnostics_say_how_a_topic_does_in_either_version() {
+    let (site, master) = (Site::start().await, Master::start().await);
+    let id = site.domain_id() + 13;
+    let topics = [site.topic("/chatter", "std_msgs/msg/String")];
+    let _proxies = [("a", domain(id)), ("b", graph(&master))]
+        .map(|(label, graph)| site.proxy_of(label, &graph, &topics, "direction: out", "diagnostics: true"));
+    let says = |bytes: &[u8], text: &str| bytes.windows(text.len()).any(|part| part == text.as_bytes());
+    let is_told = |bytes: &[u8]| says(bytes, "gdp_proxy: /chatter out") && says(bytes, "waiting for a local publisher");
+
+    let listening = Domain::join(id, "listener").unwrap();
+    let kind = TypeName::parse("diagnostic_msgs/msg/DiagnosticArray").unwrap();
+    let reader = listening.reader(&topic("/diagnostics"), &kind, &RELIABLE).unwrap();
+    while !is_told(&received(&reader).await) {}
+    listening.leave().await;
+
+    let onlooker = master.node("/onlooker").await;
+    let mut subscription = onlooker.subscribe("/diagnostics", gdp_ros1::SubscribeOptions::default()).unwrap();
+    let mut next = async || within("diagnostics", subscription.next()).await.unwrap();
+    let mut message = next().await;
+    while !is_told(&message.data) {
+        message = next().await;
+    }
+    assert_eq!(message.publisher.kind, "diagnostic_msgs/DiagnosticArray");
+    onlooker.leave().await;
+}
+
 /// The next that is no roster.
 async fn message(subscription: &mut Subscription) -> Message {
     within("a message", async {

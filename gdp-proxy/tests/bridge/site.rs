@@ -87,7 +87,12 @@ impl Site {
 
     /// In this graph, with these, those of a kind together, of each of which `says` is said.
     pub fn proxy(&self, label: &str, graph: &str, topics: &[Topic], says: &str) -> Proxy {
-        let mut config = String::new();
+        self.proxy_of(label, graph, topics, says, "")
+    }
+
+    /// The same, with `more` in its configuration.
+    pub fn proxy_of(&self, label: &str, graph: &str, topics: &[Topic], says: &str, more: &str) -> Proxy {
+        let mut config = format!("{more}\n");
         for (i, topic) in topics.iter().enumerate() {
             if i == 0 || topics[i - 1].what != topic.what {
                 config += &format!("{}s:\n", topic.what);
