@@ -278,7 +278,21 @@ impl MessageBuilder {
     match cache_change.data_value {
       DDSData::Data { .. } => (), // data sample, not dispose
 
-      DDSData::DisposeByKey { .. } => {
+      DDSData::DisposeByKey { ref key, .. } => {
+        // GDP patch: Fast DDS looks at no key of more than 16 bytes, and so would not learn that
+        // an endpoint has gone: the key of discovery data is a GUID, which is its own hash.
+        let is_parameter_list = [
+          RepresentationIdentifier::PL_CDR_LE,
+          RepresentationIdentifier::PL_CDR_BE,
+        ]
+        .contains(&key.representation_identifier);
+        // After the parameter's id and length.
+        if let Some(guid) = key.value.get(4..20).filter(|_| is_parameter_list) {
+          param_list.push(Parameter {
+            parameter_id: ParameterId::PID_KEY_HASH,
+            value: guid.to_vec(),
+          });
+        }
         param_list.push(Parameter::create_pid_status_info_parameter(
           /* disposed */ true, /* unregistered */ true, /* filtered */ false,
         ));
