@@ -90,16 +90,14 @@ impl Backend {
     }
 
     /// Somebody asks what is new after an event.
-    pub fn ask(&self, call: Call, after: u64) -> Result<Option<Told>, (Call, Failure)> {
+    pub fn ask(&self, call: Call, after: u64) -> Result<Option<Told>, Box<(Call, Failure)>> {
         let Self::Action(action) = self else {
-            return Err((
-                call,
-                Failure::new(FailureCode::Malformed, "the name is of a service, and services have no events"),
-            ));
+            let failure = Failure::new(FailureCode::Malformed, "the name is of a service, and services have no events");
+            return Err(Box::new((call, failure)));
         };
         let (caller, now) = (call.client(), Instant::now());
         if let Err(error) = lock(&action.log).heard(now, caller) {
-            return Err((call, Failure::new(FailureCode::Busy, error)));
+            return Err(Box::new((call, Failure::new(FailureCode::Busy, error))));
         }
         match lock(&action.log).after(&caller, after) {
             Some(events) => Ok(Some((call, events))),

@@ -187,7 +187,8 @@ impl Route {
             Some(Request::Events { after, .. }) => match offer.backend.ask(call, after) {
                 Ok(None) => return,
                 Ok(Some(told)) => return answering.push(Box::pin(self.tell(told))),
-                Err((call, failure)) => {
+                Err(refused) => {
+                    let (call, failure) = *refused;
                     return answering.push(Box::pin(self.reply(call, Reply::Failure(failure))));
                 }
             },

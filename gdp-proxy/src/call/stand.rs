@@ -34,7 +34,7 @@ impl Stands {
         };
         let kind = TypeName::parse(&here.kind.name).map_err(RosError::from)?;
         let parts = ros2::Action::new(name, &kind).map_err(RosError::from)?;
-        let server = |(name, kind): &(_, _)| domain.server(name, kind, None).map(Stand::Ros2);
+        let server = |(name, kind): &(_, _)| domain.server(name, kind, None).map(|server| Stand::Ros2(server.into()));
         let writer = |(name, kind): &(_, _), qos: Qos| domain.writer(name, kind, &qos.into()).map(Mutex::new);
         // Topics first: who sees the services expects them.
         let (feedback, status) = (

@@ -90,7 +90,7 @@ fn is_proxy(node: &str) -> bool {
 /// Calls the local servers of a service.
 pub enum Caller {
     Ros1 { client: gdp_ros1::ServiceClient, md5sum: String },
-    Ros2(ros2::Client),
+    Ros2(Box<ros2::Client>),
 }
 
 impl Caller {
@@ -120,7 +120,7 @@ impl Caller {
     ) -> Result<[Self; N], GraphError> {
         let mut callers = Vec::with_capacity(N);
         for (name, kind) in services {
-            callers.push(Self::Ros2(domain.client(name, kind, mapping)?));
+            callers.push(Self::Ros2(domain.client(name, kind, mapping)?.into()));
         }
         tokio::time::sleep(SETTLE).await;
         callers.try_into().map_err(|_| GraphError::Left)
@@ -162,7 +162,7 @@ pub enum CallerError {
 /// A server that local clients see, as long as it lives.
 pub enum Stand {
     Ros1 { requests: Mutex<mpsc::Receiver<Asked>>, _server: ServiceServer },
-    Ros2(ros2::Server),
+    Ros2(Box<ros2::Server>),
 }
 
 /// What a local client asks.
@@ -198,7 +198,7 @@ impl Stand {
             }
             Graph::Ros2(domain) => {
                 let kind = TypeName::parse(&here.kind.name).map_err(ros2::RosError::from)?;
-                Ok(Self::Ros2(domain.server(name, &kind, None)?))
+                Ok(Self::Ros2(domain.server(name, &kind, None)?.into()))
             }
         }
     }

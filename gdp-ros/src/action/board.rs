@@ -51,7 +51,7 @@ impl Board {
     /// No longer shows what was lost long ago. Whether anything is not shown any more.
     pub fn sweep(&mut self, now: Instant) -> bool {
         let before = self.servers.len();
-        self.servers.retain(|_, shown| !shown.left.is_some_and(|left| now.saturating_duration_since(left) >= LINGER));
+        self.servers.retain(|_, shown| shown.left.is_none_or(|left| now.saturating_duration_since(left) < LINGER));
         self.servers.len() < before
     }
 
