@@ -52,6 +52,9 @@ pub struct Entry {
     pub grants: Vec<Issued<ReadGrant>>,
 }
 
+/// A name with the grants to read it.
+pub type Listing = (NameCard, Vec<Issued<ReadGrant>>);
+
 /// Why a catalog is not taken.
 #[derive(Debug, thiserror::Error)]
 pub enum CatalogError {
@@ -80,7 +83,7 @@ impl Catalog {
     }
 
     /// Reads what another proxy sent: the names, of which `owner` is the owner, with the grants to read them. These are not verified yet.
-    pub fn read(bytes: &[u8], owner: VerifyKey) -> Result<Vec<(NameCard, Vec<Issued<ReadGrant>>)>, CatalogError> {
+    pub fn read(bytes: &[u8], owner: VerifyKey) -> Result<Vec<Listing>, CatalogError> {
         let catalog: Self = cbor::decode(bytes, MAX_CATALOG)?;
         if catalog.version != VERSION {
             return Err(CatalogError::Version(catalog.version));
@@ -163,9 +166,8 @@ mod tests {
             let mut changed = bytes.clone();
             changed[at] ^= 1;
             let Ok(listed) = Catalog::read(&changed, key) else { continue };
-            let holds = |(card, grants): &(NameCard, Vec<Issued<ReadGrant>>)| {
-                grants.iter().any(|grant| grant.verify(&card.proof(), None, 1).is_ok())
-            };
+            let holds =
+                |(card, grants): &Listing| grants.iter().any(|grant| grant.verify(&card.proof(), None, 1).is_ok());
             assert!(!listed.iter().any(holds), "byte {at}");
         }
         Catalog::read(&vec![0; MAX_CATALOG + 1], key).unwrap_err();
