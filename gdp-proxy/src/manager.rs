@@ -50,9 +50,12 @@ pub enum Failure {
     Final(anyhow::Error),
 }
 
+/// Makes what runs for a plan.
+type Begin<P> = Box<dyn Fn(&P) -> <P as Plan>::Work>;
+
 /// What runs, and what is to run in its place.
 pub struct Manager<P: Plan> {
-    begin: Box<dyn Fn(&P) -> P::Work>,
+    begin: Begin<P>,
     places: BTreeMap<P::Place, Running<P>>,
     threads: JoinSet<(P::Place, Option<anyhow::Error>)>,
 }

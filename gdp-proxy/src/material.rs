@@ -165,7 +165,7 @@ fn load_route(topic: &TopicConfig, side: Side, entity: Name) -> Result<RouteMate
     let path = topic.right(side).ok_or((key, "missing".to_owned()))?;
     let opened = CertFile::open(path, side, topic.topic.as_str(), &card, entity);
     let (file, permission) = opened.map_err(|error| (key, with_path(error, path)))?;
-    Ok(RouteMaterial { side, card, kind, permission, file: Renewal::File(file) })
+    Ok(RouteMaterial { side, card, kind, permission, file: Renewal::File(file.into()) })
 }
 
 fn load_expose(config: &ExposeConfig) -> Result<ExposeMaterial, MaterialError> {
@@ -197,7 +197,7 @@ fn load_import(at: usize, config: &ImportConfig, entity: Name) -> Result<ImportM
     let opened = CertFile::open(&config.grant, Side::In, &label, &catalog, entity);
     let (file, permission) = opened.map_err(|error| wrong("grant", with_path(error, &config.grant)))?;
     match permission {
-        Permission::Read(grant) => Ok(ImportMaterial { catalog, grant, file: Renewal::File(file) }),
+        Permission::Read(grant) => Ok(ImportMaterial { catalog, grant, file: Renewal::File(file.into()) }),
         Permission::Publish(_) => Err(wrong("grant", "is a permission to publish".into())),
     }
 }

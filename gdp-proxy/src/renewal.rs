@@ -9,7 +9,7 @@ use crate::material::Permission;
 
 #[derive(Clone)]
 pub enum Renewal {
-    File(CertFile),
+    File(Box<CertFile>),
     Told(Told),
 }
 
