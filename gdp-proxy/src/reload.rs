@@ -27,8 +27,8 @@ pub struct Loaded {
 pub enum LoadError {
     #[error(transparent)]
     Config(#[from] ConfigError),
-    #[error("{}: {source}", path.display())]
-    Material { path: PathBuf, source: MaterialError },
+    #[error("{}: {error}", path.display())]
+    Material { path: PathBuf, error: MaterialError },
     #[error("{}: {key}: cannot change while the proxy runs; start it anew, or take the change back", path.display())]
     Fixed { path: PathBuf, key: String },
 }
@@ -37,7 +37,7 @@ impl Loaded {
     pub fn load(path: &Path) -> Result<Self, LoadError> {
         let config = Config::load(path)?;
         let material = Material::load(&config);
-        let material = material.map_err(|source| LoadError::Material { path: path.into(), source })?;
+        let material = material.map_err(|error| LoadError::Material { path: path.into(), error })?;
         Ok(Self { config, material })
     }
 
