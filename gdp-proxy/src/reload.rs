@@ -59,7 +59,11 @@ impl Loaded {
         let config = &self.config;
         let topics = config.topics.iter().map(|topic| topic.card.as_path());
         let imports = config.import.iter().map(|import| import.catalog.as_path());
-        topics.chain(imports).chain(config.expose.iter().flat_map(|expose| [expose.catalog.as_path(), &expose.owner]))
+        let calls = config.calls().map(|(_, call)| call.card.as_path());
+        topics
+            .chain(calls)
+            .chain(imports)
+            .chain(config.expose.iter().flat_map(|expose| [expose.catalog.as_path(), &expose.owner]))
     }
 }
 
