@@ -21,7 +21,7 @@ use serde_json::json;
 const TOPICS: usize = 200;
 
 /// How long nodes come and go; `GDP_CHURN_SECONDS` says otherwise.
-const SECONDS: u64 = 45;
+const SECONDS: u64 = 24;
 
 /// Until everything is discovered, on two cores.
 const SETTLED: Duration = Duration::from_secs(60);
