@@ -17,7 +17,7 @@ pub struct Converters {
 }
 
 /// Both messages of a service: request and response.
-type Halves = [Arc<Schema>; 2];
+pub type Halves = [Arc<Schema>; 2];
 
 /// A service or an action as another dialect writes it: `std_srvs/SetBool`, `std_srvs/srv/SetBool`.
 pub fn service_name(name: &str, dialect: Dialect) -> Result<String, TypeError> {
@@ -54,7 +54,7 @@ impl Types {
         let halves = match self.known_halves(dialect, &name) {
             Ok(halves) => halves,
             Err(_) => {
-                let [request, response] = self.halves(there)?;
+                let [request, response] = self.service_schemas(there)?;
                 [request.in_dialect(dialect.into(), &self.0)?, response.in_dialect(dialect.into(), &self.0)?]
             }
         };
@@ -70,8 +70,10 @@ impl Types {
         if client.kind.dialect == server.kind.dialect {
             return Ok(Converters { request: Converter::None, response: Converter::None });
         }
-        let (client, server) =
-            ((client.kind.dialect, self.halves(client)?), (server.kind.dialect, self.halves(server)?));
+        let (client, server) = (
+            (client.kind.dialect, self.service_schemas(client)?),
+            (server.kind.dialect, self.service_schemas(server)?),
+        );
         let convert = |half: usize, from: &(Dialect, Halves), to: &(Dialect, Halves)| -> Result<_, TypeError> {
             let (encodings, schemas) = ([from.0.native(), to.0.native()], [&from.1[half], &to.1[half]]);
             let mapping = Mapping::new(schemas[0], encodings[0], schemas[1], encodings[1])?;
@@ -83,7 +85,8 @@ impl Types {
         Ok(Converters { request: convert(0, &client, &server)?, response: convert(1, &server, &client)? })
     }
 
-    fn halves(&self, of: &Description) -> Result<Halves, TypeError> {
+    /// Request and response of a service, by what its server tells; without that, as they are known here.
+    pub fn service_schemas(&self, of: &Description) -> Result<Halves, TypeError> {
         let Kind { dialect, name, .. } = &of.kind;
         let Some(Definitions { request, response }) = &of.definitions else { return self.known_halves(*dialect, name) };
         let [first, second] = TypeName::parse(name)?.service_halves();

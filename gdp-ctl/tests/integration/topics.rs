@@ -9,7 +9,9 @@ use gdp::node::{PublishOptions, Publisher, SubscribeOptions};
 use gdp::seal::{Draft, Encoding};
 use gdp::{Identity, Name, Node, NodeConfig, SigningKey};
 use gdp_ctl::serve::{Running, start};
+use gdp_ros::call::{CALL, Epoch, Failure, FailureCode, Reply, Request};
 use gdp_ros::roster::{self, Change, Dialect, Incoming, Kind, Offer, Outgoing, ROSTER};
+use gdp_ros::types::Types;
 use serde_json::Value;
 
 use crate::owner::Owner;
@@ -133,6 +135,46 @@ async fn who_has_no_grant_is_told_how_to_get_one_and_who_waits_in_vain_that_nobo
     site.switch.stop().await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_service_elsewhere_is_called_in_the_form_of_ros2cli() {
+    let site = Site::new(&[("/light", "std_srvs/srv/SetBool")]).await;
+    assert_eq!(site.text(&["service", "list", "-t"]).await, "/light [std_srvs/srv/SetBool]\n");
+    let owner = &site.owners[0];
+    let node = site.node(Identity::generate("proxy").unwrap()).await;
+    let mut server = node.serve(owner.card.proof(), owner.ad(node.name()).into()).await.unwrap();
+    let serving = tokio::spawn(async move {
+        let (epoch, types) = (Epoch(7), Types::load([]).unwrap());
+        let kind = Kind { dialect: Dialect::Ros2, name: "std_srvs/srv/SetBool".into(), hash: vec![] };
+        while let Some(call) = server.recv().await {
+            let reply = match Request::from_bytes(call.body()).unwrap() {
+                Request::Describe => Reply::Description(epoch, types.describe_service(kind.clone())),
+                Request::Call { body, .. } if body[4] == 1 => {
+                    Reply::Answer(bytes::Bytes::from_static(b"\0\x01\0\0\x01\0\0\0\x03\0\0\0on\0"))
+                }
+                _ => Reply::Failure(Failure::new(FailureCode::Refused, "it stays on")),
+            };
+            call.reply(CALL, &reply.to_bytes().unwrap()).await.unwrap();
+        }
+    });
+
+    let text = site.text(&["service", "call", "/light", "std_srvs/srv/SetBool", "{data: true}"]).await;
+    let request = "requester: making request: std_srvs.srv.SetBool_Request(data=True)";
+    let response = "response:\nstd_srvs.srv.SetBool_Response(success=True, message='on')";
+    assert_eq!(text, format!("{request}\n\n{response}\n"));
+    let value = site.json(&["service", "call", "light", "std_srvs/srv/SetBool", "data: true"]).await;
+    assert_eq!((&value["response"]["success"], &value["response"]["message"]), (&true.into(), &"on".into()));
+    for (arguments, needle) in [
+        (&["std_srvs/srv/SetBool", "{data: false}"][..], "it stays on"),
+        (&["std_srvs/srv/Trigger"], "/light is of std_srvs/srv/SetBool, and not of std_srvs/srv/Trigger"),
+        (&["std_srvs/srv/SetBool", "{dato: true}"], "no field `dato`; its fields are: data"),
+    ] {
+        let refusal = site.refusal(&[&["service", "call", "/light"], arguments].concat()).await;
+        assert!(refusal.contains(needle), "{arguments:?}: {refusal}");
+    }
+    serving.abort();
+    site.switch.stop().await;
+}
+
 /// A daemon, and a user with a keyring for topics.
 struct Site {
     switch: Running,
@@ -152,7 +194,8 @@ impl Site {
         let entity = Identity::new(key, "proxy").name();
         let mut owners = Vec::new();
         for (i, (topic, kind)) in topics.iter().enumerate() {
-            let owner = Owner::of_type("topic", topic, kind);
+            let what = if kind.contains("/srv/") { "service" } else { "topic" };
+            let owner = Owner::of_type(what, topic, kind);
             owner.card.save_new(&keyring.join(format!("{i}.card"))).unwrap();
             std::fs::write(keyring.join(format!("{i}.grant")), owner.grant(entity).to_pem()).unwrap();
             std::fs::write(keyring.join(format!("{i}.ad")), owner.ad(entity).to_pem()).unwrap();

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::roster::{Kind, MAX_DEFINITION};
 
 /// How a message is marked that is a request or a reply.
-pub const CALL: Encoding = Encoding::Other(0x4743);
+pub const CALL: Encoding = Encoding::Other(0x4753);
 
 const VERSION: u8 = 1;
 

@@ -1,5 +1,7 @@
 //! `gdp-ctl service`: what `ros2 service` is in a ROS graph, in the fabric.
 
+mod call;
+
 use clap::Subcommand;
 
 use super::Context;
@@ -9,10 +11,13 @@ use super::topic::{ListOptions, list};
 pub enum Command {
     /// List the services of the keyring.
     List(ListOptions),
+    /// Call a service, and print what it answers.
+    Call(call::Options),
 }
 
 pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
         Command::List(options) => list("service", &options, context),
+        Command::Call(options) => call::run(&options, context),
     }
 }

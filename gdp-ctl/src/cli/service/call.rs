@@ -1,0 +1,164 @@
+//! `gdp-ctl service call`: one request to the nearest server, in the terms of its ROS graph.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context as _, bail};
+use clap::Args;
+use gdp::node::{Client, NodeError};
+use gdp::seal::Message;
+use gdp::{Name, NameCard};
+use gdp_msg::{Base, Encoding, Mapping, Options as Limits, Schema, TypeName};
+use gdp_ros::call::{CALL, Description, Epoch, Part, Reply, Request};
+use serde_json::{Value, json};
+
+use super::super::Context;
+use super::super::node::{Definitions, NodeOptions, now, unless_interrupted};
+use crate::ros::fabric::Fabric;
+use crate::ros::fill::fill;
+use crate::ros::given::Given;
+use crate::ros::keyring::called;
+use crate::ros::python;
+use crate::ros::view::View;
+use crate::unix_time::unix_now;
+
+/// How often it is looked for a server.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// How long, and how often, a server is asked what it serves.
+const ATTEMPT: Duration = Duration::from_secs(2);
+const ATTEMPTS: u32 = 10;
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// The service: its ROS name, its name or first digits of it, or a name card.
+    #[arg(value_name = "SERVICE")]
+    what: String,
+    /// Its type, such as std_srvs/srv/SetBool.
+    #[arg(value_name = "TYPE")]
+    type_name: String,
+    /// Values of the request's fields, in YAML or JSON; fields that are left out are as the definition says, and else zero or empty.
+    #[arg(default_value = "{}")]
+    values: String,
+    #[command(flatten)]
+    definitions: Definitions,
+    #[command(flatten)]
+    node: NodeOptions,
+}
+
+pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let (keyring, types) = (options.node.keyring()?, options.definitions.load()?);
+    let card = keyring.find(&options.what, "service")?;
+    let (given, wanted) = (Given::parse(&options.values)?, TypeName::parse(&options.type_name)?);
+    let ask = async |fabric: &Fabric| {
+        let grant = fabric.keyring.grant(&card, fabric.node.name(), unix_now())?;
+        let client = fabric.node.client(card.proof(), grant).await?;
+        let server = Server::find(&client, &card).await?;
+        server.check(&wanted, &card)?;
+        let [request, response] = types.service_schemas(&server.description)?.map(Half::new);
+        let json = fill(&request.schema, &given, (now().as_secs(), now().subsec_nanos()))?;
+        if !context.output.json {
+            let text = request.text(&json)?;
+            context.output.print(json!({}), || format!("requester: making request: {text}\n"))?;
+        }
+        let native = server.description.kind.dialect.native();
+        let answer = server.call(&client, request.encode(&json, native)?).await?;
+        let answer = response.decode(&answer, native)?;
+        let text = response.text(&answer)?;
+        let value =
+            json!({"service": called(&card), "name": card.name(), "server": server.instance, "response": answer});
+        context.output.print(value, || format!("response:\n{text}"))
+    };
+    options.node.with_fabric(keyring, context, async |fabric| unless_interrupted(ask(fabric)).await).map(drop)
+}
+
+/// One that serves the name, and what it has said of the service.
+struct Server {
+    instance: Name,
+    epoch: Epoch,
+    description: Description,
+}
+
+impl Server {
+    async fn find(client: &Client, card: &NameCard) -> anyhow::Result<Self> {
+        let mut told = false;
+        while client.servers() == 0 {
+            if !std::mem::replace(&mut told, true) {
+                eprintln!("waiting for service {} to become available...", called(card));
+            }
+            tokio::time::sleep(LOOK).await;
+        }
+        let reply = describe(client).await?;
+        match Reply::from_bytes(&reply.body)? {
+            Reply::Description(epoch, description) => Ok(Self { instance: reply.writer, epoch, description }),
+            Reply::Failure(failure) => bail!("{} is not served: {failure}", called(card)),
+            _ => bail!("{:#} answers something else than was asked", reply.writer),
+        }
+    }
+
+    fn check(&self, wanted: &TypeName, card: &NameCard) -> anyhow::Result<()> {
+        let served = &self.description.kind.name;
+        let is = TypeName::parse(served)?;
+        if (is.package(), is.name()) != (wanted.package(), wanted.name()) {
+            bail!("{} is of {served}, and not of {wanted}", called(card));
+        }
+        Ok(())
+    }
+
+    async fn call(&self, client: &Client, body: Vec<u8>) -> anyhow::Result<bytes::Bytes> {
+        let request = Request::Call { epoch: self.epoch, part: Part::Service, body: body.into() };
+        let reply = client.call_at(self.instance, CALL, &request.to_bytes()).await?;
+        match Reply::from_bytes(&reply.body)? {
+            Reply::Answer(body) => Ok(body),
+            Reply::Failure(failure) => bail!("the call failed: {failure}"),
+            _ => bail!("{:#} answers something else than was asked", reply.writer),
+        }
+    }
+}
+
+/// Asks again and again: the way to a server that has only just come may not be there yet.
+async fn describe(client: &Client) -> anyhow::Result<Message> {
+    for _ in 0..ATTEMPTS {
+        let asked = tokio::time::timeout(ATTEMPT, client.call(CALL, &Request::Describe.to_bytes())).await;
+        match asked {
+            Ok(Ok(reply)) => return Ok(reply),
+            Ok(Err(error @ (NodeError::NoServer(_) | NodeError::NoInstance { .. }))) => tracing::debug!("{error}"),
+            Ok(Err(error)) => return Err(error.into()),
+            Err(_) => {}
+        }
+        tokio::time::sleep(LOOK).await;
+    }
+    bail!("its server does not describe it; is it a service of a gdp-proxy?")
+}
+
+/// Requests or responses of a service.
+struct Half {
+    schema: Arc<Schema>,
+    root: Base,
+}
+
+impl Half {
+    fn new(schema: Arc<Schema>) -> Self {
+        let root = Base::Named(schema.name().clone());
+        Self { schema, root }
+    }
+
+    fn text(&self, value: &Value) -> anyhow::Result<String> {
+        Ok(python::value(&View::of(&self.schema, &self.root, value))?)
+    }
+
+    fn encode(&self, value: &Value, to: Encoding) -> anyhow::Result<Vec<u8>> {
+        let mut body = Vec::new();
+        let mapping = Mapping::within(&self.schema, Encoding::Json, to)?;
+        let encoded = mapping.transcode(value.to_string().as_bytes(), &mut body, &Limits::default());
+        encoded.map_err(|error| anyhow::anyhow!("`{}`: {}", error.path, error.fault))?;
+        Ok(body)
+    }
+
+    fn decode(&self, body: &[u8], from: Encoding) -> anyhow::Result<Value> {
+        let mut json = Vec::new();
+        let mapping = Mapping::within(&self.schema, from, Encoding::Json)?;
+        mapping.transcode(body, &mut json, &Limits::default()).context("what was answered cannot be read")?;
+        Ok(serde_json::from_slice(&json)?)
+    }
+}
