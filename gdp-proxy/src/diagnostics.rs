@@ -101,17 +101,13 @@ impl Diagnostics {
         Ok(Self { entity, outlets, ticks, before: HashMap::new() })
     }
 
-    /// In all graphs, if the configuration wants it.
-    pub async fn wanted(
-        config: &Config,
-        entity: Name,
-        graphs: &All,
-        types: &Types,
-    ) -> Result<Option<Self>, DiagnosticsError> {
-        match config.diagnostics {
-            true => Self::new(entity, graphs, types).await.map(Some),
-            false => Ok(None),
+    /// In all graphs, if the configuration wants it and the graphs take it; topics are worth more than what is said of them.
+    pub async fn wanted(config: &Config, entity: Name, graphs: &All, types: &Types) -> Option<Self> {
+        if !config.diagnostics {
+            return None;
         }
+        let new = Self::new(entity, graphs, types).await;
+        new.inspect_err(|error| tracing::warn!("no diagnostics: {error}")).ok()
     }
 
     /// To be done once a second.

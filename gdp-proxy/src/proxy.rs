@@ -85,7 +85,7 @@ async fn carry(
     running.calls.want(call_plans(&loaded, &graphs)?);
     watch.look_at(loaded.cards());
     let mut shown = Shown::new(stats);
-    let mut diagnostics = Diagnostics::wanted(&loaded.config, node.name(), &graphs, &types).await?;
+    let mut diagnostics = Diagnostics::wanted(&loaded.config, node.name(), &graphs, &types).await;
     let ended = loop {
         tokio::select! {
             () = &mut stop => break Ok(()),
@@ -102,7 +102,7 @@ async fn carry(
             () = watch.changed() => match load_again(&loaded, &watch, &mut graphs, &ros_node).await {
                 Ok(new) => {
                     if new.config.diagnostics != loaded.config.diagnostics || new.config.graphs != loaded.config.graphs {
-                        diagnostics = Diagnostics::wanted(&new.config, node.name(), &graphs, &types).await?;
+                        diagnostics = Diagnostics::wanted(&new.config, node.name(), &graphs, &types).await;
                     }
                     loaded = new;
                     watch.look_at(loaded.cards());

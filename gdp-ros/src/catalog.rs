@@ -78,8 +78,13 @@ impl Catalog {
         Ok(catalog)
     }
 
-    pub fn to_bytes(&self) -> Result<Vec<u8>, CborError> {
-        cbor::encode(self)
+    /// Likewise refused.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, CatalogError> {
+        let bytes = cbor::encode(self)?;
+        match bytes.len() {
+            got if got > MAX_CATALOG => Err(CatalogError::TooMuch { what: "bytes", got, most: MAX_CATALOG }),
+            _ => Ok(bytes),
+        }
     }
 
     /// Reads what another proxy sent: the names, of which `owner` is the owner, with the grants to read them. These are not verified yet.

@@ -46,7 +46,7 @@ impl fmt::Display for NotExposed {
 
 /// What the configuration says of a topic of this type.
 pub fn judge(config: &ExposeConfig, topic: &TopicName, kind: &TypeName) -> Result<Exposed, NotExposed> {
-    if let Some(pattern) = config.deny.iter().find(|pattern| pattern.matches(topic)) {
+    if let Some(pattern) = config.deny.iter().find(|pattern| pattern.covers(topic)) {
         return Err(NotExposed::Denied(pattern.to_string()));
     }
     let rule = config.topics.iter().find(|rule| rule.topic.matches(topic));
@@ -108,8 +108,9 @@ mod tests {
 
     #[test]
     fn deny_wins_and_nothing_is_exposed_that_is_not_named() {
-        let config =
-            config("topics: [/camera/**, /odom, /rosout], deny: [/camera/raw, /**/secret/**], types: [a/msg/B]");
+        let config = config(
+            "topics: [/camera/**, /odom, /rosout], deny: [/camera/raw, /**/secret/**, /parameter*], types: [a/msg/B]",
+        );
         let judge =
             |topic: &str, kind: &str| judge(&config, &name(topic), &TypeName::parse(kind).unwrap()).map(|it| it.name);
         assert_eq!(judge("/camera/left", "a/msg/B"), Ok(name("/camera/left")));

@@ -132,7 +132,7 @@ impl Catalogs {
 pub fn chosen<'a>(config: &ImportConfig, listed: &'a [Listed]) -> BTreeMap<TopicName, &'a Listed> {
     let mut chosen = BTreeMap::new();
     for listed in listed {
-        let denied = config.deny.iter().any(|pattern| pattern.matches(&listed.topic));
+        let denied = config.deny.iter().any(|pattern| pattern.covers(&listed.topic));
         if denied || !config.topics.iter().any(|pattern| pattern.matches(&listed.topic)) {
             continue;
         }

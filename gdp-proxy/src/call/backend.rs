@@ -127,9 +127,14 @@ impl Action {
         let goal = cdr::goal_of(&body).map_err(|error| Failure::new(FailureCode::Malformed, error))?;
         lock(&self.log).heard(Instant::now(), caller).map_err(|error| Failure::new(FailureCode::Busy, error))?;
         // What it says of the goal may come before its answer.
-        lock(&self.goals).begin(goal, caller).map_err(|error| Failure::new(FailureCode::Busy, error))?;
+        let is_new = {
+            let mut goals = lock(&self.goals);
+            let is_new = goals.get(&goal).is_none();
+            goals.begin(goal, caller).map_err(|error| Failure::new(FailureCode::Busy, error))?;
+            is_new
+        };
         let answer = self.send_goal.call(body).await;
-        if !answer.as_ref().is_ok_and(|answer| cdr::is_accepted(answer).unwrap_or_default()) {
+        if is_new && !answer.as_ref().is_ok_and(|answer| cdr::is_accepted(answer).unwrap_or_default()) {
             lock(&self.goals).forget(&goal);
         }
         answer

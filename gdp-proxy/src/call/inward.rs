@@ -37,6 +37,9 @@ const ATTEMPTS: usize = 20;
 const ATTEMPT: Duration = Duration::from_secs(2);
 const SOON: Duration = Duration::from_millis(200);
 
+/// For clients here to be told that nothing is called any more.
+const LAST_WORDS: Duration = Duration::from_secs(1);
+
 /// Before a server is asked again that was of no use.
 const ASK_AGAIN: Duration = Duration::from_secs(5);
 
@@ -138,7 +141,12 @@ impl Route {
                     (Ok(_), None) => {}
                 },
                 Ok(()) = changes.changed() => self.look(&mut to, &mut doing).await,
-                why = &mut ended => return ended_because(why),
+                why = &mut ended => {
+                    // Calls end with the client: who waits for them is told.
+                    let told = async { while doing.next().await.is_some() {} };
+                    _ = tokio::time::timeout(LAST_WORDS, told).await;
+                    return ended_because(why);
+                }
                 _ = ticks.tick() => {
                     if let Some(new) = right.file.changed().and_then(Permission::read)
                         && self.renewed(&mut right.file, client.renew(new.clone()).await)
@@ -325,11 +333,16 @@ impl Route {
         doing: &mut FuturesUnordered<Doing<'a>>,
     ) {
         let targets = match self.targets(to, part, &asked.request) {
-            Ok(_) if doing.len() >= MAX_PENDING => Err(Failure::new(FailureCode::Busy, "too many wait here")),
+            // What stops a robot finds room.
+            Ok(_) if doing.len() >= MAX_PENDING && part != Part::CancelGoal => {
+                Err(Failure::new(FailureCode::Busy, "too many wait here"))
+            }
             targets => targets,
         };
         let Asked { request, mut asker } = asked;
         let (client, goals) = (to.client, to.goals);
+        let is_new = matches!(&targets, Ok((_, true)));
+        let targets = targets.map(|(targets, _)| targets);
         doing.push(Box::pin(async move {
             let _pending = self.counters.begun();
             let answer = async {
@@ -347,7 +360,8 @@ impl Route {
             let goal = cdr::goal_of(&request).unwrap_or(cdr::ANY_GOAL);
             match (part, &answer) {
                 (Part::SendGoal, Ok(response)) if cdr::is_accepted(response).unwrap_or_default() => {}
-                (Part::SendGoal, _) => lock(goals).forget(&goal),
+                // Another request may have begun it before.
+                (Part::SendGoal, _) if is_new => lock(goals).forget(&goal),
                 (Part::GetResult, Ok(_)) => lock(goals).end(Instant::now(), &goal),
                 _ => {}
             }
@@ -370,8 +384,8 @@ impl Route {
         }));
     }
 
-    /// Whom a request is for: most often one server.
-    fn targets(&self, to: &In<'_>, part: Part, request: &[u8]) -> Result<Vec<Arc<Known>>, Failure> {
+    /// Whom a request is for: most often one server. And whether it begins a goal that was not known.
+    fn targets(&self, to: &In<'_>, part: Part, request: &[u8]) -> Result<(Vec<Arc<Known>>, bool), Failure> {
         let known = |name: &Name| match to.remotes.get(name) {
             Some(Remote::Known(known)) => Some(known.clone()),
             _ => None,
@@ -379,26 +393,22 @@ impl Route {
         // The nearest first.
         let all: Vec<_> = to.client.instances().iter().filter_map(|one| known(&one.name)).collect();
         if part == Part::Service {
-            return Ok(all.into_iter().take(1).collect());
+            return Ok((all.into_iter().take(1).collect(), false));
         }
         let malformed = |error| Failure::new(FailureCode::Malformed, error);
         let (goal, mut goals): (GoalId, _) = (cdr::goal_of(request).map_err(malformed)?, lock(to.goals));
         match (part, goals.get(&goal)) {
             // What was begun at one is continued there.
-            (_, Some(of)) => Ok(known(&of).into_iter().collect()),
+            (_, Some(of)) => Ok((known(&of).into_iter().collect(), false)),
             (Part::SendGoal, None) => {
                 let nearest: Vec<_> = all.into_iter().take(1).collect();
                 for one in &nearest {
                     goals.begin(goal, one.instance).map_err(|error| Failure::new(FailureCode::Busy, error))?;
                 }
-                Ok(nearest)
+                Ok((nearest, true))
             }
-            (Part::CancelGoal, None) if goal == cdr::ANY_GOAL => {
-                let busy: Vec<_> = all.iter().filter(|one| goals.has_live(one.instance)).cloned().collect();
-                Ok(if busy.is_empty() { all.into_iter().take(1).collect() } else { busy })
-            }
-            // Sent before this proxy was started, perhaps.
-            (_, None) => Ok(all),
+            // Of all goals, or one that was sent before this proxy was started, perhaps.
+            (_, None) => Ok((all, false)),
         }
     }
 
@@ -406,14 +416,21 @@ impl Route {
         self.counters.events(events.events.len() as u64, events.dropped);
         for event in events.events {
             let published = match event {
-                Event::Feedback(message) => match &to.local {
-                    Some((local, _)) => local.publish_feedback(message).await,
-                    None => Ok(()),
+                Event::Feedback(message) => match (&to.local, cdr::goal_of(&message)) {
+                    (_, Err(error)) => Err(error.to_string()),
+                    (_, Ok(goal)) if lock(to.goals).get(&goal).is_some_and(|of| of != instance) => {
+                        Err("feedback about a goal that another server has".into())
+                    }
+                    (Some((local, _)), Ok(_)) => local.publish_feedback(message).await,
+                    (None, Ok(_)) => Ok(()),
                 },
                 Event::Status(message) => match to.board.say(instance, &message) {
                     Ok(ended) => {
                         let now = Instant::now();
-                        ended.iter().for_each(|status| lock(to.goals).end(now, &status.goal));
+                        let is_own = |goal: &GoalId| lock(to.goals).get(goal) == Some(instance);
+                        let own = ended.iter().map(|status| status.goal).filter(is_own);
+                        let own: Vec<GoalId> = own.collect();
+                        own.iter().for_each(|goal| lock(to.goals).end(now, goal));
                         self.show(to).await;
                         Ok(())
                     }

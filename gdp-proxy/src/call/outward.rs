@@ -176,6 +176,10 @@ impl Route {
         let request = if call.encoding() == CALL { Request::from_bytes(call.body()).ok() } else { None };
         let failure = |code, text: &str| Reply::Failure(Failure::new(code, text));
         let reply = match request {
+            // A description is large, and whoever asks again is answered later.
+            Some(Request::Describe) if answering.len() >= MAX_PENDING => {
+                return self.failed(Reason::Busy, "too many wait");
+            }
             None => {
                 self.failed(Reason::Malformed, "a request that no proxy of this release sends");
                 failure(FailureCode::Malformed, "not a request of this release")

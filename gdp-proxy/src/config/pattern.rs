@@ -32,9 +32,11 @@ impl Pattern {
 
     /// Whether the name is one of those meant. [Hidden](is_hidden) ones are meant only by a pattern that is their name.
     pub fn matches(&self, topic: &TopicName) -> bool {
-        if is_hidden(topic) {
-            return self.0 == topic.as_str();
-        }
+        if is_hidden(topic) { self.0 == topic.as_str() } else { self.covers(topic) }
+    }
+
+    /// The same, hidden or not: what is denied is denied.
+    pub fn covers(&self, topic: &TopicName) -> bool {
         let (pattern, name): (Vec<&str>, Vec<&str>) = (segments(&self.0).collect(), segments(topic.as_str()).collect());
         glob(
             &pattern,
@@ -45,10 +47,10 @@ impl Pattern {
     }
 }
 
-/// What ROS and proxies have for themselves: `/rosout`, `/parameter_events`, `/gdp_proxy…`, and names with a segment that begins with an underscore.
+/// What ROS and proxies have for themselves: `/rosout`, `/rosout_agg`, `/parameter_events`, `/gdp_proxy…`, and names with a segment that begins with an underscore.
 pub fn is_hidden(topic: &TopicName) -> bool {
     let name = topic.as_str();
-    matches!(name, "/rosout" | "/parameter_events")
+    matches!(name, "/rosout" | "/rosout_agg" | "/parameter_events")
         || name.starts_with("/gdp_proxy")
         || segments(name).any(|segment| segment.starts_with('_'))
 }

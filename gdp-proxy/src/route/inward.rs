@@ -7,6 +7,7 @@ use gdp::Name;
 use gdp::cert::Reading;
 use gdp::node::{NodeError, Subscription};
 use gdp::seal::Message;
+use tokio::time::MissedTickBehavior;
 
 use super::local::{Local, Made};
 use super::locals::{Locals, Whose};
@@ -80,11 +81,14 @@ impl Route {
         right: &mut Right,
     ) -> Result<NodeError, RouteError> {
         let mut ticks = ticks();
+        let mut looks = tokio::time::interval(LOOK_FOR_SUBSCRIBERS);
+        looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             let is_busy = to.locals.is_busy();
             let received = tokio::select! {
-                received = subscription.recv() => received,
-                () = tokio::time::sleep(LOOK_FOR_SUBSCRIBERS), if is_busy => {
+                // However many messages come.
+                biased;
+                _ = looks.tick(), if is_busy => {
                     self.look(to).await;
                     continue;
                 }
@@ -101,6 +105,7 @@ impl Route {
                     self.look(to).await;
                     continue;
                 }
+                received = subscription.recv() => received,
             };
             match received {
                 Some(message) => self.take(to, message).await,

@@ -12,10 +12,9 @@ use gdp::seal::Draft;
 use super::pace::Pace;
 use super::{Published, RETRY, Route, RouteError, Way, ended_because, ticks};
 use crate::delivery::{lacks, latched, publish_options, stronger};
-use crate::graph::{Arrived, Event, Graph, GraphError, Key, Reader};
+use crate::graph::{Arrived, Event, GraphError, Key, Reader};
 use crate::material::Permission;
 use crate::renewal::Renewal;
-use crate::ros2::TypeName;
 use crate::stats::{Drop, FabricCounters};
 use crate::twins::Place;
 use gdp_ros::roster::{self, Announcement, Kind, Offer, Outgoing};
@@ -66,8 +65,8 @@ impl Route {
         right: &mut Right,
         publisher: &mut Option<Published>,
     ) -> Result<Infallible, RouteError> {
-        let Way { graph, node, kind, card, place } = *way;
-        let mut out = self.learn(graph, kind, self.config.qos.map(Offer::from)).await?;
+        let Way { node, card, place, .. } = *way;
+        let mut out = self.learn(way, self.config.qos.map(Offer::from)).await?;
         let mut pause = RETRY.0;
         loop {
             let farewell = out.roster.farewell()?;
@@ -98,7 +97,7 @@ impl Route {
                     let offers = out.offers;
                     self.wait_for_right(error, &mut pause, right, place).await;
                     // What has come meanwhile is old by now.
-                    out = self.learn(graph, kind, Some(offers)).await?;
+                    out = self.learn(way, Some(offers)).await?;
                 }
             }
         }
@@ -114,12 +113,8 @@ impl Route {
 
     /// Reads the topic; returns when it is known how to publish it. Never, if its type cannot be converted as the configuration wants: the
     /// status says so.
-    async fn learn<'a>(
-        &self,
-        graph: &'a Graph,
-        kind: Option<&TypeName>,
-        offers: Option<Offer>,
-    ) -> Result<Out<'a>, RouteError> {
+    async fn learn<'a>(&self, way: &Way<'a>, offers: Option<Offer>) -> Result<Out<'a>, RouteError> {
+        let Way { graph, kind, place, .. } = *way;
         let mut strangers = BTreeMap::new();
         let mut reader = graph.reader(&self.config.topic, kind, self.config.qos)?;
         let wanted = kind.map(|kind| graph.kind(kind));
@@ -150,6 +145,8 @@ impl Route {
             Err(error) => {
                 self.set_status(&error.to_string());
                 tracing::warn!(topic = %self.config.topic, kind = %kind.name, "not carried: {error}");
+                // Another proxy of the graph may know more.
+                place.set_permitted(false);
                 std::future::pending().await
             }
         };

@@ -131,14 +131,12 @@ impl Incoming {
         let Some(number) = number(&message.origin) else { return Taken::Plain(message) };
         if let Some(peer) = self.peers.get_mut(&message.writer)
             && peer.said.0 == message.session
-            && let Some(from) = peer.writers.get(&number)
+            && peer.writers.get(&number).is_some_and(|from| !from.is_silent)
         {
-            // Of those that are silent the next roster tells, which is on its way.
-            if !from.is_silent {
-                peer.heard = now;
-            }
+            peer.heard = now;
             return Taken::From(number, message);
         }
+        // Of one that is silent the next roster tells, which is on its way; others wait for theirs.
         self.held_bytes += message.body.len();
         self.held.push_back((now, message));
         let mut gone = 0;

@@ -47,9 +47,13 @@ fn nodes_come_and_go_and_every_route_still_carries() -> Result<()> {
     let begun = listeners.wait_until("most topics", SETTLED, |p| (heard(p, false)? > TOPICS / 2).then_some(()));
     begun.with_context(|| report(&proxies))?;
     std::thread::sleep(Duration::from_secs(seconds / 3));
-    let early = proxies.iter().map(Usage::of).collect::<Result<Vec<_>>>()?;
-    std::thread::sleep(Duration::from_secs(seconds - seconds / 3));
-    let late = proxies.iter().map(Usage::of).collect::<Result<Vec<_>>>()?;
+    let usage = || proxies.iter().map(Usage::of).collect::<Result<Vec<_>>>();
+    let third = || std::thread::sleep(Duration::from_secs(seconds / 3));
+    let early = usage()?;
+    third();
+    let middle = usage()?;
+    third();
+    let late = usage()?;
 
     fs::write(&gate, "")?;
     let settled = listeners.wait_until("every topic", SETTLED, |p| (heard(p, true)? == TOPICS).then_some(()));
@@ -58,8 +62,13 @@ fn nodes_come_and_go_and_every_route_still_carries() -> Result<()> {
         process.check_alive()?;
     }
     let last = listeners.json_lines().pop().context("a last line")?;
-    println!("{} nodes came at the listening end; before and after {seconds} s: {early:?}, {late:?}", last["nodes"]);
-    for (early, late) in early.iter().zip(&late) {
+    println!(
+        "{} nodes came at the listening end; a third of {seconds} s apart: {early:?}, {middle:?}, {late:?}",
+        last["nodes"]
+    );
+    for ((early, middle), late) in early.iter().zip(&middle).zip(&late) {
+        let (before, after) = (middle.cpu_ticks - early.cpu_ticks, late.cpu_ticks - middle.cpu_ticks);
+        ensure!(after < before * 2 + 20, "gets busier: {before} ticks, then as long after {after}");
         // An allocator keeps some of what it gave.
         ensure!(late.resident_kb < early.resident_kb * 5 / 4 + 8192, "grows: {early:?}, then {late:?}");
     }
@@ -115,7 +124,6 @@ fn proxies(tools: &Tools, chain: &Chain, authority: &Authority<'_>) -> Result<Ve
 #[derive(Debug)]
 struct Usage {
     resident_kb: u64,
-    #[allow(dead_code, reason = "shown")]
     cpu_ticks: u64,
 }
 

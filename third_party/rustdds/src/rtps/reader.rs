@@ -589,6 +589,10 @@ impl Reader {
     mr_state: &MessageReceiverState,
   ) {
     let writer_guid = GUID::new_with_prefix_and_id(mr_state.source_guid_prefix, datafrag.writer_id);
+    // GDP patch: memory is spent on writers alone that discovery has matched; what others send is dropped when it is complete.
+    if !self.like_stateless && self.matched_writer(writer_guid).is_none() {
+      return;
+    }
     let seq_num = datafrag.writer_sn;
     let receive_timestamp = Timestamp::now();
     //trace!("DATAFRAG received topic={:?}", self.topic_name);
