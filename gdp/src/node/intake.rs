@@ -227,7 +227,11 @@ impl Intake {
                 if self.reader.vouch(writer, *session, *sequence).is_err() {
                     return false;
                 }
-                if known.session.as_ref().is_none_or(|known| known.id != *session) {
+                if let Some(known) = known.session.as_mut().filter(|known| known.id == *session) {
+                    // It was asked again, and says where a reader begins that knows nothing. This one knows where it is: what comes before
+                    // that was sent, and is missed if it is not here.
+                    known.inbound.heartbeat(now, *sequence, 0);
+                } else {
                     let reliable = self.options.wants != Wants::Newest && *reliable;
                     let inbound = Inbound::new(self.name, *session, *sequence, rtt, self.options.inbound(reliable));
                     let (seen, from) = (InboundCounters::default(), *sequence);
@@ -460,6 +464,40 @@ mod tests {
     use crate::seal::{Encoding, EpochKey, Segments};
 
     const NAME: Name = Name::from_bytes([1; 32]);
+
+    /// The RIB may tell of a writer twice, and what that sent before it was asked again may have found no way.
+    #[test]
+    fn what_was_lost_between_two_greetings_is_asked_for() {
+        let (queue, _messages) = mpsc::channel(4);
+        let mut intake = Intake::new(NAME, SubscribeOptions::reliable(), queue, Arc::default());
+        let (key, counters, writer) = (SigningKey::for_test(1), Counters::default(), Name::from_bytes([2; 32]));
+        let session = [3; 16];
+        let mut asked = Vec::new();
+        for (now, sequence) in [(0, 1), (1_000_000_000, 3)] {
+            intake.change(now, Change::Authorise { writer, key: key.verify_key() });
+            intake.poll(now, &counters, |_, said| match said {
+                Feedback::Hello { challenge, .. } => asked.push(*challenge),
+                other => panic!("{other:?}"),
+            });
+            let challenge = *asked.last().unwrap();
+            assert!(intake.hear(
+                now,
+                &writer,
+                &Feedback::Welcome { name: NAME, challenge, session, sequence, reliable: true }
+            ));
+        }
+        assert_ne!(asked[0], asked[1]);
+        let (mut missing, mut now) = (Vec::new(), 1_000_000_000);
+        while missing.is_empty() && now < 3_000_000_000 {
+            now += 10_000_000;
+            intake.poll(now, &counters, |_, said| {
+                if let Feedback::Nack { missing: ranges, .. } = said {
+                    missing.extend(ranges.iter().map(|range| range.sequence));
+                }
+            });
+        }
+        assert_eq!(missing, [1, 2]);
+    }
 
     /// Ten thousand writers come, send a message and the beginning of another, and go.
     #[test]

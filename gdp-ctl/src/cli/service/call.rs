@@ -67,7 +67,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         let text = response.text(&answer)?;
         let value =
             json!({"service": called(&card), "name": card.name(), "server": server.instance, "response": answer});
-        context.output.print(value, || format!("response:\n{text}"))
+        context.output.print(value, || format!("\nresponse:\n{text}"))
     };
     options.node.with_fabric(keyring, context, async |fabric| unless_interrupted(ask(fabric)).await).map(drop)
 }
