@@ -92,11 +92,15 @@ async fn an_action_gives_feedback_is_cancelled_and_takes_its_time() {
     // Longer than anything on the way waits for anything.
     let mut patient = cloud.begin("patient", &["send", "/fibonacci", "50"]);
     patient.event("accepted").await;
-    for length in 3..8 {
+    // What comes first may come before ROS has discovered who hears it, as of a server beside the client.
+    let first = patient.event("feedback").await["length"].as_u64().unwrap();
+    assert!((3..6).contains(&first), "{first}");
+    for length in first + 1..first + 5 {
         assert_eq!(patient.event("feedback").await["length"], length, "each, in order");
     }
     let mut hasty = cloud.begin("hasty", &["send", "/fibonacci", "1000", "3"]);
-    assert_eq!(hasty.event("feedback").await["length"], 3, "of its own goal alone");
+    let first = hasty.event("feedback").await["length"].as_u64().unwrap();
+    assert!((3..6).contains(&first), "of its own goal alone: {first}");
     assert_eq!(hasty.event("canceling").await["goals"], 1);
     let result = hasty.event("result").await;
     assert_eq!((&result["status"], &result["shown"]), (&"canceled".into(), &"canceled".into()));
