@@ -145,23 +145,35 @@ pub enum ConfigError {
 }
 
 impl Config {
-    /// What a daemon without a configuration runs with: RIB and switch on all Ethernet interfaces (as root) and on UDP.
-    pub fn embedded() -> Result<Self, ConfigError> {
-        Ok(Self {
-            identity: folders::state()?.join("switch.pem"),
-            socket: folders::admin_socket()?,
-            interfaces: None,
-            udp: Some(default_udp()),
-            data_plane: DataPlane::Auto,
-            rib: true,
+    /// A switch without privileges, on this UDP address alone, with nothing around it; whoever makes it says what else it is.
+    pub fn userspace(identity: PathBuf, udp: SocketAddr) -> Self {
+        Self {
+            socket: identity.with_extension("sock"),
+            identity,
+            interfaces: Some(Vec::new()),
+            udp: Some(udp),
+            data_plane: DataPlane::Userspace,
+            rib: false,
             neighbours: Vec::new(),
             ebpf_object: None,
             fib_capacity: FIB_CAPACITY,
-            bpffs: default_bpffs(),
+            bpffs: None,
             domain: None,
             public: Vec::new(),
             etcd: None,
             rekey: RekeySchedule::default(),
+        }
+    }
+
+    /// What a daemon without a configuration runs with: RIB and switch on all Ethernet interfaces (as root) and on UDP.
+    pub fn embedded() -> Result<Self, ConfigError> {
+        Ok(Self {
+            socket: folders::admin_socket()?,
+            interfaces: None,
+            data_plane: DataPlane::Auto,
+            rib: true,
+            bpffs: default_bpffs(),
+            ..Self::userspace(folders::state()?.join("switch.pem"), default_udp())
         })
     }
 

@@ -72,7 +72,7 @@ pub async fn run(Loaded { config, material }: &Loaded, patience: Duration) -> Re
             topic: topic.topic.to_string(),
             kind: kind.map(ToString::to_string),
             qos: qos(published.map(Vec::as_slice)),
-            direction: Some(route.side),
+            direction: Some(route.permission.side()),
             name: Some(route.card.name()),
             called: route.card.get("topic").map(str::to_owned),
             because: format!("topics[{at}]"),

@@ -8,7 +8,6 @@
 
 pub mod automatic;
 pub mod call;
-pub mod calls;
 mod cert_file;
 pub mod config;
 mod delivery;
@@ -25,6 +24,8 @@ mod renewal;
 pub mod ros2;
 pub mod route;
 pub mod routes;
+mod standing;
 pub mod stats;
+mod tally;
 pub mod timing;
 pub mod twins;

@@ -12,7 +12,7 @@ use gdp::cert::{AdCert, CertError, Issued, MAX_CERT_FILE, Reading};
 use gdp::domain::{PaperFiles, Papers, Stamps, Trust};
 use gdp::{Identity, Name, NameCard, SigningKey};
 
-use crate::call::{self, material::CallMaterial};
+use crate::call;
 use crate::cert_file::CertFile;
 use crate::config::{Config, ExposeConfig, ImportConfig, Side, TopicConfig};
 use crate::relay::Relay;
@@ -31,7 +31,7 @@ pub struct Material {
     /// In the order of the configuration.
     pub imports: Vec<ImportMaterial>,
     /// Of services and actions, each with which one it is in the order of [`Config::calls`].
-    pub calls: Vec<(usize, CallMaterial)>,
+    pub calls: Vec<(usize, RouteMaterial)>,
 }
 
 /// Of what is exposed by pattern.
@@ -49,10 +49,9 @@ pub struct ImportMaterial {
     pub(crate) file: Renewal,
 }
 
-/// Of one direction of a topic.
+/// Of one direction of a topic, service or action.
 #[derive(Clone)]
 pub struct RouteMaterial {
-    pub side: Side,
     pub card: NameCard,
     /// From the configuration or the card.
     pub kind: Option<TypeName>,
@@ -69,6 +68,14 @@ pub enum Permission {
 }
 
 impl Permission {
+    /// The direction that it is for.
+    pub fn side(&self) -> Side {
+        match self {
+            Self::Publish(_) => Side::Out,
+            Self::Read(_) => Side::In,
+        }
+    }
+
     /// Of a topic that goes out.
     pub fn publish(self) -> Option<Issued<AdCert>> {
         match self {
@@ -122,7 +129,8 @@ impl Material {
     fn check_names(&self, config: &Config) -> Result<(), MaterialError> {
         for (i, (at, route)) in self.routes.iter().enumerate() {
             let name = route.card.name();
-            let same = |other: &RouteMaterial| (other.card.name(), other.side) == (name, route.side);
+            let same =
+                |other: &RouteMaterial| (other.card.name(), other.permission.side()) == (name, route.permission.side());
             if let Some((first, _)) = self.routes[..i].iter().find(|(_, other)| same(other)) {
                 let topic = &config.topics[*at].topic;
                 let reason = format!(
@@ -165,7 +173,7 @@ fn load_route(topic: &TopicConfig, side: Side, entity: Name) -> Result<RouteMate
     let path = topic.right(side).ok_or((key, "missing".to_owned()))?;
     let opened = CertFile::open(path, side, topic.topic.as_str(), &card, entity);
     let (file, permission) = opened.map_err(|error| (key, with_path(error, path)))?;
-    Ok(RouteMaterial { side, card, kind, permission, file: Renewal::File(file.into()) })
+    Ok(RouteMaterial { card, kind, permission, file: Renewal::File(file.into()) })
 }
 
 fn load_expose(config: &ExposeConfig) -> Result<ExposeMaterial, MaterialError> {

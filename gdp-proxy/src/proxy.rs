@@ -13,15 +13,14 @@ use tokio::time::{Interval, MissedTickBehavior};
 
 use crate::automatic::{self, Automatic, CatalogStats, Links};
 use crate::call::CallStats;
-use crate::call::material::CallMaterial;
-use crate::calls::{self, CallPlan, Calls};
+use crate::config::Config;
 use crate::diagnostics::{self, Diagnostics};
 use crate::graph;
 use crate::manager::Changed;
 use crate::material::RouteMaterial;
 use crate::membership::keep_papers;
 use crate::reload::{Loaded, Watch};
-use crate::routes::{self, RoutePlan, Routes};
+use crate::routes::{self, CallPlan, Calls, Carries, Planned, RoutePlan, Routes};
 use crate::stats::{RouteStats, Stats, StatsFile, VERSION};
 use gdp_ros::types::Types;
 
@@ -76,7 +75,7 @@ async fn carry(
 
     let mut running = Running {
         routes: routes::manager(node.clone(), types.clone()),
-        calls: calls::manager(node.clone(), types.clone()),
+        calls: routes::manager(node.clone(), types.clone()),
         catalogs: automatic::manager(node.clone()),
     };
     let mut explicit = plans(&loaded, &graphs)?;
@@ -208,22 +207,30 @@ fn plans(Loaded { config, material }: &Loaded, graphs: &graph::All) -> Result<Ve
     }
     let plan = |(at, material): &(usize, RouteMaterial)| {
         let topic = &config.topics[*at];
-        let (label, _) = config.graphs.get(topic.graph.as_deref()).map_err(|reason| anyhow!(reason))?;
-        let graph = graphs.get(label).cloned().context("a graph that was not joined")?;
-        Ok(Arc::new(RoutePlan { config: topic.clone(), label: label.into(), graph, material: material.clone() }))
+        planned(topic.clone(), topic.graph.as_deref(), material, config, graphs)
     };
     material.routes.iter().map(plan).collect()
 }
 
 /// One for each service and action.
 fn call_plans(Loaded { config, material }: &Loaded, graphs: &graph::All) -> Result<Vec<Arc<CallPlan>>> {
-    let plan = |(at, material): &(usize, CallMaterial)| {
+    let plan = |(at, material): &(usize, RouteMaterial)| {
         let (_, call) = config.calls().nth(*at).context("a service that is not configured")?;
-        let (label, _) = config.graphs.get(call.graph.as_deref()).map_err(|reason| anyhow!(reason))?;
-        let graph = graphs.get(label).cloned().context("a graph that was not joined")?;
-        Ok(Arc::new(CallPlan { config: call.clone(), label: label.into(), graph, material: material.clone() }))
+        planned(call.clone(), call.graph.as_deref(), material, config, graphs)
     };
     material.calls.iter().map(plan).collect()
+}
+
+fn planned<R: Carries>(
+    of: R::Config,
+    graph: Option<&str>,
+    material: &RouteMaterial,
+    config: &Config,
+    graphs: &graph::All,
+) -> Result<Arc<Planned<R>>> {
+    let (label, _) = config.graphs.get(graph).map_err(|reason| anyhow!(reason))?;
+    let graph = graphs.get(label).cloned().context("a graph that was not joined")?;
+    Ok(Arc::new(Planned { config: of, label: label.into(), graph, material: material.clone() }))
 }
 
 /// The statistics file, if there is one. Topics are worth more than their statistics: a full disk stops only these, until it is mended.

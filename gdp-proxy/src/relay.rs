@@ -5,11 +5,9 @@ use std::net::{IpAddr, SocketAddr};
 
 use gdp::cert::domain::roles;
 use gdp::domain::{PaperFiles, Trust};
-use gdp::link::RekeySchedule;
 use gdp::node::LinkTarget;
 use gdp::{Identity, Name};
-use gdp_ctl::config::{Config as SwitchConfig, DataPlane, DomainConfig, Inside, Neighbour, Place, Via};
-use gdp_ctl::plane::FIB_CAPACITY;
+use gdp_ctl::config::{Config as SwitchConfig, DomainConfig, Inside, Neighbour, Place, Via};
 use gdp_ctl::serve::{self, Running};
 use tokio::runtime::{Builder, Runtime};
 
@@ -128,19 +126,9 @@ fn check_membership(files: &PaperFiles, identity: &Identity) -> Result<(), Strin
 
 fn switch(relay: &RelayConfig, neighbours: Vec<Neighbour>, domain: Option<DomainConfig>) -> SwitchConfig {
     SwitchConfig {
-        identity: relay.identity.clone(),
-        socket: relay.identity.with_extension("sock"),
         interfaces: Some(relay.interfaces.clone()),
-        udp: Some(relay.udp),
-        data_plane: DataPlane::Userspace,
-        rib: false,
         neighbours,
-        ebpf_object: None,
-        fib_capacity: FIB_CAPACITY,
-        bpffs: None,
         domain,
-        public: Vec::new(),
-        etcd: None,
-        rekey: RekeySchedule::default(),
+        ..SwitchConfig::userspace(relay.identity.clone(), relay.udp)
     }
 }

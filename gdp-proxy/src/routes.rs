@@ -1,24 +1,56 @@
-//! The routes of topics, as the [manager](crate::manager) has them.
+//! The routes of topics, services and actions, as the [manager](crate::manager) has them.
 
 use std::sync::Arc;
 
-use anyhow::anyhow;
 use gdp::Node;
 use gdp_ros::types::Types;
 
-use crate::config::{Side, TopicConfig};
+use crate::config::Side;
 use crate::graph::Graph;
 use crate::manager::{Failure, Manager, Plan, Work};
 use crate::material::RouteMaterial;
-use crate::ros2::TopicName;
-use crate::route::Route;
-use crate::stats::RouteStats;
+use crate::standing::{RouteError, Standing};
+use crate::{call, route};
 
 pub type Routes = Manager<Arc<RoutePlan>>;
+pub type Calls = Manager<Arc<CallPlan>>;
 
 /// A topic in one direction, with all that its route needs.
-pub struct RoutePlan {
-    pub config: TopicConfig,
+pub type RoutePlan = Planned<route::Route>;
+/// A service or an action.
+pub type CallPlan = Planned<call::Route>;
+
+/// Carries something in one direction.
+pub trait Carries: Send + Sync + 'static {
+    /// What is said of it.
+    type Config: PartialEq + Send + Sync + 'static;
+    /// What tells it apart from all others of its kind in a graph.
+    type Key: Ord + Clone + Send + 'static;
+    /// What is shown of it.
+    type Stats;
+
+    fn key(config: &Self::Config) -> Self::Key;
+
+    /// `graph`: what the configuration calls it.
+    fn new(config: &Self::Config, graph: &str, material: &RouteMaterial, types: Arc<Types>) -> Self;
+
+    fn standing(&self) -> &Standing;
+
+    fn stats(&self) -> Self::Stats;
+
+    /// Carries until `stop` ends, or the graph fails or the node is closed. What has been sent by then arrives, if it can.
+    fn run(
+        &self,
+        graph: &Graph,
+        node: &Node,
+        material: RouteMaterial,
+        stop: impl Future<Output = ()>,
+    ) -> impl Future<Output = Result<(), RouteError>>;
+}
+
+/// Something in one direction, with all that its route needs.
+pub struct Planned<R: Carries> {
+    pub config: R::Config,
     /// What the configuration calls the graph.
     pub label: String,
     pub graph: Arc<Graph>,
@@ -26,57 +58,54 @@ pub struct RoutePlan {
 }
 
 /// The route of a plan.
-pub struct RouteWork {
-    route: Route,
-    plan: Arc<RoutePlan>,
+pub struct Running<R: Carries> {
+    route: R,
+    plan: Arc<Planned<R>>,
     node: Node,
 }
 
 /// Of a node, with these types.
-pub fn manager(node: Node, types: Arc<Types>) -> Routes {
-    Manager::new(move |plan: &Arc<RoutePlan>| {
-        let route = Route::new(&plan.config, &plan.label, &plan.material, types.clone());
-        RouteWork { route, plan: plan.clone(), node: node.clone() }
+pub fn manager<R: Carries>(node: Node, types: Arc<Types>) -> Manager<Arc<Planned<R>>> {
+    Manager::new(move |plan: &Arc<Planned<R>>| {
+        let route = R::new(&plan.config, &plan.label, &plan.material, types.clone());
+        Running { route, plan: plan.clone(), node: node.clone() }
     })
 }
 
 /// What a right is comes from its file or issuer, which routes look at themselves: another right is no other route.
-impl PartialEq for RoutePlan {
+impl<R: Carries> PartialEq for Planned<R> {
     fn eq(&self, other: &Self) -> bool {
-        let same = |plan: &Self| (plan.label.clone(), plan.material.side, plan.material.kind.clone());
+        let (own, others) = (&self.material, &other.material);
         Arc::ptr_eq(&self.graph, &other.graph)
             && self.config == other.config
-            && self.material.card == other.material.card
-            && same(self) == same(other)
+            && self.label == other.label
+            && (own.permission.side(), &own.card, &own.kind) == (others.permission.side(), &others.card, &others.kind)
     }
 }
 
-impl Plan for Arc<RoutePlan> {
-    type Place = (String, TopicName, Side);
-    type Work = RouteWork;
+impl<R: Carries> Plan for Arc<Planned<R>> {
+    type Place = (String, R::Key, Side);
+    type Work = Running<R>;
 
     fn place(&self) -> Self::Place {
-        (self.label.clone(), self.config.topic.clone(), self.material.side)
+        (self.label.clone(), R::key(&self.config), self.material.permission.side())
     }
 }
 
-impl Work for RouteWork {
-    type Stats = RouteStats;
+impl<R: Carries> Work for Running<R> {
+    type Stats = R::Stats;
 
-    fn stats(&self) -> RouteStats {
+    fn stats(&self) -> R::Stats {
         self.route.stats()
     }
 
     fn failed(&self, why: &str) {
-        self.route.failed(why);
+        self.route.standing().failed(why);
     }
 
     async fn run(&self, stop: impl Future<Output = ()>) -> Result<(), Failure> {
-        let RoutePlan { graph, material, config, .. } = &*self.plan;
+        let Planned { graph, material, .. } = &*self.plan;
         let ended = self.route.run(graph, &self.node, material.clone(), stop).await;
-        ended.map_err(|error| match error.may_pass() {
-            true => Failure::Passing(error.to_string()),
-            false => Failure::Final(anyhow!(error).context(format!("topic {}", config.topic))),
-        })
+        ended.map_err(|error| self.route.standing().ended(error))
     }
 }

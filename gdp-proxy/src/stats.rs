@@ -13,64 +13,34 @@ use serde::Serialize;
 use crate::automatic::CatalogStats;
 use crate::call::CallStats;
 use crate::config::Side;
+use crate::tally::{Tally, reasons};
 use crate::timing::{Percentiles, Timing};
 
-/// Why a message did not cross. What the fabric drops is in [`FabricCounters`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Drop {
-    /// A local message is not XCDR version 1.
-    Unreadable,
-    /// A local message was lost between its writer and the proxy: what best effort drops, and what came too fast.
-    Lost,
-    /// The fabric did not take the message.
-    SendFailed,
-    /// A local message came sooner than the configuration wants them.
-    MaxHz,
-    /// A message is not of its type, or not of one that this proxy can convert.
-    Unconvertible,
-    /// A remote message's publisher has no counterpart here; the status says why.
-    NoCounterpart,
-    /// Remote messages of a writer that has not said of what they are.
-    Unannounced,
-    /// A remote message, or what its writer says of the topic, is not what a proxy sends.
-    Malformed,
-    /// A remote message is one that this proxy sent, or another in the same ROS graph.
-    Own,
-    /// A reliable local subscriber does not keep up.
-    Stalled,
-    /// DDS did not take the message.
-    WriteFailed,
-}
-
-impl Drop {
-    const ALL: [Self; 11] = [
-        Self::Unreadable,
-        Self::Lost,
-        Self::SendFailed,
-        Self::MaxHz,
-        Self::Unconvertible,
-        Self::NoCounterpart,
-        Self::Unannounced,
-        Self::Malformed,
-        Self::Own,
-        Self::Stalled,
-        Self::WriteFailed,
-    ];
-
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Unreadable => "unreadable",
-            Self::Lost => "lost",
-            Self::SendFailed => "send_failed",
-            Self::MaxHz => "max_hz",
-            Self::Unconvertible => "unconvertible",
-            Self::NoCounterpart => "no_counterpart",
-            Self::Unannounced => "unannounced",
-            Self::Malformed => "malformed",
-            Self::Own => "own",
-            Self::Stalled => "stalled",
-            Self::WriteFailed => "write_failed",
-        }
+reasons! {
+    /// Why a message did not cross. What the fabric drops is in [`FabricCounters`].
+    pub enum Drop {
+        /// A local message is not XCDR version 1.
+        Unreadable = "unreadable",
+        /// A local message was lost between its writer and the proxy: what best effort drops, and what came too fast.
+        Lost = "lost",
+        /// The fabric did not take the message.
+        SendFailed = "send_failed",
+        /// A local message came sooner than the configuration wants them.
+        MaxHz = "max_hz",
+        /// A message is not of its type, or not of one that this proxy can convert.
+        Unconvertible = "unconvertible",
+        /// A remote message's publisher has no counterpart here; the status says why.
+        NoCounterpart = "no_counterpart",
+        /// Remote messages of a writer that has not said of what they are.
+        Unannounced = "unannounced",
+        /// A remote message, or what its writer says of the topic, is not what a proxy sends.
+        Malformed = "malformed",
+        /// A remote message is one that this proxy sent, or another in the same ROS graph.
+        Own = "own",
+        /// A reliable local subscriber does not keep up.
+        Stalled = "stalled",
+        /// DDS did not take the message.
+        WriteFailed = "write_failed",
     }
 }
 
@@ -79,7 +49,7 @@ impl Drop {
 pub struct RouteCounters {
     messages: AtomicU64,
     bytes: AtomicU64,
-    drops: [AtomicU64; Drop::ALL.len()],
+    drops: Tally<Drop>,
     /// Until the proxy has a message: `out` since the ROS node wrote it, `in` since the other proxy sealed it.
     pub arrival: Timing,
     /// `out`: to seal, sign and send it; `in`: to write it into DDS.
@@ -95,17 +65,14 @@ impl RouteCounters {
 
     /// So many did not. True if they are the first ones for this reason, which deserves a line in the log.
     pub fn dropped(&self, reason: Drop, count: u64) -> bool {
-        self.drops[reason as usize].fetch_add(count, Relaxed) == 0
+        self.drops.add(reason, count)
     }
 
     pub fn read(&self) -> Counted {
         Counted {
             messages: self.messages.load(Relaxed),
             bytes: self.bytes.load(Relaxed),
-            drops: Drop::ALL
-                .iter()
-                .map(|reason| (reason.as_str(), self.drops[*reason as usize].load(Relaxed)))
-                .collect(),
+            drops: self.drops.read(),
             latency_us: StageLatency { arrival: self.arrival.percentiles(), handling: self.handling.percentiles() },
         }
     }
@@ -258,17 +225,6 @@ mod tests {
          queue_full repeats",
         "answers calls direction events events_dropped failures graph name pending servers service status type what",
     ];
-
-    #[test]
-    fn reasons_have_their_own_counters() {
-        for (i, reason) in Drop::ALL.into_iter().enumerate() {
-            assert_eq!(reason as usize, i);
-        }
-        let counters = RouteCounters::default();
-        assert!(counters.dropped(Drop::Own, 1) && !counters.dropped(Drop::Own, 2));
-        let drops = counters.read().drops;
-        assert_eq!((drops.len(), drops["own"], drops["stalled"]), (Drop::ALL.len(), 3, 0));
-    }
 
     #[test]
     fn the_fabrics_counters_are_shown_as_they_are() {

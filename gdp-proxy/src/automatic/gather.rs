@@ -40,10 +40,7 @@ impl<'a> Gathering<'a> {
 
     /// The right to a name, as it is told to whoever uses it from now on.
     pub fn right(&mut self, name: Name, permission: Permission) -> (Permission, Renewal) {
-        let side = match &permission {
-            Permission::Publish(_) => Side::Out,
-            Permission::Read(_) => Side::In,
-        };
+        let side = permission.side();
         self.used.insert((name, side));
         let sender = self.kept.rights.entry((name, side)).or_insert_with(|| watch::Sender::new(permission.clone()));
         sender.send_if_modified(|known| {

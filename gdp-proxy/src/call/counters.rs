@@ -7,51 +7,27 @@ use gdp::Name;
 use serde::Serialize;
 
 use crate::config::{Side, What};
+use crate::tally::{Tally, reasons};
 
-/// Why a call has no answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reason {
-    /// Its server has left; it may have carried the request out.
-    Left,
-    /// Its server said that it failed.
-    Refused,
-    /// Too many wait, here or at the server's proxy.
-    Busy,
-    /// The request or the answer is not of its type, or not of one that this proxy can convert.
-    Unconvertible,
-    /// What the other proxy says, or a local client, is not what one sends.
-    Malformed,
-    /// The server was another than the one that was described.
-    Changed,
-    /// The fabric did not take it.
-    SendFailed,
-    /// The local graph did not take the answer.
-    Unanswered,
-}
-
-impl Reason {
-    const ALL: [Self; 8] = [
-        Self::Left,
-        Self::Refused,
-        Self::Busy,
-        Self::Unconvertible,
-        Self::Malformed,
-        Self::Changed,
-        Self::SendFailed,
-        Self::Unanswered,
-    ];
-
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Left => "left",
-            Self::Refused => "refused",
-            Self::Busy => "busy",
-            Self::Unconvertible => "unconvertible",
-            Self::Malformed => "malformed",
-            Self::Changed => "changed",
-            Self::SendFailed => "send_failed",
-            Self::Unanswered => "unanswered",
-        }
+reasons! {
+    /// Why a call has no answer.
+    pub enum Reason {
+        /// Its server has left; it may have carried the request out.
+        Left = "left",
+        /// Its server said that it failed.
+        Refused = "refused",
+        /// Too many wait, here or at the server's proxy.
+        Busy = "busy",
+        /// The request or the answer is not of its type, or not of one that this proxy can convert.
+        Unconvertible = "unconvertible",
+        /// What the other proxy says, or a local client, is not what one sends.
+        Malformed = "malformed",
+        /// The server was another than the one that was described.
+        Changed = "changed",
+        /// The fabric did not take it.
+        SendFailed = "send_failed",
+        /// The local graph did not take the answer.
+        Unanswered = "unanswered",
     }
 }
 
@@ -64,7 +40,7 @@ pub struct CallCounters {
     servers: AtomicU64,
     events: AtomicU64,
     events_dropped: AtomicU64,
-    failures: [AtomicU64; Reason::ALL.len()],
+    failures: Tally<Reason>,
 }
 
 /// A call that waits, for as long as this lives.
@@ -89,7 +65,7 @@ impl CallCounters {
 
     /// True for the first one for this reason.
     pub fn failed(&self, reason: Reason) -> bool {
-        self.failures[reason as usize].fetch_add(1, Relaxed) == 0
+        self.failures.add(reason, 1)
     }
 
     /// So many can be called.
@@ -111,10 +87,7 @@ impl CallCounters {
             servers: of(&self.servers),
             events: of(&self.events),
             events_dropped: of(&self.events_dropped),
-            failures: Reason::ALL
-                .iter()
-                .map(|reason| (reason.as_str(), of(&self.failures[*reason as usize])))
-                .collect(),
+            failures: self.failures.read(),
         }
     }
 }
@@ -165,10 +138,5 @@ mod tests {
         assert_eq!((counters.read().calls, counters.read().pending), (1, 1));
         drop(pending);
         assert_eq!((counters.read().calls, counters.read().pending), (1, 0));
-        for (at, reason) in Reason::ALL.into_iter().enumerate() {
-            assert_eq!(reason as usize, at);
-            assert!(counters.failed(reason) && !counters.failed(reason));
-            assert_eq!(counters.read().failures[reason.as_str()], 2);
-        }
     }
 }

@@ -19,12 +19,11 @@ use gdp_ros::services::{Converters, service_name};
 
 use super::counters::Reason;
 use super::stand::Stands;
-use super::{CallError, MAX_PENDING, RETRY, Route, ended_because, lock, ticks};
-use crate::cert_file::CertFile;
+use super::{MAX_PENDING, Route, lock};
 use crate::config::What;
 use crate::graph::{Asked, Graph, GraphError};
-use crate::material::Permission;
 use crate::ros2::TypeName;
+use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
 
 /// Servers elsewhere that are told apart; of more, the nearest.
 const MAX_SERVERS: usize = 64;
@@ -42,12 +41,6 @@ const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// Before a server is asked again that was of no use.
 const ASK_AGAIN: Duration = Duration::from_secs(5);
-
-/// The right to call, and where it came from.
-pub struct Right {
-    pub grant: Reading,
-    pub file: CertFile,
-}
 
 /// A server elsewhere.
 enum Remote {
@@ -96,23 +89,19 @@ impl Route {
         node: &Node,
         kind: Option<&TypeName>,
         card: &NameCard,
-        mut right: Right,
-    ) -> Result<Infallible, CallError> {
-        let mut pause = RETRY.0;
+        mut right: Right<Reading>,
+    ) -> Result<Infallible, RouteError> {
+        let mut pause = Pause::new();
         loop {
-            let error = match node.client(card.proof(), right.grant.clone()).await {
+            let error = match node.client(card.proof(), right.held()).await {
                 Ok(client) => {
-                    pause = RETRY.0;
+                    pause = Pause::new();
                     self.carry_in(graph, &client, kind, &mut right).await?
                 }
                 Err(error) => error,
             };
             self.counters.servers(0);
-            self.pause_after(error, &mut pause).await;
-            if let Some(new) = right.file.changed().and_then(Permission::read) {
-                right.grant = new;
-                right.file.taken();
-            }
+            self.standing.pause(error, &mut pause, &mut right).await;
         }
     }
 
@@ -122,15 +111,15 @@ impl Route {
         graph: &Graph,
         client: &Client,
         kind: Option<&TypeName>,
-        right: &mut Right,
-    ) -> Result<NodeError, CallError> {
+        right: &mut Right<Reading>,
+    ) -> Result<NodeError, RouteError> {
         let goals = Mutex::new(Goals::default());
         let (remotes, local, board) = (BTreeMap::new(), None, Board::default());
         let mut to = In { graph, kind, client, remotes, local, goals: &goals, board };
         let (mut ticks, mut changes, mut ended) = (ticks(), client.changes(), pin!(client.ended()));
         changes.mark_changed();
         let mut doing = FuturesUnordered::<Doing<'_>>::new();
-        self.set_status("waiting for a server elsewhere");
+        self.standing.set_status("waiting for a server elsewhere");
         loop {
             let local = to.local.as_ref().map(|(local, _)| local.clone());
             tokio::select! {
@@ -148,11 +137,7 @@ impl Route {
                     return ended_because(why);
                 }
                 _ = ticks.tick() => {
-                    if let Some(new) = right.file.changed().and_then(Permission::read)
-                        && self.renewed(&mut right.file, client.renew(new.clone()).await)
-                    {
-                        right.grant = new;
-                    }
+                    self.standing.renew(right, async |new| client.renew(new).await).await;
                     let now = Instant::now();
                     lock(to.goals).sweep(now);
                     if to.board.sweep(now) {
@@ -197,7 +182,7 @@ impl Route {
         self.counters.servers(known);
         if known == 0 && to.local.take().is_some() {
             tracing::info!(service = %self.config.name, "no server elsewhere is left, so it is not announced here any more");
-            self.set_status("waiting for a server elsewhere");
+            self.standing.set_status("waiting for a server elsewhere");
         }
     }
 
@@ -206,7 +191,7 @@ impl Route {
         to: &mut In<'a>,
         done: Done,
         doing: &mut FuturesUnordered<Doing<'a>>,
-    ) -> Result<(), CallError> {
+    ) -> Result<(), RouteError> {
         match done {
             Done::Call => {}
             Done::Changed(name) => {
@@ -235,7 +220,7 @@ impl Route {
                     Err(error) => {
                         tracing::warn!(service = %self.config.name, server = %name, "not called: {error}");
                         if to.local.is_none() {
-                            self.set_status(&error);
+                            self.standing.set_status(&error);
                         }
                         to.remotes.insert(name, Remote::Unfit(Instant::now() + ASK_AGAIN));
                     }
@@ -255,7 +240,7 @@ impl Route {
                     }
                     Err(error) => {
                         tracing::debug!(service = %self.config.name, server = %known.instance, "no events: {error}");
-                        (after, RETRY.0)
+                        (after, SOON)
                     }
                 };
                 doing.push(ask_for_events(to.client, known, after, pause));
@@ -271,7 +256,7 @@ impl Route {
         instance: Name,
         epoch: Epoch,
         there: &Description,
-    ) -> Result<Result<Arc<Known>, String>, CallError> {
+    ) -> Result<Result<Arc<Known>, String>, RouteError> {
         let dialect = to.graph.dialect();
         let here = match (self.config.what, there.kind.dialect == dialect) {
             (What::Service, _) => self.types.service_counterpart(there, dialect),

@@ -3,29 +3,19 @@
 use gdp::{Name, NameCard};
 
 use crate::cert_file::CertFile;
-use crate::config::{CallConfig, Config, Side};
-use crate::material::{MaterialError, Permission, carded_type, with_path};
-use crate::ros2::TypeName;
-
-#[derive(Clone)]
-pub struct CallMaterial {
-    pub side: Side,
-    pub card: NameCard,
-    /// From the configuration or the card.
-    pub kind: Option<TypeName>,
-    pub permission: Permission,
-    /// Where that came from.
-    pub(crate) file: CertFile,
-}
+use crate::config::{CallConfig, Config};
+use crate::material::{MaterialError, RouteMaterial, carded_type, with_path};
+use crate::renewal::Renewal;
 
 /// All of them.
-pub fn load(config: &Config, entity: Name) -> Result<Vec<(usize, CallMaterial)>, MaterialError> {
-    let mut all: Vec<(usize, CallMaterial)> = Vec::new();
+pub fn load(config: &Config, entity: Name) -> Result<Vec<(usize, RouteMaterial)>, MaterialError> {
+    let mut all: Vec<(usize, RouteMaterial)> = Vec::new();
     for (at, (key, call)) in config.calls().enumerate() {
         let wrong = |part: &str, reason: String| MaterialError { key: format!("{key}.{part}"), reason };
         let loaded = load_one(call, entity).map_err(|(part, reason)| wrong(part, reason))?;
         let name = loaded.card.name();
-        if all.iter().any(|(_, other)| (other.card.name(), other.side) == (name, loaded.side)) {
+        if all.iter().any(|(_, other)| (other.card.name(), other.permission.side()) == (name, loaded.permission.side()))
+        {
             let reason = format!(
                 "the name {name:#} is already that of another, in the same direction; make a card of its own for {}",
                 call.name
@@ -37,7 +27,7 @@ pub fn load(config: &Config, entity: Name) -> Result<Vec<(usize, CallMaterial)>,
     Ok(all)
 }
 
-fn load_one(call: &CallConfig, entity: Name) -> Result<CallMaterial, (&'static str, String)> {
+fn load_one(call: &CallConfig, entity: Name) -> Result<RouteMaterial, (&'static str, String)> {
     let card = NameCard::load(&call.card).map_err(|error| ("card", with_path(error, &call.card)))?;
     let what = call.what.as_str();
     if let Some(kind) = card.get("kind").filter(|kind| *kind != what) {
@@ -48,7 +38,7 @@ fn load_one(call: &CallConfig, entity: Name) -> Result<CallMaterial, (&'static s
     let path = path.ok_or((key, "missing".to_owned()))?;
     let opened = CertFile::open(path, call.side, call.name.as_str(), &card, entity);
     let (file, permission) = opened.map_err(|error| (key, with_path(error, path)))?;
-    Ok(CallMaterial { side: call.side, card, kind, permission, file })
+    Ok(RouteMaterial { card, kind, permission, file: Renewal::File(file.into()) })
 }
 
 #[cfg(test)]
@@ -58,11 +48,11 @@ mod tests {
     use gdp::cert::{AdCert, issue};
 
     use super::*;
-    use crate::material::Material;
     use crate::material::tests::Files;
+    use crate::material::{Material, Permission};
 
     /// With a name of this kind and type, and what is said of it.
-    fn load(kind: &str, of: &str, said: &str) -> Result<Vec<CallMaterial>, MaterialError> {
+    fn load(kind: &str, of: &str, said: &str) -> Result<Vec<RouteMaterial>, MaterialError> {
         let files = Files::new();
         let card = NameCard::create(files.owner.verify_key(), kind, "/light", of, None).unwrap();
         card.save_new(&files.path("light.card")).unwrap();

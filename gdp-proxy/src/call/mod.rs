@@ -13,26 +13,19 @@ mod stand;
 use std::convert::Infallible;
 use std::fmt::Display;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
 
-use gdp::node::{Ended, NodeError};
-use gdp::{Name, Node};
+use gdp::Node;
 use gdp_ros::types::Types;
-use tokio::time::{Interval, MissedTickBehavior};
 
-use crate::cert_file::CertFile;
-use crate::config::CallConfig;
-use crate::graph::{Graph, GraphError};
-use crate::material::Permission;
+use crate::config::{CallConfig, What};
+use crate::graph::Graph;
+use crate::material::{Permission, RouteMaterial};
+use crate::ros2::TopicName;
+use crate::routes::Carries;
+use crate::standing::{Right, RouteError, Standing};
+use crate::tally::Reason as _;
 use counters::CallCounters;
 pub use counters::{CallStats, Reason};
-use material::CallMaterial;
-
-/// Between attempts to have a name served or called: doubled from the first to the second.
-const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(30));
-
-/// How often it is looked for another certificate, and for what is over.
-const LOOK: Duration = Duration::from_secs(1);
 
 /// Calls of one service or action that wait for their answers. Another one is refused.
 const MAX_PENDING: usize = 1024;
@@ -40,67 +33,64 @@ const MAX_PENDING: usize = 1024;
 pub struct Route {
     config: CallConfig,
     graph: String,
-    name: Name,
     types: Arc<Types>,
     counters: CallCounters,
-    progress: Mutex<Progress>,
+    standing: Standing,
 }
 
-/// How far it has come, for people and tests.
-struct Progress {
-    kind: Option<String>,
-    status: String,
-}
+impl Carries for Route {
+    type Config = CallConfig;
+    type Key = (What, TopicName);
+    type Stats = CallStats;
 
-impl Route {
-    /// `graph`: what the configuration calls it.
-    pub fn new(config: &CallConfig, graph: &str, material: &CallMaterial, types: Arc<Types>) -> Self {
+    fn key(config: &CallConfig) -> Self::Key {
+        (config.what, config.name.clone())
+    }
+
+    fn new(config: &CallConfig, graph: &str, material: &RouteMaterial, types: Arc<Types>) -> Self {
+        let title = format!("{} {}", config.what.as_str(), config.name);
         let kind = material.kind.as_ref().map(ToString::to_string);
         Self {
             config: config.clone(),
             graph: graph.into(),
-            name: material.card.name(),
             types,
             counters: CallCounters::default(),
-            progress: Mutex::new(Progress { kind, status: "starting".into() }),
+            standing: Standing::new(title, material.card.name(), kind),
         }
     }
 
-    pub fn stats(&self) -> CallStats {
-        let Progress { kind, status } = &*self.progress();
+    fn standing(&self) -> &Standing {
+        &self.standing
+    }
+
+    fn stats(&self) -> CallStats {
         CallStats {
             what: self.config.what,
             service: self.config.name.to_string(),
             graph: self.graph.clone(),
-            kind: kind.clone(),
-            status: status.clone(),
+            kind: self.standing.kind(),
+            status: self.standing.status(),
             direction: self.config.side,
-            name: self.name,
+            name: self.standing.name(),
             counted: self.counters.read(),
         }
     }
 
-    /// `service /add_two_ints`
-    pub fn title(&self) -> String {
-        format!("{} {}", self.config.what.as_str(), self.config.name)
-    }
-
-    /// Carries calls until `stop` ends, or the graph fails or the node is closed.
-    pub async fn run(
+    async fn run(
         &self,
         graph: &Graph,
         node: &Node,
-        material: CallMaterial,
+        material: RouteMaterial,
         stop: impl Future<Output = ()>,
-    ) -> Result<(), CallError> {
-        let CallMaterial { card, kind, permission, file, .. } = material;
+    ) -> Result<(), RouteError> {
+        let RouteMaterial { card, kind, permission, file } = material;
         let carry = async {
             match permission {
                 Permission::Publish(cert) => {
-                    self.run_out(graph, node, kind.as_ref(), &card, outward::Right { cert, file }).await
+                    self.run_out(graph, node, kind.as_ref(), &card, Right::publish(cert, file)).await
                 }
                 Permission::Read(grant) => {
-                    self.run_in(graph, node, kind.as_ref(), &card, inward::Right { grant, file }).await
+                    self.run_in(graph, node, kind.as_ref(), &card, Right::read(grant, file)).await
                 }
             }
         };
@@ -109,34 +99,9 @@ impl Route {
             () = stop => Ok(()),
         }
     }
+}
 
-    /// What came of showing the RIB another certificate. Whether it is in force.
-    fn renewed(&self, file: &mut CertFile, result: Result<(), NodeError>) -> bool {
-        match &result {
-            Ok(()) => {
-                file.taken();
-                tracing::info!(service = %self.config.name, name = %self.name, "the certificate was renewed");
-            }
-            Err(error) => file.refused(error),
-        }
-        result.is_ok()
-    }
-
-    /// A refusal is no reason to end: others may be fine, and owners, RIBs and clocks mend.
-    async fn pause_after(&self, error: impl Display, pause: &mut Duration) {
-        let message = error.to_string();
-        tracing::warn!(service = %self.config.name, name = %self.name, "{message}; trying again in {pause:?}");
-        self.set_status(&message);
-        tokio::time::sleep(*pause).await;
-        *pause = (*pause * 2).min(RETRY.1);
-    }
-
-    /// It ended by itself, and begins again after a while.
-    pub fn ended(&self, why: &str) {
-        tracing::warn!(service = %self.config.name, side = ?self.config.side, name = %self.name, "not carried: {why}; beginning again in a while");
-        self.set_status(why);
-    }
-
+impl Route {
     /// Counts every failure; the first one for a reason is worth a line in the log, the counters have the rest.
     fn failed(&self, reason: Reason, why: impl Display) {
         if self.counters.failed(reason) {
@@ -144,50 +109,12 @@ impl Route {
         }
     }
 
-    fn progress(&self) -> MutexGuard<'_, Progress> {
-        lock(&self.progress)
-    }
-
     fn is_up(&self, kind: &str) {
-        tracing::info!(service = %self.config.name, side = ?self.config.side, name = %self.name, kind, "carrying calls");
-        let mut progress = self.progress();
-        (progress.kind, progress.status) = (Some(kind.into()), "up".into());
-    }
-
-    fn set_status(&self, status: &str) {
-        self.progress().status = status.into();
+        self.standing.set_kind(kind);
+        self.standing.is_up();
     }
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn ended_because(why: Ended) -> Result<NodeError, CallError> {
-    match why {
-        Ended::Right(error) => Ok(error.into()),
-        Ended::Closed => Err(CallError::NodeClosed),
-    }
-}
-
-fn ticks() -> Interval {
-    let mut ticks = tokio::time::interval(LOOK);
-    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    ticks
-}
-
-/// Why no more calls are carried.
-#[derive(Debug, thiserror::Error)]
-pub enum CallError {
-    #[error(transparent)]
-    Graph(#[from] GraphError),
-    #[error("the node is closed")]
-    NodeClosed,
-}
-
-impl CallError {
-    /// Whether it may be otherwise when the route begins again.
-    pub fn may_pass(&self) -> bool {
-        !matches!(self, Self::NodeClosed | Self::Graph(GraphError::Left))
-    }
 }

@@ -2,7 +2,6 @@
 
 use std::convert::Infallible;
 use std::pin::{Pin, pin};
-use std::time::Duration;
 
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
@@ -15,21 +14,11 @@ use tokio::sync::{Notify, watch};
 
 use super::backend::{Backend, Told};
 use super::counters::Reason;
-use super::{CallError, MAX_PENDING, RETRY, Route, ended_because, ticks};
-use crate::cert_file::CertFile;
+use super::{MAX_PENDING, Route};
 use crate::config::What;
 use crate::graph::{CallerError, Graph, Peer, Servers};
-use crate::material::Permission;
 use crate::ros2::TypeName;
-
-/// Between attempts to ask a local server what it serves.
-const PROBE: Duration = Duration::from_secs(1);
-
-/// The right to serve, and where it came from.
-pub struct Right {
-    pub cert: Issued<AdCert>,
-    pub file: CertFile,
-}
+use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
 
 /// A local server, as it is offered.
 struct Offer {
@@ -57,35 +46,35 @@ impl Route {
         node: &Node,
         kind: Option<&TypeName>,
         card: &NameCard,
-        mut right: Right,
-    ) -> Result<Infallible, CallError> {
+        mut right: Right<Issued<AdCert>>,
+    ) -> Result<Infallible, RouteError> {
         let mut servers = Servers::new(graph, &self.config.name, self.config.what);
-        let mut pause = RETRY.0;
+        let mut pause = Pause::new();
         loop {
-            self.set_status("waiting for a local server");
+            self.standing.set_status("waiting for a local server");
             let peer = servers.until_there().await?;
             let offer = match self.offer(graph, kind, peer.clone()).await {
                 Ok(offer) => offer,
                 Err(Unfit::Call(CallerError::Graph(error))) => return Err(error.into()),
                 Err(error @ (Unfit::Call(_) | Unfit::Random)) => {
-                    self.pause_after(error, &mut { PROBE }).await;
+                    self.standing.pause(error, &mut Pause::new(), &mut right).await;
                     continue;
                 }
                 Err(error @ Unfit::OtherType { .. }) => {
                     tracing::warn!(service = %self.config.name, "not carried: {error}");
-                    self.set_status(&error.to_string());
+                    self.standing.set_status(&error.to_string());
                     servers.until_gone(&peer).await?;
                     continue;
                 }
             };
-            let mut server = match node.serve(card.proof(), right.cert.clone()).await {
+            let mut server = match node.serve(card.proof(), right.held()).await {
                 Ok(server) => server,
                 Err(error) => {
-                    self.wait_for_right(error, &mut pause, &mut right).await;
+                    self.standing.pause(error, &mut pause, &mut right).await;
                     continue;
                 }
             };
-            pause = RETRY.0;
+            pause = Pause::new();
             self.is_up(&offer.description.kind.name);
             self.counters.servers(1);
             let turn = self.serve(&mut servers, &offer, &mut server, &mut right).await;
@@ -93,16 +82,8 @@ impl Route {
             drop(server);
             match turn? {
                 Turn::Gone => tracing::info!(service = %self.config.name, "the local server has gone"),
-                Turn::Ended(error) => self.wait_for_right(error, &mut pause, &mut right).await,
+                Turn::Ended(error) => self.standing.pause(error, &mut pause, &mut right).await,
             }
-        }
-    }
-
-    async fn wait_for_right(&self, error: NodeError, pause: &mut Duration, right: &mut Right) {
-        self.pause_after(error, pause).await;
-        if let Some(new) = right.file.changed().and_then(Permission::publish) {
-            right.cert = new;
-            right.file.taken();
         }
     }
 
@@ -127,8 +108,8 @@ impl Route {
         servers: &mut Servers,
         offer: &Offer,
         server: &mut Server,
-        right: &mut Right,
-    ) -> Result<Turn, CallError> {
+        right: &mut Right<Issued<AdCert>>,
+    ) -> Result<Turn, RouteError> {
         let (mut ticks, mut ended) = (ticks(), pin!(server.ended()));
         let (gone, is_gone) = watch::channel(false);
         let mut answering = FuturesUnordered::<Answering<'_>>::new();
@@ -150,11 +131,7 @@ impl Route {
                 () = offer.lost.notified() => break Ok(Turn::Gone),
                 why = &mut ended => break ended_because(why).map(Turn::Ended),
                 _ = ticks.tick() => {
-                    if let Some(new) = right.file.changed().and_then(Permission::publish)
-                        && self.renewed(&mut right.file, server.renew(new.clone()).await)
-                    {
-                        right.cert = new;
-                    }
+                    self.standing.renew(right, async |new| server.renew(new).await).await;
                     let told = offer.backend.sweep();
                     answering.extend(told.into_iter().map(|told| -> Answering<'_> { Box::pin(self.tell(told)) }));
                 }

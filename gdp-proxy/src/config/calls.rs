@@ -59,76 +59,46 @@ impl What {
     }
 }
 
-/// A service.
-#[derive(Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Service {
-    /// As the ROS graph here has it.
-    service: TopicName,
-    /// Which of the graphs, if there are several.
-    graph: Option<String>,
-    /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing, what the servers use.
-    #[serde(rename = "type")]
-    kind: Option<TypeName>,
-    /// `out`: servers here are called from elsewhere; `in`: servers elsewhere are called from here.
-    direction: Side,
-    /// Its name card (`gdp-ctl name create`).
-    card: PathBuf,
-    /// `out`: the owner's permission for this proxy to serve (`gdp-ctl grant add --publish`).
-    cert: Option<PathBuf>,
-    /// `in`: the owner's permission to call (`gdp-ctl grant add --read`).
-    grant: Option<PathBuf>,
+/// One entry of `services` or `actions`, which are alike but for the key of its name.
+macro_rules! entry {
+    ($Entry:ident, $name:ident) => {
+        #[derive(Deserialize, JsonSchema)]
+        #[serde(deny_unknown_fields)]
+        pub struct $Entry {
+            /// As the ROS graph here has it.
+            $name: TopicName,
+            /// Which of the graphs, if there are several.
+            graph: Option<String>,
+            /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing, what the servers use.
+            #[serde(rename = "type")]
+            kind: Option<TypeName>,
+            /// `out`: servers here are called from elsewhere; `in`: servers elsewhere are called from here.
+            direction: Side,
+            /// Its name card (`gdp-ctl name create`).
+            card: PathBuf,
+            /// `out`: the owner's permission for this proxy to serve (`gdp-ctl grant add --publish`).
+            cert: Option<PathBuf>,
+            /// `in`: the owner's permission to call (`gdp-ctl grant add --read`).
+            grant: Option<PathBuf>,
+        }
+
+        impl From<$Entry> for CallConfig {
+            fn from(entry: $Entry) -> Self {
+                let $Entry { $name: name, graph, kind, direction: side, card, cert, grant } = entry;
+                Self { what: What::$Entry, name, graph, kind, side, card, cert, grant }
+            }
+        }
+    };
 }
 
-/// An action.
-#[derive(Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Action {
-    /// As the ROS graph here has it.
-    action: TopicName,
-    /// Which of the graphs, if there are several.
-    graph: Option<String>,
-    /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing, what the servers use.
-    #[serde(rename = "type")]
-    kind: Option<TypeName>,
-    /// `out`: servers here are called from elsewhere; `in`: servers elsewhere are called from here.
-    direction: Side,
-    /// Its name card (`gdp-ctl name create`).
-    card: PathBuf,
-    /// `out`: the owner's permission for this proxy to serve (`gdp-ctl grant add --publish`).
-    cert: Option<PathBuf>,
-    /// `in`: the owner's permission to call (`gdp-ctl grant add --read`).
-    grant: Option<PathBuf>,
-}
+entry!(Service, service);
+entry!(Action, action);
 
-pub fn services<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<CallConfig>, D::Error> {
-    let all = Vec::<Service>::deserialize(deserializer)?.into_iter();
-    let all = all.map(|Service { service: name, graph, kind, direction: side, card, cert, grant }| CallConfig {
-        what: What::Service,
-        name,
-        graph,
-        kind,
-        side,
-        card,
-        cert,
-        grant,
-    });
-    Ok(all.collect())
-}
-
-pub fn actions<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<CallConfig>, D::Error> {
-    let all = Vec::<Action>::deserialize(deserializer)?.into_iter();
-    let all = all.map(|Action { action: name, graph, kind, direction: side, card, cert, grant }| CallConfig {
-        what: What::Action,
-        name,
-        graph,
-        kind,
-        side,
-        card,
-        cert,
-        grant,
-    });
-    Ok(all.collect())
+/// A list of entries.
+pub fn list<'de, D: Deserializer<'de>, E: Deserialize<'de> + Into<CallConfig>>(
+    deserializer: D,
+) -> Result<Vec<CallConfig>, D::Error> {
+    Ok(Vec::<E>::deserialize(deserializer)?.into_iter().map(Into::into).collect())
 }
 
 impl CallConfig {

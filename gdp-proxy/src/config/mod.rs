@@ -90,11 +90,11 @@ pub struct Config {
     #[serde(default)]
     pub import: Vec<ImportConfig>,
     /// Services that cross, with the files of each.
-    #[serde(default, deserialize_with = "calls::services")]
+    #[serde(default, deserialize_with = "calls::list::<_, calls::Service>")]
     #[schemars(with = "Vec<calls::Service>")]
     pub services: Vec<CallConfig>,
     /// Actions of ROS 2 that cross, likewise.
-    #[serde(default, deserialize_with = "calls::actions")]
+    #[serde(default, deserialize_with = "calls::list::<_, calls::Action>")]
     #[schemars(with = "Vec<calls::Action>")]
     pub actions: Vec<CallConfig>,
 }

@@ -11,12 +11,11 @@ use tokio::time::MissedTickBehavior;
 
 use super::local::{Local, Made};
 use super::locals::{Locals, Whose};
-use super::{RETRY, Route, RouteError, Way, ended_because, ticks};
+use super::{Route, Way};
 use crate::delivery::subscribe_options;
 use crate::graph::Graph;
-use crate::material::Permission;
-use crate::renewal::Renewal;
 use crate::ros2::{Qos, TypeName};
+use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
 use crate::twins::Place;
 use gdp_ros::roster::{Change, Dialect, Incoming, Kind, Offer, ROSTER, Taken};
@@ -26,12 +25,6 @@ const NOT_SAID: &str = "its writer does not say of what it is";
 
 /// How often it is looked whether subscribers have found a new writer.
 const LOOK_FOR_SUBSCRIBERS: Duration = Duration::from_millis(20);
-
-/// The right to read, and where it came from.
-pub struct Right {
-    pub grant: Reading,
-    pub file: Renewal,
-}
 
 /// The publishers elsewhere, as far as they are known.
 struct In<'a> {
@@ -47,16 +40,16 @@ struct In<'a> {
 }
 
 impl Route {
-    pub(super) async fn run_in(&self, way: &Way<'_>, right: &mut Right) -> Result<Infallible, RouteError> {
+    pub(super) async fn run_in(&self, way: &Way<'_>, right: &mut Right<Reading>) -> Result<Infallible, RouteError> {
         let Way { graph, node, kind, card, place } = *way;
         let (incoming, locals) = (Incoming::default(), Locals::new(Instant::now()));
         let mut to = In { graph, own: node.name(), place, kind, incoming, locals, misfit: None };
-        let mut pause = RETRY.0;
+        let mut pause = Pause::new();
         loop {
-            let error = match node.subscribe(card.proof(), right.grant.clone(), subscribe_options(&self.config)).await {
+            let error = match node.subscribe(card.proof(), right.held(), subscribe_options(&self.config)).await {
                 Ok(mut subscription) => {
-                    self.progress().fabric = FabricCounters::In(subscription.meter());
-                    pause = RETRY.0;
+                    *self.fabric() = FabricCounters::In(subscription.meter());
+                    pause = Pause::new();
                     self.is_up(place);
                     self.carry_in(&mut to, &mut subscription, right).await?
                 }
@@ -65,11 +58,7 @@ impl Route {
             // Nothing more is heard of those elsewhere.
             let changes = to.incoming.clear();
             self.change(&mut to, changes).await;
-            self.pause_after(error, &mut pause, place).await;
-            if let Some(new) = right.file.changed().and_then(Permission::read) {
-                right.grant = new;
-                right.file.taken();
-            }
+            self.pause(error, &mut pause, right, place).await;
         }
     }
 
@@ -78,7 +67,7 @@ impl Route {
         &self,
         to: &mut In<'_>,
         subscription: &mut Subscription,
-        right: &mut Right,
+        right: &mut Right<Reading>,
     ) -> Result<NodeError, RouteError> {
         let mut ticks = ticks();
         let mut looks = tokio::time::interval(LOOK_FOR_SUBSCRIBERS);
@@ -93,11 +82,7 @@ impl Route {
                     continue;
                 }
                 _ = ticks.tick() => {
-                    if let Some(new) = right.file.changed().and_then(Permission::read)
-                        && self.renewed(&mut right.file, subscription.renew(new.clone()).await)
-                    {
-                        right.grant = new;
-                    }
+                    self.standing.renew(right, async |new| subscription.renew(new).await).await;
                     let (changes, forgotten) = to.incoming.poll(Instant::now());
                     self.change(to, changes).await;
                     self.drop_all(Drop::Unannounced, forgotten as u64, NOT_SAID);
@@ -210,7 +195,7 @@ impl Route {
         let offers = self.config.qos.map_or(*offers, Offer::from);
         let writer = graph.writer(&self.types, &self.config.topic, &here, text.as_deref(), offers);
         let writer = writer.await.map_err(|error| error.to_string())?;
-        self.progress().kind = Some(here.name.clone());
+        self.standing.set_kind(&here.name);
         Ok(Made::new(Instant::now(), writer, offers, (kind.clone(), here), (definition.clone(), text)))
     }
 
@@ -246,9 +231,9 @@ impl Route {
         let mut faults: Vec<_> = to.locals.faults().map(|(whose, why)| no_counterpart(whose, why)).collect();
         faults.extend(to.misfit.clone());
         match &faults[..] {
-            [] => self.set_status("up"),
-            [only] => self.set_status(only),
-            [first, rest @ ..] => self.set_status(&format!("{first}; and {} more", rest.len())),
+            [] => self.standing.set_status("up"),
+            [only] => self.standing.set_status(only),
+            [first, rest @ ..] => self.standing.set_status(&format!("{first}; and {} more", rest.len())),
         }
     }
 }

@@ -14,25 +14,21 @@ use std::fmt::Display;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use gdp::node::{Ended, NodeError, Publisher};
+use gdp::cert::{AdCert, Issued, Reading};
+use gdp::node::{NodeError, Publisher};
 use gdp::{Name, NameCard, Node};
-use tokio::time::{Interval, MissedTickBehavior};
 
 use crate::config::{Side, TopicConfig};
-use crate::graph::{Graph, GraphError};
+use crate::graph::Graph;
 use crate::material::{Permission, RouteMaterial};
-use crate::renewal::Renewal;
-use crate::ros2::TypeName;
+use crate::ros2::{TopicName, TypeName};
+use crate::routes::Carries;
+use crate::standing::{Pause, Right, RouteError, Standing};
 use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
+use crate::tally::Reason as _;
 use crate::twins::{Part, Place};
 use gdp_ros::roster::ROSTER;
 use gdp_ros::types::Types;
-
-/// Between attempts to have a name published or subscribed: doubled from the first to the second.
-const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(30));
-
-/// How often it is looked for another certificate, and whether a roster is due.
-const LOOK: Duration = Duration::from_secs(1);
 
 /// How often it is looked whether another proxy of the graph carries the topic.
 const LOOK_FOR_TWINS: Duration = Duration::from_millis(250);
@@ -44,10 +40,11 @@ pub struct Route {
     config: TopicConfig,
     graph: String,
     side: Side,
-    name: Name,
     types: Arc<Types>,
     counters: RouteCounters,
-    progress: Mutex<Progress>,
+    standing: Standing,
+    /// Of the fabric's side of it.
+    fabric: Mutex<FabricCounters>,
 }
 
 /// From where to where, and as what.
@@ -60,18 +57,10 @@ struct Way<'a> {
     place: &'a Place,
 }
 
-enum Right {
-    Publish(outward::Right),
-    Read(inward::Right),
-}
-
-impl Right {
-    fn new(permission: Permission, file: Renewal) -> Self {
-        match permission {
-            Permission::Publish(cert) => Self::Publish(outward::Right { cert, file }),
-            Permission::Read(grant) => Self::Read(inward::Right { grant, file }),
-        }
-    }
+/// The right to one direction.
+enum Either {
+    Publish(Right<Issued<AdCert>>),
+    Read(Right<Reading>),
 }
 
 /// Waits for what is wanted of who carries a topic instead of this proxy; and tells meanwhile whether this one could.
@@ -92,47 +81,46 @@ struct Published {
     farewell: Vec<u8>,
 }
 
-/// How far a route has come, for people and tests.
-struct Progress {
-    kind: Option<String>,
-    status: String,
-    fabric: FabricCounters,
-}
+impl Carries for Route {
+    type Config = TopicConfig;
+    type Key = TopicName;
+    type Stats = RouteStats;
 
-impl Route {
-    /// `graph`: what the configuration calls it.
-    pub fn new(config: &TopicConfig, graph: &str, material: &RouteMaterial, types: Arc<Types>) -> Self {
+    fn key(config: &TopicConfig) -> TopicName {
+        config.topic.clone()
+    }
+
+    fn new(config: &TopicConfig, graph: &str, material: &RouteMaterial, types: Arc<Types>) -> Self {
+        let kind = material.kind.as_ref().map(ToString::to_string);
         Self {
             config: config.clone(),
             graph: graph.into(),
-            side: material.side,
-            name: material.card.name(),
+            side: material.permission.side(),
             types,
             counters: RouteCounters::default(),
-            progress: Mutex::new(Progress {
-                kind: material.kind.as_ref().map(ToString::to_string),
-                status: "starting".into(),
-                fabric: FabricCounters::None,
-            }),
+            standing: Standing::new(format!("topic {}", config.topic), material.card.name(), kind),
+            fabric: Mutex::new(FabricCounters::None),
         }
     }
 
-    pub fn stats(&self) -> RouteStats {
-        let progress = self.progress();
+    fn standing(&self) -> &Standing {
+        &self.standing
+    }
+
+    fn stats(&self) -> RouteStats {
         RouteStats {
             topic: self.config.topic.to_string(),
             graph: self.graph.clone(),
-            kind: progress.kind.clone(),
-            status: progress.status.clone(),
+            kind: self.standing.kind(),
+            status: self.standing.status(),
             direction: self.side,
-            name: self.name,
-            fabric: progress.fabric.read(),
+            name: self.standing.name(),
+            fabric: self.fabric().read(),
             counted: self.counters.read(),
         }
     }
 
-    /// Carries messages until `stop` ends, or the graph fails or the node is closed. What has been sent by then arrives, if it can.
-    pub async fn run(
+    async fn run(
         &self,
         graph: &Graph,
         node: &Node,
@@ -149,7 +137,9 @@ impl Route {
         }
         result
     }
+}
 
+impl Route {
     async fn carry(
         &self,
         graph: &Graph,
@@ -157,11 +147,14 @@ impl Route {
         material: RouteMaterial,
         publisher: &mut Option<Published>,
     ) -> Result<Infallible, RouteError> {
-        let part = Part { name: self.name, side: self.side, topic: self.config.topic.to_string() };
+        let part = Part { name: self.standing.name(), side: self.side, topic: self.config.topic.to_string() };
         let place = graph.twins().enter(node.name(), part);
-        let RouteMaterial { card, kind, permission, file, .. } = material;
+        let RouteMaterial { card, kind, permission, file } = material;
         let way = Way { graph, node, kind: kind.as_ref(), card: &card, place: &place };
-        let mut right = Right::new(permission, file);
+        let mut right = match permission {
+            Permission::Publish(cert) => Either::Publish(Right::publish(cert, file)),
+            Permission::Read(grant) => Either::Read(Right::read(grant, file)),
+        };
         loop {
             let ahead = tokio::select! {
                 Err(error) = self.carry_as_first(&way, &mut right, publisher) => return Err(error),
@@ -170,8 +163,8 @@ impl Route {
             if let Some(publisher) = publisher.take() {
                 self.close(publisher).await;
             }
-            tracing::info!(topic = %self.config.topic, side = ?self.side, name = %self.name, "standing by for {ahead}");
-            self.set_status(&format!("standing by for {ahead}"));
+            tracing::info!(topic = %self.config.topic, side = ?self.side, name = %self.standing.name(), "standing by for {ahead}");
+            self.standing.set_status(&format!("standing by for {ahead}"));
             until(node, &place, |ahead| ahead.is_none().then_some(())).await;
         }
     }
@@ -179,12 +172,12 @@ impl Route {
     async fn carry_as_first(
         &self,
         way: &Way<'_>,
-        right: &mut Right,
+        right: &mut Either,
         publisher: &mut Option<Published>,
     ) -> Result<Infallible, RouteError> {
         match right {
-            Right::Publish(right) => self.run_out(way, right, publisher).await,
-            Right::Read(right) => self.run_in(way, right).await,
+            Either::Publish(right) => self.run_out(way, right, publisher).await,
+            Either::Read(right) => self.run_in(way, right).await,
         }
     }
 
@@ -192,30 +185,14 @@ impl Route {
     async fn close(&self, Published { publisher, farewell }: Published) {
         publisher.pin(ROSTER, &farewell);
         if let Err(error) = publisher.close(FLUSH).await {
-            tracing::warn!(topic = %self.config.topic, name = %self.name, "left with messages under way: {error}");
+            tracing::warn!(topic = %self.config.topic, name = %self.standing.name(), "left with messages under way: {error}");
         }
     }
 
-    /// What came of showing the RIB another certificate. Whether it is in force.
-    fn renewed(&self, file: &mut Renewal, result: Result<(), NodeError>) -> bool {
-        match &result {
-            Ok(()) => {
-                file.taken();
-                tracing::info!(topic = %self.config.topic, name = %self.name, "the certificate was renewed");
-            }
-            Err(error) => file.refused(error),
-        }
-        result.is_ok()
-    }
-
-    /// A refusal is no reason to end: other topics may be fine, and owners, RIBs and clocks mend.
-    async fn pause_after(&self, error: NodeError, pause: &mut Duration, place: &Place) {
+    /// A refusal: another proxy of the graph may do better meanwhile.
+    async fn pause<T: Clone>(&self, error: NodeError, pause: &mut Pause, right: &mut Right<T>, place: &Place) {
         place.set_permitted(false);
-        let message = error.to_string();
-        tracing::warn!(topic = %self.config.topic, name = %self.name, "{message}; asking again in {pause:?}");
-        self.set_status(&message);
-        tokio::time::sleep(*pause).await;
-        *pause = (*pause * 2).min(RETRY.1);
+        self.standing.pause(error, pause, right).await;
     }
 
     /// Counts every drop; the first one for a reason is worth a line in the log, the counters have the rest.
@@ -229,54 +206,12 @@ impl Route {
         }
     }
 
-    fn progress(&self) -> MutexGuard<'_, Progress> {
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    fn fabric(&self) -> MutexGuard<'_, FabricCounters> {
+        self.fabric.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn is_up(&self, place: &Place) {
         place.set_permitted(true);
-        tracing::info!(topic = %self.config.topic, side = ?self.side, name = %self.name, "carrying");
-        self.set_status("up");
-    }
-
-    /// It ended by itself, and begins again after a while.
-    pub fn failed(&self, why: &str) {
-        tracing::warn!(topic = %self.config.topic, side = ?self.side, name = %self.name, "not carried: {why}; beginning again in a while");
-        self.set_status(why);
-    }
-
-    fn set_status(&self, status: &str) {
-        self.progress().status = status.into();
-    }
-}
-
-fn ended_because(why: Ended) -> Result<NodeError, RouteError> {
-    match why {
-        Ended::Right(error) => Ok(error.into()),
-        Ended::Closed => Err(RouteError::NodeClosed),
-    }
-}
-
-fn ticks() -> Interval {
-    let mut ticks = tokio::time::interval(LOOK);
-    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    ticks
-}
-
-/// Why a route ended.
-#[derive(Debug, thiserror::Error)]
-pub enum RouteError {
-    #[error(transparent)]
-    Graph(#[from] GraphError),
-    #[error(transparent)]
-    Cbor(#[from] gdp::cbor::CborError),
-    #[error("the node is closed")]
-    NodeClosed,
-}
-
-impl RouteError {
-    /// Whether it may be otherwise when the route begins again.
-    pub fn may_pass(&self) -> bool {
-        !matches!(self, Self::NodeClosed | Self::Graph(GraphError::Left))
+        self.standing.is_up();
     }
 }

@@ -10,21 +10,13 @@ use gdp::node::{ErrorCode, FrameError, NodeError, Publisher};
 use gdp::seal::Draft;
 
 use super::pace::Pace;
-use super::{Published, RETRY, Route, RouteError, Way, ended_because, ticks};
+use super::{Published, Route, Way};
 use crate::delivery::{lacks, latched, publish_options, stronger};
 use crate::graph::{Arrived, Event, GraphError, Key, Reader};
-use crate::material::Permission;
-use crate::renewal::Renewal;
+use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
-use crate::twins::Place;
 use gdp_ros::roster::{self, Announcement, Kind, Offer, Outgoing};
 use gdp_ros::types::{Converter, Form, TypeError, sealed};
-
-/// The right to publish, and where it came from.
-pub struct Right {
-    pub cert: Issued<AdCert>,
-    pub file: Renewal,
-}
 
 /// Why messages are not carried on as they were.
 enum Turn {
@@ -62,23 +54,23 @@ impl Route {
     pub(super) async fn run_out(
         &self,
         way: &Way<'_>,
-        right: &mut Right,
+        right: &mut Right<Issued<AdCert>>,
         publisher: &mut Option<Published>,
     ) -> Result<Infallible, RouteError> {
         let Way { node, card, place, .. } = *way;
         let mut out = self.learn(way, self.config.qos.map(Offer::from)).await?;
-        let mut pause = RETRY.0;
+        let mut pause = Pause::new();
         loop {
             let farewell = out.roster.farewell()?;
             let new = loop {
                 let options = publish_options(&out.offers, &self.config);
-                match node.publish(card.proof(), right.cert.clone(), options).await {
+                match node.publish(card.proof(), right.held(), options).await {
                     Ok(new) => break &mut publisher.insert(Published { publisher: new, farewell }).publisher,
-                    Err(error) => self.wait_for_right(error, &mut pause, right, place).await,
+                    Err(error) => self.pause(error, &mut pause, right, place).await,
                 }
             };
-            self.progress().fabric = FabricCounters::Out(new.meter());
-            pause = RETRY.0;
+            *self.fabric() = FabricCounters::Out(new.meter());
+            pause = Pause::new();
             self.is_up(place);
             self.show_out("up", &out.strangers);
             out.roster.offers().for_each(|(number, offers)| new.latch(&roster::origin(number), latched(&offers)));
@@ -95,19 +87,11 @@ impl Route {
                 Turn::Ended(error) => {
                     drop(published);
                     let offers = out.offers;
-                    self.wait_for_right(error, &mut pause, right, place).await;
+                    self.pause(error, &mut pause, right, place).await;
                     // What has come meanwhile is old by now.
                     out = self.learn(way, Some(offers)).await?;
                 }
             }
-        }
-    }
-
-    async fn wait_for_right(&self, error: NodeError, pause: &mut Duration, right: &mut Right, place: &Place) {
-        self.pause_after(error, pause, place).await;
-        if let Some(new) = right.file.changed().and_then(Permission::publish) {
-            right.cert = new;
-            right.file.taken();
         }
     }
 
@@ -138,12 +122,12 @@ impl Route {
                 }
             },
         };
-        self.progress().kind = Some(kind.name.clone());
+        self.standing.set_kind(&kind.name);
         let definition = reader.definition().map(str::to_owned).or_else(|| self.types.definition(&kind));
         let converter = match self.converter_out(&kind, definition.as_deref()) {
             Ok(converter) => converter,
             Err(error) => {
-                self.set_status(&error.to_string());
+                self.standing.set_status(&error.to_string());
                 tracing::warn!(topic = %self.config.topic, kind = %kind.name, "not carried: {error}");
                 // Another proxy of the graph may know more.
                 place.set_permitted(false);
@@ -177,7 +161,7 @@ impl Route {
         &self,
         out: &mut Out<'_>,
         publisher: &mut Publisher,
-        right: &mut Right,
+        right: &mut Right<Issued<AdCert>>,
     ) -> Result<Turn, RouteError> {
         let (mut told, mut ticks, mut ended) = (BTreeSet::new(), ticks(), pin!(publisher.ended()));
         loop {
@@ -200,11 +184,7 @@ impl Route {
                     continue;
                 }
                 _ = ticks.tick() => {
-                    if let Some(new) = right.file.changed().and_then(Permission::publish)
-                        && self.renewed(&mut right.file, publisher.renew(new.clone()).await)
-                    {
-                        right.cert = new;
-                    }
+                    self.standing.renew(right, async |new| publisher.renew(new).await).await;
                     continue;
                 }
             };
@@ -333,11 +313,11 @@ impl Route {
     /// Says in the status which publishers are not carried.
     fn show_out(&self, otherwise: &str, strangers: &BTreeMap<Key, String>) {
         match strangers.iter().next() {
-            None => self.set_status(otherwise),
+            None => self.standing.set_status(otherwise),
             Some((key, why)) => {
                 let more = strangers.len() - 1;
                 let more = if more == 0 { String::new() } else { format!("; and {more} more") };
-                self.set_status(&format!("publisher {key:x} here is not carried: {why}{more}"));
+                self.standing.set_status(&format!("publisher {key:x} here is not carried: {why}{more}"));
             }
         }
     }
@@ -346,9 +326,11 @@ impl Route {
         match error.code {
             // As long as nobody subscribes.
             ErrorCode::NoRoute => {
-                tracing::info!(topic = %self.config.topic, name = %self.name, "not carried on: {error}")
+                tracing::info!(topic = %self.config.topic, name = %self.standing.name(), "not carried on: {error}")
             }
-            _ => tracing::warn!(topic = %self.config.topic, name = %self.name, "the switch refused a frame: {error}"),
+            _ => {
+                tracing::warn!(topic = %self.config.topic, name = %self.standing.name(), "the switch refused a frame: {error}")
+            }
         }
     }
 }

@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail, ensure};
 use gdp::Identity;
 use gdp::control::{EntityRequest, Request, Response};
-use gdp::link::{Link, RekeySchedule};
+use gdp::link::Link;
 use gdp::port::{LinkAddr, Port, PortConfig};
-use gdp_ctl::config::{Config, DataPlane};
+use gdp_ctl::config::Config;
 use gdp_ctl::serve::{Running, start};
 use gdp_tests::measure::figure::{Aim, Figure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
@@ -52,20 +52,9 @@ struct Client {
 
 async fn prepare(folder: &std::path::Path) -> Result<(Running, Vec<Client>, Vec<Request>)> {
     let daemon = start(Config {
-        identity: folder.join("switch.pem"),
-        socket: folder.join("switch.sock"),
-        interfaces: Some(Vec::new()),
-        bpffs: None,
-        udp: Some("127.0.0.1:0".parse()?),
-        data_plane: DataPlane::Userspace,
         rib: true,
-        neighbours: Vec::new(),
-        public: Vec::new(),
-        etcd: None,
-        ebpf_object: None,
         fib_capacity: 1024,
-        domain: None,
-        rekey: RekeySchedule::default(),
+        ..Config::userspace(folder.join("switch.pem"), "127.0.0.1:0".parse()?)
     })
     .await?;
     let (owner, to) = (Owner::new()?, daemon.udp_addr().context("no address")?);

@@ -22,12 +22,10 @@ use crate::ros::python;
 use crate::ros::view::View;
 use crate::unix_time::unix_now;
 
-/// How often it is looked for a server.
-const LOOK: Duration = Duration::from_millis(100);
-
-/// How long, and how often, a server is asked what it serves.
+/// How long, how often, and how soon again a server is asked what it serves.
 const ATTEMPT: Duration = Duration::from_secs(2);
 const ATTEMPTS: u32 = 10;
+const SOON: Duration = Duration::from_millis(100);
 
 #[derive(Debug, Args)]
 pub struct Options {
@@ -81,12 +79,12 @@ struct Server {
 
 impl Server {
     async fn find(client: &Client, card: &NameCard) -> anyhow::Result<Self> {
-        let mut told = false;
+        let mut changes = client.changes();
+        if client.servers() == 0 {
+            eprintln!("waiting for service {} to become available...", called(card));
+        }
         while client.servers() == 0 {
-            if !std::mem::replace(&mut told, true) {
-                eprintln!("waiting for service {} to become available...", called(card));
-            }
-            tokio::time::sleep(LOOK).await;
+            changes.changed().await.context("the right to call it has ended")?;
         }
         let reply = describe(client).await?;
         match Reply::from_bytes(&reply.body)? {
@@ -126,7 +124,7 @@ async fn describe(client: &Client) -> anyhow::Result<Message> {
             Ok(Err(error)) => return Err(error.into()),
             Err(_) => {}
         }
-        tokio::time::sleep(LOOK).await;
+        tokio::time::sleep(SOON).await;
     }
     bail!("its server does not describe it; is it a service of a gdp-proxy?")
 }

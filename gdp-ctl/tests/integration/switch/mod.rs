@@ -5,8 +5,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use gdp::Identity;
-use gdp::link::RekeySchedule;
-use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
+use gdp_ctl::config::{Config, Neighbour, Place, Via};
 use gdp_wire::Name;
 
 /// How long anything may take on a busy machine.
@@ -14,22 +13,8 @@ pub const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A switch with its RIB; its files lie in the folder under this label.
 pub fn config(folder: &Path, label: &str) -> Config {
-    Config {
-        identity: folder.join(format!("{label}.pem")),
-        socket: folder.join(format!("{label}.sock")),
-        interfaces: Some(Vec::new()),
-        bpffs: None,
-        udp: Some("127.0.0.1:0".parse().unwrap()),
-        data_plane: DataPlane::Userspace,
-        rib: true,
-        neighbours: Vec::new(),
-        ebpf_object: None,
-        fib_capacity: 1024,
-        domain: None,
-        public: Vec::new(),
-        etcd: None,
-        rekey: RekeySchedule::default(),
-    }
+    let identity = folder.join(format!("{label}.pem"));
+    Config { rib: true, fib_capacity: 1024, ..Config::userspace(identity, "127.0.0.1:0".parse().unwrap()) }
 }
 
 pub async fn wait(what: &str, condition: impl AsyncFn() -> bool) {

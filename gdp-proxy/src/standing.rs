@@ -1,0 +1,192 @@
+//! What everything that crosses has in common, topics as well as services, actions and catalogs: the right that it rests on, how far it has come, and
+//! why it ends.
+
+use std::fmt::Display;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use gdp::Name;
+use gdp::cert::{AdCert, Issued, Reading};
+use gdp::node::{Ended, NodeError};
+use tokio::time::{Interval, MissedTickBehavior};
+
+use crate::graph::GraphError;
+use crate::manager::Failure;
+use crate::material::Permission;
+use crate::renewal::Renewal;
+
+/// How often it is looked for another certificate, and for what else time brings.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// How long it is waited before a name is asked for again: doubled each time.
+#[derive(Clone, Copy)]
+pub struct Pause(Duration);
+
+impl Pause {
+    const SHORTEST: Duration = Duration::from_millis(500);
+    const LONGEST: Duration = Duration::from_secs(30);
+
+    pub fn new() -> Self {
+        Self(Self::SHORTEST)
+    }
+
+    async fn wait(&mut self) {
+        tokio::time::sleep(self.0).await;
+        self.0 = (self.0 * 2).min(Self::LONGEST);
+    }
+}
+
+/// A right to a name, and where it came from.
+pub struct Right<T> {
+    held: T,
+    file: Renewal,
+    of: fn(Permission) -> Option<T>,
+}
+
+impl Right<Issued<AdCert>> {
+    /// To publish or serve it.
+    pub fn publish(held: Issued<AdCert>, file: Renewal) -> Self {
+        Self { held, file, of: Permission::publish }
+    }
+}
+
+impl Right<Reading> {
+    /// To read or call it.
+    pub fn read(held: Reading, file: Renewal) -> Self {
+        Self { held, file, of: Permission::read }
+    }
+}
+
+impl<T: Clone> Right<T> {
+    /// What it is at the moment.
+    pub fn held(&self) -> T {
+        self.held.clone()
+    }
+
+    /// Another one than that, if there is one.
+    fn newer(&mut self) -> Option<T> {
+        self.file.changed().and_then(self.of)
+    }
+}
+
+/// How far something has come, for the log, people and tests.
+pub struct Standing {
+    /// `topic /chatter`
+    title: String,
+    name: Name,
+    progress: Mutex<Progress>,
+}
+
+struct Progress {
+    kind: Option<String>,
+    status: String,
+}
+
+impl Standing {
+    /// `kind`: the ROS type, if it is known.
+    pub fn new(title: String, name: Name, kind: Option<String>) -> Self {
+        Self { title, name, progress: Mutex::new(Progress { kind, status: "starting".into() }) }
+    }
+
+    pub fn name(&self) -> Name {
+        self.name
+    }
+
+    pub fn title(&self) -> &str {
+        &self.title
+    }
+
+    /// The ROS type, as its graph calls it, as soon as it is known.
+    pub fn kind(&self) -> Option<String> {
+        self.progress().kind.clone()
+    }
+
+    /// `up`, or what it waits for.
+    pub fn status(&self) -> String {
+        self.progress().status.clone()
+    }
+
+    pub fn set_kind(&self, kind: &str) {
+        self.progress().kind = Some(kind.into());
+    }
+
+    pub fn set_status(&self, status: &str) {
+        self.progress().status = status.into();
+    }
+
+    pub fn is_up(&self) {
+        tracing::info!(what = %self.title, name = %self.name, "carrying");
+        self.set_status("up");
+    }
+
+    /// It ended by itself, and is begun again after a while.
+    pub fn failed(&self, why: &str) {
+        tracing::warn!(what = %self.title, name = %self.name, "not carried: {why}; beginning again in a while");
+        self.set_status(why);
+    }
+
+    /// Waits until the name is to be asked for again, by another right if there is one by then. A refusal is no reason to end: others may be fine, and
+    /// owners, RIBs and clocks mend.
+    pub async fn pause<T: Clone>(&self, error: impl Display, pause: &mut Pause, right: &mut Right<T>) {
+        let message = error.to_string();
+        tracing::warn!(what = %self.title, name = %self.name, "{message}; trying again in {:?}", pause.0);
+        self.set_status(&message);
+        pause.wait().await;
+        if let Some(new) = right.newer() {
+            right.held = new;
+            right.file.taken();
+        }
+    }
+
+    /// Has another certificate put in force, if there is one: by `show`, which shows it to the RIB.
+    pub async fn renew<T: Clone>(&self, right: &mut Right<T>, show: impl AsyncFnOnce(T) -> Result<(), NodeError>) {
+        let Some(new) = right.newer() else { return };
+        match show(new.clone()).await {
+            Ok(()) => {
+                right.held = new;
+                right.file.taken();
+                tracing::info!(what = %self.title, name = %self.name, "the certificate was renewed");
+            }
+            Err(error) => right.file.refused(&error),
+        }
+    }
+
+    /// As [managers](crate::manager) are to take the end.
+    pub fn ended(&self, error: RouteError) -> Failure {
+        match error {
+            RouteError::NodeClosed | RouteError::Graph(GraphError::Left) => {
+                Failure::Final(anyhow::anyhow!(error).context(self.title.clone()))
+            }
+            error => Failure::Passing(error.to_string()),
+        }
+    }
+
+    fn progress(&self) -> MutexGuard<'_, Progress> {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Why something does not cross any more.
+#[derive(Debug, thiserror::Error)]
+pub enum RouteError {
+    #[error(transparent)]
+    Graph(#[from] GraphError),
+    #[error(transparent)]
+    Cbor(#[from] gdp::cbor::CborError),
+    #[error("the node is closed")]
+    NodeClosed,
+}
+
+/// What has ended the right to a name, unless all has ended.
+pub fn ended_because(why: Ended) -> Result<NodeError, RouteError> {
+    match why {
+        Ended::Right(error) => Ok(error.into()),
+        Ended::Closed => Err(RouteError::NodeClosed),
+    }
+}
+
+pub fn ticks() -> Interval {
+    let mut ticks = tokio::time::interval(LOOK);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    ticks
+}
