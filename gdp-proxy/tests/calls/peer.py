@@ -12,6 +12,7 @@ peer.py NAME send ACTION ORDER [N]   the same; cancels after the N-th feedback
 
 import json
 import os
+import signal
 import sys
 import threading
 import time
@@ -167,6 +168,8 @@ def result_of(future):
 
 if __name__ == "__main__":
     name, mode, *arguments = sys.argv[1:]
+    # rclpy's own handler ends the executor; Python's would raise KeyboardInterrupt besides, perhaps in the midst of what is to be done last.
+    signal.signal(signal.SIGINT, lambda *_: None)
     rclpy.init()
     node = rclpy.create_node(name)
     try:
@@ -174,7 +177,7 @@ if __name__ == "__main__":
         executor = MultiThreadedExecutor()
         executor.add_node(node)
         executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
     finally:
         # Says goodbye, once nothing uses the node any more; but a callback may sleep on.
