@@ -12,6 +12,10 @@ pub const INITIAL_WINDOW: u64 = 32 * FRAME;
 /// A path is never held below this.
 pub const MIN_WINDOW: u64 = 4 * FRAME;
 
+/// What may go at once after a pause, in time at the rate that the path is known to take. A topic whose messages are few and short shows little of its path, and
+/// would be held to that little.
+const BURST_TIME: u64 = 20 * MS;
+
 /// Taken for the round trip until one is measured.
 const INITIAL_RTT: u64 = 20 * MS;
 /// The shortest round trip counts for this long; then the queue is let run dry, to see it again.
@@ -194,6 +198,12 @@ impl Path {
             Phase::Drain | Phase::Steady { .. } => (2 * self.in_flight(rtt)).max(MIN_WINDOW),
             Phase::Dry { .. } => (self.in_flight(rtt) / 2).max(MIN_WINDOW),
         }
+    }
+
+    /// Bytes that may go at once when nothing is under way, and nothing has gone for a round trip.
+    pub fn burst(&self) -> u64 {
+        let is_known = self.rates.get() > 0 && !self.silent;
+        if is_known { bytes_in(self.bandwidth(), BURST_TIME).min(INITIAL_WINDOW) } else { 0 }
     }
 
     /// The round trip, smoothed.

@@ -70,6 +70,8 @@ pub struct TopicState {
     pauses: u64,
     paused: bool,
     pace: Meter,
+    /// Bytes that go without being paced, after a pause.
+    at_once: u64,
     /// Of what goes for the first time.
     fresh: Speed,
     /// Whose path sets the pace.
@@ -118,6 +120,7 @@ impl TopicState {
             pauses: 0,
             paused: true,
             pace: Meter::new(now),
+            at_once: 0,
             fresh: Speed::new(now),
             leader: None,
             heartbeat_at: u64::MAX,
@@ -192,7 +195,8 @@ impl TopicState {
         let Some(rate) = self.find_rate(now) else {
             return Turn { may_send: false, at: timers.min(self.overdue_at()) };
         };
-        let paced = self.pace.ready_at(BURST.max(nanoseconds(BURST_BYTES, rate)));
+        let at_once = if self.paused { self.at_once_after_pause(now) } else { self.at_once };
+        let paced = if at_once > 0 { now } else { self.pace.ready_at(BURST.max(nanoseconds(BURST_BYTES, rate))) };
         let may_send = paced <= now;
         Turn { may_send, at: if may_send { timers } else { timers.min(paced) } }
     }
@@ -208,11 +212,15 @@ impl TopicState {
         if waited > HELD_UP {
             self.pauses += 1;
         }
+        if self.paused {
+            self.at_once = self.at_once_after_pause(now);
+        }
         self.sent_at = now;
         self.sent += bytes as u64;
         self.large_unheard |= bytes > LEAST_PAYLOAD;
         self.paused = false;
-        self.pace.take(now, bytes as u64, rate);
+        self.pace.take(now, (bytes as u64).saturating_sub(self.at_once), rate);
+        self.at_once = self.at_once.saturating_sub(bytes as u64);
         if !chosen.repair {
             self.fresh.add(now, bytes as u64);
             let position = chosen.message.position(chosen.frame);
@@ -349,6 +357,13 @@ impl TopicState {
             None if self.peers.any_live() || !self.nobody.has_room(sent) => None,
             None => Some(self.nobody.path().rate(now)),
         }
+    }
+
+    /// Bytes that may go at once now that there is something to send again.
+    fn at_once_after_pause(&self, now: u64) -> u64 {
+        let leader = self.leader().unwrap_or(&self.nobody);
+        let is_idle = leader.under_way(self.sent) == 0 && now.saturating_sub(self.sent_at) >= leader.path().rtt();
+        if is_idle { leader.path().burst() } else { 0 }
     }
 
     fn leader(&self) -> Option<&Peer> {
