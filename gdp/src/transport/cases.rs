@@ -181,6 +181,25 @@ fn two_bulk_flows_on_one_bottleneck() {
     }
 }
 
+/// A reliable topic of large messages that is three times as fast as its path: what its writer drops is dropped whole, so that the path carries nothing in vain.
+#[test]
+fn what_is_too_fast_for_its_path_arrives_as_far_as_the_path_goes() {
+    let mut sim = Simulation::new(4);
+    let [a, b] = [(); 2].map(|()| sim.node());
+    let narrow = Faults { rate: Some(40 * MBIT), queue: Some(250_000), ..Faults::delay(2 * MS) };
+    sim.join(a, b, narrow, Faults::delay(2 * MS));
+    let options = TopicOptions {
+        reliability: Reliability::Reliable { overflow: Overflow::DropOldest },
+        history: History { messages: 256, bytes: 3_000_000 },
+        ..TopicOptions::reliable()
+    };
+    let topic = sim.publish(a, options, App::new(500_000, 30, 10 * SECOND));
+    sim.subscribe(b, topic, 4 * MS, InboundOptions::every());
+    sim.run(10 * SECOND);
+    let delivered = sim.topics[topic].readers[&b].delivered.len() as u64;
+    assert!(delivered * 500_000 * 8 >= 10 * 40 * MBIT * 7 / 10, "{delivered} messages");
+}
+
 #[test]
 fn a_slow_subscriber_never_slows_the_others() {
     let run = |with_slow: bool| {

@@ -172,6 +172,12 @@ impl Outbox {
         self.entries.front().map_or(self.last + 1, |entry| entry.message.first())
     }
 
+    /// This sequence, or the first one after it that can be repaired or is yet to come.
+    pub fn next_from(&self, sequence: u64) -> u64 {
+        let index = self.entries.partition_point(|entry| entry.message.last() < sequence);
+        self.entries.get(index).map_or(self.last + 1, |entry| entry.message.first()).max(sequence)
+    }
+
     /// Whether so many messages, of so many bytes, find room, or the oldest may go for them.
     pub fn has_room(&self, messages: u64, bytes: usize, acknowledged: u64) -> bool {
         let oldest_may_go = |entry: &Entry| entry.is_sent() && entry.message.last() <= acknowledged;
@@ -215,10 +221,14 @@ impl Outbox {
                     if !may_go && overflow == Overflow::Block {
                         return Err(message);
                     }
-                    if !oldest.is_sent() || oldest.message.last() > by_all {
-                        self.counters.evicted += oldest.messages();
+                    // What has begun to go is of use only whole: what waits gives way first.
+                    let begun = self.begun();
+                    let index = if !may_go && begun < self.entries.len() { begun } else { 0 };
+                    let gives_way = &self.entries[index];
+                    if !gives_way.is_sent() || gives_way.message.last() > by_all {
+                        self.counters.evicted += gives_way.messages();
                     }
-                    self.remove(0);
+                    self.remove(index);
                 }
             }
         }

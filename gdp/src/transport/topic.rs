@@ -316,9 +316,10 @@ impl TopicState {
         if peer.suspicion.asked(now, missing, too_early) {
             self.limit.set(now);
         }
-        let oldest = self.outbox.oldest();
-        let gone = missing.first().is_some_and(|range| range.sequence < oldest);
-        (gone && self.outbox.is_reliable()).then_some(oldest)
+        let (first, acknowledged) = (missing.first()?.sequence, peer.acknowledged());
+        // What is gone in the midst is told once nothing before it is awaited any more.
+        let from = if acknowledged + 1 < first { self.outbox.oldest() } else { self.outbox.next_from(first) };
+        (from > first && self.outbox.is_reliable()).then_some(from)
     }
 
     /// Whether a publisher that waits for room now finds some.
