@@ -40,6 +40,9 @@ pub struct Options {
     /// Each path is measured this often, in turn
     #[arg(long, default_value_t = 2)]
     rounds: u32,
+    /// Only messages of this size (may be repeated)
+    #[arg(long = "bytes")]
+    bytes: Vec<usize>,
     /// Only this path (may be repeated)
     #[arg(long = "path", value_enum)]
     paths: Vec<Route>,
@@ -131,7 +134,7 @@ pub fn run(options: Options) -> Result<()> {
     netns::sweep()?;
     let bench = Bench { tools: workspace::tools(Profile::Release), bridge };
     let mut rows = Vec::new();
-    for load in &LOADS {
+    for load in LOADS.iter().filter(|load| options.bytes.is_empty() || options.bytes.contains(&load.bytes)) {
         let routes: Vec<Route> = routes.iter().copied().filter(|route| load.is_carried_by(*route)).collect();
         let count = (load.rate * f64::from(options.seconds)).ceil() as u64;
         let mut samples: Vec<Vec<Measured>> = routes.iter().map(|_| Vec::new()).collect();
@@ -175,7 +178,11 @@ impl Bench {
                 let ends = [(fabric.chain.robot(), &traffic), (fabric.chain.cloud(), &traffic)];
                 let switches = fabric.switches.iter().map(|switch| &switch.process);
                 let between: Vec<&Process> = switches.chain(&fabric.robot).chain(&fabric.cloud).collect();
-                converse(&self.tools, load.vendor, ends, &between, fabric.folder())
+                let r = converse(&self.tools, load.vendor, ends, &between, fabric.folder());
+                for l in ["robot", "cloud"] {
+                    eprintln!("STATS {l} {}", fabric.proxy_stats(l));
+                }
+                r
             }
             Route::Ip => {
                 let chain = routers()?;
