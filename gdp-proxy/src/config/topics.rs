@@ -244,6 +244,6 @@ fn no_readers<'de, D: Deserializer<'de>>(_: D) -> Result<(), D::Error> {
 fn no_meta<'de, D: Deserializer<'de>>(_: D) -> Result<(), D::Error> {
     Err(de::Error::custom(
         "`meta` is a key of `expose` alone, for which the proxy makes the name cards. The metadata of a topic that is listed is in the card \
-         that `card` names: remove it here, and say it when the name is made (gdp-ctl name create --meta), for other metadata makes another name",
+         that `card` names: remove it here, and say it when the name is made, for other metadata makes another name (gdp-ctl name create --meta)",
     ))
 }
