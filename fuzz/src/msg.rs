@@ -7,7 +7,7 @@ use gdp_msg::{Dialect, Encoding, Mapping, Options, Registry, Schema, TypeName};
 const ENCODINGS: [Encoding; 4] = [Encoding::Cdr, Encoding::CdrBigEndian, Encoding::Ros1, Encoding::Json];
 
 /// A schema survives its bundle. A message that is taken becomes one of every encoding that is taken as well, and leads back to itself;
-/// none becomes larger than the limit.
+/// none becomes larger than the limit, with a prefix in front of its frames or without.
 ///
 /// Input: dialect and encoding in one byte, the length of the definitions in two (big endian), the definitions, the message.
 pub fn msg(data: &[u8]) {
@@ -32,6 +32,10 @@ pub fn msg(data: &[u8]) {
         let valid = mapping.validate(message);
         let taken = mapping.transcode(message, &mut there, &limit);
         assert!(taken.is_err() || valid.is_ok() && there.len() <= limit.max_output);
+        let framed = Mapping::with_frame_prefix(&schema, from, &schema, to, "robot1/").expect("as many steps");
+        assert!(
+            framed.transcode(message, &mut again, &limit).is_err() || valid.is_ok() && again.len() <= limit.max_output
+        );
         if taken.is_ok() {
             reverse.transcode(&there, &mut back, &Options::default()).expect("its own message");
             mapping.transcode(&back, &mut again, &Options::default()).expect("the message it came from");

@@ -34,6 +34,10 @@
 //!
 //! Any schema can be had in any encoding: [`Encoding::Cdr`] of a ROS 1 schema has a `seq` in its headers, as its definition says.
 //!
+//! # Frames
+//!
+//! On the way, coordinate frames can get a prefix ([`Mapping::with_frame_prefix`]), so that those of several robots are told apart.
+//!
 //! # Text
 //!
 //! Binary encodings pass on whatever a sender took for a string, as ROS does. JSON and wide strings are Unicode: other text is refused there,

@@ -49,6 +49,7 @@ reasons! {
 pub struct RouteCounters {
     messages: AtomicU64,
     bytes: AtomicU64,
+    bytes_carried: AtomicU64,
     drops: Tally<Drop>,
     /// Until the proxy has a message: `out` since the ROS node wrote it, `in` since the other proxy sealed it.
     pub arrival: Timing,
@@ -57,10 +58,11 @@ pub struct RouteCounters {
 }
 
 impl RouteCounters {
-    /// One message crossed; `bytes` with its encapsulation.
-    pub fn passed(&self, bytes: usize) {
+    /// One message crossed; `bytes` with its encapsulation, and of these so many travel.
+    pub fn passed(&self, bytes: usize, carried: usize) {
         self.messages.fetch_add(1, Relaxed);
         self.bytes.fetch_add(bytes as u64, Relaxed);
+        self.bytes_carried.fetch_add(carried as u64, Relaxed);
     }
 
     /// So many did not. True if they are the first ones for this reason, which deserves a line in the log.
@@ -72,6 +74,7 @@ impl RouteCounters {
         Counted {
             messages: self.messages.load(Relaxed),
             bytes: self.bytes.load(Relaxed),
+            bytes_carried: self.bytes_carried.load(Relaxed),
             drops: self.drops.read(),
             latency_us: StageLatency { arrival: self.arrival.percentiles(), handling: self.handling.percentiles() },
         }
@@ -130,7 +133,10 @@ pub struct RouteStats {
 #[derive(Default, Serialize)]
 pub struct Counted {
     pub messages: u64,
+    /// `out`: as they were converted; `in`: as they are written.
     pub bytes: u64,
+    /// Of the same messages, as they travel: fewer where they are compressed.
+    pub bytes_carried: u64,
     /// All reasons, also those that did not happen.
     pub drops: BTreeMap<&'static str, u64>,
     pub latency_us: StageLatency,
@@ -212,7 +218,7 @@ mod tests {
     /// Of version 4.
     const KEYS: [&str; 10] = [
         "calls catalogs entity links node switch topics version",
-        "bytes direction drops fabric graph latency_us messages name status topic type",
+        "bytes bytes_carried direction drops fabric graph latency_us messages name status topic type",
         "lost malformed max_hz no_counterpart own send_failed stalled unannounced unconvertible unreadable write_failed",
         "arrival handling",
         "p50 p99",
@@ -307,7 +313,7 @@ mod tests {
         let file = StatsFile::new(folder.path().join("stats.json"));
         let counters = RouteCounters::default();
         for sent in 1..=2 {
-            counters.passed(68);
+            counters.passed(68, 17);
             let name = Name::from_bytes([7; 32]);
             let route = route(name, &counters);
             let topics = vec![route];
@@ -326,6 +332,7 @@ mod tests {
             let read: serde_json::Value = serde_json::from_slice(&std::fs::read(file.path()).unwrap()).unwrap();
             let topic = &read["topics"][0];
             assert_eq!((&topic["messages"], &topic["bytes"]), (&sent.into(), &(68 * sent).into()));
+            assert_eq!(topic["bytes_carried"], 17 * sent);
             assert_eq!((&topic["direction"], &topic["name"]), (&"out".into(), &"07".repeat(32).into()));
             assert_eq!((&topic["drops"]["send_failed"], &topic["fabric"]), (&0.into(), &serde_json::Value::Null));
         }

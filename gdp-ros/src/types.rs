@@ -7,6 +7,7 @@ use bytes::Bytes;
 use gdp::seal;
 use gdp_msg::{Encoding, LoadError, MapError, Mapping, NameError, Options, Registry, Schema, SchemaError, TypeName};
 
+use crate::compression::{PackError, UnpackError, unpacked};
 use crate::roster::{Dialect, Kind, MAX_DEFINITION};
 
 /// What is known here: the common interfaces, and what was [loaded](Types::load).
@@ -32,6 +33,12 @@ pub enum TypeError {
     Map(#[from] MapError),
     #[error("messages in an encoding of number {0}, which this release does not know")]
     Encoding(u16),
+    #[error(transparent)]
+    Pack(#[from] PackError),
+    #[error(transparent)]
+    Unpack(#[from] UnpackError),
+    #[error("to put a prefix in front of frames, one must know the type: {0}")]
+    Frames(Box<TypeError>),
 }
 
 /// Turns messages of one form into another.
@@ -72,12 +79,13 @@ pub fn sealed(encoding: Encoding) -> seal::Encoding {
     }
 }
 
-/// What a message says it is in.
-pub fn unsealed(encoding: seal::Encoding) -> Result<Encoding, TypeError> {
+/// What a message says it is in, and its body in that.
+pub fn unsealed(encoding: seal::Encoding, body: Bytes) -> Result<(Encoding, Bytes), TypeError> {
+    let (encoding, body) = unpacked(encoding, body)?;
     match encoding {
-        seal::Encoding::Cdr => Ok(Encoding::Cdr),
-        seal::Encoding::Ros1 => Ok(Encoding::Ros1),
-        seal::Encoding::Json => Ok(Encoding::Json),
+        seal::Encoding::Cdr => Ok((Encoding::Cdr, body)),
+        seal::Encoding::Ros1 => Ok((Encoding::Ros1, body)),
+        seal::Encoding::Json => Ok((Encoding::Json, body)),
         other => Err(TypeError::Encoding(other.into())),
     }
 }
@@ -146,7 +154,24 @@ impl Types {
         if from.encoding == to.encoding && from.kind.dialect == to.kind.dialect {
             return Ok(Converter::None);
         }
-        let mapping = Mapping::new(&*self.schema_of(from)?, from.encoding, &*self.schema_of(to)?, to.encoding)?;
+        self.mapped(from, to, "")
+    }
+
+    /// The same, and `prefix` goes in front of all coordinate frames; see [`Mapping::with_frame_prefix`].
+    pub fn prefixing_converter(&self, from: &Form<'_>, to: &Form<'_>, prefix: &str) -> Result<Converter, TypeError> {
+        let converter = self.mapped(from, to, prefix).map_err(|error| TypeError::Frames(error.into()))?;
+        match &converter {
+            Converter::Some { mapping, .. } if !mapping.prefixes_frames() => {
+                tracing::info!(kind = %from.kind.name, "it has no frames that could have a prefix");
+                self.converter(from, to)
+            }
+            _ => Ok(converter),
+        }
+    }
+
+    fn mapped(&self, from: &Form<'_>, to: &Form<'_>, prefix: &str) -> Result<Converter, TypeError> {
+        let (of, into) = (self.schema_of(from)?, self.schema_of(to)?);
+        let mapping = Mapping::with_frame_prefix(&of, from.encoding, &into, to.encoding, prefix)?;
         for note in mapping.notes() {
             tracing::info!(from = %from.kind.name, to = %to.kind.name, "{note}");
         }
@@ -198,6 +223,27 @@ mod tests {
         let (kind, definition) = types.counterpart(&from, Dialect::Ros2).unwrap();
         assert_eq!(kind.name, "my_robot/msg/Unheard");
         assert!(definition.unwrap().starts_with("builtin_interfaces/Time stamp\n"));
+    }
+
+    #[test]
+    fn frames_get_a_prefix_where_the_type_has_some_and_is_known() {
+        let types = Types::load([]).unwrap();
+        let form = |kind, definition| Form { kind, definition, encoding: Encoding::Cdr };
+        let header = kind(Dialect::Ros2, "std_msgs/msg/Header");
+        let header = form(&header, None);
+        let mut converter = types.prefixing_converter(&header, &header, "r1/").unwrap();
+        let message = Bytes::from_static(b"\0\x01\0\0\x01\0\0\0\x02\0\0\0\x04\0\0\0map\0");
+        let expected = b"\0\x01\0\0\x01\0\0\0\x02\0\0\0\x07\0\0\0r1/map\0";
+        assert_eq!(&converter.convert(message).unwrap()[..], expected);
+
+        let string = kind(Dialect::Ros2, "std_msgs/msg/String");
+        let string = form(&string, None);
+        assert!(matches!(types.prefixing_converter(&string, &string, "r1/"), Ok(Converter::None)), "as fast as before");
+        let own = kind(Dialect::Ros2, "my_robot/msg/Unheard");
+        let refusal = types.prefixing_converter(&form(&own, None), &form(&own, None), "r1/").err().unwrap().to_string();
+        assert!(refusal.contains("must know the type") && refusal.contains("my_robot/msg/Unheard"), "{refusal}");
+        let defined = form(&own, Some("string child_frame_id\n"));
+        assert!(matches!(types.prefixing_converter(&defined, &defined, "r1/"), Ok(Converter::Some { .. })));
     }
 
     #[test]

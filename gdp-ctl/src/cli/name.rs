@@ -28,6 +28,9 @@ pub enum Command {
         /// A nonce to remember, instead of 128 random bits. Others may then guess what the name stands for.
         #[arg(long)]
         nonce: Option<String>,
+        /// What else the card says; repeat for more. Other metadata makes another name.
+        #[arg(long, value_name = "KEY=VALUE")]
+        meta: Vec<String>,
         #[arg(short, long, value_name = "CARD")]
         output: PathBuf,
     },
@@ -48,11 +51,12 @@ pub enum Command {
 
 pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
-        Command::Create { owner, topic, type_name, kind, nonce, output } => {
+        Command::Create { owner, topic, type_name, kind, nonce, meta, output } => {
             if nonce.is_some() {
                 eprintln!("gdp-ctl: warning: with a nonce that can be guessed, so can the topic behind the name");
             }
             let card = NameCard::create(public_key(&owner)?, &kind, &topic, &type_name, nonce)?;
+            let card = NameCard::new(*card.owner_key(), with_meta(card.metadata().clone(), &meta)?)?;
             card.save_new(&output)?;
             let mut value = describe(&card);
             value["file"] = json!(output);
@@ -64,14 +68,7 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         }
         Command::Derive { card: None, owner, meta } => {
             let owner = public_key(&owner.unwrap_or_default())?;
-            let mut metadata = Metadata::new();
-            for entry in &meta {
-                let (key, value) = entry.split_once('=').with_context(|| format!("--meta {entry}: not KEY=VALUE"))?;
-                if metadata.insert(key.to_owned(), value.to_owned()).is_some() {
-                    bail!("--meta {key} is given twice");
-                }
-            }
-            let card = NameCard::new(owner, metadata)?;
+            let card = NameCard::new(owner, with_meta(Metadata::new(), &meta)?)?;
             context.output.print(describe(&card), || card.name().to_string())
         }
         Command::Show { card } => {
@@ -87,6 +84,16 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
             })
         }
     }
+}
+
+fn with_meta(mut metadata: Metadata, meta: &[String]) -> anyhow::Result<Metadata> {
+    for entry in meta {
+        let (key, value) = entry.split_once('=').with_context(|| format!("--meta {entry}: not KEY=VALUE"))?;
+        if metadata.insert(key.to_owned(), value.to_owned()).is_some() {
+            bail!("--meta {key} is given twice");
+        }
+    }
+    Ok(metadata)
 }
 
 fn describe(card: &NameCard) -> Value {

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use gdp::node::Subscription;
 use gdp::seal::Message;
 use gdp::{Name, NameCard};
-use gdp_msg::{Base, Mapping, Options, Schema};
+use gdp_msg::{Base, Encoding, Mapping, Options, Schema};
 use gdp_ros::roster::{Change, Dialect, Incoming, Kind, Offer, ROSTER, Taken};
 use gdp_ros::types::{TypeError, Types, unsealed};
 use serde_json::Value;
@@ -147,7 +147,7 @@ impl Feed {
 /// Reads messages as values.
 pub struct Decoder {
     types: Types,
-    known: HashMap<(Kind, Option<Arc<str>>, u16), Reader>,
+    known: HashMap<(Kind, Option<Arc<str>>, Encoding), Reader>,
 }
 
 /// Kinds and encodings that are kept ready to be read.
@@ -182,34 +182,33 @@ impl Decoder {
 
     pub fn decode(&mut self, heard: &Heard) -> Result<Decoded<'_>, DecodeError> {
         let Heard { message, kind, definition } = heard;
-        let key = (kind.clone(), definition.clone(), u16::from(message.encoding));
+        let misread = |error: String| DecodeError::Message(kind.name.clone(), error);
+        let unsealed = unsealed(message.encoding, message.body.clone());
+        let (encoding, body) = unsealed.map_err(|error| misread(error.to_string()))?;
+        let key = (kind.clone(), definition.clone(), encoding);
         if self.known.len() >= MAX_KNOWN && !self.known.contains_key(&key) {
             self.known.clear();
         }
         let reader = match self.known.entry(key) {
             std::collections::hash_map::Entry::Occupied(entry) => entry.into_mut(),
             std::collections::hash_map::Entry::Vacant(entry) => {
-                let made = Reader::new(&self.types, heard)
+                let made = Reader::new(&self.types, heard, encoding)
                     .map_err(|error| DecodeError::Type(kind.name.clone(), error.into()))?;
                 entry.insert(made)
             }
         };
-        let misread = |error: String| DecodeError::Message(kind.name.clone(), error);
         let mut json = Vec::new();
-        reader
-            .mapping
-            .transcode(&message.body, &mut json, &Options::default())
-            .map_err(|error| misread(error.to_string()))?;
+        reader.mapping.transcode(&body, &mut json, &Options::default()).map_err(|error| misread(error.to_string()))?;
         let value = serde_json::from_slice(&json).map_err(|error| misread(error.to_string()))?;
         Ok(Decoded { schema: &reader.schema, root: &reader.root, value })
     }
 }
 
 impl Reader {
-    fn new(types: &Types, heard: &Heard) -> Result<Self, TypeError> {
-        let Heard { message, kind, definition } = heard;
+    fn new(types: &Types, heard: &Heard, encoding: Encoding) -> Result<Self, TypeError> {
+        let Heard { kind, definition, .. } = heard;
         let schema = types.schema(kind, definition.as_deref())?;
-        let mapping = Mapping::within(&schema, unsealed(message.encoding)?, gdp_msg::Encoding::Json)?;
+        let mapping = Mapping::within(&schema, encoding, Encoding::Json)?;
         let root = Base::Named(schema.name().clone());
         Ok(Self { schema, root, mapping })
     }

@@ -28,6 +28,11 @@ fn keys_cards_and_certificates_are_made_without_a_daemon() {
     }
     assert_eq!(user.text(&derive.iter().map(String::as_str).collect::<Vec<_>>()).trim(), name);
 
+    let create = ["name", "create", "--owner", "owner.pem", "--topic", "/scan", "--type", "a/msg/A", "-o", "scan.card"];
+    let more = user.json(&[&create[..], &["--meta", "site=hall", "--meta", "floor=2"]].concat());
+    assert_eq!((&more["metadata"]["site"], &more["metadata"]["floor"]), (&"hall".into(), &"2".into()));
+    assert_eq!(user.text(&["name", "derive", "scan.card"]).trim(), more["name"]);
+
     let entity = robot["name"].as_str().unwrap();
     let add = ["grant", "add", "chatter.card", "--key", "owner.pem", "--entity", entity];
     user.json(&[&add[..], &["--publish", "-o", "chatter.ad"]].concat());
@@ -55,6 +60,24 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         (&["key", "show", "open.pem"], 1, &["chmod 600"]),
         (&["key", "show", "junk"], 1, &["junk"]),
         (&["name", "show", "junk"], 1, &["junk", "not a name card"]),
+        (
+            &[
+                "name",
+                "create",
+                "--owner",
+                "owner.pem",
+                "--topic",
+                "/a",
+                "--type",
+                "b",
+                "--meta",
+                "topic=/b",
+                "-o",
+                "x",
+            ],
+            1,
+            &["--meta topic is given twice"],
+        ),
         (&["cert", "show", "junk"], 1, &["BEGIN GDP AD CERT"]),
         (
             &[&add[..], &["--publish", "--key", "robot.pem"]].concat(),

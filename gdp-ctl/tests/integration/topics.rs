@@ -10,6 +10,7 @@ use gdp::seal::{Draft, Encoding};
 use gdp::{Identity, Name, Node, NodeConfig, SigningKey};
 use gdp_ctl::serve::{Running, start};
 use gdp_ros::call::{CALL, Epoch, Failure, FailureCode, Reply, Request};
+use gdp_ros::compression::Packer;
 use gdp_ros::roster::{self, Change, Dialect, Incoming, Kind, Offer, Outgoing, ROSTER};
 use gdp_ros::types::Types;
 use serde_json::Value;
@@ -71,6 +72,33 @@ async fn messages_of_a_publisher_elsewhere_are_shown_in_the_form_of_ros2cli() {
         assert!(lines.contains(needles[0]) && lines.contains(needles[1]), "{command:?}: {lines}");
         following.interrupt();
     }
+    talking.abort();
+    site.switch.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_travels_compressed_is_shown_as_it_was() {
+    let site = Site::new(&[("/chatter", "std_msgs/msg/String")]).await;
+    let mut talker = site.talker("/chatter", "string data\n").await;
+    let text = "hello ".repeat(100);
+    let body = [&b"\0\x01\0\0"[..], &601_u32.to_le_bytes(), text.as_bytes(), b"\0"].concat();
+    let length = body.len();
+    let talking = tokio::spawn(async move {
+        let mut packer = Packer::new().unwrap();
+        loop {
+            let (encoding, packed) = packer.pack(Encoding::Cdr, &body);
+            assert!(packed.len() < 100);
+            talker.send_in(encoding, packed).await;
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    });
+    let shown = site.json(&["topic", "echo", "/chatter", "--once"]).await;
+    assert_eq!(shown["message"]["data"], text.as_str());
+    let raw = site.json(&["topic", "echo", "/chatter", "--once", "--raw"]).await;
+    assert_eq!((&raw["encoding"], raw["raw"].as_str().unwrap().len()), (&2.into(), length.div_ceil(3) * 4));
+    let mut following = site.follow(&["topic", "bw", "/chatter"]);
+    following.until(&format!("mean: {length} B min: {length} B max: {length} B"));
+    following.interrupt();
     talking.abort();
     site.switch.stop().await;
 }
@@ -268,11 +296,15 @@ struct Talker {
 
 impl Talker {
     async fn send(&mut self, body: &[u8]) {
+        self.send_in(Encoding::Cdr, body).await;
+    }
+
+    async fn send_in(&mut self, encoding: Encoding, body: &[u8]) {
         if let Some(roster::Announcement::Whole(bytes)) = self.roster.poll(Instant::now()).unwrap() {
             self.publisher.pin(ROSTER, &bytes);
         }
         let origin = roster::origin(self.roster.number(&()).unwrap());
-        self.publisher.send_batch(&[Draft { origin: &origin, ..Draft::new(Encoding::Cdr, body) }]).await.unwrap();
+        self.publisher.send_batch(&[Draft { origin: &origin, ..Draft::new(encoding, body) }]).await.unwrap();
     }
 }
 

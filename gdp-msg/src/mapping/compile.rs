@@ -37,10 +37,12 @@ pub(super) fn compile(
     from_encoding: Encoding,
     to: &Schema,
     to_encoding: Encoding,
+    frame_prefix: &str,
 ) -> Result<(Program, Vec<Note>), MapError> {
     let json = [from_encoding, to_encoding].contains(&Encoding::Json);
+    let program = Program { frame_prefix: frame_prefix.into(), ..Program::default() };
     let mut compiler =
-        Compiler { root: from.name(), json, program: Program::default(), notes: Vec::new(), field: 0, barrier: 0 };
+        Compiler { root: from.name(), json, program, notes: Vec::new(), field: 0, is_frame: false, barrier: 0 };
     compiler.program.fields.push(FieldPlace { parent: 0, name: "".into(), repeated: false });
     let (from_shape, to_shape) = (Shape::of_message(from.root()), Shape::of_message(to.root()));
     compiler.shape(from, from_shape, to, to_shape)?;
@@ -112,6 +114,8 @@ struct Compiler<'a> {
     notes: Vec<Note>,
     /// That is being compiled.
     field: u32,
+    /// Whether it names a frame that gets a prefix.
+    is_frame: bool,
     /// Scalars from here on may be put together with those behind them.
     barrier: usize,
 }
@@ -165,7 +169,9 @@ impl Compiler<'_> {
             (Shape::Scalar { kind: from, .. }, Shape::Scalar { kind: to, .. }) if a.is_same_scalar(b) => {
                 self.scalars(from, to, 1)
             }
-            (Shape::Text(from), Shape::Text(to)) => self.push(Op::Text { from, to }).map(|_| 4),
+            (Shape::Text(from), Shape::Text(to)) => {
+                self.push(if self.is_frame { Op::Frame { from, to } } else { Op::Text { from, to } }).map(|_| 4)
+            }
             (Shape::Stamp(a), Shape::Stamp(b)) => self.stamp(a, b),
             (Shape::Message(a), Shape::Message(b)) => self.message(from, a, to, b),
             _ => Err(self.differ(shown(a), shown(b))),
@@ -210,7 +216,9 @@ impl Compiler<'_> {
                 Step::Both(f, t) => {
                     self.take(members, f)?;
                     self.put(members, t)?;
+                    self.is_frame = !self.program.frame_prefix.is_empty() && is_frame(a, &a.fields[f]);
                     least += self.field(from, &a.fields[f], to, &b.fields[t])?;
+                    self.is_frame = false;
                 }
                 Step::From(f) => {
                     self.take(members, f)?;
@@ -355,6 +363,13 @@ fn is_seq(schema: &Schema, of: &Definition, field: &Field, other: Dialect) -> bo
     let is_header = of.name.is_message("std_msgs", "Header") && &*field.name == "seq";
     let is_number = field.base == Base::Scalar(Scalar::UInt32) && field.count == Count::One;
     is_header && is_number && schema.dialect() == Dialect::Ros1 && other == Dialect::Ros2
+}
+
+/// Whether the field names a coordinate frame, as `tf2` has them.
+fn is_frame(of: &Definition, field: &Field) -> bool {
+    let is_text = matches!(field.base, Base::String(_) | Base::WString(_));
+    let is_header = of.name.is_message("std_msgs", "Header");
+    is_text && (&*field.name == "child_frame_id" || (is_header && &*field.name == "frame_id"))
 }
 
 fn shown(shape: Shape<'_>) -> String {

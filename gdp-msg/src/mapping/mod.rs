@@ -16,7 +16,7 @@ use crate::encode::output::Output;
 use crate::encode::ros1::{Ros1Sink, Ros1Source};
 use crate::encode::{Encoding, Fault, Sink, Source};
 use crate::schema::Schema;
-use program::Program;
+use program::{Op, Program};
 
 pub use compile::MapError;
 
@@ -80,7 +80,22 @@ impl Mapping {
     /// # Errors
     /// Says where the types differ.
     pub fn new(from: &Schema, from_encoding: Encoding, to: &Schema, to_encoding: Encoding) -> Result<Self, MapError> {
-        let (program, notes) = compile::compile(from, from_encoding, to, to_encoding)?;
+        Self::with_frame_prefix(from, from_encoding, to, to_encoding, "")
+    }
+
+    /// The same, and `prefix` goes in front of each coordinate frame: `frame_id` of every `std_msgs/Header`, and every text called `child_frame_id`.
+    /// A `/` that a frame begins with, as in old ROS 1, is dropped; a frame that is empty stays so.
+    ///
+    /// # Errors
+    /// As [`Mapping::new`].
+    pub fn with_frame_prefix(
+        from: &Schema,
+        from_encoding: Encoding,
+        to: &Schema,
+        to_encoding: Encoding,
+        prefix: &str,
+    ) -> Result<Self, MapError> {
+        let (program, notes) = compile::compile(from, from_encoding, to, to_encoding, prefix)?;
         Ok(Self { from: from_encoding, to: to_encoding, program, notes })
     }
 
@@ -95,6 +110,11 @@ impl Mapping {
     /// What gets lost, and what is made up. Not a header's `seq`, which is known to.
     pub fn notes(&self) -> &[Note] {
         &self.notes
+    }
+
+    /// Whether messages of the type have frames that get the prefix.
+    pub fn prefixes_frames(&self) -> bool {
+        self.program.ops.iter().any(|op| matches!(op, Op::Frame { .. }))
     }
 
     /// Writes `input` into `output`, instead of what is in there. Its memory is used again; more is taken as input is read, a few times its

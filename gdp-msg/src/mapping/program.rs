@@ -29,6 +29,11 @@ pub(super) enum Op {
         from: Text,
         to: Text,
     },
+    /// A text that names a frame, with the program's prefix in front.
+    Frame {
+        from: Text,
+        to: Text,
+    },
     /// Does the body for each element; each takes at least so many bytes.
     Repeat {
         count: Count,
@@ -84,6 +89,8 @@ pub(super) struct Program {
     pub fields: Vec<FieldPlace>,
     /// Members of objects, as steps refer to them.
     pub members: Vec<Vec<Box<str>>>,
+    /// Of [`Op::Frame`].
+    pub frame_prefix: Box<str>,
 }
 
 /// Where a field is.

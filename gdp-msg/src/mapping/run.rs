@@ -24,7 +24,7 @@ pub(super) fn run(
     sink: &mut impl Sink,
     options: &Options,
 ) -> Result<(), Box<Failure>> {
-    let mut run = Run { program, header_seq: options.header_seq, nothing: MAX_NOTHING };
+    let mut run = Run { program, header_seq: options.header_seq, nothing: MAX_NOTHING, frame: Vec::new() };
     run.body(0, program.ops.len(), source, sink)
 }
 
@@ -33,6 +33,8 @@ struct Run<'a> {
     header_seq: u32,
     /// How many elements may still come that take no bytes.
     nothing: u32,
+    /// The last frame with its prefix.
+    frame: Vec<u8>,
 }
 
 impl Run<'_> {
@@ -88,6 +90,18 @@ impl Run<'_> {
                 bounded(from, text)?;
                 bounded(to, text)?;
                 sink.text(to.wide, text)
+            }
+            Op::Frame { from, to } => {
+                let text = source.text(from.wide)?;
+                bounded(from, text)?;
+                let text = text.strip_prefix(b"/").unwrap_or(text);
+                self.frame.clear();
+                if !text.is_empty() {
+                    self.frame.extend_from_slice(self.program.frame_prefix.as_bytes());
+                    self.frame.extend_from_slice(text);
+                }
+                bounded(to, &self.frame)?;
+                sink.text(to.wide, &self.frame)
             }
             Op::Open { from } => {
                 source.open(members(from))?;

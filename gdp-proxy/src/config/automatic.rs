@@ -14,7 +14,7 @@ use serde::de::{self, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
 use super::topics::Priority;
-use super::{Conversion, Direction, Graphs, Pattern, TopicConfig, schema};
+use super::{Compression, Conversion, Direction, FramePrefix, Graphs, Pattern, TopicConfig, schema};
 use crate::ros2::{Qos, TopicName, TypeName};
 
 /// Topics here that cross as long as somebody publishes them, under names that the proxy makes with the owner's key and lists in a catalog.
@@ -75,6 +75,9 @@ pub struct ImportConfig {
     /// A namespace that all of them come into, after `remap`.
     #[serde(default)]
     pub prefix: Option<TopicName>,
+    /// Put in front of the frames in all of them; see `topics`.
+    #[serde(default)]
+    pub frame_prefix: Option<FramePrefix>,
     /// If absent: what each publisher offers.
     #[serde(default)]
     pub qos: Option<Qos>,
@@ -97,6 +100,8 @@ pub struct Manner {
     /// If absent: what each publisher offers.
     pub qos: Option<Qos>,
     pub encoding: Option<Conversion>,
+    pub compression: Option<Compression>,
+    pub frame_prefix: Option<FramePrefix>,
     /// Of each publisher, no more messages a second go out.
     pub max_hz: Option<NonZeroU32>,
     pub priority: Option<Priority>,
@@ -115,6 +120,10 @@ pub(super) struct RuleSaid {
     qos: Option<Qos>,
     #[serde(default)]
     encoding: Option<Conversion>,
+    #[serde(default)]
+    compression: Option<Compression>,
+    #[serde(default)]
+    frame_prefix: Option<FramePrefix>,
     #[serde(default)]
     max_hz: Option<NonZeroU32>,
     #[serde(default)]
@@ -153,6 +162,8 @@ impl Manner {
         Self {
             qos: self.qos.or(defaults.qos),
             encoding: self.encoding.or(defaults.encoding),
+            compression: self.compression.or(defaults.compression),
+            frame_prefix: self.frame_prefix.as_ref().or(defaults.frame_prefix.as_ref()).cloned(),
             max_hz: self.max_hz.or(defaults.max_hz),
             priority: self.priority.or(defaults.priority),
             duplicate: self.duplicate.or(defaults.duplicate),
@@ -162,12 +173,14 @@ impl Manner {
 
     /// A topic of `graph` that crosses so.
     pub fn topic(&self, topic: &TopicName, graph: &str, kind: Option<TypeName>, direction: Direction) -> TopicConfig {
-        let Self { qos, encoding, max_hz, priority, duplicate, .. } = self;
+        let Self { qos, encoding, compression, frame_prefix, max_hz, priority, duplicate, .. } = self;
         TopicConfig {
             graph: Some(graph.into()),
             kind,
             qos: *qos,
             encoding: encoding.unwrap_or_default(),
+            compression: compression.unwrap_or_default(),
+            frame_prefix: frame_prefix.clone(),
             max_hz: *max_hz,
             priority: priority.unwrap_or_default(),
             duplicate: duplicate.unwrap_or_default(),
@@ -230,14 +243,15 @@ impl ImportConfig {
     }
 
     pub fn manner(&self) -> Manner {
-        Manner { qos: self.qos, duplicate: Some(self.duplicate), ..Manner::default() }
+        let frame_prefix = self.frame_prefix.clone();
+        Manner { qos: self.qos, duplicate: Some(self.duplicate), frame_prefix, ..Manner::default() }
     }
 }
 
 impl From<RuleSaid> for Rule {
     fn from(said: RuleSaid) -> Self {
-        let RuleSaid { topic, qos, encoding, max_hz, priority, duplicate, meta } = said;
-        Self { topic, manner: Manner { qos, encoding, max_hz, priority, duplicate, meta } }
+        let RuleSaid { topic, qos, encoding, compression, frame_prefix, max_hz, priority, duplicate, meta } = said;
+        Self { topic, manner: Manner { qos, encoding, compression, frame_prefix, max_hz, priority, duplicate, meta } }
     }
 }
 
@@ -306,8 +320,8 @@ mod tests {
     #[test]
     fn a_pattern_says_what_differs() {
         let config: ExposeConfig = serde_saphyr::from_str(
-            "owner: o\ncatalog: c\ntopics: [/a, {topic: /b/**, max_hz: 5, meta: {floor: '2'}}]\n\
-             defaults: {max_hz: 9, priority: 6, meta: {floor: '1', site: x}}\n",
+            "owner: o\ncatalog: c\ntopics: [/a, {topic: /b/**, max_hz: 5, compression: none, meta: {floor: '2'}}]\n\
+             defaults: {max_hz: 9, priority: 6, compression: zstd, frame_prefix: r1/, meta: {floor: '1', site: x}}\n",
         )
         .unwrap();
         let manner = |i: usize| config.topics[i].manner.or(&config.defaults);
@@ -316,6 +330,17 @@ mod tests {
         assert_eq!((manner(1).max_hz.unwrap().get(), meta(1)), (5, "2 x".into()));
         let topic = manner(1).topic(&TopicName::parse("/b").unwrap(), "here", None, Direction::Out);
         assert_eq!((topic.priority.get(), topic.graph.as_deref(), topic.duplicate), (6, Some("here"), false));
+        assert_eq!((topic.compression, topic.frame_prefix.unwrap().as_str()), (Compression::None, "r1/"));
+        assert_eq!(manner(0).compression, Some(Compression::Zstd));
+    }
+
+    #[test]
+    fn frames_of_what_is_imported_get_a_prefix_as_its_topics_do() {
+        let config = "catalog: c\ngrant: g\ntopics: [/**]\nprefix: /r2\nframe_prefix: r2/\n";
+        let config: ImportConfig = serde_saphyr::from_str(config).unwrap();
+        let topic = config.local_name(&TopicName::parse("/odom").unwrap()).unwrap();
+        let topic = config.manner().topic(&topic, "here", None, Direction::In);
+        assert_eq!((topic.topic.as_str(), topic.frame_prefix.unwrap().as_str()), ("/r2/odom", "r2/"));
     }
 
     #[test]

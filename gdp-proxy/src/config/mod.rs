@@ -5,6 +5,7 @@
 
 mod automatic;
 mod calls;
+mod frames;
 mod graphs;
 mod pattern;
 mod relay;
@@ -27,11 +28,12 @@ use serde::{Deserialize, Deserializer, de};
 
 pub use self::automatic::{ExposeConfig, ImportConfig, Manner, Reader, Remap, Rule, remapped};
 pub use self::calls::{CallConfig, What};
+pub use self::frames::FramePrefix;
 pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config};
 pub use self::pattern::{Pattern, is_hidden};
 pub use self::relay::RelayConfig;
 pub use self::schema::schema;
-pub use self::topics::{Conversion, Direction, Side, TopicConfig};
+pub use self::topics::{Compression, Conversion, Direction, Side, TopicConfig};
 
 /// A longer file is no configuration.
 const MAX_FILE: u64 = 1024 * 1024;

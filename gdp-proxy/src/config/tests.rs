@@ -26,6 +26,7 @@ fn what_is_not_said_has_the_defaults_of_ros_2() {
     assert!(!topic.duplicate);
     assert_eq!((topic.direction, &topic.kind), (Direction::Out, &None));
     assert_eq!((topic.qos, topic.encoding, topic.max_hz, topic.priority.get()), (None, Conversion::Auto, None, 3));
+    assert_eq!((topic.compression, &topic.frame_prefix), (Compression::None, &None));
     let reliable = Qos::default();
     assert_eq!((reliable.reliability, reliable.durability), (Reliability::Reliable, Durability::Volatile));
     assert_eq!(reliable.depth.get(), 10);
@@ -58,7 +59,7 @@ fn everything_can_be_said() {
     let text = format!(
         "version: 1\nidentity: a.pem\nlinks:\n  - to: udp://127.0.0.1:31415%wlan0\n    switch: {name}\n  - {{to: eth://r0, budget: 250000}}\n\
          graphs: {{car: {{domain_id: 42}}}}\ntopics:\n  - topic: /a/b\n    type: sensor_msgs/msg/Image\n    direction: in\n    card: c\n    \
-         grant: d\n    duplicate: true\n    qos: {{reliability: best_effort, \
+         grant: d\n    duplicate: true\n    compression: zstd\n    frame_prefix: robot1/\n    qos: {{reliability: best_effort, \
          durability: transient_local, depth: 3}}\n"
     );
     let config = parse(&text).unwrap();
@@ -71,6 +72,7 @@ fn everything_can_be_said() {
     let topic = &config.topics[0];
     assert_eq!(topic.kind.as_ref().unwrap().as_str(), "sensor_msgs/msg/Image");
     assert_eq!((topic.direction, topic.duplicate), (Direction::In, true));
+    assert_eq!((topic.compression, topic.frame_prefix.as_ref().unwrap().as_str()), (Compression::Zstd, "robot1/"));
     let qos = topic.qos.unwrap();
     assert_eq!((qos.reliability, qos.depth.get()), (Reliability::BestEffort, 3));
     assert_eq!(qos.durability, Durability::TransientLocal);
@@ -108,6 +110,28 @@ fn what_is_wrong_is_refused_and_named() {
         (&MINIMAL.replace("eth://r0", "tcp://r0"), "is no link"),
         (&MINIMAL.replace("cert:", "certs:"), "certs"),
         (&MINIMAL.replace("cert:", "key: chatter.key, cert:"), "no `key` any more"),
+        (
+            &MINIMAL.replace("cert:", "readers: [robot], cert:"),
+            "`readers` is a key of `expose` alone, for which the proxy has an owner's key",
+        ),
+        (&MINIMAL.replace("cert:", "readers: [robot], cert:"), "gdp-ctl grant add --read"),
+        (
+            &MINIMAL.replace("cert:", "meta: {site: hall}, cert:"),
+            "`meta` is a key of `expose` alone, for which the proxy makes the name cards",
+        ),
+        (&MINIMAL.replace("cert:", "meta: {site: hall}, cert:"), "gdp-ctl name create --meta"),
+        (
+            &MINIMAL.replace("direction:", "compression: gzip, direction:"),
+            "there is no value `gzip`; there is none, zstd",
+        ),
+        (&MINIMAL.replace("direction:", "frame_prefix: '', direction:"), "is empty; leave it out"),
+        (&MINIMAL.replace("direction:", "frame_prefix: /r1/, direction:"), "begins with a slash"),
+        (&MINIMAL.replace("direction:", "frame_prefix: 'r 1/', direction:"), "has blanks"),
+        (&MINIMAL.replace("direction:", &format!("frame_prefix: {}, direction:", "r".repeat(129))), "longer than 128"),
+        (
+            &MINIMAL.replace("direction: out", "direction: both, grant: g, frame_prefix: r1/"),
+            "topics[0].frame_prefix: with direction: both",
+        ),
         (&MINIMAL.replace("direction: out", "direction: up"), "up"),
         (&MINIMAL.replace("direction: out", "direction: both"), "topics[0].grant: missing"),
         (&MINIMAL.replace("direction: out", "direction: in"), "topics[0].grant: missing"),

@@ -8,7 +8,7 @@ use gdp_ros::roster::Dialect;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize, de};
 
-use super::Graphs;
+use super::{FramePrefix, Graphs};
 use crate::ros2::{Qos, TopicName, TypeName};
 
 /// One topic that crosses.
@@ -39,6 +39,12 @@ pub struct TopicConfig {
     /// What goes out is converted into this first.
     #[serde(default)]
     pub encoding: Conversion,
+    /// What goes out is compressed after that, where it becomes shorter; readers undo it, whatever they say here.
+    #[serde(default)]
+    pub compression: Compression,
+    /// Put in front of each `frame_id` of a header and each `child_frame_id`, on its way `out` or `in`, so that frames of several robots are told apart.
+    #[serde(default)]
+    pub frame_prefix: Option<FramePrefix>,
     /// Of each publisher, no more messages a second go out; those between are dropped.
     #[serde(default)]
     pub max_hz: Option<NonZeroU32>,
@@ -50,9 +56,17 @@ pub struct TopicConfig {
     #[serde(default)]
     pub duplicate: bool,
     /// Refused with the remedy: earlier versions shared a secret file here.
-    #[serde(default, rename = "key")]
+    #[serde(default, rename = "key", deserialize_with = "no_key")]
     #[schemars(skip)]
-    pub(super) _key: NoKey,
+    pub(super) _key: (),
+    /// Likewise: who exposes by pattern says so, with a key of the owner.
+    #[serde(default, rename = "readers", deserialize_with = "no_readers")]
+    #[schemars(skip)]
+    pub(super) _readers: (),
+    /// Likewise.
+    #[serde(default, rename = "meta", deserialize_with = "no_meta")]
+    #[schemars(skip)]
+    pub(super) _meta: (),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize, JsonSchema)]
@@ -83,6 +97,15 @@ pub enum Conversion {
     Cdr,
     Ros1,
     Json,
+}
+
+/// Whether messages become shorter for their way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Compression {
+    #[default]
+    None,
+    Zstd,
 }
 
 impl Conversion {
@@ -148,10 +171,14 @@ impl TopicConfig {
             grant: None,
             qos: None,
             encoding: Conversion::default(),
+            compression: Compression::default(),
+            frame_prefix: None,
             max_hz: None,
             priority: Priority::default(),
             duplicate: false,
-            _key: NoKey,
+            _key: (),
+            _readers: (),
+            _meta: (),
         }
     }
 
@@ -184,6 +211,11 @@ impl TopicConfig {
         if let Some((_, key)) = unused {
             return Err((key, "is for the other direction; remove it, or write direction: both".into()));
         }
+        if self.frame_prefix.is_some() && self.direction == Direction::Both {
+            let reason = "with direction: both, frames that come would get it as well as those that go; list the topic twice, once \
+                          out and once in, and say it in one of them";
+            return Err(("frame_prefix", reason.into()));
+        }
         Ok(())
     }
 
@@ -196,14 +228,22 @@ impl TopicConfig {
     }
 }
 
-/// What no file says.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct NoKey;
+fn no_key<'de, D: Deserializer<'de>>(_: D) -> Result<(), D::Error> {
+    Err(de::Error::custom(
+        "there is no `key` any more: writers give each reader its keys. Remove it here, and the file on every machine",
+    ))
+}
 
-impl<'de> Deserialize<'de> for NoKey {
-    fn deserialize<D: Deserializer<'de>>(_: D) -> Result<Self, D::Error> {
-        Err(de::Error::custom(
-            "there is no `key` any more: writers give each reader its keys. Remove it here, and the file on every machine",
-        ))
-    }
+fn no_readers<'de, D: Deserializer<'de>>(_: D) -> Result<(), D::Error> {
+    Err(de::Error::custom(
+        "`readers` is a key of `expose` alone, for which the proxy has an owner's key. Who may read a topic that is listed, its owner's \
+         grants say: remove it here, and give each reader one (gdp-ctl grant add --read)",
+    ))
+}
+
+fn no_meta<'de, D: Deserializer<'de>>(_: D) -> Result<(), D::Error> {
+    Err(de::Error::custom(
+        "`meta` is a key of `expose` alone, for which the proxy makes the name cards. The metadata of a topic that is listed is in the card \
+         that `card` names: remove it here, and say it when the name is made, for other metadata makes another name (gdp-ctl name create --meta)",
+    ))
 }

@@ -9,6 +9,7 @@ use gdp::node::{NodeError, Subscription};
 use gdp::seal::Message;
 use tokio::time::MissedTickBehavior;
 
+use super::format::Inbound;
 use super::local::{Local, Made};
 use super::locals::{Locals, Whose};
 use super::{Route, Way};
@@ -154,7 +155,7 @@ impl Route {
         self.make(to).await;
         let now = Instant::now();
         for made in to.locals.made() {
-            for (reason, why) in made.look(&self.counters, now).await {
+            for (reason, why) in made.look(&self.types, &self.counters, now).await {
                 self.drop(reason, why);
             }
         }
@@ -192,11 +193,14 @@ impl Route {
         if let Some(stated) = stated.filter(|stated| graph.kind(stated).name != here.name) {
             return Err(format!("it publishes {}, and the topic is of {stated}", kind.name));
         }
+        let (kinds, definitions) = ((kind.clone(), here.clone()), (definition.clone(), text.clone()));
+        let format = Inbound::new(&self.types, kinds, definitions, self.config.frame_prefix.clone());
+        let format = format.map_err(|error| error.to_string())?;
         let offers = self.config.qos.map_or(*offers, Offer::from);
         let writer = graph.writer(&self.types, &self.config.topic, &here, text.as_deref(), offers);
         let writer = writer.await.map_err(|error| error.to_string())?;
         self.standing.set_kind(&here.name);
-        Ok(Made::new(Instant::now(), writer, offers, (kind.clone(), here), (definition.clone(), text)))
+        Ok(Made::new(Instant::now(), writer, offers, format))
     }
 
     async fn write(&self, to: &mut In<'_>, whose: Whose, message: Message) {

@@ -4,16 +4,15 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use bytes::Bytes;
 use gdp::seal::Message;
-use gdp_msg::Encoding;
 
+use super::format::Inbound;
 use super::hold::Hold;
 use crate::delivery::latched;
 use crate::graph::{WriteError, Writer};
 use crate::stats::{Drop, RouteCounters};
 use gdp_ros::roster::{Kind, Offer};
-use gdp_ros::types::{Converter, Form, Types, unsealed};
+use gdp_ros::types::Types;
 
 /// For how long it stays after its publisher has gone and something was written: so that reliable subscribers can have it repaired.
 const LINGER: Duration = Duration::from_secs(1);
@@ -51,12 +50,9 @@ enum State {
 pub struct Made {
     pub writer: Writer,
     pub offers: Offer,
-    /// Of the publisher, and the same in this graph.
-    pub kinds: (Kind, Kind),
-    pub definitions: (Option<Arc<str>>, Option<String>),
-    /// By what messages are in; nearly always one.
-    converters: Vec<(Encoding, Converter)>,
-    hold: Option<Hold<(Bytes, u64)>>,
+    format: Inbound,
+    /// As they came: compressed, they may be much smaller.
+    hold: Option<Hold<Message>>,
     written: Option<Instant>,
 }
 
@@ -145,27 +141,20 @@ impl Local {
 }
 
 impl Made {
-    pub fn new(
-        now: Instant,
-        writer: Writer,
-        offers: Offer,
-        kinds: (Kind, Kind),
-        definitions: (Option<Arc<str>>, Option<String>),
-    ) -> Self {
-        Self { writer, offers, kinds, definitions, converters: vec![], hold: Some(Hold::new(now)), written: None }
+    pub fn new(now: Instant, writer: Writer, offers: Offer, format: Inbound) -> Self {
+        Self { writer, offers, format, hold: Some(Hold::new(now)), written: None }
     }
 
     /// Writes a message, or has it wait.
     pub async fn take(&mut self, types: &Types, counters: &RouteCounters, message: Message) -> Result<(), Refused> {
-        let (timestamp_ns, began) = (message.timestamp_ns, Instant::now());
-        let bytes = self.convert(types, message).map_err(|why| (Drop::Unconvertible, why))?;
+        let began = Instant::now();
         match &mut self.hold {
             Some(hold) => {
-                let length = bytes.len();
-                hold.push((bytes, timestamp_ns), length);
+                let length = message.body.len();
+                hold.push(message, length);
             }
             None => {
-                self.write(counters, bytes, timestamp_ns).await?;
+                self.write(types, counters, message).await?;
                 counters.handling.record(began.elapsed());
             }
         }
@@ -178,14 +167,14 @@ impl Made {
     }
 
     /// Writes what has waited, once it need not wait any more; what was refused.
-    pub async fn look(&mut self, counters: &RouteCounters, now: Instant) -> Vec<Refused> {
+    pub async fn look(&mut self, types: &Types, counters: &RouteCounters, now: Instant) -> Vec<Refused> {
         let Self { writer, hold, .. } = self;
         let mut refused = Vec::new();
         if hold.as_mut().is_some_and(|hold| hold.is_over(now, || writer.is_matched()))
             && let Some(hold) = self.hold.take()
         {
-            for (bytes, timestamp_ns) in hold.into_waiting() {
-                refused.extend(self.write(counters, bytes, timestamp_ns).await.err());
+            for message in hold.into_waiting() {
+                refused.extend(self.write(types, counters, message).await.err());
             }
         }
         refused
@@ -196,35 +185,20 @@ impl Made {
         self.hold.is_none() && self.written.is_none_or(|written| now >= written + LINGER)
     }
 
-    async fn write(&mut self, counters: &RouteCounters, bytes: Bytes, timestamp_ns: u64) -> Result<(), Refused> {
+    async fn write(&mut self, types: &Types, counters: &RouteCounters, message: Message) -> Result<(), Refused> {
+        let (timestamp_ns, carried) = (message.timestamp_ns, message.body.len());
+        let bytes = self.format.convert(types, message).map_err(|why| (Drop::Unconvertible, why))?;
         let length = bytes.len();
         let result = self.writer.write(bytes, timestamp_ns).await;
         self.written = Some(Instant::now());
         match result {
             Ok(()) => {
-                counters.passed(length);
+                counters.passed(length, carried);
                 Ok(())
             }
             Err(error @ WriteError::Malformed) => Err((Drop::Malformed, error.to_string())),
             Err(error @ WriteError::Stalled) => Err((Drop::Stalled, error.to_string())),
             Err(error @ WriteError::Failed(_)) => Err((Drop::WriteFailed, error.to_string())),
         }
-    }
-
-    fn convert(&mut self, types: &Types, message: Message) -> Result<Bytes, String> {
-        let encoding = unsealed(message.encoding).map_err(|error| error.to_string())?;
-        let Self { kinds, definitions, converters, .. } = self;
-        let at = match converters.iter().position(|(of, _)| *of == encoding) {
-            Some(at) => at,
-            None => {
-                let from = Form { kind: &kinds.0, definition: definitions.0.as_deref(), encoding };
-                let native = kinds.1.dialect.native();
-                let to = Form { kind: &kinds.1, definition: definitions.1.as_deref(), encoding: native };
-                let converter = types.converter(&from, &to).map_err(|error| error.to_string())?;
-                converters.push((encoding, converter));
-                converters.len() - 1
-            }
-        };
-        converters[at].1.convert(message.body).map_err(|error| error.to_string())
     }
 }

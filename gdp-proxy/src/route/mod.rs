@@ -2,6 +2,7 @@
 //! message goes straight from one side to the other, without a queue or a wake-up in between. A topic whose right has ended is
 //! asked for again and again, and the others go on.
 
+mod format;
 mod hold;
 mod inward;
 mod local;

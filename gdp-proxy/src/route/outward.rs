@@ -9,6 +9,7 @@ use gdp::cert::{AdCert, Issued};
 use gdp::node::{ErrorCode, FrameError, NodeError, Publisher};
 use gdp::seal::Draft;
 
+use super::format::Outbound;
 use super::pace::Pace;
 use super::{Published, Route, Way};
 use crate::delivery::{lacks, latched, publish_options, stronger};
@@ -16,7 +17,6 @@ use crate::graph::{Arrived, Event, GraphError, Key, Reader};
 use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
 use gdp_ros::roster::{self, Announcement, Kind, Offer, Outgoing};
-use gdp_ros::types::{Converter, Form, TypeError, sealed};
 
 /// Why messages are not carried on as they were.
 enum Turn {
@@ -39,8 +39,7 @@ struct Out<'a> {
     reader: Reader<'a>,
     roster: Outgoing<Key>,
     kind: Kind,
-    encoding: gdp::seal::Encoding,
-    converter: Converter,
+    format: Outbound,
     pace: Pace<Arrived>,
     /// What the name is published for.
     offers: Offer,
@@ -124,8 +123,8 @@ impl Route {
         };
         self.standing.set_kind(&kind.name);
         let definition = reader.definition().map(str::to_owned).or_else(|| self.types.definition(&kind));
-        let converter = match self.converter_out(&kind, definition.as_deref()) {
-            Ok(converter) => converter,
+        let format = match Outbound::new(&self.config, &self.types, &kind, definition.as_deref()) {
+            Ok(format) => format,
             Err(error) => {
                 self.standing.set_status(&error.to_string());
                 tracing::warn!(topic = %self.config.topic, kind = %kind.name, "not carried: {error}");
@@ -134,7 +133,6 @@ impl Route {
                 std::future::pending().await
             }
         };
-        let encoding = sealed(self.config.encoding.encoding(kind.dialect));
         let mut roster = Outgoing::new(kind.clone(), definition);
         first.into_iter().for_each(|key| roster.joined(key, offered));
         let offers = offers.map_or(offered, |before| stronger(before, offered));
@@ -142,19 +140,12 @@ impl Route {
             reader,
             roster,
             kind,
-            encoding,
-            converter,
+            format,
             pace: Pace::new(self.config.max_hz),
             offers,
             waiting: VecDeque::new(),
             strangers,
         })
-    }
-
-    fn converter_out(&self, kind: &Kind, definition: Option<&str>) -> Result<Converter, TypeError> {
-        let form = |encoding| Form { kind, definition, encoding };
-        let native = kind.dialect.native();
-        self.types.converter(&form(native), &form(self.config.encoding.encoding(kind.dialect)))
     }
 
     async fn carry_out(
@@ -272,7 +263,7 @@ impl Route {
     ) -> Result<Option<NodeError>, RouteError> {
         let began = Instant::now();
         let Arrived { from, bytes, .. } = arrived;
-        let body = match out.converter.convert(bytes) {
+        let body = match out.format.convert(bytes) {
             Ok(body) => body,
             Err(error) => {
                 self.drop(Drop::Unconvertible, error);
@@ -281,11 +272,12 @@ impl Route {
         };
         let origin = from.and_then(|key| out.roster.number(&key)).map(roster::origin);
         let origin = origin.as_ref().map_or(&[][..], |origin| &origin[..]);
+        let (encoding, carried) = out.format.pack(&body);
         // Waits for nothing: what finds no room replaces older messages.
-        match publisher.send_batch(&[Draft { origin, ..Draft::new(out.encoding, &body) }]).await {
+        match publisher.send_batch(&[Draft { origin, ..Draft::new(encoding, carried) }]).await {
             Ok(_) => {
                 self.counters.handling.record(began.elapsed());
-                self.counters.passed(body.len());
+                self.counters.passed(body.len(), carried.len());
                 Ok(None)
             }
             Err(NodeError::Closed) => Err(RouteError::NodeClosed),

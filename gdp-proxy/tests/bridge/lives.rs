@@ -215,7 +215,7 @@ async fn publishers(shown: &mut gdp_ros1::Graph, topic: &str, count: usize) {
 }
 
 /// Waits for the status of its only route.
-async fn status(proxy: &Proxy, expected: &str) {
+pub async fn status(proxy: &Proxy, expected: &str) {
     let is_so = |status: &str| if expected == "up" { status == expected } else { status.contains(expected) };
     until(expected, || proxy.statuses().first().is_some_and(|status| is_so(status))).await;
 }

@@ -5,6 +5,7 @@
 //! ```
 
 mod automatic;
+mod frames;
 #[path = "../hub/mod.rs"]
 mod hub;
 mod lives;

@@ -7,6 +7,7 @@ use base64ct::{Base64, Encoding as _};
 use clap::Args;
 use gdp::NameCard;
 use gdp::node::SubscribeOptions;
+use gdp_ros::compression::unpacked;
 use serde_json::json;
 
 use super::super::Context;
@@ -131,9 +132,11 @@ fn print(
         "sequence": message.sequence, "timestamp_ns": message.timestamp_ns,
     });
     if options.raw {
-        value["encoding"] = u16::from(message.encoding).into();
-        value["raw"] = Base64::encode_string(&message.body).into();
-        let text = || format!("{}\n---", python::bytes(&message.body));
+        let unpacked = unpacked(message.encoding, message.body.clone());
+        let (encoding, body) = unpacked.map_err(|error| Failed::Message(error.into()))?;
+        value["encoding"] = u16::from(encoding).into();
+        value["raw"] = Base64::encode_string(&body).into();
+        let text = || format!("{}\n---", python::bytes(&body));
         return context.output.print(value, text).map_err(Failed::Output);
     }
     let decoded = decoder.decode(heard).map_err(|error| Failed::Message(error.into()))?;

@@ -8,6 +8,7 @@ use clap::Args;
 use gdp::NameCard;
 use gdp::node::SubscribeOptions;
 use gdp::seal::Message;
+use gdp_ros::compression::unpacked;
 use gdp_ros::roster::ROSTER;
 use serde_json::{Value, json};
 
@@ -74,7 +75,10 @@ pub fn bw(options: &Options, context: &Context) -> anyhow::Result<()> {
     }
     measure(options, context, |figure| match figure {
         Figure::Came(at, message) => {
-            sizes.came(at, message.body.len());
+            match unpacked(message.encoding, message.body.clone()) {
+                Ok((_, body)) => sizes.came(at, body.len()),
+                Err(error) => eprintln!("gdp-ctl: {error}"),
+            }
             Ok(())
         }
         Figure::Show(at) => {

@@ -23,7 +23,7 @@ pub enum Command {
     Echo(echo::Options),
     /// Show how often messages come.
     Hz(measure::Options),
-    /// Show how many bytes come.
+    /// Show how many bytes come: of what travels compressed, those that it was before.
     Bw(measure::Options),
     /// Show how old messages are when they come, by the stamps of their headers; without these, by when they were sent.
     Delay(measure::DelayOptions),
