@@ -152,6 +152,14 @@ async fn a_changed_configuration_disturbs_no_topic_that_is_the_same() {
     site.configure("robot", &graph, &format!("topics:\n{steady}"));
     until("the second topic is not carried", || site.carried("robot") == ["/steady"]).await;
     more().await;
+
+    let [cert, away] = ["1.ad", "away"].map(|file| site.folder("robot").join(file));
+    fs::rename(&cert, &away).unwrap();
+    site.configure("robot", &graph, &format!("topics:\n{steady}{second}"));
+    until("what is missing is said", || says("topics[1].cert: ")).await;
+    fs::rename(&away, &cert).unwrap();
+    until("the second topic is carried once the file is there", || site.carried("robot").len() == 2).await;
+    more().await;
     assert!(!counting.is_finished());
     talking.abort();
     counting.abort();
