@@ -27,13 +27,13 @@ use self::gather::{Gathering, Kept};
 use self::issuer::{Issuer, Papers};
 use self::link::{CatalogPlan, End};
 use self::listed::{Listed, chosen};
-use crate::config::{Direction, ExposeConfig, ImportConfig, Side};
+use crate::config::{Direction, ExposeConfig, ImportConfig};
 use crate::graph::{self, Graph, Onlooker};
 use crate::material::{ImportMaterial, Permission, RouteMaterial};
 use crate::reload::Loaded;
 use crate::routes::RoutePlan;
 
-pub use self::choice::judge;
+pub use self::choice::{choose, judge};
 pub use self::issuer::card_of;
 pub use self::link::{CatalogStats, Links, manager};
 
@@ -172,7 +172,7 @@ impl Expose {
         let now = unix_nanos();
         let catalog = self.catalog.clone();
         let own = papers(&self.issuer, &mut self.papers, &self.config, &catalog, now)?;
-        let (right, renewal) = gathering.right(catalog.name(), Permission::Publish(own.cert));
+        let (_, renewal) = gathering.right(catalog.name(), Permission::Publish(own.cert.clone()));
         let mut entries = BTreeMap::new();
         let (label, graph) = &self.place;
         for (topic, kind, exposed) in self.choice.iter() {
@@ -196,7 +196,7 @@ impl Expose {
             let (permission, file) = gathering.right(name, Permission::Publish(issued.cert));
             let config = exposed.manner.topic(topic, label, Some(kind.clone()), Direction::Out);
             let metadata = card.metadata().clone();
-            let material = RouteMaterial { side: Side::Out, card, kind: Some(kind.clone()), permission, file };
+            let material = RouteMaterial { card, kind: Some(kind.clone()), permission, file };
             if gathering.add(RoutePlan { config, label: label.clone(), graph: graph.clone(), material }) {
                 entries.insert(name, Entry { metadata, grants: issued.grants });
             }
@@ -215,7 +215,7 @@ impl Expose {
             }
             Err(error) => tracing::error!("the catalog stays as it was: {error}"),
         }
-        Some(CatalogPlan { card: catalog, right, renewal, end: End::Writes(self.list.subscribe()) })
+        Some(CatalogPlan { card: catalog, renewal, end: End::Writes(own.cert, self.list.subscribe()) })
     }
 }
 
@@ -251,13 +251,13 @@ impl Import {
             let (permission, file) = gathering.right(card.name(), Permission::Read(right.clone()));
             let config = self.config.manner().topic(&topic, label, Some(kind.clone()), Direction::In);
             let (card, kind) = (card.clone(), Some(kind.clone()));
-            let material = RouteMaterial { side: Side::In, card, kind, permission, file };
+            let material = RouteMaterial { card, kind, permission, file };
             let plan = RoutePlan { config, label: label.clone(), graph: graph.clone(), material };
             gathering.add(plan);
         }
         let ImportMaterial { catalog, grant, file } = self.material.clone();
-        let end = End::Reads(self.tell.clone(), self.files.clone());
-        CatalogPlan { card: catalog, right: Permission::Read(grant), renewal: file, end }
+        let end = End::Reads(grant, self.tell.clone(), self.files.clone());
+        CatalogPlan { card: catalog, renewal: file, end }
     }
 }
 
