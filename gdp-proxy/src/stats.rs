@@ -32,6 +32,8 @@ pub enum Drop {
     NoCounterpart,
     /// Remote messages of a writer that has not said of what they are.
     Unannounced,
+    /// Remote messages that are not kept for late subscribers, or did not wait for the first: there are too many bytes of them.
+    Crowded,
     /// A remote message, or what its writer says of the topic, is not what a proxy sends.
     Malformed,
     /// A remote message is one that this proxy sent, or another in the same ROS graph.
@@ -43,7 +45,7 @@ pub enum Drop {
 }
 
 impl Drop {
-    const ALL: [Self; 11] = [
+    const ALL: [Self; 12] = [
         Self::Unreadable,
         Self::Lost,
         Self::SendFailed,
@@ -51,6 +53,7 @@ impl Drop {
         Self::Unconvertible,
         Self::NoCounterpart,
         Self::Unannounced,
+        Self::Crowded,
         Self::Malformed,
         Self::Own,
         Self::Stalled,
@@ -66,6 +69,7 @@ impl Drop {
             Self::Unconvertible => "unconvertible",
             Self::NoCounterpart => "no_counterpart",
             Self::Unannounced => "unannounced",
+            Self::Crowded => "crowded",
             Self::Malformed => "malformed",
             Self::Own => "own",
             Self::Stalled => "stalled",
@@ -246,7 +250,7 @@ mod tests {
     const KEYS: [&str; 10] = [
         "calls catalogs entity links node switch topics version",
         "bytes direction drops fabric graph latency_us messages name status topic type",
-        "lost malformed max_hz no_counterpart own send_failed stalled unannounced unconvertible unreadable write_failed",
+        "crowded lost malformed max_hz no_counterpart own send_failed stalled unannounced unconvertible unreadable write_failed",
         "arrival handling",
         "p50 p99",
         "copies_dropped copies_sent frames_sent frames_unsent main reason state switch target",

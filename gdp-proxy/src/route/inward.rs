@@ -193,6 +193,7 @@ impl Route {
             for message in kept {
                 self.write_to(local, message).await;
             }
+            self.trim(to);
         }
     }
 
@@ -220,6 +221,19 @@ impl Route {
         };
         local.keep(&message);
         self.write_to(local, message).await;
+        if local.bytes() > 0 {
+            self.trim(to);
+        }
+    }
+
+    /// Lets go of what is too much, all publishers taken together.
+    fn trim(&self, to: &mut In<'_>) {
+        let gone = to.locals.trim();
+        self.drop_all(
+            Drop::Crowded,
+            gone,
+            "what the topic's publishers latch, or what waits for subscribers, is too much together",
+        );
     }
 
     async fn write_to(&self, local: &mut Local, message: Message) {
