@@ -255,8 +255,10 @@ impl Route {
         })
     }
 
-    /// Says in the status which publishers have no counterpart, or one that is not heard.
+    /// Says in the status which publishers have no counterpart, or one that is not heard; and to other proxies of the graph whether this one can do
+    /// anything for the topic.
     fn show(&self, to: &mut In<'_>) {
+        to.place.set_permitted(!to.locals.are_hopeless());
         let mut faults: Vec<_> = to.locals.faults().map(|(whose, why)| no_counterpart(whose, why)).collect();
         faults.extend(to.misfit.clone());
         match &faults[..] {

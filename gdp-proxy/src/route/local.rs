@@ -164,6 +164,10 @@ impl Local {
         bytes
     }
 
+    pub fn is_made(&self) -> bool {
+        matches!(self.state, State::Made(_))
+    }
+
     pub fn made_mut(&mut self) -> Option<&mut Made> {
         match &mut self.state {
             State::Made(made) => Some(made),

@@ -120,6 +120,11 @@ impl Locals {
         self.by.iter_mut().filter_map(|(whose, local)| Some((*whose, local.made_mut()?.offers)))
     }
 
+    /// Whether none could be made of those that are to be there.
+    pub fn are_hopeless(&self) -> bool {
+        self.faults().next().is_some() && !self.by.values().any(Local::is_made)
+    }
+
     /// The publishers that have none, and why.
     pub fn faults(&self) -> impl Iterator<Item = (&Whose, &str)> {
         self.by.iter().filter_map(|(whose, local)| Some((whose, local.fault()?)))
@@ -181,6 +186,18 @@ mod tests {
         bytes.sort_unstable();
         assert_eq!(bytes, [8, 48, 48, 48, 48, 56]);
         assert_eq!(locals.trim(), 0);
+    }
+
+    #[test]
+    fn it_is_hopeless_while_no_counterpart_can_be_made() {
+        let (now, mut locals) = (Instant::now(), Locals::new(Instant::now()));
+        assert!(!locals.are_hopeless(), "nobody is to be there");
+        locals.change(now, joined(0, OFFER));
+        assert!(!locals.are_hopeless(), "it was not tried");
+        locals.get(&Some((WRITER, 0))).unwrap().failed(now, "no type".into());
+        assert!(locals.are_hopeless());
+        locals.change(now, Change::Left { writer: WRITER, number: 0 });
+        assert!(!locals.are_hopeless());
     }
 
     const WRITER: Name = Name::from_bytes([1; 32]);

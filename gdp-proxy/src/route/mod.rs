@@ -11,6 +11,7 @@ mod pace;
 
 use std::convert::Infallible;
 use std::fmt::Display;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -48,6 +49,8 @@ pub struct Route {
     types: Arc<Types>,
     counters: RouteCounters,
     progress: Mutex<Progress>,
+    /// It has ended by itself before.
+    has_failed: AtomicBool,
 }
 
 /// From where to where, and as what.
@@ -114,6 +117,7 @@ impl Route {
                 status: "starting".into(),
                 fabric: FabricCounters::None,
             }),
+            has_failed: AtomicBool::new(false),
         }
     }
 
@@ -158,7 +162,8 @@ impl Route {
         publisher: &mut Option<Published>,
     ) -> Result<Infallible, RouteError> {
         let part = Part { name: self.name, side: self.side, topic: self.config.topic.to_string() };
-        let place = graph.twins().enter(node.name(), part);
+        // What has failed is left to others until it shows that it works by now.
+        let place = graph.twins().enter(node.name(), part, !self.has_failed.load(Relaxed));
         let RouteMaterial { card, kind, permission, file, .. } = material;
         let way = Way { graph, node, kind: kind.as_ref(), card: &card, place: &place };
         let mut right = Right::new(permission, file);
@@ -241,6 +246,7 @@ impl Route {
 
     /// It ended by itself, and begins again after a while.
     pub fn failed(&self, why: &str) {
+        self.has_failed.store(true, Relaxed);
         tracing::warn!(topic = %self.config.topic, side = ?self.side, name = %self.name, "not carried: {why}; beginning again in a while");
         self.set_status(why);
     }
