@@ -45,9 +45,11 @@ pub struct Diagnostics {
     entity: Name,
     outlets: Vec<(Writer, Converter)>,
     ticks: Interval,
-    /// Messages and drops of each route when it was told last.
-    before: HashMap<(String, String, Side), (u64, u64)>,
+    before: Before,
 }
+
+/// Messages and drops of each route when it was told last.
+type Before = HashMap<(String, String, Side), (u64, u64)>;
 
 #[derive(Serialize)]
 struct Array {
@@ -120,7 +122,8 @@ impl Diagnostics {
 
     /// `now`: since 1970.
     async fn tell_once(&mut self, now: Duration, routes: &[RouteStats]) -> Result<(), Box<dyn std::error::Error>> {
-        let status = routes.iter().map(|route| self.status(route)).collect();
+        let before = std::mem::take(&mut self.before);
+        let status = routes.iter().map(|route| self.status(route, &before)).collect();
         let stamp = Stamp { sec: now.as_secs(), nanosec: now.subsec_nanos() };
         let json = serde_json::to_vec(&Array { header: Header { stamp, frame_id: "" }, status })?;
         for (writer, converter) in &mut self.outlets {
@@ -130,11 +133,12 @@ impl Diagnostics {
         Ok(())
     }
 
-    fn status(&mut self, route: &RouteStats) -> Status {
+    fn status(&mut self, route: &RouteStats, before: &Before) -> Status {
         let RouteStats { topic, graph, status, direction, name, counted, kind, .. } = route;
         let drops = counted.drops.values().sum();
         let key = (topic.clone(), graph.clone(), *direction);
-        let (messages_before, drops_before) = self.before.insert(key, (counted.messages, drops)).unwrap_or_default();
+        let (messages_before, drops_before) = before.get(&key).copied().unwrap_or_default();
+        self.before.insert(key, (counted.messages, drops));
         let level = level(status, drops > drops_before);
         let direction = match direction {
             Side::Out => "out",
@@ -183,6 +187,7 @@ fn level(status: &str, drops: bool) -> Level {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::stats::{Counted, FabricStats};
 
     #[test]
     fn a_route_is_as_well_as_its_status_says() {
@@ -196,6 +201,27 @@ mod tests {
         for (status, drops, expected) in cases {
             assert_eq!(level(status, drops), expected, "{status}");
         }
+    }
+
+    #[tokio::test]
+    async fn what_was_counted_is_known_of_the_routes_that_are_there() {
+        let entity = Name::from_bytes([7; 32]);
+        let ticks = tokio::time::interval(PERIOD);
+        let mut diagnostics = Diagnostics { entity, outlets: vec![], ticks, before: Before::new() };
+        let route = |topic: &str, messages| RouteStats {
+            topic: topic.into(),
+            graph: "ros2".into(),
+            kind: None,
+            status: "up".into(),
+            direction: Side::Out,
+            name: entity,
+            fabric: FabricStats::None,
+            counted: Counted { messages, ..Counted::default() },
+        };
+        diagnostics.tell(&[route("/a", 3), route("/b", 0)]).await;
+        diagnostics.tell(&[route("/a", 5)]).await;
+        let before: Vec<_> = diagnostics.before.into_iter().collect();
+        assert_eq!(before, [(("/a".into(), "ros2".into(), Side::Out), (5, 0))]);
     }
 
     /// The definitions are among those that the proxy brings.

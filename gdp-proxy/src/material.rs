@@ -2,6 +2,7 @@
 //! against each other here, so that a mistake is said with the key of the configuration it is under, and not as a refusal from a RIB
 //! three hops away. The RIB verifies everything again.
 
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::fs::File;
 use std::io::Read;
@@ -127,16 +128,21 @@ impl Material {
 
     /// A name has one publisher and one subscription per proxy: two topics in it would be indistinguishable at its readers.
     fn check_names(&self, config: &Config) -> Result<(), MaterialError> {
-        for (i, (at, route)) in self.routes.iter().enumerate() {
-            let name = route.card.name();
-            let same =
-                |other: &RouteMaterial| (other.card.name(), other.permission.side()) == (name, route.permission.side());
-            if let Some((first, _)) = self.routes[..i].iter().find(|(_, other)| same(other)) {
-                let topic = &config.topics[*at].topic;
+        let routes =
+            self.routes.iter().map(|(at, route)| (format!("topics[{at}].card"), &route.card, route.permission.side()));
+        let calls = config.calls().zip(&self.calls);
+        let calls = calls.map(|((key, _), (_, call))| (format!("{key}.card"), &call.card, call.permission.side()));
+        let expose = self.expose.iter().map(|expose| ("expose.catalog".into(), &expose.catalog, Side::Out));
+        let imports = self.imports.iter().enumerate();
+        let imports = imports.map(|(i, import)| (format!("import[{i}].catalog"), &import.catalog, Side::In));
+        let mut known = BTreeMap::new();
+        for (key, card, side) in routes.chain(calls).chain(expose).chain(imports) {
+            let name = card.name();
+            if let Some(first) = known.insert((name, side), key.clone()) {
                 let reason = format!(
-                    "the name {name:#} is already that of topics[{first}], in the same direction; make a card of its own for {topic}"
+                    "the name {name:#} is already that of {first}, in the same direction; make a card of its own for this, or remove one of them"
                 );
-                return Err(MaterialError { key: format!("topics[{at}].card"), reason });
+                return Err(MaterialError { key, reason });
             }
         }
         Ok(())
@@ -266,150 +272,4 @@ pub(crate) fn with_path(reason: impl Display, path: &Path) -> String {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
-    use super::*;
-    use gdp::cert::{Delegation, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
-    use std::fs;
-    use std::path::PathBuf;
-
-    #[test]
-    fn files_that_belong_together_are_taken() {
-        let files = Files::new();
-        let material = files.load("").unwrap();
-        assert_eq!(material.identity.name(), files.entity);
-        let [(0, out), (1, inward)] = &material.routes[..] else { panic!("two topics") };
-        assert_eq!(out.kind.as_ref().unwrap().as_str(), "std_msgs/msg/String");
-        assert!(matches!(out.permission, Permission::Publish(_)) && matches!(inward.permission, Permission::Read(_)));
-    }
-
-    #[test]
-    fn what_is_missing_or_open_to_others_is_named() {
-        for (file, key) in [("id.pem", "identity"), ("t.card", "topics[0].card"), ("t.ad", "topics[0].cert")] {
-            let files = Files::new();
-            fs::remove_file(files.path(file)).unwrap();
-            let refusal = files.refusal("");
-            assert!(refusal.starts_with(key) && refusal.contains(file), "{refusal}");
-        }
-        let files = Files::new();
-        fs::set_permissions(files.path("id.pem"), std::os::unix::fs::PermissionsExt::from_mode(0o644)).unwrap();
-        let refusal = files.refusal("");
-        assert!(refusal.starts_with("identity") && refusal.contains("chmod 600"), "{refusal}");
-    }
-
-    #[test]
-    fn a_certificate_of_the_other_kind_of_another_owner_entity_or_time_is_refused() {
-        let files = Files::new();
-        fs::copy(files.path("t.grant"), files.path("t.ad")).unwrap();
-        assert!(files.refusal("").contains("AD CERT"), "{}", files.refusal(""));
-
-        let other = SigningKey::generate().unwrap();
-        let cases: [(&str, &SigningKey, AdCert); 3] = [
-            ("wrong key", &other, files.claims()),
-            ("wrong entity", &files.owner, AdCert { entity: Name::from_bytes([1; 32]), ..files.claims() }),
-            ("expired", &files.owner, AdCert { not_after: 1, ..files.claims() }),
-        ];
-        for (expected, signer, claims) in cases {
-            fs::write(files.path("t.ad"), issue(signer, &claims).unwrap().to_pem()).unwrap();
-            let refusal = files.refusal("");
-            assert!(refusal.starts_with("topics[0].cert") && refusal.contains(expected), "{refusal}");
-        }
-    }
-
-    /// As one without a battery-backed clock is, until somebody tells it the time.
-    #[test]
-    fn a_machine_in_1970_is_told_to_look_at_its_clock() {
-        let files = Files::new();
-        let ad = issue(&files.owner, &AdCert { not_before: unix_now(), ..files.claims() }).unwrap().to_pem();
-        let refusal = |now| check_permission(Side::Out, &ad, &files.card, files.entity, now).err();
-        assert!(refusal(unix_now()).is_none());
-        let said = refusal(0).unwrap().to_string();
-        assert!(said.contains("not yet valid") && said.contains("check the clock"), "{said}");
-    }
-
-    /// From a delegate, and for a role: the file holds what the certificate rests on.
-    #[test]
-    fn a_certificate_comes_with_all_that_it_rests_on() {
-        let files = Files::new();
-        let (delegate, domain) = (SigningKey::generate().unwrap(), Identity::generate("domain").unwrap());
-        let (name, not_before, not_after) = (files.card.name(), 0, u64::MAX);
-        let (publish, read, serial) = (true, true, 1);
-        let delegation =
-            Delegation { name, delegate: delegate.verify_key(), publish, read, serial, not_before, not_after };
-        let delegation = Some(issue(&files.owner, &delegation).unwrap());
-        let cert = issue(&delegate, &files.claims()).unwrap();
-        let issued = Issued { cert, delegation: delegation.clone() };
-        fs::write(files.path("t.ad"), issued.to_pem()).unwrap();
-
-        let role = String::from("operator");
-        let to = Grantee::Role { domain: domain.name(), role: role.clone() };
-        let grant = issue(&delegate, &ReadGrant { name, to, serial, not_before, not_after }).unwrap();
-        let member = MemberCert { domain: domain.name(), entity: files.entity, role, serial, not_before, not_after };
-        let member = Some(Membership::issue(&domain, &member).unwrap());
-        let mut reading = Reading { grant: Issued { cert: grant, delegation }, member: member.map(Box::new) };
-        fs::write(files.path("t.grant"), reading.to_pem()).unwrap();
-        files.load("").unwrap();
-
-        reading.member = None;
-        fs::write(files.path("t.grant"), reading.to_pem()).unwrap();
-        let refusal = files.refusal("");
-        assert!(refusal.starts_with("topics[1].grant") && refusal.contains("operator"), "{refusal}");
-    }
-
-    #[test]
-    fn the_type_of_the_name_is_not_another_one() {
-        let refusal = Files::new().refusal("type: std_msgs/msg/Int32, ");
-        assert!(refusal.contains("std_msgs/msg/Int32, but") && refusal.contains("std_msgs/msg/String"), "{refusal}");
-    }
-
-    pub struct Files {
-        folder: tempfile::TempDir,
-        pub owner: SigningKey,
-        pub entity: Name,
-        pub card: NameCard,
-    }
-
-    impl Files {
-        pub fn new() -> Self {
-            let folder = tempfile::tempdir().unwrap();
-            let owner = SigningKey::generate().unwrap();
-            let key = SigningKey::generate().unwrap();
-            let entity = Identity::new(key.clone(), "proxy").name();
-            let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "std_msgs/msg/String", None).unwrap();
-            let files = Self { folder, owner, entity, card };
-            key.save_new(&files.path("id.pem")).unwrap();
-            files.card.save_new(&files.path("t.card")).unwrap();
-            fs::write(files.path("t.ad"), issue(&files.owner, &files.claims()).unwrap().to_pem()).unwrap();
-            let (name, to) = (files.card.name(), Grantee::Entity(entity));
-            let grant = ReadGrant { name, to, serial: 1, not_before: 0, not_after: u64::MAX };
-            fs::write(files.path("t.grant"), issue(&files.owner, &grant).unwrap().to_pem()).unwrap();
-            files
-        }
-
-        pub fn path(&self, file: &str) -> PathBuf {
-            self.folder.path().join(file)
-        }
-
-        pub fn claims(&self) -> AdCert {
-            let (name, entity) = (self.card.name(), self.entity);
-            AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial: 1, not_before: 0, not_after: u64::MAX }
-        }
-
-        /// One topic out and one in; `extra` is said of the one that goes out.
-        fn load(&self, extra: &str) -> Result<Material, MaterialError> {
-            Material::load(&self.config(extra))
-        }
-
-        pub fn config(&self, extra: &str) -> Config {
-            let text = format!(
-                "{{version: 1, identity: id.pem, links: [{{to: 'eth://r0'}}], topics: [\
-                 {{topic: /chatter, {extra}direction: out, card: t.card, cert: t.ad}}, \
-                 {{topic: /other, direction: in, card: t.card, grant: t.grant}}]}}"
-            );
-            Config::parse(&text, &self.path("robot.yaml")).unwrap()
-        }
-
-        fn refusal(&self, extra: &str) -> String {
-            self.load(extra).err().expect("a refusal").to_string()
-        }
-    }
-}
+pub(crate) mod tests;

@@ -19,7 +19,7 @@ use crate::graph;
 use crate::manager::Changed;
 use crate::material::RouteMaterial;
 use crate::membership::keep_papers;
-use crate::reload::{Loaded, Watch};
+use crate::reload::{LoadError, Loaded, Watch};
 use crate::routes::{self, CallPlan, Calls, Carries, Planned, RoutePlan, Routes};
 use crate::stats::{RouteStats, Stats, StatsFile, VERSION};
 use gdp_ros::types::Types;
@@ -55,6 +55,7 @@ async fn carry(
     stats: Option<StatsFile>,
     stop: impl Future<Output = ()>,
 ) -> Result<()> {
+    watch.taken(&loaded);
     if let Some(file) = &stats {
         file.probe().with_context(|| format!("{}: cannot be written", file.path().display()))?;
     }
@@ -82,7 +83,6 @@ async fn carry(
     let mut automatic = Automatic::new(&loaded, &graphs, node.name(), None)?;
     running.want(&mut automatic, &explicit);
     running.calls.want(call_plans(&loaded, &graphs)?);
-    watch.look_at(loaded.cards());
     let mut shown = Shown::new(stats);
     let mut diagnostics = Diagnostics::wanted(&loaded.config, node.name(), &graphs, &types).await;
     let ended = loop {
@@ -104,14 +104,18 @@ async fn carry(
                         diagnostics = Diagnostics::wanted(&new.config, node.name(), &graphs, &types).await;
                     }
                     loaded = new;
-                    watch.look_at(loaded.cards());
+                    watch.taken(&loaded);
                     explicit = plans(&loaded, &graphs)?;
                     automatic = Automatic::new(&loaded, &graphs, node.name(), Some(automatic))?;
                     let (topics, calls) = (running.want(&mut automatic, &explicit), call_plans(&loaded, &graphs)?);
                     let Changed { begun, ended, kept } = topics + running.calls.want(calls);
                     tracing::info!(begun, ended, kept, "took the changed configuration");
                 }
-                Err(error) => tracing::error!("the changed configuration is not taken, everything goes on as it was: {error:#}"),
+                Err(error) => {
+                    if watch.refused(&loaded, &error) {
+                        tracing::error!("the changed configuration is not taken, everything goes on as it was: {error}");
+                    }
+                }
             },
             never = &mut keeping => match never {},
         }
@@ -169,7 +173,12 @@ impl Running {
 }
 
 /// The configuration as it is now, with its graphs joined.
-async fn load_again(loaded: &Loaded, watch: &Watch, graphs: &mut graph::All, ros_node: &str) -> Result<Loaded> {
+async fn load_again(
+    loaded: &Loaded,
+    watch: &Watch,
+    graphs: &mut graph::All,
+    ros_node: &str,
+) -> Result<Loaded, LoadError> {
     let new = loaded.load_again(watch.path())?;
     graph::join(graphs, &new.config.graphs, ros_node).await?;
     Ok(new)

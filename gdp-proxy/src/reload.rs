@@ -1,20 +1,24 @@
 //! The configuration of a proxy that runs: read again at SIGHUP and when it, or a card that it names, is another file. What does not do as a whole is refused
-//! as a whole, and everything goes on as it was.
+//! as a whole, and everything goes on as it was; it is tried again whenever one of the files that it names is another one, and from time to time.
 //!
-//! Certificates and the membership are not looked at here: they are read again by those who hold them.
+//! Certificates and the membership of what runs are not looked at here: they are read again by those who hold them.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use gdp::file_stamp::FileStamp;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::time::MissedTickBehavior;
 
 use crate::config::{Config, ConfigError};
+use crate::graph::GraphError;
 use crate::material::{Material, MaterialError};
 
 /// How often the files are looked at.
 const LOOK: Duration = Duration::from_secs(1);
+
+/// Before what was refused is tried again though no file is another one, if it may pass by itself: doubled from the first to the second.
+const AGAIN: (Duration, Duration) = (Duration::from_secs(5), Duration::from_secs(60));
 
 /// A configuration with all that it names.
 pub struct Loaded {
@@ -27,18 +31,43 @@ pub struct Loaded {
 pub enum LoadError {
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// With all files that the configuration names.
     #[error("{}: {error}", path.display())]
-    Material { path: PathBuf, error: MaterialError },
+    Material { path: PathBuf, error: MaterialError, files: Vec<PathBuf> },
     #[error("{}: {key}: cannot change while the proxy runs; start it anew, or take the change back", path.display())]
     Fixed { path: PathBuf, key: String },
+    #[error(transparent)]
+    Graph(#[from] GraphError),
+}
+
+impl LoadError {
+    /// Whether it may be otherwise though no file is another one: one may be readable by now, or the clock may be right.
+    fn may_pass(&self) -> bool {
+        match self {
+            Self::Config(ConfigError::Io { .. }) | Self::Material { .. } | Self::Graph(_) => true,
+            Self::Config(_) | Self::Fixed { .. } => false,
+        }
+    }
+
+    /// The files besides the configuration of which another one may mend it.
+    fn files(&self) -> &[PathBuf] {
+        match self {
+            Self::Material { files, .. } => files,
+            Self::Config(_) | Self::Fixed { .. } | Self::Graph(_) => &[],
+        }
+    }
 }
 
 impl Loaded {
     pub fn load(path: &Path) -> Result<Self, LoadError> {
-        let config = Config::load(path)?;
-        let material = Material::load(&config);
-        let material = material.map_err(|error| LoadError::Material { path: path.into(), error })?;
-        Ok(Self { config, material })
+        let mut config = Config::load(path)?;
+        match Material::load(&config) {
+            Ok(material) => Ok(Self { config, material }),
+            Err(error) => {
+                let files = config.files().map(|file| file.clone()).collect();
+                Err(LoadError::Material { path: path.into(), error, files })
+            }
+        }
     }
 
     /// The same file as it is now, unless it differs in what cannot change.
@@ -74,6 +103,10 @@ pub struct Watch {
     ticks: tokio::time::Interval,
     /// With what they were like when they were loaded, and when they were looked at last.
     files: Vec<(PathBuf, Option<FileStamp>, Option<FileStamp>)>,
+    /// When what was refused is tried again, how long the next pause is, and what was said of it.
+    again: Option<Instant>,
+    pause: Duration,
+    told: Option<String>,
 }
 
 impl Watch {
@@ -81,7 +114,9 @@ impl Watch {
     pub fn new(path: &Path) -> std::io::Result<Self> {
         let mut ticks = tokio::time::interval(LOOK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut watch = Self { path: path.into(), hangup: signal(SignalKind::hangup())?, ticks, files: vec![] };
+        let hangup = signal(SignalKind::hangup())?;
+        let (files, again, told) = (vec![], None, None);
+        let mut watch = Self { path: path.into(), hangup, ticks, files, again, pause: AGAIN.0, told };
         watch.look_at([]);
         Ok(watch)
     }
@@ -91,8 +126,25 @@ impl Watch {
         &self.path
     }
 
+    /// It was loaded, and is what runs.
+    pub fn taken(&mut self, loaded: &Loaded) {
+        (self.again, self.pause, self.told) = (None, AGAIN.0, None);
+        self.look_at(loaded.cards());
+    }
+
+    /// It was not, and what was loaded before goes on. Whether the reason is another one than before.
+    pub fn refused(&mut self, loaded: &Loaded, error: &LoadError) -> bool {
+        self.look_at(loaded.cards().chain(error.files().iter().map(PathBuf::as_path)));
+        self.again = error.may_pass().then(|| Instant::now() + self.pause);
+        self.pause = (self.pause * 2).min(AGAIN.1);
+        let said = error.to_string();
+        let is_new = self.told.as_ref() != Some(&said);
+        self.told = Some(said);
+        is_new
+    }
+
     /// Besides the configuration, `named` are looked at from now on.
-    pub fn look_at<'a>(&mut self, named: impl IntoIterator<Item = &'a Path>) {
+    fn look_at<'a>(&mut self, named: impl IntoIterator<Item = &'a Path>) {
         let paths = std::iter::once(self.path.clone()).chain(named.into_iter().map(PathBuf::from));
         self.files = paths
             .map(|path| {
@@ -103,17 +155,21 @@ impl Watch {
             .collect();
     }
 
-    /// Returns at SIGHUP, or when a file is another than it was, and was not written just now. What is there then counts as loaded. Safe to
-    /// cancel.
+    /// Returns at SIGHUP, when a file is another than it was and was not written just now, or when what was refused is to be tried again. What is
+    /// there then counts as loaded. Safe to cancel.
     pub async fn changed(&mut self) {
         loop {
-            tokio::select! {
-                Some(()) = self.hangup.recv() => break,
-                _ = self.ticks.tick() => {
-                    if self.look() {
-                        break;
-                    }
-                }
+            let is_another = tokio::select! {
+                Some(()) = self.hangup.recv() => true,
+                _ = self.ticks.tick() => self.look(),
+            };
+            if is_another {
+                // So it is news, whatever comes of it.
+                (self.pause, self.told) = (AGAIN.0, None);
+                break;
+            }
+            if self.again.is_some_and(|again| Instant::now() >= again) {
+                break;
             }
         }
         for (path, loaded, last) in &mut self.files {
@@ -161,6 +217,42 @@ mod tests {
         }
         fs::remove_file(&card).unwrap();
         assert!(!watch.look() && !watch.look());
+    }
+
+    #[tokio::test]
+    async fn what_was_refused_is_tried_again_when_a_file_that_it_names_is_another_and_from_time_to_time() {
+        let (files, soon) = (Files::new(), Duration::from_secs(20));
+        let path = files.path("robot.yaml");
+        let topic = "{topic: /chatter, direction: out, card: t.card, cert: t.ad}";
+        let write = |topics: &str| {
+            let text = format!("{{version: 1, identity: id.pem, links: [{{to: 'eth://r0'}}], topics: [{topics}]}}");
+            fs::write(&path, text).unwrap();
+        };
+        write(topic);
+        let loaded = Loaded::load(&path).unwrap();
+        let mut watch = Watch::new(&path).unwrap();
+        watch.taken(&loaded);
+        write(&topic.replace("t.ad", "new.ad"));
+        tokio::time::timeout(soon, watch.changed()).await.unwrap();
+        let refusal = loaded.load_again(&path).err().unwrap();
+        assert!(watch.refused(&loaded, &refusal) && !watch.refused(&loaded, &refusal), "{refusal}");
+
+        // No file is another one.
+        assert!(watch.again.is_some() && !watch.look());
+        watch.again = Some(Instant::now());
+        tokio::time::timeout(soon, watch.changed()).await.unwrap();
+        assert!(!watch.refused(&loaded, &refusal), "it is the same that was said");
+
+        fs::copy(files.path("t.ad"), files.path("new.ad")).unwrap();
+        watch.again = None;
+        tokio::time::timeout(soon, watch.changed()).await.unwrap();
+        watch.taken(&loaded.load_again(&path).unwrap());
+        assert!(watch.again.is_none());
+
+        // Only another text mends it.
+        write("mistake");
+        let refusal = loaded.load_again(&path).err().unwrap();
+        assert!(watch.refused(&loaded, &refusal) && watch.again.is_none(), "{refusal}");
     }
 
     #[test]

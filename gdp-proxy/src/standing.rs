@@ -2,6 +2,7 @@
 //! why it ends.
 
 use std::fmt::Display;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -75,6 +76,8 @@ pub struct Standing {
     title: String,
     name: Name,
     progress: Mutex<Progress>,
+    /// It has ended by itself before.
+    has_failed: AtomicBool,
 }
 
 struct Progress {
@@ -85,7 +88,12 @@ struct Progress {
 impl Standing {
     /// `kind`: the ROS type, if it is known.
     pub fn new(title: String, name: Name, kind: Option<String>) -> Self {
-        Self { title, name, progress: Mutex::new(Progress { kind, status: "starting".into() }) }
+        Self {
+            title,
+            name,
+            progress: Mutex::new(Progress { kind, status: "starting".into() }),
+            has_failed: AtomicBool::new(false),
+        }
     }
 
     pub fn name(&self) -> Name {
@@ -106,6 +114,11 @@ impl Standing {
         self.progress().status.clone()
     }
 
+    /// Whether it has ended by itself before.
+    pub fn has_failed(&self) -> bool {
+        self.has_failed.load(Relaxed)
+    }
+
     pub fn set_kind(&self, kind: &str) {
         self.progress().kind = Some(kind.into());
     }
@@ -121,6 +134,7 @@ impl Standing {
 
     /// It ended by itself, and is begun again after a while.
     pub fn failed(&self, why: &str) {
+        self.has_failed.store(true, Relaxed);
         tracing::warn!(what = %self.title, name = %self.name, "not carried: {why}; beginning again in a while");
         self.set_status(why);
     }

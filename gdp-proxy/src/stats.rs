@@ -33,6 +33,8 @@ reasons! {
         NoCounterpart = "no_counterpart",
         /// Remote messages of a writer that has not said of what they are.
         Unannounced = "unannounced",
+        /// Remote messages that are not kept for late subscribers, or did not wait for the first: there are too many bytes of them.
+        Crowded = "crowded",
         /// A remote message, or what its writer says of the topic, is not what a proxy sends.
         Malformed = "malformed",
         /// A remote message is one that this proxy sent, or another in the same ROS graph.
@@ -219,7 +221,7 @@ mod tests {
     const KEYS: [&str; 10] = [
         "calls catalogs entity links node switch topics version",
         "bytes bytes_carried direction drops fabric graph latency_us messages name status topic type",
-        "lost malformed max_hz no_counterpart own send_failed stalled unannounced unconvertible unreadable write_failed",
+        "crowded lost malformed max_hz no_counterpart own send_failed stalled unannounced unconvertible unreadable write_failed",
         "arrival handling",
         "p50 p99",
         "copies_dropped copies_sent frames_sent frames_unsent main reason state switch target",

@@ -32,6 +32,10 @@ pub const MAX_GRANTS: usize = 64;
 
 /// In bytes.
 const MAX_CATALOG: usize = 4 << 20;
+
+/// Bytes of all entries of one catalog, as [`Entry::size`] counts them: what is around them takes fewer than the rest.
+pub const MAX_ENTRY_BYTES: usize = MAX_CATALOG - 64;
+
 const VERSION: u8 = 1;
 
 /// All that a proxy exposes.
@@ -50,6 +54,13 @@ pub struct Entry {
     pub metadata: Metadata,
     /// Everybody's who may read it.
     pub grants: Vec<Issued<ReadGrant>>,
+}
+
+impl Entry {
+    /// Bytes that it takes in a catalog.
+    pub fn size(&self) -> Result<usize, CborError> {
+        Ok(cbor::encode(self)?.len())
+    }
 }
 
 /// A name with the grants to read it.

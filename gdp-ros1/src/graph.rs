@@ -9,8 +9,9 @@ use std::sync::Arc;
 use tokio::sync::watch;
 
 use crate::api::master::SystemState;
+use crate::topic::subscription::PublisherInfo;
 
-/// A topic, as the master knows it.
+/// A topic, as the master knows it, and with the publishers that this node is connected to.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Topic {
     /// Such as `std_msgs/String`; `None` until somebody who publishes or subscribes has said it.
@@ -21,7 +22,7 @@ pub struct Topic {
     pub subscribers: BTreeSet<String>,
 }
 
-/// All that the master knows at a time.
+/// All that the master knows at a time, and what this node's own connections show besides.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Snapshot {
     /// Those that somebody publishes or subscribes to.
@@ -53,7 +54,12 @@ pub enum Change {
 }
 
 impl Snapshot {
-    pub(crate) fn new(state: &SystemState, kinds: &BTreeMap<String, String>) -> Self {
+    /// `connected`: who publishes what this node subscribes to, as far as it is connected.
+    pub(crate) fn new(
+        state: &SystemState,
+        kinds: &BTreeMap<String, String>,
+        connected: &[(String, Arc<PublisherInfo>)],
+    ) -> Self {
         let mut topics: BTreeMap<String, Topic> = BTreeMap::new();
         for (name, nodes) in &state.publishers {
             topics.entry(name.clone()).or_default().publishers.extend(nodes.iter().cloned());
@@ -63,6 +69,11 @@ impl Snapshot {
         }
         for (name, topic) in &mut topics {
             topic.kind = kinds.get(name).filter(|kind| *kind != "*").cloned();
+        }
+        for (name, publisher) in connected {
+            let topic = topics.entry(name.clone()).or_default();
+            topic.publishers.insert(publisher.caller_id.clone());
+            topic.kind.get_or_insert_with(|| publisher.kind.clone());
         }
         let services = state.services.iter().map(|(name, nodes)| (name.clone(), nodes.iter().cloned().collect()));
         Self { topics, services: services.collect() }
@@ -84,9 +95,9 @@ impl Snapshot {
 
 /// Watches a master's graph. While the master does not answer, nothing changes.
 ///
-/// A master that was started anew knows only who registers with it again, and most ROS 1 nodes do not; their topics look gone then, though
-/// their connections go on. What was bridged should be kept while its [`Subscription`](crate::Subscription) has a connected source or
-/// its [`Publisher`](crate::Publisher) a subscriber.
+/// A master that was started anew knows only who registers with it again, and most ROS 1 nodes do not, though their connections go on. So whoever
+/// this node is connected to as a subscriber is there, whether or not the master lists it. What it is not connected to looks gone then: what was
+/// bridged should be kept while its [`Publisher`](crate::Publisher) has a subscriber.
 pub struct Graph {
     snapshots: watch::Receiver<Arc<Snapshot>>,
     seen: Arc<Snapshot>,
@@ -135,7 +146,7 @@ mod tests {
         };
         let second =
             SystemState { subscribers: of(&[("/a", &["/s"])]), services: of(&[("/y", &["/p"])]), ..first.clone() };
-        let (first, second) = (Snapshot::new(&first, &kinds("*")), Snapshot::new(&second, &kinds("a/B")));
+        let (first, second) = (Snapshot::new(&first, &kinds("*"), &[]), Snapshot::new(&second, &kinds("a/B"), &[]));
         assert_eq!(first.changes_since(&first), []);
         assert_eq!(first.topics["/a"].kind, None);
         let topic = Topic { kind: Some("a/B".to_owned()), publishers: set(&["/p"]), subscribers: set(&["/s"]) };
@@ -149,5 +160,21 @@ mod tests {
             ]
         );
         assert_eq!(first.changes_since(&Snapshot::default()).len(), 3);
+    }
+
+    #[test]
+    fn who_is_connected_is_there_though_the_master_has_forgotten_it() {
+        let publisher = PublisherInfo {
+            uri: "http://p:1/".to_owned(),
+            caller_id: "/p".to_owned(),
+            kind: "a/B".to_owned(),
+            md5sum: "0".repeat(32),
+            definition: String::new(),
+            latching: false,
+        };
+        let connected = [("/a".to_owned(), Arc::new(publisher))];
+        let snapshot = Snapshot::new(&SystemState::default(), &BTreeMap::new(), &connected);
+        let topic = Topic { kind: Some("a/B".to_owned()), publishers: set(&["/p"]), subscribers: BTreeSet::new() };
+        assert_eq!(snapshot.topics, BTreeMap::from([("/a".to_owned(), topic)]));
     }
 }

@@ -100,7 +100,7 @@ impl Registrar {
             self.kinds = self.shared.master.topic_types().await?.into_iter().collect();
             self.state = state;
         }
-        let snapshot = Arc::new(Snapshot::new(&self.state, &self.kinds));
+        let snapshot = Arc::new(Snapshot::new(&self.state, &self.kinds, &self.shared.connected()));
         self.shared.graph.send_if_modified(|shown| {
             let is_new = *shown != snapshot;
             *shown = snapshot;

@@ -14,7 +14,7 @@ use crate::service::server::Service;
 use crate::tcpros::listener::refuse;
 use crate::tcpros::{Header, Stream, TcprosError};
 use crate::topic::publication::Publication;
-use crate::topic::subscription::{Listed, SourceState, SourceStates};
+use crate::topic::subscription::{Listed, PublisherInfo, SourceState, SourceStates};
 use crate::xmlrpc::Value;
 
 pub struct Shared {
@@ -124,6 +124,19 @@ impl Shared {
     /// Of the list of a topic's publishers.
     pub fn version(&self, topic: &str) -> u64 {
         lock(&self.subscriptions).get(topic).map_or(0, |subscribed| subscribed.listed.borrow().version)
+    }
+
+    /// Who publishes what this node subscribes to, as far as it is connected: by topic.
+    pub fn connected(&self) -> Vec<(String, Arc<PublisherInfo>)> {
+        let mut connected = Vec::new();
+        for (topic, subscribed) in lock(&self.subscriptions).iter() {
+            for state in subscribed.states.borrow().values() {
+                if let SourceState::Connected(publisher) = state {
+                    connected.push((topic.clone(), publisher.clone()));
+                }
+            }
+        }
+        connected
     }
 
     /// Takes a connection whose header says what for.

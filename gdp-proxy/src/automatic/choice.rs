@@ -5,7 +5,7 @@ use std::fmt;
 use std::time::{Duration, Instant};
 
 use crate::config::{ExposeConfig, Manner, is_hidden, remapped};
-use crate::graph::Topics;
+use crate::graph::{Published, Topics};
 use crate::ros2::{TopicName, TypeName};
 
 /// For how long a topic without publishers stays: a node that is started anew is back by then.
@@ -58,6 +58,11 @@ pub fn judge(config: &ExposeConfig, topic: &TopicName, kind: &TypeName) -> Resul
     Ok(Exposed { name, manner: rule.manner.or(&config.defaults) })
 }
 
+/// Of what a topic is published as, the first that the configuration exposes, and how.
+pub fn choose(config: &ExposeConfig, topic: &TopicName, published: &[Published]) -> Option<(TypeName, Exposed)> {
+    published.iter().find_map(|it| Some((it.kind.clone(), judge(config, topic, &it.kind).ok()?)))
+}
+
 /// The topics that are exposed at a time.
 #[derive(Default)]
 pub struct Choice {
@@ -84,8 +89,7 @@ impl Choice {
         for (topic, published) in
             topics.iter().filter(|(topic, _)| !self.chosen.contains_key(*topic)).collect::<Vec<_>>()
         {
-            let judged = published.iter().find_map(|it| Some((it.kind.clone(), judge(config, topic, &it.kind).ok()?)));
-            if let Some((kind, exposed)) = judged {
+            if let Some((kind, exposed)) = choose(config, topic, published) {
                 self.chosen.insert(topic.clone(), Chosen { kind, exposed, gone: None });
             }
         }
@@ -104,7 +108,6 @@ impl Choice {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::graph::Published;
 
     #[test]
     fn deny_wins_and_nothing_is_exposed_that_is_not_named() {

@@ -1,4 +1,4 @@
-//! The plans of routes as they come together: each place once, as many as a proxy has, with rights that stay up to date.
+//! The plans of routes as they come together: each place and each name once, as many as a proxy has, with rights that stay up to date.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -19,7 +19,7 @@ pub struct Kept {
     /// The rights to names that were made or learnt here; routes follow them by themselves.
     rights: BTreeMap<(Name, Side), watch::Sender<Permission>>,
     /// What has been said in the log: once, and not whenever a graph changes.
-    told: BTreeSet<(TopicName, String)>,
+    pub told: BTreeSet<(TopicName, String)>,
 }
 
 /// One time.
@@ -27,6 +27,8 @@ pub struct Gathering<'a> {
     kept: &'a mut Kept,
     pub routes: Vec<Arc<RoutePlan>>,
     places: BTreeSet<<Arc<RoutePlan> as Plan>::Place>,
+    /// Of which topic each name is: a node publishes a name once and subscribes to it once.
+    names: BTreeMap<(Name, Side), TopicName>,
     used: BTreeSet<(Name, Side)>,
     told: BTreeSet<(TopicName, String)>,
 }
@@ -35,7 +37,8 @@ impl<'a> Gathering<'a> {
     /// These go first.
     pub fn new(kept: &'a mut Kept, routes: Vec<Arc<RoutePlan>>) -> Self {
         let places = routes.iter().map(Plan::place).collect();
-        Self { kept, routes, places, used: BTreeSet::new(), told: BTreeSet::new() }
+        let names = routes.iter().map(|plan| (named(plan), plan.config.topic.clone())).collect();
+        Self { kept, routes, places, names, used: BTreeSet::new(), told: BTreeSet::new() }
     }
 
     /// The right to a name, as it is told to whoever uses it from now on.
@@ -60,11 +63,19 @@ impl<'a> Gathering<'a> {
             self.tell(&plan.config.topic, format!("there are {MAX_ROUTES} routes already; run a second proxy"));
             return false;
         }
-        let is_free = self.places.insert(plan.place());
-        if is_free {
-            self.routes.push(plan);
+        if self.places.contains(&plan.place()) {
+            return false;
         }
-        is_free
+        if let Some(other) = self.names.get(&named(&plan)) {
+            let why =
+                format!("its name {:#} is already that of {other}, in the same direction", plan.material.card.name());
+            self.tell(&plan.config.topic, why);
+            return false;
+        }
+        self.places.insert(plan.place());
+        self.names.insert(named(&plan), plan.config.topic.clone());
+        self.routes.push(plan);
+        true
     }
 
     /// Says why a topic is not carried.
@@ -83,4 +94,8 @@ impl<'a> Gathering<'a> {
         kept.told = told;
         routes
     }
+}
+
+fn named(plan: &RoutePlan) -> (Name, Side) {
+    (plan.material.card.name(), plan.material.side)
 }

@@ -10,7 +10,7 @@ mod issuer;
 mod link;
 mod listed;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -19,7 +19,7 @@ use anyhow::{Context, Result, anyhow};
 use futures::future::select_all;
 use gdp::domain::PaperFiles;
 use gdp::{Name, NameCard};
-use gdp_ros::catalog::{Catalog, Entry, MAX_ENTRIES};
+use gdp_ros::catalog::{Catalog, Entry, MAX_ENTRIES, MAX_ENTRY_BYTES};
 use tokio::sync::watch;
 
 use self::choice::Choice;
@@ -33,7 +33,7 @@ use crate::material::{ImportMaterial, Permission, RouteMaterial};
 use crate::reload::Loaded;
 use crate::routes::RoutePlan;
 
-pub use self::choice::judge;
+pub use self::choice::{choose, judge};
 pub use self::issuer::card_of;
 pub use self::link::{CatalogStats, Links, manager};
 
@@ -173,11 +173,15 @@ impl Expose {
         let catalog = self.catalog.clone();
         let own = papers(&self.issuer, &mut self.papers, &self.config, &catalog, now)?;
         let (_, renewal) = gathering.right(catalog.name(), Permission::Publish(own.cert.clone()));
-        let mut entries = BTreeMap::new();
+        let (mut entries, mut bytes, mut names) = (BTreeMap::new(), 0, BTreeSet::from([catalog.name()]));
+        let mut is_full = None;
         let (label, graph) = &self.place;
         for (topic, kind, exposed) in self.choice.iter() {
             if entries.len() >= MAX_ENTRIES {
-                gathering.tell(topic, format!("there are {MAX_ENTRIES} names in the catalog already"));
+                is_full.get_or_insert_with(|| format!("there are {MAX_ENTRIES} names in the catalog already"));
+            }
+            if let Some(why) = &is_full {
+                gathering.tell(topic, why.clone());
                 continue;
             }
             let card = match self.issuer.card(kind, exposed) {
@@ -193,15 +197,30 @@ impl Expose {
                 continue;
             }
             let Some(issued) = papers(&self.issuer, &mut self.papers, &self.config, &card, now) else { continue };
+            names.insert(name);
+            let entry = Entry { metadata: card.metadata().clone(), grants: issued.grants };
+            let size = match entry.size() {
+                Ok(size) => size,
+                Err(error) => {
+                    gathering.tell(topic, error.to_string());
+                    continue;
+                }
+            };
+            if bytes + size > MAX_ENTRY_BYTES {
+                let why = "the catalog is full with as many grants in it; expose fewer topics, or give the readers a role in a domain";
+                gathering.tell(topic, is_full.insert(why.into()).clone());
+                continue;
+            }
             let (permission, file) = gathering.right(name, Permission::Publish(issued.cert));
             let config = exposed.manner.topic(topic, label, Some(kind.clone()), Direction::Out);
-            let metadata = card.metadata().clone();
             let material = RouteMaterial { card, kind: Some(kind.clone()), permission, file };
             if gathering.add(RoutePlan { config, label: label.clone(), graph: graph.clone(), material }) {
-                entries.insert(name, Entry { metadata, grants: issued.grants });
+                entries.insert(name, entry);
+                bytes += size;
             }
         }
-        self.papers.retain(|name, _| entries.contains_key(name) || *name == catalog.name());
+        // Also of what is not carried: to issue them is work.
+        self.papers.retain(|name, _| names.contains(name));
         let list = Catalog::new(entries.into_values().collect()).map_err(|error| error.to_string());
         match list.and_then(|list| list.to_bytes().map_err(|error| error.to_string())) {
             Ok(list) => {
@@ -265,3 +284,6 @@ fn unix_nanos() -> u64 {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
 }
+
+#[cfg(test)]
+mod tests;

@@ -308,34 +308,39 @@ impl Config {
     }
 
     fn resolve(&mut self, folder: &Path) {
+        if let Some(relay) = self.relay.as_mut().filter(|_| self.domain.is_some()) {
+            relay.membership.get_or_insert_with(|| "relay.member".into());
+        }
+        let Definitions { ros1, ros2 } = &mut self.definitions;
         // An absolute path stays what it is.
         let resolve = |path: &mut PathBuf| *path = folder.join(&path);
-        resolve(&mut self.identity);
-        self.state.as_mut().map(resolve);
-        if let Some(domain) = &mut self.domain {
-            [&mut domain.card, &mut domain.membership].into_iter().chain(&mut domain.peers).for_each(resolve);
-        }
-        if let Some(relay) = &mut self.relay {
-            resolve(&mut relay.identity);
-            if self.domain.is_some() {
-                resolve(relay.membership.get_or_insert_with(|| "relay.member".into()));
-            }
-        }
-        self.definitions.ros1.iter_mut().chain(&mut self.definitions.ros2).for_each(resolve);
-        for topic in &mut self.topics {
-            resolve(&mut topic.card);
-            topic.cert.iter_mut().chain(&mut topic.grant).for_each(resolve);
-        }
-        if let Some(expose) = &mut self.expose {
-            [&mut expose.owner, &mut expose.catalog].into_iter().for_each(resolve);
-        }
-        for import in &mut self.import {
-            [&mut import.catalog, &mut import.grant].into_iter().for_each(resolve);
-        }
-        for call in self.services.iter_mut().chain(&mut self.actions) {
-            resolve(&mut call.card);
-            call.cert.iter_mut().chain(&mut call.grant).for_each(resolve);
-        }
+        ros1.iter_mut().chain(ros2).chain(&mut self.state).for_each(resolve);
+        self.files().for_each(resolve);
+    }
+
+    /// The files that it names.
+    pub fn files(&mut self) -> impl Iterator<Item = &mut PathBuf> {
+        let domain = self.domain.iter_mut().flat_map(|domain| {
+            let DomainConfig { card, membership, peers } = domain;
+            [card, membership].into_iter().chain(peers)
+        });
+        let relay =
+            self.relay.iter_mut().flat_map(|relay| [&mut relay.identity].into_iter().chain(&mut relay.membership));
+        let topics = self.topics.iter_mut();
+        let topics =
+            topics.flat_map(|topic| [&mut topic.card].into_iter().chain(&mut topic.cert).chain(&mut topic.grant));
+        let expose = self.expose.iter_mut().flat_map(|expose| [&mut expose.owner, &mut expose.catalog]);
+        let imports = self.import.iter_mut().flat_map(|import| [&mut import.catalog, &mut import.grant]);
+        let calls = self.services.iter_mut().chain(&mut self.actions);
+        let calls = calls.flat_map(|call| [&mut call.card].into_iter().chain(&mut call.cert).chain(&mut call.grant));
+        [&mut self.identity]
+            .into_iter()
+            .chain(domain)
+            .chain(relay)
+            .chain(topics)
+            .chain(expose)
+            .chain(imports)
+            .chain(calls)
     }
 }
 

@@ -109,6 +109,7 @@ impl Master {
         options: PublishOptions,
     ) -> Result<Arc<gdp_ros1::Publisher>, GraphError> {
         let mut shared = self.lock();
+        shared.retain(|_, (_, publisher)| publisher.strong_count() > 0);
         if let Some((published, publisher)) = shared.get(topic)
             && let Some(publisher) = publisher.upgrade()
         {
@@ -287,5 +288,31 @@ impl Writer {
 
     pub fn write(&self, bytes: Bytes) -> Result<(), WriteError> {
         self.publisher.publish(bytes).map_err(|error| WriteError::Failed(error.to_string()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_publisher_is_shared_and_forgotten_with_the_last_who_writes_it() {
+        // Nobody answers there.
+        let config = Ros1Config { master: "http://127.0.0.1:1".into(), host: Some("127.0.0.1".into()) };
+        let master = Master::join(&config, "gdp_proxy_test").await.unwrap();
+        let kind = Kind { dialect: Dialect::Ros1, name: "std_msgs/String".into(), hash: vec![] };
+        let writer = async |topic: &str| {
+            let topic = TopicName::parse(topic).unwrap();
+            Writer::new(&master, &topic, &kind, None, STRING_MD5.into(), OFFER).await.unwrap()
+        };
+        let (first, second) = (writer("/kept").await, writer("/kept").await);
+        assert!(Arc::ptr_eq(&first.publisher, &second.publisher));
+        for i in 0..10 {
+            drop(writer(&format!("/t{i}")).await);
+        }
+        drop(writer("/last").await);
+        assert_eq!(master.lock().len(), 2);
+        drop((first, second));
+        master.leave().await;
     }
 }

@@ -1,7 +1,7 @@
 //! What other participants of the domain announce: the types of topics, and why an endpoint does not match ours.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 
 use futures::StreamExt;
@@ -22,15 +22,21 @@ const LOOK: Duration = Duration::from_secs(1);
 
 #[derive(Default)]
 pub(super) struct Discovery {
-    /// The DDS types of the DDS topics that the proxy has endpoints for.
-    expected: Mutex<HashMap<String, String>>,
+    /// The DDS types of the DDS topics that the proxy has endpoints for; these hold them.
+    expected: Mutex<HashMap<String, Weak<str>>>,
     graph: watch::Sender<Arc<Graph>>,
 }
 
 impl Discovery {
-    /// Remembers which type a topic ought to have, so that it can be said when somebody's differs.
-    pub fn expect(&self, dds_topic: &str, kind: &TypeName) {
-        self.expected.lock().unwrap_or_else(PoisonError::into_inner).insert(dds_topic.to_owned(), kind.to_dds());
+    /// Remembers which type a topic ought to have, so that it can be said when somebody's differs: as long as what is returned is held.
+    pub fn expect(&self, dds_topic: &str, kind: &TypeName) -> Arc<str> {
+        let mut expected = self.expected.lock().unwrap_or_else(PoisonError::into_inner);
+        expected.retain(|_, kind| kind.strong_count() > 0);
+        let kind: Arc<str> = kind.to_dds().into();
+        let known = expected.get(dds_topic).and_then(Weak::upgrade).filter(|known| *known == kind);
+        let kind = known.unwrap_or(kind);
+        expected.insert(dds_topic.to_owned(), Arc::downgrade(&kind));
+        kind
     }
 
     pub fn graph(&self) -> watch::Receiver<Arc<Graph>> {
@@ -105,7 +111,8 @@ impl Discovery {
     /// DDS does not match endpoints whose types differ, and says nothing.
     fn compare(&self, whose: &str, endpoint: &EndpointDescription) {
         let expected = self.expected.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(kind) = expected.get(&endpoint.topic_name).filter(|kind| **kind != endpoint.type_name) {
+        let kind = expected.get(&endpoint.topic_name).and_then(Weak::upgrade);
+        if let Some(kind) = kind.filter(|kind| **kind != *endpoint.type_name) {
             tracing::warn!(
                 topic = endpoint.topic_name,
                 "a {whose} here uses type {:?}, the proxy {kind}: they do not see each other; correct `type`",
@@ -138,4 +145,25 @@ fn incompatible(whose: &str, topic: Option<String>, requested: &QosPolicies, off
         topic,
         "the QoS of a {whose} here does not fit the proxy's ({policy:?}): they do not see each other; correct `qos`",
     );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_type_is_expected_as_long_as_an_endpoint_is_there() {
+        let (discovery, string) = (Discovery::default(), TypeName::parse("std_msgs/msg/String").unwrap());
+        let topics = || {
+            let expected = discovery.expected.lock().unwrap();
+            expected.iter().filter(|(_, kind)| kind.strong_count() > 0).count()
+        };
+        let [reader, writer] = [0, 1].map(|_| discovery.expect("rt/a", &string));
+        drop(writer);
+        assert_eq!((&*reader, topics()), ("std_msgs::msg::dds_::String_", 1), "the other one is there still");
+        drop(reader);
+        (0..100).for_each(|i| drop(discovery.expect(&format!("rt/{i}"), &string)));
+        let other = discovery.expect("rt/a", &TypeName::parse("std_msgs/msg/Int32").unwrap());
+        assert_eq!((&*other, discovery.expected.lock().unwrap().len()), ("std_msgs::msg::dds_::Int32_", 1));
+    }
 }

@@ -131,20 +131,21 @@ impl Domain {
     fn raw_reader(&self, name: &TopicName, dds: &str, kind: &TypeName, offers: &Offer) -> Result<RawReader, RosError> {
         let refused = |source| RosError::Endpoint { what: "reader", topic: name.clone(), source };
         let policies = qos::reader(offers);
-        let topic = self.topic(dds, kind, &policies).map_err(refused)?;
-        RawReader::new(&self.subscriber, &topic, policies).map_err(refused)
+        let (topic, kind) = self.topic(dds, kind, &policies).map_err(refused)?;
+        RawReader::new(&self.subscriber, &topic, kind, policies).map_err(refused)
     }
 
     fn raw_writer(&self, name: &TopicName, dds: &str, kind: &TypeName, offers: &Offer) -> Result<RawWriter, RosError> {
         let refused = |source| RosError::Endpoint { what: "writer", topic: name.clone(), source };
         let policies = qos::writer(offers);
-        let topic = self.topic(dds, kind, &policies).map_err(refused)?;
-        RawWriter::new(&self.publisher, &topic, policies).map_err(refused)
+        let (topic, kind) = self.topic(dds, kind, &policies).map_err(refused)?;
+        RawWriter::new(&self.publisher, &topic, kind, policies).map_err(refused)
     }
 
-    fn topic(&self, dds: &str, kind: &TypeName, qos: &QosPolicies) -> Result<rustdds::Topic, CreateError> {
-        self.discovery.expect(dds, kind);
-        self.participant.create_topic(dds.to_owned(), kind.to_dds(), qos, TopicKind::NoKey)
+    /// With its type, for its endpoint to hold.
+    fn topic(&self, dds: &str, kind: &TypeName, qos: &QosPolicies) -> Result<(rustdds::Topic, Arc<str>), CreateError> {
+        let topic = self.participant.create_topic(dds.to_owned(), kind.to_dds(), qos, TopicKind::NoKey)?;
+        Ok((topic, self.discovery.expect(dds, kind)))
     }
 
     /// Says goodbye to the other participants, so that they do not wait for a lease to end. Readers and writers of the

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::convert::Infallible;
 use std::future::poll_fn;
 use std::pin::pin;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -92,6 +92,8 @@ pub struct Unreadable(String);
 pub struct RawReader {
     reader: SimpleDataReader<RawSample, Adapter>,
     gaps: Mutex<Gaps>,
+    /// As long as it is held, discovery says who uses another.
+    _kind: Arc<str>,
 }
 
 /// Which message of each writer came last.
@@ -115,9 +117,15 @@ impl Gaps {
 }
 
 impl RawReader {
-    pub(super) fn new(subscriber: &rustdds::Subscriber, topic: &Topic, qos: QosPolicies) -> Result<Self, CreateError> {
+    /// `kind`: for discovery.
+    pub(super) fn new(
+        subscriber: &rustdds::Subscriber,
+        topic: &Topic,
+        kind: Arc<str>,
+        qos: QosPolicies,
+    ) -> Result<Self, CreateError> {
         let reader = subscriber.create_simple_datareader_no_key::<RawSample, Adapter>(topic, Some(qos))?;
-        Ok(Self { reader, gaps: Mutex::default() })
+        Ok(Self { reader, gaps: Mutex::default(), _kind: kind })
     }
 
     pub(super) fn guid(&self) -> GUID {
@@ -178,6 +186,8 @@ pub struct RawWriter {
     publisher: Publisher,
     topic: Topic,
     qos: QosPolicies,
+    /// As long as it is held, discovery says who uses another.
+    _kind: Arc<str>,
 }
 
 /// Why a message was not written.
@@ -190,13 +200,20 @@ pub enum WriteError {
 }
 
 impl RawWriter {
-    pub(super) fn new(publisher: &Publisher, topic: &Topic, qos: QosPolicies) -> Result<Self, CreateError> {
+    /// `kind`: for discovery.
+    pub(super) fn new(
+        publisher: &Publisher,
+        topic: &Topic,
+        kind: Arc<str>,
+        qos: QosPolicies,
+    ) -> Result<Self, CreateError> {
         Ok(Self {
             little_endian: publisher.create_datawriter_no_key(topic, Some(qos.clone()))?,
             big_endian: None,
             publisher: publisher.clone(),
             topic: topic.clone(),
             qos,
+            _kind: kind,
         })
     }
 

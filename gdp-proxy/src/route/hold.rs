@@ -18,7 +18,8 @@ const MAX_WAITING_BYTES: usize = 16 << 20;
 pub struct Hold<T> {
     until: Instant,
     has_matched: bool,
-    waiting: VecDeque<T>,
+    /// With its bytes, and those of all.
+    waiting: VecDeque<(T, usize)>,
     bytes: usize,
 }
 
@@ -28,8 +29,20 @@ impl<T> Hold<T> {
     }
 
     pub fn push(&mut self, message: T, bytes: usize) {
-        self.waiting.push_back(message);
+        self.waiting.push_back((message, bytes));
         self.bytes += bytes;
+    }
+
+    /// Of all that waits.
+    pub fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    /// How many bytes it is.
+    pub fn drop_oldest(&mut self) -> usize {
+        let bytes = self.waiting.pop_front().map_or(0, |(_, bytes)| bytes);
+        self.bytes -= bytes;
+        bytes
     }
 
     /// Whether nothing waits any longer. `is_matched`: the writer has a subscriber.
@@ -41,8 +54,8 @@ impl<T> Hold<T> {
         now >= self.until || self.waiting.len() > MAX_WAITING || self.bytes > MAX_WAITING_BYTES
     }
 
-    pub fn into_waiting(self) -> VecDeque<T> {
-        self.waiting
+    pub fn into_waiting(self) -> impl Iterator<Item = T> {
+        self.waiting.into_iter().map(|(message, _)| message)
     }
 }
 
@@ -59,7 +72,7 @@ mod tests {
         hold.push('a', 1);
         assert!(!hold.is_over(now + SETTLE, || true) && !hold.is_over(now + SETTLE, || unreachable!("it is known")));
         assert!(hold.is_over(now + 2 * SETTLE, || true));
-        assert_eq!(hold.into_waiting(), ['a']);
+        assert_eq!(hold.into_waiting().collect::<Vec<_>>(), ['a']);
         let mut late = Hold::<u8>::new(now);
         assert!(!late.is_over(now + PATIENCE - SETTLE / 2, || true) && late.is_over(now + PATIENCE, || true));
     }
@@ -71,5 +84,6 @@ mod tests {
         (0..=MAX_WAITING).for_each(|i| many.push(i, 1));
         large.push(0, MAX_WAITING_BYTES + 1);
         assert!(many.is_over(now, || false) && large.is_over(now, || false));
+        assert_eq!((large.drop_oldest(), large.bytes(), large.drop_oldest()), (MAX_WAITING_BYTES + 1, 0, 0));
     }
 }

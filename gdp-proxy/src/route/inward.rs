@@ -179,6 +179,7 @@ impl Route {
             for message in kept {
                 self.write_to(local, message).await;
             }
+            self.trim(to);
         }
     }
 
@@ -209,6 +210,19 @@ impl Route {
         };
         local.keep(&message);
         self.write_to(local, message).await;
+        if local.bytes() > 0 {
+            self.trim(to);
+        }
+    }
+
+    /// Lets go of what is too much, all publishers taken together.
+    fn trim(&self, to: &mut In<'_>) {
+        let gone = to.locals.trim();
+        self.drop_all(
+            Drop::Crowded,
+            gone,
+            "what the topic's publishers latch, or what waits for subscribers, is too much together",
+        );
     }
 
     async fn write_to(&self, local: &mut Local, message: Message) {
@@ -230,8 +244,10 @@ impl Route {
         })
     }
 
-    /// Says in the status which publishers have no counterpart, or one that is not heard.
+    /// Says in the status which publishers have no counterpart, or one that is not heard; and to other proxies of the graph whether this one can do
+    /// anything for the topic.
     fn show(&self, to: &mut In<'_>) {
+        to.place.set_permitted(!to.locals.are_hopeless());
         let mut faults: Vec<_> = to.locals.faults().map(|(whose, why)| no_counterpart(whose, why)).collect();
         faults.extend(to.misfit.clone());
         match &faults[..] {

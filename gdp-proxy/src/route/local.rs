@@ -29,8 +29,9 @@ pub struct Local {
     pub definition: Option<Arc<str>>,
     pub offers: Offer,
     state: State,
-    /// What the publisher latches, for a writer that is made later.
+    /// What the publisher latches, for a writer that is made later; and how much that is.
     kept: VecDeque<Message>,
+    kept_bytes: usize,
 }
 
 enum State {
@@ -61,7 +62,7 @@ pub type Refused = (Drop, String);
 
 impl Local {
     pub fn new(kind: Kind, definition: Option<Arc<str>>, offers: Offer) -> Self {
-        Self { kind, definition, offers, state: State::Wanted, kept: VecDeque::new() }
+        Self { kind, definition, offers, state: State::Wanted, kept: VecDeque::new(), kept_bytes: 0 }
     }
 
     /// Whether it is time to try to make it.
@@ -106,7 +107,7 @@ impl Local {
     /// It is to be made anew, for this. What was there, if it was.
     pub fn renew(&mut self, kind: Kind, definition: Option<Arc<str>>, offers: Offer) -> Option<Made> {
         if kind != self.kind {
-            self.kept.clear();
+            self.forget();
         }
         (self.kind, self.definition, self.offers) = (kind, definition, offers);
         match std::mem::replace(&mut self.state, State::Wanted) {
@@ -123,13 +124,44 @@ impl Local {
     pub fn keep(&mut self, message: &Message) {
         let most = latched(&self.offers);
         if most == 0 {
-            return self.kept.clear();
+            return self.forget();
         }
+        self.kept_bytes += message.body.len();
         self.kept.push_back(message.clone());
-        let bytes = |kept: &VecDeque<Message>| kept.iter().map(|message| message.body.len()).sum::<usize>();
-        while self.kept.len() > most || (self.kept.len() > 1 && bytes(&self.kept) > MAX_KEPT_BYTES) {
-            self.kept.pop_front();
+        while self.kept.len() > most || (self.kept.len() > 1 && self.kept_bytes > MAX_KEPT_BYTES) {
+            self.forget_oldest();
         }
+    }
+
+    /// Bytes that are kept, or wait for subscribers.
+    pub fn bytes(&self) -> usize {
+        match &self.state {
+            State::Made(made) => self.kept_bytes + made.bytes(),
+            _ => self.kept_bytes,
+        }
+    }
+
+    /// Lets the oldest message of them go: how many bytes these are.
+    pub fn evict(&mut self) -> usize {
+        match &mut self.state {
+            State::Made(made) if made.bytes() > self.kept_bytes => made.evict(),
+            _ => self.forget_oldest(),
+        }
+    }
+
+    fn forget(&mut self) {
+        self.kept.clear();
+        self.kept_bytes = 0;
+    }
+
+    fn forget_oldest(&mut self) -> usize {
+        let bytes = self.kept.pop_front().map_or(0, |oldest| oldest.body.len());
+        self.kept_bytes -= bytes;
+        bytes
+    }
+
+    pub fn is_made(&self) -> bool {
+        matches!(self.state, State::Made(_))
     }
 
     pub fn made_mut(&mut self) -> Option<&mut Made> {
@@ -164,6 +196,16 @@ impl Made {
     /// Whether something waits.
     pub fn is_holding(&self) -> bool {
         self.hold.is_some()
+    }
+
+    /// Bytes that wait for subscribers.
+    pub fn bytes(&self) -> usize {
+        self.hold.as_ref().map_or(0, Hold::bytes)
+    }
+
+    /// Lets the oldest message that waits go: how many bytes it is.
+    pub fn evict(&mut self) -> usize {
+        self.hold.as_mut().map_or(0, Hold::drop_oldest)
     }
 
     /// Writes what has waited, once it need not wait any more; what was refused.

@@ -11,6 +11,9 @@ use gdp_ros::roster::{Change, Offer};
 /// Publishers elsewhere that have a counterpart. More have none.
 const MAX_LOCALS: usize = 512;
 
+/// Bytes that are kept of what all of them latch, or wait for subscribers.
+const MAX_BYTES: usize = 256 << 20;
+
 /// Counterparts that stay for a moment after their publisher. Of more, the oldest go at once.
 const MAX_LEAVING: usize = 64;
 
@@ -89,6 +92,24 @@ impl Locals {
         self.made().any(|made| made.is_holding())
     }
 
+    /// Lets the oldest messages go of whoever has most, until all are no more than [`MAX_BYTES`] together: how many.
+    pub fn trim(&mut self) -> u64 {
+        let bytes = self.by.values().map(Local::bytes).chain(self.leaving.iter().map(Made::bytes));
+        let (mut bytes, mut gone): (usize, _) = (bytes.sum(), 0);
+        while bytes > MAX_BYTES {
+            let there = self.by.values_mut().max_by_key(|local| local.bytes());
+            let leaving = self.leaving.iter_mut().max_by_key(|made| made.bytes());
+            let freed = match (there, leaving) {
+                (Some(there), Some(leaving)) if leaving.bytes() > there.bytes() => leaving.evict(),
+                (Some(there), _) => there.evict(),
+                (None, Some(leaving)) => leaving.evict(),
+                (None, None) => 0,
+            };
+            (bytes, gone) = (bytes.saturating_sub(freed), gone + 1);
+        }
+        gone
+    }
+
     /// Lets those go whose time is over.
     pub fn sweep(&mut self, now: Instant) {
         self.leaving.retain(|made| !made.is_over(now));
@@ -97,6 +118,11 @@ impl Locals {
     /// What each of them offers that is there.
     pub fn offers(&mut self) -> impl Iterator<Item = (Whose, Offer)> {
         self.by.iter_mut().filter_map(|(whose, local)| Some((*whose, local.made_mut()?.offers)))
+    }
+
+    /// Whether none could be made of those that are to be there.
+    pub fn are_hopeless(&self) -> bool {
+        self.faults().next().is_some() && !self.by.values().any(Local::is_made)
     }
 
     /// The publishers that have none, and why.
@@ -120,6 +146,8 @@ impl Budget {
 
 #[cfg(test)]
 mod tests {
+    use gdp::seal::{Encoding, Message};
+
     use super::*;
     use gdp_ros::roster::{Dialect, Kind};
 
@@ -127,25 +155,74 @@ mod tests {
     fn a_roster_that_changes_all_the_time_makes_only_so_many_writers() {
         let start = Instant::now();
         let mut locals = Locals::new(start);
-        let kind = Kind { dialect: Dialect::Ros2, name: "std_msgs/msg/String".into(), hash: vec![] };
-        let offers = Offer {
-            reliable: true,
-            transient_local: false,
-            depth: 1,
-            deadline_ns: 0,
-            lifespan_ns: 0,
-            liveliness_ns: 0,
-        };
-        let (writer, mut made) = (Name::from_bytes([1; 32]), 0);
+        let mut made = 0;
         for i in 0..10_000 {
             let now = start + Duration::from_millis(i);
-            let offers = Offer { depth: i as u32, ..offers };
-            locals.change(now, Change::Joined { writer, number: 7, kind: kind.clone(), definition: None, offers });
+            locals.change(now, joined(7, Offer { depth: i as u32, ..OFFER }));
             made += locals.due(now).len();
         }
         assert!((512..=512 + 200).contains(&made), "{made}");
-        let joined = |number| Change::Joined { writer, number, kind: kind.clone(), definition: None, offers };
-        let taken = (100..1000).filter(|number| locals.change(start, joined(*number))).count();
+        let taken = (100..1000).filter(|number| locals.change(start, joined(*number, OFFER))).count();
         assert_eq!(taken, MAX_LOCALS - 1);
+    }
+
+    #[test]
+    fn what_all_latch_together_is_bounded_and_the_largest_lose_their_oldest() {
+        let (now, mut locals) = (Instant::now(), Locals::new(Instant::now()));
+        let latches = Offer { transient_local: true, depth: 100, ..OFFER };
+        let body = bytes::Bytes::from(vec![0; 8 << 20]);
+        let mut keep = |number, count| {
+            locals.change(now, joined(number, latches));
+            let local = locals.get(&Some((WRITER, number))).unwrap();
+            (0..count).for_each(|_| local.keep(&message(body.clone())));
+            local.bytes()
+        };
+        let small = keep(0, 1);
+        assert_eq!((small, keep(1, 7)), (8 << 20, 56 << 20));
+        assert_eq!(keep(2, 9), 64 << 20, "of one publisher no more");
+        (3..6).for_each(|number| _ = keep(number, 8));
+        assert_eq!(locals.trim(), 8);
+        let mut bytes: Vec<usize> = (0..6).map(|i| locals.get(&Some((WRITER, i))).unwrap().bytes() >> 20).collect();
+        bytes.sort_unstable();
+        assert_eq!(bytes, [8, 48, 48, 48, 48, 56]);
+        assert_eq!(locals.trim(), 0);
+    }
+
+    #[test]
+    fn it_is_hopeless_while_no_counterpart_can_be_made() {
+        let (now, mut locals) = (Instant::now(), Locals::new(Instant::now()));
+        assert!(!locals.are_hopeless(), "nobody is to be there");
+        locals.change(now, joined(0, OFFER));
+        assert!(!locals.are_hopeless(), "it was not tried");
+        locals.get(&Some((WRITER, 0))).unwrap().failed(now, "no type".into());
+        assert!(locals.are_hopeless());
+        locals.change(now, Change::Left { writer: WRITER, number: 0 });
+        assert!(!locals.are_hopeless());
+    }
+
+    const WRITER: Name = Name::from_bytes([1; 32]);
+
+    const OFFER: Offer =
+        Offer { reliable: true, transient_local: false, depth: 1, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
+
+    fn joined(number: u32, offers: Offer) -> Change {
+        let kind = Kind { dialect: Dialect::Ros2, name: "std_msgs/msg/String".into(), hash: vec![] };
+        Change::Joined { writer: WRITER, number, kind, definition: None, offers }
+    }
+
+    fn message(body: bytes::Bytes) -> Message {
+        Message {
+            name: Name::from_bytes([0; 32]),
+            writer: WRITER,
+            session: [0; 16],
+            sequence: 0,
+            timestamp_ns: 0,
+            encoding: Encoding::Cdr,
+            in_reply_to: None,
+            origin: bytes::Bytes::new(),
+            latched: None,
+            service: None,
+            body,
+        }
     }
 }

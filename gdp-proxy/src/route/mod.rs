@@ -149,7 +149,8 @@ impl Route {
         publisher: &mut Option<Published>,
     ) -> Result<Infallible, RouteError> {
         let part = Part { name: self.standing.name(), side: self.side, topic: self.config.topic.to_string() };
-        let place = graph.twins().enter(node.name(), part);
+        // What has failed is left to others until it shows that it works by now.
+        let place = graph.twins().enter(node.name(), part, !self.standing.has_failed());
         let RouteMaterial { card, kind, permission, file } = material;
         let way = Way { graph, node, kind: kind.as_ref(), card: &card, place: &place };
         let mut right = match permission {

@@ -10,6 +10,9 @@ use super::Twins;
 /// How often it is told, if nothing changes.
 const BEAT: Duration = Duration::from_secs(1);
 
+/// How soon after it was told news are told: what changes all the time would keep the whole graph busy.
+const PACE: Duration = Duration::from_millis(250);
+
 /// What one proxy tells, in bytes.
 const MAX_TEXT: usize = 1 << 20;
 
@@ -26,11 +29,11 @@ pub trait Voice: Send {
 pub async fn beat(twins: Arc<Twins>, mut voice: impl Voice) {
     let mut ticks = tokio::time::interval(BEAT);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut has_warned = false;
+    let (mut has_warned, mut next) = (false, tokio::time::Instant::now());
     loop {
         let heard = tokio::select! {
             _ = ticks.tick() => None,
-            () = twins.news.notified() => None,
+            () = news(&twins, next) => None,
             heard = voice.hear() => match heard {
                 Some(heard) => Some(heard),
                 None => return,
@@ -40,6 +43,7 @@ pub async fn beat(twins: Arc<Twins>, mut voice: impl Voice) {
             if let Some(text) = twins.claims() {
                 voice.tell(text).await;
             }
+            next = tokio::time::Instant::now() + PACE;
             continue;
         };
         let text = String::from_utf8_lossy(heard.get(..MAX_TEXT.min(heard.len())).unwrap_or_default());
@@ -48,5 +52,52 @@ pub async fn beat(twins: Arc<Twins>, mut voice: impl Voice) {
         {
             tracing::warn!("what another proxy in the graph says of what it carries is not heeded: {error}");
         }
+    }
+}
+
+/// Returns when there are some, not before then.
+async fn news(twins: &Twins, then: tokio::time::Instant) {
+    tokio::time::sleep_until(then).await;
+    twins.news.notified().await;
+}
+
+#[cfg(test)]
+mod tests {
+    use gdp::Name;
+    use tokio::sync::mpsc;
+
+    use super::*;
+    use crate::config::Side;
+    use crate::twins::Part;
+
+    struct Counting(mpsc::UnboundedSender<String>);
+
+    impl Voice for Counting {
+        async fn tell(&mut self, text: String) {
+            self.0.send(text).unwrap();
+        }
+
+        async fn hear(&mut self) -> Option<Vec<u8>> {
+            std::future::pending().await
+        }
+    }
+
+    #[tokio::test]
+    async fn what_changes_all_the_time_is_told_a_few_times_a_second() {
+        let (twins, start) = (Arc::new(Twins::default()), Instant::now());
+        let part = Part { name: Name::from_bytes([9; 32]), side: Side::Out, topic: "/chatter".into() };
+        let place = twins.enter(Name::from_bytes([1; 32]), part, true);
+        let (tell, mut told) = mpsc::unbounded_channel();
+        let beating = tokio::spawn(beat(twins, Counting(tell)));
+        let mut texts = Vec::new();
+        for i in 0..1000 {
+            place.set_permitted(i % 2 == 0);
+            tokio::time::sleep(Duration::from_millis(1)).await;
+            texts.extend(std::iter::from_fn(|| told.try_recv().ok()));
+        }
+        // Those that are due anyway, and news.
+        let most = 2 + start.elapsed().as_secs() + start.elapsed().as_millis() as u64 / PACE.as_millis() as u64;
+        assert!((texts.len() as u64) <= most, "{} in {:?}", texts.len(), start.elapsed());
+        beating.abort();
     }
 }

@@ -94,11 +94,11 @@ pub enum ClaimsError {
 }
 
 impl Twins {
-    /// For the proxy `own`, which is able to carry it until it says otherwise.
-    pub fn enter(self: &Arc<Self>, own: Name, part: Part) -> Place {
+    /// For the proxy `own`. `is_able`: whether it is taken to be able to carry it, until it says otherwise.
+    pub fn enter(self: &Arc<Self>, own: Name, part: Part, is_able: bool) -> Place {
         let mut state = self.lock();
         state.own = Some(own);
-        state.able.insert(part.clone(), Able { is_attached: true, is_permitted: true });
+        state.able.insert(part.clone(), Able { is_attached: true, is_permitted: is_able });
         self.news.notify_one();
         Place { twins: self.clone(), own, part }
     }
@@ -153,7 +153,7 @@ impl Place {
         self.set(|able| able.is_attached = is_attached);
     }
 
-    /// Whether the fabric lets this proxy carry it.
+    /// Whether the fabric lets this proxy carry it, and the graph and the types that it knows do.
     pub fn set_permitted(&self, is_permitted: bool) {
         self.set(|able| able.is_permitted = is_permitted);
     }
@@ -207,7 +207,7 @@ mod tests {
                 [&low, &mid, &high].iter().for_each(|(to, _)| to.heard(now, &text).unwrap());
             }
         };
-        let place = |of: &(Arc<Twins>, Name), part: Part| of.0.enter(of.1, part);
+        let place = |of: &(Arc<Twins>, Name), part: Part| of.0.enter(of.1, part, true);
         let (b, c) = (place(&mid, part(Side::Out)), place(&high, part(Side::Out)));
         assert_eq!((b.ahead(now), c.ahead(now)), (None, None), "nobody is waited for");
         tell(now);
@@ -224,15 +224,23 @@ mod tests {
         a.set_attached(true);
         tell(now);
         assert_eq!((c.ahead(now), c.ahead(now + HOLD)), (Some(low.1), None), "not heard of any more");
+        // Back after it could not, and not shown yet that it can.
+        drop(a);
+        let a = low.0.enter(low.1, part(Side::Out), false);
+        tell(now);
+        assert_eq!(c.ahead(now), None);
+        a.set_permitted(true);
+        tell(now);
+        assert_eq!(c.ahead(now), Some(low.1));
     }
 
     #[test]
     fn another_topic_or_direction_is_another_part() {
         let (now, [low, high]) = (Instant::now(), [1, 2].map(|i| Name::from_bytes([i; 32])));
         let (here, there) = (Arc::new(Twins::default()), Arc::new(Twins::default()));
-        let _theirs = there.enter(low, part(Side::Out));
-        let ours = here.enter(high, part(Side::In));
-        let other = here.enter(high, Part { topic: "/other".into(), ..part(Side::Out) });
+        let _theirs = there.enter(low, part(Side::Out), true);
+        let ours = here.enter(high, part(Side::In), true);
+        let other = here.enter(high, Part { topic: "/other".into(), ..part(Side::Out) }, true);
         here.heard(now, &there.claims().unwrap()).unwrap();
         assert_eq!((ours.ahead(now), other.ahead(now)), (None, None));
         assert!(ours.is_twin(now, &low) && !ours.is_twin(now, &high) && !ours.is_twin(now + HOLD, &low));

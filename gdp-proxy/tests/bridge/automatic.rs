@@ -6,33 +6,20 @@ use std::time::{Duration, Instant};
 use gdp::cert::{Grantee, ReadGrant, issue};
 use gdp::seal::Encoding;
 use gdp::{NameCard, SigningKey};
+use gdp_proxy::automatic::choice::GRACE;
 use gdp_proxy::ros2::{Domain, TopicName, TypeName};
 
+use super::master::Master;
 use super::site::Site;
-use super::{PATIENCE, RELIABLE, cdr, within};
+use super::{PATIENCE, RELIABLE, cdr, graph, within};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_matches_crosses_while_it_is_published_and_deny_wins() {
     let site = Site::start().await;
     let (here, there) = (site.domain_id() + 20, site.domain_id() + 30);
-    let (robot, cloud) = (site.folder("robot"), site.folder("cloud"));
-    let owner = SigningKey::generate().unwrap();
-    owner.save_new(&robot.join("owner.pem")).unwrap();
-    let catalog = NameCard::create(owner.verify_key(), "catalog", "/robot", "", None).unwrap();
-    let (name, to) = (catalog.name(), Grantee::Entity(site.identity("cloud").name()));
-    let grant = ReadGrant { name, to, serial: 1, not_before: 0, not_after: u64::MAX };
-    fs::write(cloud.join("catalog.grant"), issue(&owner, &grant).unwrap().to_pem()).unwrap();
-    for folder in [&robot, &cloud] {
-        catalog.save_new(&folder.join("catalog.card")).unwrap();
-    }
-    let expose = format!(
-        "expose: {{owner: owner.pem, catalog: catalog.card, topics: [/camera/**], deny: [/camera/secret], readers: [{}], \
-         remap: [{{from: /camera, to: /r1/camera}}]}}\n",
-        site.identity("cloud").name()
-    );
-    let import = "import: [{catalog: catalog.card, grant: catalog.grant, topics: [/**], prefix: /far}]\n";
+    let (expose, import) = by_pattern(&site);
     let _robot = site.begin("robot", &format!("{{domain_id: {here}}}"), &expose);
-    let _cloud = site.begin("cloud", &format!("{{domain_id: {there}}}"), import);
+    let _cloud = site.begin("cloud", &format!("{{domain_id: {there}}}"), &import);
 
     let (camera, onlooker) = (Domain::join(here, "camera").unwrap(), Domain::join(there, "onlooker").unwrap());
     let kind = TypeName::parse("std_msgs/msg/String").unwrap();
@@ -70,6 +57,40 @@ async fn what_matches_crosses_while_it_is_published_and_deny_wins() {
     until("it is shown at both again", shown).await;
     camera.leave().await;
     onlooker.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_rospy_publishes_crosses_by_pattern_and_outlives_its_master() {
+    let site = Site::start().await;
+    let (mut here, there) = (Master::start().await, Master::start().await);
+    let (expose, import) = by_pattern(&site);
+    let _robot = site.begin("robot", &graph(&here), &expose);
+    let _cloud = site.begin("cloud", &graph(&there), &import);
+    let mut talker = here.begin("talker", &["publish", "/camera/image", "light"]);
+    let _others = [("secret", "/camera/secret"), ("other", "/other")]
+        .map(|(name, topic)| here.begin(name, &["publish", topic, "nothing"]));
+    let shown = |names: &[&str]| {
+        let [near, far] = ["/camera/", "/far/r1/camera/"]
+            .map(|folder| names.iter().map(|name| format!("{folder}{name}")).collect::<Vec<_>>());
+        site.carried("robot") == near && site.carried("cloud") == far
+    };
+    until("it is shown at both", || shown(&["image"])).await;
+    let (mut listener, _) = there.peer("listener", &["listen", "/far/r1/camera/image"]).await;
+    let heard = listener.event("message").await;
+    assert!(heard["data"].as_str().unwrap().starts_with("light "), "{heard}");
+
+    // The new one knows nobody, and rospy does not tell it.
+    here.kill();
+    here.restart().await;
+    let _late = here.begin("late", &["publish", "/camera/late", "late"]);
+    until("what comes now crosses as well", || shown(&["image", "late"])).await;
+    tokio::time::sleep(GRACE + Duration::from_secs(2)).await;
+    assert!(shown(&["image", "late"]), "{:?} {:?}", site.carried("robot"), site.carried("cloud"));
+    let (mut fresh, _) = there.peer("fresh", &["listen", "/far/r1/camera/image"]).await;
+    fresh.event("message").await;
+
+    talker.stop().await;
+    until("it is gone at both", || shown(&["late"])).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -131,10 +152,39 @@ async fn a_changed_configuration_disturbs_no_topic_that_is_the_same() {
     site.configure("robot", &graph, &format!("topics:\n{steady}"));
     until("the second topic is not carried", || site.carried("robot") == ["/steady"]).await;
     more().await;
+
+    let [cert, away] = ["1.ad", "away"].map(|file| site.folder("robot").join(file));
+    fs::rename(&cert, &away).unwrap();
+    site.configure("robot", &graph, &format!("topics:\n{steady}{second}"));
+    until("what is missing is said", || says("topics[1].cert: ")).await;
+    fs::rename(&away, &cert).unwrap();
+    until("the second topic is carried once the file is there", || site.carried("robot").len() == 2).await;
+    more().await;
     assert!(!counting.is_finished());
     talking.abort();
     counting.abort();
     participant.leave().await;
+}
+
+/// What the configurations of `robot` and `cloud` say: of what is in `/camera` there, all but a secret comes here, in `/far/r1`.
+fn by_pattern(site: &Site) -> (String, String) {
+    let (robot, cloud) = (site.folder("robot"), site.folder("cloud"));
+    let owner = SigningKey::generate().unwrap();
+    owner.save_new(&robot.join("owner.pem")).unwrap();
+    let catalog = NameCard::create(owner.verify_key(), "catalog", "/robot", "", None).unwrap();
+    let (name, to) = (catalog.name(), Grantee::Entity(site.identity("cloud").name()));
+    let grant = ReadGrant { name, to, serial: 1, not_before: 0, not_after: u64::MAX };
+    fs::write(cloud.join("catalog.grant"), issue(&owner, &grant).unwrap().to_pem()).unwrap();
+    for folder in [&robot, &cloud] {
+        catalog.save_new(&folder.join("catalog.card")).unwrap();
+    }
+    let expose = format!(
+        "expose: {{owner: owner.pem, catalog: catalog.card, topics: [/camera/**], deny: [/camera/secret], readers: [{}], \
+         remap: [{{from: /camera, to: /r1/camera}}]}}\n",
+        site.identity("cloud").name()
+    );
+    let import = "import: [{catalog: catalog.card, grant: catalog.grant, topics: [/**], prefix: /far}]\n";
+    (expose, import.into())
 }
 
 /// Of a `std_msgs/msg/String`; padding may follow.

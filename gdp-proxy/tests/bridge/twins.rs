@@ -1,9 +1,10 @@
 //! One copy of each message, however many proxies could carry it.
 
 use std::collections::BTreeMap;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use gdp_proxy::ros2::{Domain, RawReader, RawWriter};
+use gdp_ros::roster::{Announcement, Dialect, Kind, Outgoing, ROSTER};
 
 use crate::lives::{domain, string, topic};
 use crate::site::{Proxy, Site};
@@ -36,6 +37,30 @@ async fn of_two_proxies_in_one_graph_one_carries_and_the_other_takes_over() {
     for end in ends {
         end.domain.leave().await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_proxy_that_can_make_no_counterpart_leaves_the_topic_to_one_that_can() {
+    let site = Site::start().await;
+    let graph = domain(site.domain_id() + 13);
+    let topics = [site.topic("/chatter", "")];
+    let mut labels = ["a", "b"];
+    labels.sort_by_key(|label| site.identity(label).name());
+    let lower = site.proxy(labels[0], &graph, &topics, "direction: in, type: std_msgs/msg/Int32");
+    let higher = site.proxy(labels[1], &graph, &topics, "direction: in");
+    until("the lower name carries", || stands_by(&higher) && lower.statuses() == ["up"]).await;
+
+    let publisher = site.publish(&topics[0]).await;
+    let kind = Kind { dialect: Dialect::Ros2, name: "std_msgs/msg/String".into(), hash: vec![] };
+    let mut roster = Outgoing::new(kind, None);
+    roster.joined('a', RELIABLE);
+    let Some(Announcement::Whole(body)) = roster.poll(Instant::now()).unwrap() else { panic!("it is news") };
+    publisher.pin(ROSTER, &body);
+    let says_why = || lower.statuses().iter().any(|status| status.contains("the topic is of std_msgs/msg/Int32"));
+    until("the other takes over", || higher.statuses() == ["up"] && says_why()).await;
+
+    publisher.pin(ROSTER, &roster.farewell().unwrap());
+    until("the lower name carries again", || stands_by(&higher) && lower.statuses() == ["up"]).await;
 }
 
 /// Each site is joined to each other by way of the switch.

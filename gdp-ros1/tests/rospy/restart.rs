@@ -24,7 +24,7 @@ async fn a_master_that_starts_anew_stops_nothing_and_learns_everything_again() {
     let publisher = node.publish("/out", string_type(), LATCHED).unwrap();
     let mut subscription = node.subscribe("/in", SubscribeOptions::default()).unwrap();
     let _server = node.serve("/service", trigger(), 1, async |_| Ok(Bytes::new())).unwrap();
-    let (_talker, _) = master.peer("talker", &["publish", "/in", "talker"]).await;
+    let (mut talker, _) = master.peer("talker", &["publish", "/in", "talker"]).await;
     let (mut listener, _) = master.peer("listener", &["listen", "/out"]).await;
     next_text(&mut subscription).await;
     until("rospy connects", async || (!publisher.subscribers().is_empty()).then_some(())).await;
@@ -59,6 +59,20 @@ async fn a_master_that_starts_anew_stops_nothing_and_learns_everything_again() {
     let sources = subscription.sources();
     let connected = sources.borrow().values().filter(|state| matches!(state, SourceState::Connected(_))).count();
     assert_eq!(connected, 2, "{:?}", sources.borrow());
+
+    // The graph shows both, and who has gone no more.
+    let (mut graph, mut seen) = (node.graph(), Snapshot::default());
+    let nodes = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<BTreeSet<_>>();
+    for there in [nodes(&["/second", "/talker"]), nodes(&["/second"])] {
+        watch(&mut graph, &mut seen, |seen| {
+            let shown = seen.topics.get("/in");
+            shown.is_some_and(|topic| topic.publishers == there && topic.kind.as_deref() == Some("std_msgs/String"))
+        })
+        .await;
+        if there.contains("/talker") {
+            talker.stop().await;
+        }
+    }
 }
 
 #[tokio::test]

@@ -1,0 +1,101 @@
+//! Plans of what crosses by itself, in a graph whose master does not answer.
+
+use std::fs;
+use std::path::Path;
+
+use gdp::cert::{Grantee, ReadGrant, issue};
+use gdp::{NameCard, SigningKey};
+
+use super::*;
+use crate::config::Config;
+use crate::graph::{Published, Topics};
+use crate::material::Material;
+use crate::material::tests::Files;
+use crate::ros2::{TopicName, TypeName};
+
+#[tokio::test]
+async fn a_name_that_is_listed_twice_is_read_once_and_the_rest_is_told() {
+    let files = Files::new();
+    for label in ["one", "two"] {
+        let card = NameCard::create(files.owner.verify_key(), "catalog", label, "", None).unwrap();
+        card.save_new(&files.path(&format!("{label}.card"))).unwrap();
+        let (name, to) = (card.name(), Grantee::Entity(files.entity));
+        let grant = ReadGrant { name, to, serial: 1, not_before: 0, not_after: u64::MAX };
+        fs::write(files.path(&format!("{label}.grant")), issue(&files.owner, &grant).unwrap().to_pem()).unwrap();
+    }
+    let (loaded, graphs) = load(
+        &files,
+        "topics: [{topic: /chatter, direction: in, card: t.card, grant: t.grant}], import: [\
+         {catalog: one.card, grant: one.grant, topics: [/**], prefix: /one}, \
+         {catalog: two.card, grant: two.grant, topics: [/**], prefix: /two}]",
+    )
+    .await;
+    let mut automatic = Automatic::new(&loaded, &graphs, files.entity, None).unwrap();
+    let (config, material) = (loaded.config.topics[0].clone(), loaded.material.routes[0].1.clone());
+    let explicit = [Arc::new(RoutePlan { config, label: "a".into(), graph: graphs["a"].clone(), material })];
+
+    let [a, b] = ["/a", "/b"]
+        .map(|topic| NameCard::create(files.owner.verify_key(), "topic", topic, "std_msgs/msg/String", None).unwrap());
+    let list = |import: &Import, cards: &[&NameCard]| {
+        let listed = cards.iter().map(|card| Listed {
+            card: (*card).clone(),
+            topic: TopicName::parse(card.get("topic").unwrap()).unwrap(),
+            kind: TypeName::parse(card.get("type").unwrap()).unwrap(),
+            right: import.material.grant.clone(),
+        });
+        import.tell.send_replace(listed.collect());
+    };
+    list(&automatic.imports[0], &[&files.card, &a]);
+    list(&automatic.imports[1], &[&a, &b]);
+    for _ in 0..2 {
+        let routes = automatic.plan(&explicit).routes;
+        let topics: Vec<_> = routes.iter().map(|plan| plan.config.topic.as_str()).collect();
+        assert_eq!(topics, ["/chatter", "/one/a", "/two/b"]);
+        let told: Vec<_> = automatic.kept.told.iter().map(|(topic, why)| format!("{topic}: {why}")).collect();
+        assert!(told[0].starts_with("/one/chatter: its name ") && told[0].contains("is already that of /chatter"));
+        assert!(told[1].starts_with("/two/a: its name ") && told[1].contains("is already that of /one/a"), "{told:?}");
+        assert_eq!(told.len(), 2);
+    }
+    drop((automatic, explicit));
+    graph::leave(graphs).await;
+}
+
+#[tokio::test]
+async fn what_finds_no_room_in_the_catalog_is_told_and_the_rest_is_listed() {
+    let files = Files::new();
+    let owner = SigningKey::generate().unwrap();
+    owner.save_new(&files.path("owner.pem")).unwrap();
+    let catalog = NameCard::create(owner.verify_key(), "catalog", "/robot", "", None).unwrap();
+    catalog.save_new(&files.path("catalog.card")).unwrap();
+    let readers: Vec<String> = (0..64).map(|i| Name::from_bytes([0xa0 + i; 32]).to_string()).collect();
+    let readers = readers.join(", ");
+    let expose = format!("expose: {{owner: owner.pem, catalog: catalog.card, topics: [/**], readers: [{readers}]}}");
+    let (loaded, graphs) = load(&files, &expose).await;
+    let mut automatic = Automatic::new(&loaded, &graphs, files.entity, None).unwrap();
+    let published = || vec![Published { kind: TypeName::parse("std_msgs/msg/String").unwrap(), qos: None }];
+    let topics: Topics = (0..500).map(|i| (TopicName::parse(&format!("/t{i:03}")).unwrap(), published())).collect();
+    // They have gone when it is planned, but just now.
+    let exposed = automatic.expose.as_mut().unwrap();
+    exposed.choice.update(loaded.config.expose.as_ref().unwrap(), &topics, Instant::now());
+
+    let plans = automatic.plan(&[]);
+    let [CatalogPlan { end: End::Writes(list), .. }] = &plans.catalogs[..] else { panic!("one catalog") };
+    let listed = Catalog::read(&list.borrow(), owner.verify_key()).unwrap();
+    assert!((100..500).contains(&listed.len()), "{}", listed.len());
+    assert_eq!((plans.routes.len(), automatic.kept.told.len()), (listed.len(), 500 - listed.len()));
+    assert!(automatic.kept.told.iter().all(|(_, why)| why.contains("the catalog is full")));
+    drop((automatic, plans));
+    graph::leave(graphs).await;
+}
+
+async fn load(files: &Files, says: &str) -> (Loaded, graph::All) {
+    let text = format!(
+        "{{version: 1, identity: id.pem, links: [{{to: 'eth://r0'}}], \
+         graphs: {{a: {{master: 'http://127.0.0.1:1', host: 127.0.0.1}}}}, {says}}}"
+    );
+    let config = Config::parse(&text, Path::new(&files.path("robot.yaml"))).unwrap();
+    let material = Material::load(&config).unwrap();
+    let mut graphs = graph::All::new();
+    graph::join(&mut graphs, &config.graphs, "gdp_proxy_test").await.unwrap();
+    (Loaded { config, material }, graphs)
+}
