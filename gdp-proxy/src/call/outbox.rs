@@ -74,8 +74,7 @@ mod tests {
         outbox.status(message(2, 1));
         assert_eq!(outbox.feedback(message(3, 1)), 0);
         outbox.status(message(4, 1));
-        let expected =
-            [Event::Feedback(message(1, 1)), Event::Feedback(message(3, 1)), Event::Status(message(4, 1))];
+        let expected = [Event::Feedback(message(1, 1)), Event::Feedback(message(3, 1)), Event::Status(message(4, 1))];
         assert_eq!((all(&mut outbox), outbox.count, outbox.bytes), (expected.to_vec(), 0, 0));
     }
 

@@ -131,7 +131,11 @@ impl Caller {
     /// in ROS 2 the graph says so.
     pub async fn has_lost_server(&self) -> bool {
         match self {
-            Self::Ros1 { client, .. } => client.probe(PROBE).await.is_err(),
+            Self::Ros1 { client, .. } => match client.probe(PROBE).await {
+                // A master that does not answer, or a server that is busy, says nothing of it.
+                Ok(_) | Err(CallError::Master(_) | CallError::Timeout { .. }) => false,
+                Err(_) => true,
+            },
             Self::Ros2(_) => false,
         }
     }
@@ -167,7 +171,9 @@ pub enum CallerError {
     /// It may be there later, and another one.
     #[error(transparent)]
     Call(#[from] CallError),
-    #[error("the local server does not match the proxy's client in {MATCHED:?}: are its types and its QoS those of ROS?")]
+    #[error(
+        "the local server does not match the proxy's client in {MATCHED:?}: are its types and its QoS those of ROS?"
+    )]
     Unmatched,
 }
 

@@ -16,8 +16,8 @@ use rustdds::dds::{CreateError, ReadError};
 use rustdds::no_key::{DataWriter, SimpleDataReader};
 use rustdds::rpc::SampleIdentity;
 use rustdds::{
-    DataReaderStatus, DataWriterStatus, GUID, Publisher, QosPolicies, RTPSEntity, RepresentationIdentifier, SequenceNumber,
-    StatusEvented, Timestamp, Topic, WriteOptions, WriteOptionsBuilder,
+    DataReaderStatus, DataWriterStatus, GUID, Publisher, QosPolicies, RTPSEntity, RepresentationIdentifier,
+    SequenceNumber, StatusEvented, Timestamp, Topic, WriteOptions, WriteOptionsBuilder,
 };
 
 /// Bytes of the encapsulation header: representation (2), options (2).
