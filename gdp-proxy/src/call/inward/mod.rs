@@ -25,7 +25,7 @@ use super::{LAST_WORDS, Route, Way, lock};
 use crate::graph::Asked;
 use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
 use crate::turns::{Over, unless};
-use servers::ask_for_events;
+use servers::{ask_for_events, withdraw};
 
 /// A server elsewhere.
 enum Remote {
@@ -42,6 +42,8 @@ enum Done {
     News(Arc<Known>, u64, News),
     /// Published here, if it was; and whether it is feedback.
     Said(bool, Result<(), String>),
+    /// What stood for servers is gone.
+    Withdrawn(Result<(), String>),
 }
 
 type Doing<'a> = FuturesUnordered<Pin<Box<dyn Future<Output = Done> + Send + 'a>>>;
@@ -149,15 +151,15 @@ impl Route {
     /// Who waits is told that it is in vain, and whose goals are under way that they are lost.
     async fn take_leave(&self, to: &mut In<'_>, calls: &mut Calls<'_>) {
         while calls.next().await.is_some() {}
-        let (now, board) = (Instant::now(), &mut to.board);
-        let lost = to.remotes.keys().filter(|name| board.leave(now, name)).count();
-        let Some((local, _)) = &to.local else { return };
-        if lost > 0
-            && let Err(error) = local.publish_status(to.board.message()).await
+        let now = Instant::now();
+        for name in to.remotes.keys() {
+            to.board.leave(now, name);
+        }
+        if let Some((local, _)) = to.local.take()
+            && let Err(error) = withdraw(local, to.board.message()).await
         {
             self.failed(Reason::Unanswered, error);
         }
-        local.settle().await;
     }
 
     fn done<'a>(&'a self, to: &mut In<'a>, done: Done, doing: &Doing<'a>) -> Result<(), RouteError> {
@@ -173,6 +175,8 @@ impl Route {
                     Err(error) => self.failed(Reason::Unanswered, error),
                 }
             }
+            Done::Withdrawn(Ok(())) => {}
+            Done::Withdrawn(Err(error)) => self.failed(Reason::Unanswered, error),
             Done::Description(name, described) => {
                 if matches!(to.remotes.get(&name), Some(Remote::Asked)) {
                     self.described(to, name, described, doing)?;

@@ -4,12 +4,15 @@ use std::pin::Pin;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use bytes::Bytes;
 use gdp::Name;
 use gdp::node::Client;
 use gdp_ros::call::{Description, Epoch};
 use gdp_ros::services::service_name;
 
+use super::super::LAST_WORDS;
 use super::super::asking::{Changed, Described, Known, describe, events};
+use super::super::outbox::Outbox;
 use super::super::stand::Stands;
 use super::{Doing, Done, In, Remote, Route};
 use crate::config::What;
@@ -47,18 +50,24 @@ impl Route {
                 doing.push(Box::pin(async move { Done::Description(name, describe(client, name).await) }));
             }
         }
-        self.withdraw_if_alone(to);
+        self.withdraw_if_alone(to, doing);
     }
 
-    fn withdraw_if_alone(&self, to: &mut In<'_>) {
+    fn withdraw_if_alone<'a>(&'a self, to: &mut In<'a>, doing: &Doing<'a>) {
         let known = to.remotes.values().filter(|remote| matches!(remote, Remote::Known(_))).count();
         let is_unfit = to.remotes.values().any(|remote| matches!(remote, Remote::Unfit(_)));
         // Another proxy of the graph may know more.
         to.way.place.set_permitted(known > 0 || !is_unfit);
         self.counters.servers(known);
-        if known == 0 && to.local.take().is_some() {
+        if known > 0 {
+            return;
+        }
+        if let Some((local, _)) = to.local.take() {
             tracing::info!(service = %self.config.name, "no server elsewhere is left, so it is not announced here any more");
             self.standing.set_status("waiting for a server elsewhere");
+            to.outbox = Outbox::default();
+            let message = to.board.message();
+            doing.push(Box::pin(async move { Done::Withdrawn(withdraw(local, message).await) }));
         }
     }
 
@@ -105,7 +114,7 @@ impl Route {
                 to.remotes.insert(name, Remote::Unfit(Instant::now() + ASK_AGAIN));
             }
         }
-        self.withdraw_if_alone(to);
+        self.withdraw_if_alone(to, doing);
         Ok(())
     }
 
@@ -167,6 +176,16 @@ impl Route {
         };
         Some(hash).filter(|hash| !hash.is_empty())
     }
+}
+
+/// Shows at last what has become of goals; at most for a while.
+pub(super) async fn withdraw(local: Arc<Stands>, statuses: Bytes) -> Result<(), String> {
+    let said = async {
+        local.publish_status(statuses).await?;
+        local.settle().await;
+        Ok(())
+    };
+    tokio::time::timeout(LAST_WORDS, said).await.unwrap_or(Ok(()))
 }
 
 pub(super) fn ask_for_events(
