@@ -156,13 +156,6 @@ impl Process {
         found
     }
 
-    /// How often it has said something of this kind by now.
-    pub fn count(&self, event: &str) -> usize {
-        let text = std::fs::read_to_string(&self.output).unwrap();
-        let lines = text.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
-        lines.filter(|value| value["event"] == event).count()
-    }
-
     /// Waits for what it is to do; shows what it printed if that does not come.
     async fn until<T>(&mut self, what: &str, mut condition: impl AsyncFnMut() -> Option<T>) -> T {
         let deadline = Instant::now() + LIMIT;

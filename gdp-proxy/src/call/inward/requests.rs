@@ -17,12 +17,10 @@ use crate::graph::Asked;
 impl Route {
     /// A local client asks.
     pub(super) fn begin<'a>(&'a self, to: &In<'a>, local: Arc<Stands>, part: Part, asked: Asked, calls: &Calls<'a>) {
-        let targets = match self.targets(to, part, &asked.request) {
-            // What stops a robot finds room.
-            Ok(_) if calls.len() >= MAX_PENDING && part != Part::CancelGoal => {
-                Err(Failure::new(FailureCode::Busy, "too many wait here"))
-            }
-            targets => targets,
+        // What stops a robot finds room.
+        let targets = match calls.len() >= MAX_PENDING && part != Part::CancelGoal {
+            true => Err(Failure::new(FailureCode::Busy, "too many wait here")),
+            false => self.targets(to, part, &asked.request),
         };
         let Asked { request, mut asker } = asked;
         let (client, goals, mut is_leaving) = (to.client, to.goals, to.is_leaving.clone());
