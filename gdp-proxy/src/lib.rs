@@ -28,4 +28,5 @@ mod standing;
 pub mod stats;
 mod tally;
 pub mod timing;
+mod turns;
 pub mod twins;

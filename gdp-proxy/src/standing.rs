@@ -11,10 +11,12 @@ use gdp::cert::{AdCert, Issued, Reading};
 use gdp::node::{Ended, NodeError};
 use tokio::time::{Interval, MissedTickBehavior};
 
+use crate::config::Side;
 use crate::graph::GraphError;
 use crate::manager::Failure;
 use crate::material::Permission;
 use crate::renewal::Renewal;
+use crate::twins::Part;
 
 /// How often it is looked for another certificate, and for what else time brings.
 const LOOK: Duration = Duration::from_secs(1);
@@ -42,6 +44,21 @@ pub struct Right<T> {
     held: T,
     file: Renewal,
     of: fn(Permission) -> Option<T>,
+}
+
+/// The right to one direction.
+pub enum EitherRight {
+    Publish(Right<Issued<AdCert>>),
+    Read(Right<Reading>),
+}
+
+impl EitherRight {
+    pub fn new(permission: Permission, file: Renewal) -> Self {
+        match permission {
+            Permission::Publish(cert) => Self::Publish(Right::publish(cert, file)),
+            Permission::Read(grant) => Self::Read(Right::read(grant, file)),
+        }
+    }
 }
 
 impl Right<Issued<AdCert>> {
@@ -102,6 +119,11 @@ impl Standing {
 
     pub fn title(&self) -> &str {
         &self.title
+    }
+
+    /// For the other proxies of its graph.
+    pub fn part(&self, side: Side) -> Part {
+        Part { name: self.name, side, title: self.title.clone() }
     }
 
     /// The ROS type, as its graph calls it, as soon as it is known.

@@ -58,7 +58,7 @@ impl Backend {
         let feedback = reader(&parts.feedback, ros2::Action::feedback_qos()).map_err(GraphError::from)?;
         let status = reader(&parts.status, ros2::Action::status_qos()).map_err(GraphError::from)?;
         let services = [&parts.send_goal, &parts.cancel_goal, &parts.get_result].map(|(name, kind)| (name, kind));
-        let [send_goal, cancel_goal, get_result] = Caller::several(domain, services, peer.mapping).await?;
+        let [send_goal, cancel_goal, get_result] = Caller::several(domain, services, peer).await?;
         let (goals, log, questions) = Default::default();
         let action = Action { send_goal, cancel_goal, get_result, feedback, status, goals, log, questions };
         Ok((Self::Action(action.into()), types.describe_action(peer.kind.to_string())))
@@ -77,6 +77,14 @@ impl Backend {
             (Self::Action(_), _) => {
                 Err(Failure::new(FailureCode::Malformed, "the name is of an action, and not of a service"))
             }
+        }
+    }
+
+    /// As [`Caller::has_lost_server`].
+    pub async fn has_lost_server(&self) -> bool {
+        match self {
+            Self::Service(service) => service.has_lost_server().await,
+            Self::Action(_) => false,
         }
     }
 

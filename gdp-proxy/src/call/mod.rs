@@ -1,34 +1,43 @@
 //! One service or action in one direction, as `route` has topics: servers here that are called from elsewhere ([`outward`]), or servers elsewhere
 //! that are called from here ([`inward`]). Each has a thread of its own; a call waits for its answer in it and holds up nobody.
 //!
-//! Neither side ends a call by itself, however long it takes: it ends with its answer, with its server, or when the client gives it up.
+//! Neither side ends a call by itself, however long it takes: it ends with its answer, with its server, or when the client gives it up or is there no
+//! more. Of several proxies in one graph one takes calls; when it stops, those who wait are told, as far as their ROS version has a way to.
 
+mod asking;
 mod backend;
 mod counters;
 mod inward;
 pub mod material;
+mod outbox;
 mod outward;
 mod stand;
 
-use std::convert::Infallible;
 use std::fmt::Display;
+use std::pin::pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
-use gdp::Node;
+use gdp::{NameCard, Node};
 use gdp_ros::types::Types;
 
 use crate::config::{CallConfig, What};
 use crate::graph::Graph;
-use crate::material::{Permission, RouteMaterial};
-use crate::ros2::TopicName;
+use crate::material::RouteMaterial;
+use crate::ros2::{TopicName, TypeName};
 use crate::routes::Carries;
-use crate::standing::{Right, RouteError, Standing};
+use crate::standing::{EitherRight, RouteError, Standing};
 use crate::tally::Reason as _;
+use crate::turns::{by_turns, unless};
+use crate::twins::{LISTEN, Place};
 use counters::CallCounters;
 pub use counters::{CallStats, Reason};
 
 /// Calls of one service or action that wait for their answers. Another one is refused.
 const MAX_PENDING: usize = 1024;
+
+/// For those who wait to be told that they do so in vain.
+const LAST_WORDS: Duration = Duration::from_secs(1);
 
 pub struct Route {
     config: CallConfig,
@@ -36,6 +45,16 @@ pub struct Route {
     types: Arc<Types>,
     counters: CallCounters,
     standing: Standing,
+}
+
+/// From where to where, and as what.
+struct Way<'a> {
+    graph: &'a Graph,
+    node: &'a Node,
+    /// Of the name's card or the configuration.
+    kind: Option<&'a TypeName>,
+    card: &'a NameCard,
+    place: &'a Place,
 }
 
 impl Carries for Route {
@@ -84,20 +103,27 @@ impl Carries for Route {
         stop: impl Future<Output = ()>,
     ) -> Result<(), RouteError> {
         let RouteMaterial { card, kind, permission, file } = material;
-        let carry = async {
-            match permission {
-                Permission::Publish(cert) => {
-                    self.run_out(graph, node, kind.as_ref(), &card, Right::publish(cert, file)).await
-                }
-                Permission::Read(grant) => {
-                    self.run_in(graph, node, kind.as_ref(), &card, Right::read(grant, file)).await
-                }
-            }
-        };
-        tokio::select! {
-            ended = carry => ended.map(|never: Infallible| match never {}),
-            () = stop => Ok(()),
+        // What has failed is left to others until it shows that it works by now.
+        let place =
+            graph.twins().enter(node.name(), self.standing.part(permission.side(), !self.standing.has_failed()));
+        let way = Way { graph, node, kind: kind.as_ref(), card: &card, place: &place };
+        let (mut right, mut stop) = (EitherRight::new(permission, file), pin!(stop));
+        // A call that two carry out does harm.
+        self.standing.set_status("listening for other proxies of the graph");
+        if unless(&mut stop, tokio::time::sleep(LISTEN)).await.is_none() {
+            return Ok(());
         }
+        by_turns(&place, node, &self.standing, stop, async |over| {
+            place.set_keeps(true);
+            let ended = match &mut right {
+                EitherRight::Publish(right) => self.run_out(&way, right, over).await,
+                EitherRight::Read(right) => self.run_in(&way, right, over).await,
+            };
+            self.counters.servers(0);
+            place.set_keeps(false);
+            ended
+        })
+        .await
     }
 }
 

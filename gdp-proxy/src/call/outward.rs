@@ -1,24 +1,25 @@
 //! Servers here, for clients elsewhere. The name is served only while there is a local server.
 
-use std::convert::Infallible;
 use std::pin::{Pin, pin};
 
+use bytes::Bytes;
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
+use gdp::Name;
 use gdp::cert::{AdCert, Issued};
 use gdp::node::{Call, NodeError, Server};
-use gdp::{NameCard, Node};
-use gdp_ros::call::{CALL, Description, Epoch, Failure, FailureCode, Reply, Request};
+use gdp_ros::call::{CALL, Description, Epoch, Failure, FailureCode, Part, Reply, Request};
 use gdp_ros::services::service_name;
 use tokio::sync::{Notify, watch};
 
 use super::backend::{Backend, Told};
 use super::counters::Reason;
-use super::{MAX_PENDING, Route};
+use super::{LAST_WORDS, MAX_PENDING, Route, Way};
 use crate::config::What;
 use crate::graph::{CallerError, Graph, Peer, Servers};
 use crate::ros2::TypeName;
 use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
+use crate::turns::{Over, unless};
 
 /// A local server, as it is offered.
 struct Offer {
@@ -26,12 +27,14 @@ struct Offer {
     backend: Backend,
     epoch: Epoch,
     description: Description,
-    /// Told when a call has shown that the server is not there, whatever the graph says: a master of ROS 1 does not notice.
+    /// Told when the server is not there, whatever the graph says: a master of ROS 1 does not notice.
     lost: Notify,
 }
 
 /// Why nothing is served any more.
 enum Turn {
+    /// It is not this proxy's any more to serve.
+    Over,
     Gone,
     Ended(NodeError),
 }
@@ -42,47 +45,60 @@ type Answering<'a> = Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
 impl Route {
     pub(super) async fn run_out(
         &self,
-        graph: &Graph,
-        node: &Node,
-        kind: Option<&TypeName>,
-        card: &NameCard,
-        mut right: Right<Issued<AdCert>>,
-    ) -> Result<Infallible, RouteError> {
+        way: &Way<'_>,
+        right: &mut Right<Issued<AdCert>>,
+        mut over: Over<'_>,
+    ) -> Result<(), RouteError> {
+        let Way { graph, node, kind, card, place } = *way;
         let mut servers = Servers::new(graph, &self.config.name, self.config.what);
         let mut pause = Pause::new();
         loop {
             self.standing.set_status("waiting for a local server");
-            let peer = servers.until_there().await?;
-            let offer = match self.offer(graph, kind, peer.clone()).await {
-                Ok(offer) => offer,
-                Err(Unfit::Call(CallerError::Graph(error))) => return Err(error.into()),
-                Err(error @ (Unfit::Call(_) | Unfit::Random)) => {
-                    self.standing.pause(error, &mut Pause::new(), &mut right).await;
-                    continue;
-                }
-                Err(error @ Unfit::OtherType { .. }) => {
-                    tracing::warn!(service = %self.config.name, "not carried: {error}");
-                    self.standing.set_status(&error.to_string());
-                    servers.until_gone(&peer).await?;
-                    continue;
-                }
+            let found = async {
+                let peer = servers.until_there().await?;
+                Ok::<_, RouteError>((peer.clone(), self.offer(graph, kind, peer).await))
             };
-            let mut server = match node.serve(card.proof(), right.held()).await {
-                Ok(server) => server,
-                Err(error) => {
-                    self.standing.pause(error, &mut pause, &mut right).await;
-                    continue;
+            let Some(found) = unless(&mut over, found).await else { return Ok(()) };
+            let (peer, offer) = found?;
+            let again = async {
+                match offer {
+                    Ok(offer) => match node.serve(card.proof(), right.held()).await {
+                        Ok(server) => return Ok(Some((offer, server))),
+                        Err(error) => {
+                            place.set_permitted(false);
+                            self.standing.pause(error, &mut pause, right).await;
+                        }
+                    },
+                    Err(Unfit::Call(CallerError::Graph(error))) => return Err(error.into()),
+                    Err(error @ (Unfit::Call(_) | Unfit::Random)) => {
+                        self.standing.pause(error, &mut Pause::new(), right).await;
+                    }
+                    Err(error @ Unfit::OtherType { .. }) => {
+                        tracing::warn!(service = %self.config.name, "not carried: {error}");
+                        self.standing.set_status(&error.to_string());
+                        servers.until_gone(&peer).await?;
+                    }
                 }
+                Ok::<_, RouteError>(None)
             };
+            let Some(served) = unless(&mut over, again).await else { return Ok(()) };
+            let Some((offer, mut server)) = served? else { continue };
             pause = Pause::new();
+            place.set_permitted(true);
             self.is_up(&offer.description.kind.name);
             self.counters.servers(1);
-            let turn = self.serve(&mut servers, &offer, &mut server, &mut right).await;
+            let turn = self.serve(&mut servers, &offer, &mut server, right, &mut over).await;
             self.counters.servers(0);
             drop(server);
             match turn? {
+                Turn::Over => return Ok(()),
                 Turn::Gone => tracing::info!(service = %self.config.name, "the local server has gone"),
-                Turn::Ended(error) => self.standing.pause(error, &mut pause, &mut right).await,
+                Turn::Ended(error) => {
+                    place.set_permitted(false);
+                    if unless(&mut over, self.standing.pause(error, &mut pause, right)).await.is_none() {
+                        return Ok(());
+                    }
+                }
             }
         }
     }
@@ -109,6 +125,7 @@ impl Route {
         offer: &Offer,
         server: &mut Server,
         right: &mut Right<Issued<AdCert>>,
+        over: &mut Over<'_>,
     ) -> Result<Turn, RouteError> {
         let (mut ticks, mut ended) = (ticks(), pin!(server.ended()));
         let (gone, is_gone) = watch::channel(false);
@@ -129,6 +146,7 @@ impl Route {
                 },
                 left = servers.until_gone(&offer.peer) => break left.map(|()| Turn::Gone).map_err(Into::into),
                 () = offer.lost.notified() => break Ok(Turn::Gone),
+                () = &mut *over => break Ok(Turn::Over),
                 why = &mut ended => break ended_because(why).map(Turn::Ended),
                 _ = ticks.tick() => {
                     self.standing.renew(right, async |new| server.renew(new).await).await;
@@ -139,7 +157,8 @@ impl Route {
         };
         // Those who wait learn that it is over.
         gone.send_replace(true);
-        while answering.next().await.is_some() {}
+        let told = async { while answering.next().await.is_some() {} };
+        _ = tokio::time::timeout(LAST_WORDS, told).await;
         turn
     }
 
@@ -182,7 +201,7 @@ impl Route {
                 let answer = async move {
                     let _pending = self.counters.begun();
                     let answer = tokio::select! {
-                        answer = offer.backend.call(part, call.client(), body) => answer,
+                        answer = self.ask(offer, part, call.client(), body) => answer,
                         _ = is_gone.wait_for(|gone| *gone) => Err(Failure::new(FailureCode::Gone, "")),
                     };
                     let reply = match answer {
@@ -192,9 +211,6 @@ impl Route {
                         }
                         Err(failure) => {
                             self.failed(failure.code.into(), &failure);
-                            if failure.code == FailureCode::Gone && matches!(offer.peer, Peer::Ros1(_)) {
-                                offer.lost.notify_one();
-                            }
                             Reply::Failure(failure)
                         }
                     };
@@ -204,6 +220,20 @@ impl Route {
             }
         };
         answering.push(Box::pin(self.reply(call, reply)));
+    }
+
+    /// Asks the local server. One call that fails does not mean that it has gone.
+    async fn ask(&self, offer: &Offer, part: Part, caller: Name, body: Bytes) -> Result<Bytes, Failure> {
+        match offer.backend.call(part, caller, body).await {
+            Err(failure) if failure.code == FailureCode::Gone && matches!(offer.peer, Peer::Ros1(_)) => {
+                if !offer.backend.has_lost_server().await {
+                    return Err(Failure::new(FailureCode::Refused, failure.text()));
+                }
+                offer.lost.notify_one();
+                Err(failure)
+            }
+            answered => answered,
+        }
     }
 
     async fn tell(&self, (call, events): Told) {

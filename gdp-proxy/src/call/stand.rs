@@ -83,6 +83,18 @@ impl Stands {
         self.answer(part, asker, response).await
     }
 
+    /// Waits until those who read have what was answered and published, for as long as that takes.
+    pub async fn settle(&self) {
+        match self {
+            Self::Service(service) => service.settle().await,
+            Self::Action(action) => {
+                let Action { send_goal, cancel_goal, get_result, feedback: _, status } = &**action;
+                let status = async { status.lock().await.settle().await };
+                tokio::join!(send_goal.settle(), cancel_goal.settle(), get_result.settle(), status);
+            }
+        }
+    }
+
     pub async fn publish_feedback(&self, message: Bytes) -> Result<(), String> {
         match self {
             Self::Service(_) => Ok(()),

@@ -4,21 +4,22 @@
 use std::time::Duration;
 
 use bytes::Bytes;
+use futures::future::join_all;
 use gdp_ros1::{CallError, ServiceServer, ServiceType};
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
+use tokio::time::timeout;
 
 use super::{Graph, GraphError, NODE};
 use crate::config::What;
-use crate::ros2::{self, Mapping, RawSample, RequestId, ServicePeer, TopicName, TypeName};
+use crate::ros2::{self, ClientLife, RawSample, RequestId, ServicePeer, TopicName, TypeName};
 use gdp_ros::call::{Description, Failure, FailureCode};
 use gdp_ros::roster::{Dialect, Kind};
 
 /// For a ROS 1 server to say what it serves.
 const PROBE: Duration = Duration::from_secs(5);
 
-/// Until the participants of local servers have discovered a client that was made for them: DDS does not say when they have, and a request that comes
-/// before is lost.
-const SETTLE: Duration = Duration::from_millis(300);
+/// For the endpoints of a ROS 2 server to match those that were made for it.
+const MATCHED: Duration = Duration::from_secs(5);
 
 /// Requests of ROS 1 that are answered at once; others wait at their connections.
 const CONCURRENT: usize = 256;
@@ -105,7 +106,7 @@ impl Caller {
             }
             (Graph::Ros2(domain), Peer::Ros2(peer)) => {
                 let kind = Kind { dialect: Dialect::Ros2, name: peer.kind.to_string(), hash: vec![] };
-                let [caller] = Self::several(domain, [(name, &peer.kind)], peer.mapping).await?;
+                let [caller] = Self::several(domain, [(name, &peer.kind)], peer).await?;
                 Ok((caller, kind))
             }
             _ => Err(GraphError::Left.into()),
@@ -116,14 +117,27 @@ impl Caller {
     pub async fn several<const N: usize>(
         domain: &ros2::Domain,
         services: [(&TopicName, &TypeName); N],
-        mapping: Mapping,
-    ) -> Result<[Self; N], GraphError> {
-        let mut callers = Vec::with_capacity(N);
-        for (name, kind) in services {
-            callers.push(Self::Ros2(domain.client(name, kind, mapping)?.into()));
+        peer: &ServicePeer,
+    ) -> Result<[Self; N], CallerError> {
+        let clients = services.map(|(name, kind)| domain.client(name, kind, peer.mapping));
+        let clients = clients.into_iter().collect::<Result<Vec<_>, _>>().map_err(GraphError::from)?;
+        let matched = join_all(clients.iter().map(|client| client.until_matched(peer.id)));
+        timeout(MATCHED, matched).await.map_err(|_| CallerError::Unmatched)?;
+        let callers: Vec<_> = clients.into_iter().map(|client| Self::Ros2(client.into())).collect();
+        callers.try_into().map_err(|_| GraphError::Left.into())
+    }
+
+    /// After a call without an answer: whether nobody serves any more, as far as can be told. The master of ROS 1 does not notice that a server dies;
+    /// in ROS 2 the graph says so.
+    pub async fn has_lost_server(&self) -> bool {
+        match self {
+            Self::Ros1 { client, .. } => match client.probe(PROBE).await {
+                // A master that does not answer, or a server that is busy, says nothing of it.
+                Ok(_) | Err(CallError::Master(_) | CallError::Timeout { .. }) => false,
+                Err(_) => true,
+            },
+            Self::Ros2(_) => false,
         }
-        tokio::time::sleep(SETTLE).await;
-        callers.try_into().map_err(|_| GraphError::Left)
     }
 
     /// Asks, and waits for as long as it takes.
@@ -157,6 +171,10 @@ pub enum CallerError {
     /// It may be there later, and another one.
     #[error(transparent)]
     Call(#[from] CallError),
+    #[error(
+        "the local server does not match the proxy's client in {MATCHED:?}: are its types and its QoS those of ROS?"
+    )]
+    Unmatched,
 }
 
 /// A server that local clients see, as long as it lives.
@@ -174,7 +192,7 @@ pub struct Asked {
 /// Who waits for the response.
 pub enum Asker {
     Ros1(oneshot::Sender<Result<Bytes, String>>),
-    Ros2(RequestId),
+    Ros2(RequestId, ClientLife),
 }
 
 impl Stand {
@@ -213,7 +231,7 @@ impl Stand {
             },
             Self::Ros2(server) => {
                 let request = server.recv().await.map_err(|error| error.to_string())?;
-                Ok(Asked { request: request.sample.bytes, asker: Asker::Ros2(request.id) })
+                Ok(Asked { request: request.sample.bytes, asker: Asker::Ros2(request.id, request.client) })
             }
         }
     }
@@ -221,7 +239,7 @@ impl Stand {
     /// Responds.
     pub async fn answer(&self, asker: Asker, response: Bytes) -> Result<(), String> {
         match (self, asker) {
-            (Self::Ros2(server), Asker::Ros2(id)) => {
+            (Self::Ros2(server), Asker::Ros2(id, _)) => {
                 let sample = RawSample::parse(response).ok_or("the response is no CDR that ROS 2 uses")?;
                 server.respond(&id, sample).await.map_err(|error| error.to_string())
             }
@@ -230,7 +248,14 @@ impl Stand {
                 _ = asker.send(Ok(response));
                 Ok(())
             }
-            (Self::Ros1 { .. }, Asker::Ros2(_)) => Err("a request of another server".into()),
+            (Self::Ros1 { .. }, Asker::Ros2(..)) => Err("a request of another server".into()),
+        }
+    }
+
+    /// Waits until clients have their answers, for as long as that takes. Connections of ROS 1 stay until they have them.
+    pub async fn settle(&self) {
+        if let Self::Ros2(server) = self {
+            server.settle().await;
         }
     }
 }
@@ -247,7 +272,7 @@ impl Asker {
     pub async fn hangs_up(&mut self) {
         match self {
             Self::Ros1(asker) => asker.closed().await,
-            Self::Ros2(_) => std::future::pending().await,
+            Self::Ros2(_, client) => client.ends().await,
         }
     }
 }

@@ -1,6 +1,6 @@
 //! What other participants of the domain announce: the types of topics, and why an endpoint does not match ours.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 
@@ -25,7 +25,11 @@ pub(super) struct Discovery {
     /// The DDS types of the DDS topics that the proxy has endpoints for; these hold them.
     expected: Mutex<HashMap<String, Weak<str>>>,
     graph: watch::Sender<Arc<Graph>>,
+    writers: watch::Sender<Arc<Writers>>,
 }
+
+/// All that others have.
+pub(super) type Writers = HashSet<GUID>;
 
 impl Discovery {
     /// Remembers which type a topic ought to have, so that it can be said when somebody's differs: as long as what is returned is held.
@@ -41,6 +45,10 @@ impl Discovery {
 
     pub fn graph(&self) -> watch::Receiver<Arc<Graph>> {
         self.graph.subscribe()
+    }
+
+    pub fn writers(&self) -> watch::Receiver<Arc<Writers>> {
+        self.writers.subscribe()
     }
 
     /// Follows what is discovered, for as long as the participant lives. A participant has one queue of events: whoever
@@ -76,14 +84,9 @@ impl Discovery {
             let (topic, kind, qos) = (data.topic_name().clone(), data.type_name().clone(), data.qos());
             Seen { guid, writes: false, topic, kind, qos, user_data: reader.user_data }
         });
-        let graph = Graph::new(writers.chain(readers).filter(|seen| seen.guid.prefix != own));
-        self.graph.send_if_modified(|current| {
-            let is_news = **current != graph;
-            if is_news {
-                *current = Arc::new(graph);
-            }
-            is_news
-        });
+        let seen: Vec<Seen> = writers.chain(readers).filter(|seen| seen.guid.prefix != own).collect();
+        replace(&self.writers, seen.iter().filter(|seen| seen.writes).map(|seen| seen.guid).collect());
+        replace(&self.graph, Graph::new(seen.into_iter()));
     }
 
     fn handle(&self, participant: &DomainParticipant, event: Event) {
@@ -120,6 +123,17 @@ impl Discovery {
             );
         }
     }
+}
+
+/// Tells only what is news.
+fn replace<T: PartialEq>(shown: &watch::Sender<Arc<T>>, now: T) {
+    shown.send_if_modified(|before| {
+        let is_news = **before != now;
+        if is_news {
+            *before = Arc::new(now);
+        }
+        is_news
+    });
 }
 
 /// Not one of ours, and not one of those that discovery itself uses.

@@ -10,13 +10,14 @@ use std::task::Poll;
 use std::time::Duration;
 
 use bytes::Bytes;
+use futures::StreamExt;
 use rustdds::dds::adapters::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter};
 use rustdds::dds::{CreateError, ReadError};
 use rustdds::no_key::{DataWriter, SimpleDataReader};
 use rustdds::rpc::SampleIdentity;
 use rustdds::{
-    DataWriterStatus, GUID, Publisher, QosPolicies, RTPSEntity, RepresentationIdentifier, SequenceNumber,
-    StatusEvented, Timestamp, Topic, WriteOptions, WriteOptionsBuilder,
+    DataReaderStatus, DataWriterStatus, GUID, Publisher, QosPolicies, RTPSEntity, RepresentationIdentifier,
+    SequenceNumber, StatusEvented, Timestamp, Topic, WriteOptions, WriteOptionsBuilder,
 };
 
 /// Bytes of the encapsulation header: representation (2), options (2).
@@ -130,6 +131,19 @@ impl RawReader {
 
     pub(super) fn guid(&self) -> GUID {
         self.reader.guid()
+    }
+
+    /// Waits until a writer of this participant is heard, which is told once.
+    pub(super) async fn until_matched(&self, participant: [u8; 12]) {
+        let mut events = self.reader.as_async_status_stream();
+        while let Some(event) = events.next().await {
+            if matches!(event, DataReaderStatus::SubscriptionMatched { writer, current, .. }
+                if is_of(writer, participant) && current.count_change() > 0)
+            {
+                return;
+            }
+        }
+        std::future::pending().await
     }
 
     /// The next message. Wakes when it arrives, without polling; may be cancelled without losing one.
@@ -256,6 +270,28 @@ impl RawWriter {
         std::iter::from_fn(|| self.little_endian.try_recv_status()).any(is_match)
     }
 
+    /// Waits until a reader of this participant is served, which is told once.
+    pub(super) async fn until_matched(&self, participant: [u8; 12]) {
+        let mut events = self.little_endian.as_async_status_stream();
+        while let Some(event) = events.next().await {
+            if matches!(event, DataWriterStatus::PublicationMatched { reader, current, .. }
+                if is_of(reader, participant) && current.count_change() > 0)
+            {
+                return;
+            }
+        }
+        std::future::pending().await
+    }
+
+    /// Waits until reliable readers have what was written, for as long as that takes.
+    pub async fn settle(&self) {
+        // All that it fails with is that there is nothing to wait for any more.
+        _ = self.little_endian.async_wait_for_acknowledgments().await;
+        if let Some(writer) = &self.big_endian {
+            _ = writer.async_wait_for_acknowledgments().await;
+        }
+    }
+
     /// Of the writer of little-endian messages.
     pub(super) fn guid(&self) -> GUID {
         self.little_endian.guid()
@@ -271,6 +307,10 @@ impl RawWriter {
         };
         Ok(self.big_endian.insert(writer))
     }
+}
+
+fn is_of(endpoint: GUID, participant: [u8; 12]) -> bool {
+    endpoint.to_bytes().starts_with(&participant)
 }
 
 /// RTPS time is seconds and 2⁻³² fractions of a second since 1970, until 2106.

@@ -13,26 +13,23 @@ mod pace;
 use std::convert::Infallible;
 use std::fmt::Display;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use gdp::cert::{AdCert, Issued, Reading};
 use gdp::node::{NodeError, Publisher};
-use gdp::{Name, NameCard, Node};
+use gdp::{NameCard, Node};
 
 use crate::config::{Side, TopicConfig};
 use crate::graph::Graph;
-use crate::material::{Permission, RouteMaterial};
+use crate::material::RouteMaterial;
 use crate::ros2::{TopicName, TypeName};
 use crate::routes::Carries;
-use crate::standing::{Pause, Right, RouteError, Standing};
+use crate::standing::{EitherRight, Pause, Right, RouteError, Standing};
 use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
 use crate::tally::Reason as _;
-use crate::twins::{Part, Place};
+use crate::turns::by_turns;
+use crate::twins::Place;
 use gdp_ros::roster::ROSTER;
 use gdp_ros::types::Types;
-
-/// How often it is looked whether another proxy of the graph carries the topic.
-const LOOK_FOR_TWINS: Duration = Duration::from_millis(250);
 
 /// How long a route that ends waits for what it has sent to arrive.
 const FLUSH: Duration = Duration::from_secs(3);
@@ -56,23 +53,6 @@ struct Way<'a> {
     kind: Option<&'a TypeName>,
     card: &'a NameCard,
     place: &'a Place,
-}
-
-/// The right to one direction.
-enum Either {
-    Publish(Right<Issued<AdCert>>),
-    Read(Right<Reading>),
-}
-
-/// Waits for what is wanted of who carries a topic instead of this proxy; and tells meanwhile whether this one could.
-async fn until<T>(node: &Node, place: &Place, wanted: impl Fn(Option<Name>) -> Option<T>) -> T {
-    loop {
-        place.set_attached(node.switch().is_ok());
-        if let Some(found) = wanted(place.ahead(Instant::now())) {
-            return found;
-        }
-        tokio::time::sleep(LOOK_FOR_TWINS).await;
-    }
 }
 
 /// A name that is published.
@@ -128,58 +108,36 @@ impl Carries for Route {
         material: RouteMaterial,
         stop: impl Future<Output = ()>,
     ) -> Result<(), RouteError> {
+        // What has failed is left to others until it shows that it works by now.
+        let place = graph.twins().enter(node.name(), self.standing.part(self.side), !self.standing.has_failed());
+        let RouteMaterial { card, kind, permission, file } = material;
+        let way = Way { graph, node, kind: kind.as_ref(), card: &card, place: &place };
+        let mut right = EitherRight::new(permission, file);
         let mut publisher = None;
-        let result = tokio::select! {
-            Err(error) = self.carry(graph, node, material, &mut publisher) => Err(error),
-            () = stop => Ok(()),
-        };
-        if let Some(publisher) = publisher {
-            self.close(publisher).await;
-        }
-        result
+        by_turns(&place, node, &self.standing, stop, async |over| {
+            let result = tokio::select! {
+                Err(error) = self.carry(&way, &mut right, &mut publisher) => Err(error),
+                () = over => Ok(()),
+            };
+            if let Some(publisher) = publisher.take() {
+                self.close(publisher).await;
+            }
+            result
+        })
+        .await
     }
 }
 
 impl Route {
     async fn carry(
         &self,
-        graph: &Graph,
-        node: &Node,
-        material: RouteMaterial,
-        publisher: &mut Option<Published>,
-    ) -> Result<Infallible, RouteError> {
-        let part = Part { name: self.standing.name(), side: self.side, topic: self.config.topic.to_string() };
-        // What has failed is left to others until it shows that it works by now.
-        let place = graph.twins().enter(node.name(), part, !self.standing.has_failed());
-        let RouteMaterial { card, kind, permission, file } = material;
-        let way = Way { graph, node, kind: kind.as_ref(), card: &card, place: &place };
-        let mut right = match permission {
-            Permission::Publish(cert) => Either::Publish(Right::publish(cert, file)),
-            Permission::Read(grant) => Either::Read(Right::read(grant, file)),
-        };
-        loop {
-            let ahead = tokio::select! {
-                Err(error) = self.carry_as_first(&way, &mut right, publisher) => return Err(error),
-                ahead = until(node, &place, |ahead| ahead) => ahead,
-            };
-            if let Some(publisher) = publisher.take() {
-                self.close(publisher).await;
-            }
-            tracing::info!(topic = %self.config.topic, side = ?self.side, name = %self.standing.name(), "standing by for {ahead}");
-            self.standing.set_status(&format!("standing by for {ahead}"));
-            until(node, &place, |ahead| ahead.is_none().then_some(())).await;
-        }
-    }
-
-    async fn carry_as_first(
-        &self,
         way: &Way<'_>,
-        right: &mut Either,
+        right: &mut EitherRight,
         publisher: &mut Option<Published>,
     ) -> Result<Infallible, RouteError> {
         match right {
-            Either::Publish(right) => self.run_out(way, right, publisher).await,
-            Either::Read(right) => self.run_in(way, right).await,
+            EitherRight::Publish(right) => self.run_out(way, right, publisher).await,
+            EitherRight::Read(right) => self.run_in(way, right).await,
         }
     }
 

@@ -1,11 +1,12 @@
 //! Proxies in one ROS graph that could carry the same: each tells the others what it is able to carry, and of those that are able the one with the
 //! lowest name does. The others stand by, and take over once it has gone, has lost the fabric or its right, or is not heard of for [`HOLD`].
+//! Services and actions stay with the one that carries them, though a lower name comes: with it, calls and goals that are under way would end.
 //!
 //! Nobody in a ROS graph is authenticated: who is in it can have a proxy stand by, as it can publish whatever it likes there.
 
 mod beat;
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -20,21 +21,25 @@ use crate::config::Side;
 /// For how long another proxy is taken for there that is not heard of: three times as long as it is silent at most.
 pub const HOLD: Duration = Duration::from_secs(3);
 
+/// For how long it is listened, before calls are taken, whether another proxy takes them: longer than one is silent.
+pub const LISTEN: Duration = Duration::from_millis(1500);
+
 /// Other proxies in a graph; what more there are is not heeded.
 const MAX_OTHERS: usize = 64;
 
 /// Of one proxy.
 const MAX_PARTS: usize = 2048;
 
-const VERSION: u8 = 1;
+const VERSION: u8 = 2;
 
-/// What only one proxy of a graph carries: a topic of the graph, under one name, one way.
+/// What only one proxy of a graph carries: a topic, a service or an action of the graph, under one name, one way.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Part {
     pub name: Name,
     pub side: Side,
-    pub topic: String,
+    /// `topic /chatter`, `service /add`, `action /move`.
+    pub title: String,
 }
 
 /// What a proxy tells the others.
@@ -43,8 +48,14 @@ pub struct Part {
 struct Claims {
     version: u8,
     entity: Name,
-    /// What it is able to carry.
-    able: HashSet<Part>,
+    /// What it is able to carry, and whether that stays with it because it does.
+    able: Vec<(Part, bool)>,
+}
+
+/// Of any version.
+#[derive(Deserialize)]
+struct Versioned {
+    version: u8,
 }
 
 /// The proxies of one graph.
@@ -68,10 +79,13 @@ struct State {
 struct Able {
     is_attached: bool,
     is_permitted: bool,
+    /// It does, and keeps it.
+    keeps: bool,
 }
 
 struct Other {
-    able: HashSet<Part>,
+    /// And whether it keeps that.
+    able: HashMap<Part, bool>,
     heard: Instant,
 }
 
@@ -98,7 +112,7 @@ impl Twins {
     pub fn enter(self: &Arc<Self>, own: Name, part: Part, is_able: bool) -> Place {
         let mut state = self.lock();
         state.own = Some(own);
-        state.able.insert(part.clone(), Able { is_attached: true, is_permitted: is_able });
+        state.able.insert(part.clone(), Able { is_attached: true, is_permitted: is_able, keeps: false });
         self.news.notify_one();
         Place { twins: self.clone(), own, part }
     }
@@ -109,20 +123,21 @@ impl Twins {
         let able = state
             .able
             .iter()
-            .filter(|(_, able)| able.is_attached && able.is_permitted)
-            .map(|(part, _)| part.clone())
+            .filter(|(_, able)| able.is_able())
+            .map(|(part, able)| (part.clone(), able.keeps))
             .collect();
         serde_json::to_string(&Claims { version: VERSION, entity: state.own?, able }).ok()
     }
 
     /// Another proxy, or this one, has told this.
     pub fn heard(&self, now: Instant, text: &str) -> Result<(), ClaimsError> {
-        let Claims { version, entity, able } = serde_json::from_str(text)?;
+        let Versioned { version } = serde_json::from_str(text)?;
         if version != VERSION {
             return Err(ClaimsError::Version(version));
         }
+        let Claims { entity, able, .. } = serde_json::from_str(text)?;
         if able.len() > MAX_PARTS {
-            return Err(ClaimsError::TooMuch { what: "topics", got: able.len(), most: MAX_PARTS });
+            return Err(ClaimsError::TooMuch { what: "parts", got: able.len(), most: MAX_PARTS });
         }
         let mut state = self.lock();
         if state.own == Some(entity) {
@@ -132,12 +147,18 @@ impl Twins {
         if state.others.len() >= MAX_OTHERS && !state.others.contains_key(&entity) {
             return Err(ClaimsError::TooMuch { what: "proxies in a graph", got: MAX_OTHERS + 1, most: MAX_OTHERS });
         }
-        state.others.insert(entity, Other { able, heard: now });
+        state.others.insert(entity, Other { able: able.into_iter().collect(), heard: now });
         Ok(())
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Able {
+    fn is_able(self) -> bool {
+        self.is_attached && self.is_permitted
     }
 }
 
@@ -158,6 +179,11 @@ impl Place {
         self.set(|able| able.is_permitted = is_permitted);
     }
 
+    /// Whether this proxy carries it, and goes on with that whoever comes: said of services and actions alone.
+    pub fn set_keeps(&self, keeps: bool) {
+        self.set(|able| able.keeps = keeps);
+    }
+
     fn set(&self, change: impl FnOnce(&mut Able)) {
         let mut state = self.twins.lock();
         let Some(able) = state.able.get_mut(&self.part) else { return };
@@ -171,18 +197,22 @@ impl Place {
     /// Who carries it instead of this proxy.
     pub fn ahead(&self, now: Instant) -> Option<Name> {
         let state = self.twins.lock();
-        let others = state
-            .others
-            .iter()
-            .filter(|(name, other)| **name < self.own && other.is_there(now) && other.able.contains(&self.part));
-        others.map(|(name, _)| *name).min()
+        let own = state.able.get(&self.part).is_some_and(|able| able.is_able() && able.keeps);
+        let others = state.others.iter().filter(|(_, other)| other.is_there(now));
+        let others = others.filter_map(|(name, other)| Some((*name, *other.able.get(&self.part)?)));
+        let ahead = others.filter(|(name, theirs)| match own {
+            // Both began before they had heard of each other.
+            true => *theirs && *name < self.own,
+            false => *theirs || *name < self.own,
+        });
+        ahead.map(|(name, _)| name).min()
     }
 
     /// Whether what this entity publishes under the name is from the same graph.
     pub fn is_twin(&self, now: Instant, entity: &Name) -> bool {
         let state = self.twins.lock();
         let publishes = |part: &Part| part.side == Side::Out && part.name == self.part.name;
-        state.others.get(entity).is_some_and(|other| other.is_there(now) && other.able.iter().any(publishes))
+        state.others.get(entity).is_some_and(|other| other.is_there(now) && other.able.keys().any(publishes))
     }
 }
 
@@ -235,12 +265,35 @@ mod tests {
     }
 
     #[test]
-    fn another_topic_or_direction_is_another_part() {
+    fn what_is_kept_stays_with_who_has_it_and_of_two_that_have_it_the_lowest_goes_on() {
+        let now = Instant::now();
+        let [low, high] = [1, 2].map(|i| (Arc::new(Twins::default()), Name::from_bytes([i; 32])));
+        let tell = |from: &(Arc<Twins>, Name), to: &(Arc<Twins>, Name)| {
+            to.0.heard(now, &from.0.claims().unwrap()).unwrap();
+        };
+        let [a, b] = [&low, &high].map(|of| of.0.enter(of.1, part(Side::In), true));
+        b.set_keeps(true);
+        tell(&high, &low);
+        tell(&low, &high);
+        assert_eq!((a.ahead(now), b.ahead(now)), (Some(high.1), None), "the one that has it");
+        b.set_attached(false);
+        tell(&high, &low);
+        assert_eq!(a.ahead(now), None, "it cannot any more");
+        a.set_keeps(true);
+        tell(&low, &high);
+        assert_eq!(b.ahead(now), Some(low.1));
+        b.set_attached(true);
+        tell(&high, &low);
+        assert_eq!((a.ahead(now), b.ahead(now)), (None, Some(low.1)), "both have it");
+    }
+
+    #[test]
+    fn another_kind_or_direction_is_another_part() {
         let (now, [low, high]) = (Instant::now(), [1, 2].map(|i| Name::from_bytes([i; 32])));
         let (here, there) = (Arc::new(Twins::default()), Arc::new(Twins::default()));
         let _theirs = there.enter(low, part(Side::Out), true);
         let ours = here.enter(high, part(Side::In), true);
-        let other = here.enter(high, Part { topic: "/other".into(), ..part(Side::Out) }, true);
+        let other = here.enter(high, Part { title: "service /chatter".into(), ..part(Side::Out) }, true);
         here.heard(now, &there.claims().unwrap()).unwrap();
         assert_eq!((ours.ahead(now), other.ahead(now)), (None, None));
         assert!(ours.is_twin(now, &low) && !ours.is_twin(now, &high) && !ours.is_twin(now + HOLD, &low));
@@ -250,19 +303,20 @@ mod tests {
     fn what_others_say_is_bounded() {
         let (now, twins) = (Instant::now(), Twins::default());
         let claims = |entity: u8, version, parts: usize| {
-            let able = (0..parts).map(|i| Part { topic: format!("/{i}"), ..part(Side::In) }).collect();
+            let able = (0..parts).map(|i| (Part { title: format!("topic /{i}"), ..part(Side::In) }, false)).collect();
             serde_json::to_string(&Claims { version, entity: Name::from_bytes([entity; 32]), able }).unwrap()
         };
         let refused = |text: &str| twins.heard(now, text).unwrap_err().to_string();
         assert!(refused("{}").contains("not understood"));
-        assert!(refused(&claims(1, 2, 0)).contains("version 2"));
-        assert!(refused(&claims(1, 1, MAX_PARTS + 1)).contains("topics: 2049"));
-        (0..MAX_OTHERS as u8).for_each(|i| twins.heard(now, &claims(i, 1, 1)).unwrap());
-        assert!(refused(&claims(99, 1, 1)).contains("proxies in a graph: 65"));
-        twins.heard(now + HOLD, &claims(99, 1, 1)).unwrap();
+        assert!(refused(r#"{"version":1,"entity":"x","able":["y"]}"#).contains("version 1"));
+        assert!(refused(&claims(1, 3, 0)).contains("version 3"));
+        assert!(refused(&claims(1, 2, MAX_PARTS + 1)).contains("parts: 2049"));
+        (0..MAX_OTHERS as u8).for_each(|i| twins.heard(now, &claims(i, 2, 1)).unwrap());
+        assert!(refused(&claims(99, 2, 1)).contains("proxies in a graph: 65"));
+        twins.heard(now + HOLD, &claims(99, 2, 1)).unwrap();
     }
 
     fn part(side: Side) -> Part {
-        Part { name: Name::from_bytes([9; 32]), side, topic: "/chatter".into() }
+        Part { name: Name::from_bytes([9; 32]), side, title: "topic /chatter".into() }
     }
 }

@@ -12,6 +12,7 @@ mod lives;
 #[allow(dead_code, reason = "the tests of the ROS 1 node, whose it is, use the rest")]
 #[path = "../../../gdp-ros1/tests/rospy/master.rs"]
 mod master;
+#[allow(dead_code, reason = "the tests of services, which use the site as well, use the rest")]
 mod site;
 mod twins;
 

@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
-use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::node::{PublishOptions, Publisher, Server, SubscribeOptions, Subscription};
 use gdp::{Identity, Name, NameCard, Node, NodeConfig, SigningKey};
 use gdp_ctl::serve::{Running, start};
 use serde_json::Value;
@@ -44,10 +44,19 @@ impl Drop for Proxy {
 impl Proxy {
     /// Of its routes, as the statistics say them; none before there are some.
     pub fn statuses(&self) -> Vec<String> {
+        let routes = self.shown("topics");
+        routes.iter().map(|route| route["status"].as_str().unwrap().to_owned()).collect()
+    }
+
+    /// Of its services and actions, all that the statistics say.
+    pub fn calls(&self) -> Vec<Value> {
+        self.shown("calls")
+    }
+
+    fn shown(&self, key: &str) -> Vec<Value> {
         let stats: Value =
             fs::read(&self.stats).ok().and_then(|read| serde_json::from_slice(&read).ok()).unwrap_or_default();
-        let routes = stats["topics"].as_array().cloned().unwrap_or_default();
-        routes.iter().map(|route| route["status"].as_str().unwrap().to_owned()).collect()
+        stats[key].as_array().cloned().unwrap_or_default()
     }
 
     pub fn signal(&self, signal: i32) {
@@ -172,6 +181,17 @@ impl Site {
         let topics = stats["topics"].as_array().cloned().unwrap_or_default();
         let up = topics.iter().filter(|topic| topic["status"] == "up");
         up.map(|topic| topic["topic"].as_str().unwrap().to_owned()).collect()
+    }
+
+    /// Serves a service's name without a proxy.
+    pub async fn serve(&self, service: &Topic) -> Server {
+        let (identity, node) = self.node().await;
+        node.serve(service.card.proof(), service.signed_ad_cert(identity.name()).into()).await.unwrap()
+    }
+
+    /// What a proxy has logged.
+    pub fn log(&self, label: &str) -> String {
+        fs::read_to_string(self.folder(label).join("log")).unwrap()
     }
 
     /// Reads a topic's name without a proxy.

@@ -13,6 +13,7 @@ mod ros2;
 #[allow(dead_code, reason = "the tests of topics, whose it is, use the rest")]
 #[path = "../bridge/site.rs"]
 mod site;
+mod turns;
 
 use master::Master;
 use ros2::Ros2;

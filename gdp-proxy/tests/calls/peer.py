@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """An rclpy node as applications have them. Says what happens in lines of JSON.
 
-peer.py NAME serve SERVICE           test_msgs/BasicTypes: int64_value is the sum of the request's int64_value and int32_value
+peer.py NAME serve SERVICE           test_msgs/BasicTypes: int64_value is the sum of the request's int64_value and int32_value; says that it was asked
 peer.py NAME call SERVICE A B [N]    the same, N times at once
 peer.py NAME watch SERVICE           the same: says whenever it is there or gone
 peer.py NAME switch SERVICE          std_srvs/SetBool: says what it was set to; at false it does not answer
@@ -39,6 +39,7 @@ def say(event, **what):
 def serve(node, service):
     def answer(request, response):
         response.int64_value = request.int64_value + request.int32_value
+        say("asked", sum=response.int64_value)
         response.string_value = node.get_name()
         return response
 

@@ -8,14 +8,20 @@ peer.py NAME publish-image TOPIC N  sensor_msgs/Image of N bytes, once, latched
 peer.py NAME listen TOPIC           std_msgs/String
 peer.py NAME listen-image TOPIC     sensor_msgs/Image
 peer.py NAME serve SERVICE          std_srvs/SetBool: says what it was set to, and fails at false
+peer.py NAME hang-up SERVICE        std_srvs/SetBool: hangs up on the first call, and answers the others
 peer.py NAME call SERVICE true|false[,…]  std_srvs/SetBool, once or several times over one connection
 """
 
 import hashlib
 import json
+import socket
+import struct
 import sys
+from io import BytesIO
 
+import rosgraph
 import rospy
+from rosgraph.network import read_ros_handshake_header, write_ros_handshake_header
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, SetBoolResponse
@@ -89,6 +95,29 @@ def serve(service):
     rospy.Service(service, SetBool, answer)
     say("ready")
     rospy.spin()
+
+
+def hang_up(service):
+    listener = socket.create_server(("localhost", 0))
+    address = f"rosrpc://localhost:{listener.getsockname()[1]}"
+    rosgraph.Master(rospy.get_name()).registerService(service, address, rospy.get_node_uri())
+    say("ready")
+    calls = 0
+    while not rospy.is_shutdown():
+        connection, _ = listener.accept()
+        with connection:
+            asked = read_ros_handshake_header(connection, BytesIO(), 4096)
+            fields = {"callerid": rospy.get_name(), "service": service, "type": SetBool._type, "md5sum": SetBool._md5sum}
+            write_ros_handshake_header(connection, fields)
+            if asked.get("probe") == "1":
+                continue
+            connection.recv(4 + 1)
+            calls += 1
+            if calls == 1:
+                continue
+            response = BytesIO()
+            SetBoolResponse(True, "it is on").serialize(response)
+            connection.sendall(struct.pack("<BI", 1, response.tell()) + response.getvalue())
 
 
 def call(service, values):

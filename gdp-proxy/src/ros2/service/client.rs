@@ -16,8 +16,7 @@ const MAX_CALLS: usize = 1024;
 /// A client of a service that local servers offer. Calls may run at the same time.
 pub struct Client {
     mapping: Mapping,
-    /// The reader of replies.
-    ears: GUID,
+    replies: Arc<RawReader>,
     asking: tokio::sync::Mutex<Asking>,
     calls: Arc<Mutex<Calls>>,
     listening: JoinHandle<()>,
@@ -59,11 +58,19 @@ pub enum CallError {
 
 impl Client {
     pub(super) fn new(replies: RawReader, requests: RawWriter, mapping: Mapping) -> Self {
-        let (calls, ears) = (Arc::new(Mutex::new(Calls::default())), replies.guid());
-        let own = [ears, requests.guid()];
-        let listening = tokio::spawn(listen(replies, own, mapping, calls.clone()));
+        let (calls, replies) = (Arc::new(Mutex::new(Calls::default())), Arc::new(replies));
+        let own = [replies.guid(), requests.guid()];
+        let listening = tokio::spawn(listen(replies.clone(), own, mapping, calls.clone()));
         let asking = tokio::sync::Mutex::new(Asking { requests, number: 0 });
-        Self { mapping, ears, asking, calls, listening }
+        Self { mapping, replies, asking, calls, listening }
+    }
+
+    /// Waits until the endpoints of the server that this one is of are matched, both ways; which is told once. A request that comes to it before it
+    /// has discovered this client is repaired, as DDS repairs what is reliable.
+    pub async fn until_matched(&self, server: [u8; 16]) {
+        let participant = std::array::from_fn(|i| server[i]);
+        let asking = self.asking.lock().await;
+        tokio::join!(asking.requests.until_matched(participant), self.replies.until_matched(participant));
     }
 
     /// Asks, and waits for the reply as long as it takes. Dropping the future gives the call up: a reply that comes later
@@ -91,7 +98,7 @@ impl Client {
                 Key::Header(header)
             }
             Mapping::Enhanced => {
-                let options = WriteOptionsBuilder::new().related_sample_identity(asker(self.ears)).build();
+                let options = WriteOptionsBuilder::new().related_sample_identity(asker(self.replies.guid())).build();
                 let written = asking.requests.write_with(request, options).await?;
                 Key::Sequence(written.sequence_number.into())
             }
@@ -146,7 +153,7 @@ impl Drop for Pending {
     }
 }
 
-async fn listen(replies: RawReader, own: [GUID; 2], mapping: Mapping, calls: Arc<Mutex<Calls>>) {
+async fn listen(replies: Arc<RawReader>, own: [GUID; 2], mapping: Mapping, calls: Arc<Mutex<Calls>>) {
     loop {
         let heard = match replies.change().await {
             Ok(change) => reply(change, mapping).map_err(|error| error.to_string()),

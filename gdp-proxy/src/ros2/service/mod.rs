@@ -9,7 +9,7 @@ mod server;
 
 pub use client::{CallError, Client};
 pub use mapping::{Headless, Mapping, RequestId};
-pub use server::{BadRequest, Request, Server};
+pub use server::{BadRequest, ClientLife, Request, Server};
 
 use super::{Domain, Qos, RosError, TopicName, TypeName};
 
@@ -20,7 +20,7 @@ impl Domain {
         let ([requests, replies], [request, response]) = (name.to_dds_service(), kind.of_service());
         let reader = self.raw_reader(name, &requests, &request, &Qos::default().into())?;
         let writer = self.raw_writer(name, &replies, &response, &Qos::default().into())?;
-        Ok(Server::new(reader, writer, mapping))
+        Ok(Server::new(reader, writer, mapping, self.discovery.writers()))
     }
 
     /// Is a client of a service, in the mapping of its servers ([`Mapping::of`]), until the value is dropped. Needs a

@@ -1,0 +1,209 @@
+//! Questions to servers elsewhere: what they serve, calls, and what happens to goals.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use bytes::Bytes;
+use futures::StreamExt;
+use futures::future::join_all;
+use futures::stream::FuturesUnordered;
+use gdp::Name;
+use gdp::node::{Client, NodeError};
+use gdp_ros::action::cdr;
+use gdp_ros::call::{CALL, Description, Epoch, Events, Failure, FailureCode, Part, Reply, Request};
+use gdp_ros::services::Converters;
+
+use super::counters::Reason;
+use super::lock;
+
+/// For a server's proxy to answer a question about events, which it does once a minute though there are none.
+const PATIENCE: Duration = Duration::from_secs(90);
+
+/// To have a server described: how often it is asked, how long each answer is waited for, and how soon it is asked again if that cannot be.
+const ATTEMPTS: usize = 20;
+const ATTEMPT: Duration = Duration::from_secs(2);
+const SOON: Duration = Duration::from_millis(200);
+
+/// A server elsewhere, as it has described itself.
+pub struct Known {
+    pub instance: Name,
+    pub epoch: Epoch,
+    pub there: Description,
+    pub converters: Mutex<Converters>,
+}
+
+/// What a server says that it is.
+pub type Described = Result<(Epoch, Description), String>;
+
+/// A server is another than the one that was known, and says so itself.
+pub struct Changed {
+    pub known: Arc<Known>,
+    pub now: Described,
+}
+
+/// Why a call has no answer.
+pub struct Failed {
+    pub failure: Failure,
+    pub reason: Reason,
+}
+
+impl From<Failure> for Failed {
+    fn from(failure: Failure) -> Self {
+        Self { reason: failure.code.into(), failure }
+    }
+}
+
+pub fn no_server() -> Failed {
+    Failure::new(FailureCode::Gone, "it is not attached any more").into()
+}
+
+async fn ask(client: &Client, instance: Name, request: &Request) -> Result<Reply, NodeError> {
+    let message = client.call_at(instance, CALL, &request.to_bytes()).await?;
+    let reply = if message.encoding == CALL { Reply::from_bytes(&message.body).ok() } else { None };
+    reply.ok_or(NodeError::Protocol("a reply that no proxy of this release sends"))
+}
+
+/// Asks again and again, which does no harm: the way to a server that has only just come may not be open yet, and the first to go by it may be
+/// lost. So no call is.
+pub async fn describe(client: &Client, instance: Name) -> Described {
+    let mut last = "it does not say what it serves".to_owned();
+    for _ in 0..ATTEMPTS {
+        match tokio::time::timeout(ATTEMPT, ask(client, instance, &Request::Describe)).await {
+            Err(_) => {}
+            Ok(Ok(Reply::Description(epoch, description))) => return Ok((epoch, description)),
+            Ok(Ok(Reply::Failure(failure))) => return Err(failure.to_string()),
+            Ok(Ok(Reply::Answer(_) | Reply::Events(_))) => return Err("it answered another question".into()),
+            Ok(Err(error)) => {
+                last = error.to_string();
+                tokio::time::sleep(SOON).await;
+            }
+        }
+    }
+    Err(last)
+}
+
+/// What happened after an event, when there is something.
+pub enum News {
+    Events(Events),
+    /// There is none, and why.
+    None(String),
+    Changed(Changed),
+}
+
+/// Asks a server what happened to the goals of this proxy's clients after an event. First waits for a while if the last question failed.
+pub async fn events(client: &Client, known: &Arc<Known>, after: u64, has_failed: bool) -> News {
+    if has_failed {
+        tokio::time::sleep(SOON).await;
+    }
+    let request = Request::Events { epoch: known.epoch, after };
+    match tokio::time::timeout(PATIENCE, ask(client, known.instance, &request)).await {
+        Err(_) => News::None("no answer".into()),
+        Ok(Ok(Reply::Events(events))) => News::Events(events),
+        Ok(Ok(Reply::Failure(failure))) if failure.code == FailureCode::Changed => {
+            // Whoever says so again and again is not asked all the time.
+            tokio::time::sleep(SOON).await;
+            News::Changed(Changed { known: known.clone(), now: describe(client, known.instance).await })
+        }
+        Ok(Ok(Reply::Failure(failure))) => News::None(failure.to_string()),
+        Ok(Ok(Reply::Answer(_) | Reply::Description(..))) => News::None("it answered another question".into()),
+        Ok(Err(error)) => News::None(error.to_string()),
+    }
+}
+
+/// One request of a client here, to one server or several.
+pub struct Asking<'a> {
+    client: &'a Client,
+    request: Bytes,
+    part: Part,
+    changed: Mutex<Vec<Changed>>,
+}
+
+impl<'a> Asking<'a> {
+    pub fn new(client: &'a Client, part: Part, request: Bytes) -> Self {
+        Self { client, request, part, changed: Mutex::default() }
+    }
+
+    /// Asks, for as long as it takes.
+    pub async fn answer(&self, servers: &[Arc<Known>]) -> Result<Bytes, Failed> {
+        match (self.part, servers) {
+            (_, []) => Err(no_server()),
+            (Part::CancelGoal, [_, _, ..]) => self.cancel(servers).await,
+            (Part::GetResult, [_, _, ..]) => self.first_result(servers).await,
+            (_, [nearest, ..]) => self.call(nearest).await,
+        }
+    }
+
+    /// The servers that were found to be others on the way.
+    pub fn changed(self) -> Vec<Changed> {
+        self.changed.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Asks one server. If that is another than the one that was described, it has not seen the request, and is asked once more.
+    async fn call(&self, known: &Arc<Known>) -> Result<Bytes, Failed> {
+        let body = lock(&known.converters).request.convert(self.request.clone()).map_err(unconvertible)?;
+        let failed = match self.exchange(known, known.epoch, body.clone()).await {
+            Err(failed) if failed.reason == Reason::Changed => failed,
+            answered => return answered,
+        };
+        let now = describe(self.client, known.instance).await;
+        // What is described alike is converted alike.
+        let again = now.as_ref().ok().filter(|(epoch, there)| *epoch != known.epoch && *there == known.there);
+        let again = again.map(|(epoch, _)| *epoch);
+        lock(&self.changed).push(Changed { known: known.clone(), now });
+        match again {
+            Some(epoch) => self.exchange(known, epoch, body).await,
+            None => Err(failed),
+        }
+    }
+
+    async fn exchange(&self, known: &Known, epoch: Epoch, body: Bytes) -> Result<Bytes, Failed> {
+        let failed = |reason, code, why: &dyn ToString| Failed { failure: Failure::new(code, why.to_string()), reason };
+        match ask(self.client, known.instance, &Request::Call { epoch, part: self.part, body }).await {
+            Ok(Reply::Answer(body)) => lock(&known.converters).response.convert(body).map_err(unconvertible),
+            Ok(Reply::Failure(failure)) => Err(failure.into()),
+            Ok(Reply::Description(..) | Reply::Events(_)) => {
+                Err(failed(Reason::Malformed, FailureCode::Malformed, &"it answered another question"))
+            }
+            Err(error) => {
+                let reason = match error {
+                    NodeError::InstanceLeft { .. } | NodeError::NoInstance { .. } => Reason::Left,
+                    NodeError::TooManyCalls(_) => Reason::Busy,
+                    NodeError::Protocol(_) => Reason::Malformed,
+                    _ => Reason::SendFailed,
+                };
+                Err(failed(reason, FailureCode::Gone, &error))
+            }
+        }
+    }
+
+    /// Asks all of them to cancel, and answers for all.
+    async fn cancel(&self, servers: &[Arc<Known>]) -> Result<Bytes, Failed> {
+        let (mut answers, mut failed) = (Vec::new(), None);
+        for answer in join_all(servers.iter().map(|known| self.call(known))).await {
+            match answer.map(|answer| cdr::Canceling::read(&answer)) {
+                Ok(Ok(answer)) => answers.push(answer),
+                Ok(Err(error)) => failed = Some(Failure::new(FailureCode::Malformed, error).into()),
+                Err(error) => failed = Some(error),
+            }
+        }
+        let merged = cdr::Canceling::merge(answers).map(|merged| merged.write());
+        merged.ok_or_else(|| failed.unwrap_or_else(no_server))
+    }
+
+    /// Asks all of them for the result of a goal, of which one may know.
+    async fn first_result(&self, servers: &[Arc<Known>]) -> Result<Bytes, Failed> {
+        let mut asked: FuturesUnordered<_> = servers.iter().map(|known| self.call(known)).collect();
+        let mut last = Err(no_server());
+        while let Some(answer) = asked.next().await {
+            match answer {
+                Ok(answer) if cdr::result_status(&answer) != Ok(cdr::UNKNOWN) => return Ok(answer),
+                answer => last = if last.is_ok() { last } else { answer },
+            }
+        }
+        last
+    }
+}
+
+fn unconvertible(error: impl ToString) -> Failed {
+    Failed { failure: Failure::new(FailureCode::Malformed, error), reason: Reason::Unconvertible }
+}

@@ -1,0 +1,283 @@
+//! Servers elsewhere, for clients here. A server stands for them in the graph only while at least one of them is attached.
+
+mod requests;
+mod servers;
+
+use std::collections::BTreeMap;
+use std::pin::{Pin, pin};
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+use futures::StreamExt;
+use futures::stream::FuturesUnordered;
+use gdp::Name;
+use gdp::cert::Reading;
+use gdp::node::{Client, NodeError};
+use gdp_ros::action::{Board, Goals, cdr};
+use gdp_ros::call::{Description, Event, Events, Part};
+use tokio::sync::watch;
+
+use super::asking::{Changed, Described, Known, News};
+use super::counters::Reason;
+use super::outbox::Outbox;
+use super::stand::Stands;
+use super::{LAST_WORDS, Route, Way, lock};
+use crate::graph::Asked;
+use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
+use crate::turns::{Over, unless};
+use servers::{ask_for_events, withdraw};
+
+/// A server elsewhere.
+enum Remote {
+    Asked,
+    Known(Arc<Known>),
+    /// It cannot be called, at least until then.
+    Unfit(Instant),
+}
+
+/// What has come of something that was begun.
+enum Done {
+    Description(Name, Described),
+    /// With the event that was had before.
+    News(Arc<Known>, u64, News),
+    /// Published here, if it was; and whether it is feedback.
+    Said(bool, Result<(), String>),
+    /// What stood for servers is gone.
+    Withdrawn(Result<(), String>),
+}
+
+type Doing<'a> = FuturesUnordered<Pin<Box<dyn Future<Output = Done> + Send + 'a>>>;
+
+/// Calls, with the servers that were found to be others.
+type Calls<'a> = FuturesUnordered<Pin<Box<dyn Future<Output = Vec<Changed>> + Send + 'a>>>;
+
+/// What this side knows of all servers of the name.
+struct In<'a> {
+    way: &'a Way<'a>,
+    client: &'a Client,
+    remotes: BTreeMap<Name, Remote>,
+    /// What stands for them, and what it is.
+    local: Option<(Arc<Stands>, Description)>,
+    goals: &'a Mutex<Goals<Name>>,
+    board: Board,
+    outbox: Outbox,
+    /// Something of it is being published.
+    is_speaking: bool,
+    /// Who waits is to be told that it is in vain.
+    is_leaving: watch::Receiver<bool>,
+}
+
+impl Route {
+    pub(super) async fn run_in(
+        &self,
+        way: &Way<'_>,
+        right: &mut Right<Reading>,
+        mut over: Over<'_>,
+    ) -> Result<(), RouteError> {
+        let mut pause = Pause::new();
+        loop {
+            let error = match unless(&mut over, way.node.client(way.card.proof(), right.held())).await {
+                None => return Ok(()),
+                Some(Ok(client)) => {
+                    pause = Pause::new();
+                    way.place.set_permitted(true);
+                    match self.carry_in(way, &client, right, &mut over).await? {
+                        Some(error) => error,
+                        None => return Ok(()),
+                    }
+                }
+                Some(Err(error)) => error,
+            };
+            self.counters.servers(0);
+            way.place.set_permitted(false);
+            if unless(&mut over, self.standing.pause(error, &mut pause, right)).await.is_none() {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Returns when the right to call has ended, with the reason, or when the turn is over.
+    async fn carry_in(
+        &self,
+        way: &Way<'_>,
+        client: &Client,
+        right: &mut Right<Reading>,
+        over: &mut Over<'_>,
+    ) -> Result<Option<NodeError>, RouteError> {
+        let (leaving, is_leaving) = watch::channel(false);
+        let goals = Mutex::new(Goals::default());
+        let (remotes, local, board, outbox) = (BTreeMap::new(), None, Board::default(), Outbox::default());
+        let mut to = In { way, client, remotes, local, goals: &goals, board, outbox, is_speaking: false, is_leaving };
+        let (mut ticks, mut changes, mut ended) = (ticks(), client.changes(), pin!(client.ended()));
+        changes.mark_changed();
+        let (mut doing, mut calls) = (Doing::new(), Calls::new());
+        self.standing.set_status("waiting for a server elsewhere");
+        let why = loop {
+            self.speak(&mut to, &doing);
+            let local = to.local.as_ref().map(|(local, _)| local.clone());
+            tokio::select! {
+                Some(done) = doing.next() => self.done(&mut to, done, &doing)?,
+                Some(changed) = calls.next() => {
+                    for changed in changed {
+                        self.changed(&mut to, changed, &doing)?;
+                    }
+                }
+                asked = next(local.as_deref()) => match (asked, local) {
+                    (Ok((part, asked)), Some(local)) => self.begin(&to, local, part, asked, &calls),
+                    (Err(error), _) => self.failed(Reason::Malformed, error),
+                    (Ok(_), None) => {}
+                },
+                Ok(()) = changes.changed() => self.look(&mut to, &doing),
+                why = &mut ended => break Some(why),
+                () = &mut *over => break None,
+                _ = ticks.tick() => {
+                    self.standing.renew(right, async |new| client.renew(new).await).await;
+                    let now = Instant::now();
+                    lock(to.goals).sweep(now);
+                    if to.board.sweep(now) {
+                        to.show();
+                    }
+                    self.look(&mut to, &doing);
+                }
+            }
+        };
+        // What is being published is not waited for.
+        doing.clear();
+        leaving.send_replace(true);
+        _ = tokio::time::timeout(LAST_WORDS, self.take_leave(&mut to, &mut calls)).await;
+        why.map(ended_because).transpose()
+    }
+
+    /// Who waits is told that it is in vain, and whose goals are under way that they are lost.
+    async fn take_leave(&self, to: &mut In<'_>, calls: &mut Calls<'_>) {
+        while calls.next().await.is_some() {}
+        let now = Instant::now();
+        for name in to.remotes.keys() {
+            to.board.leave(now, name);
+        }
+        if let Some((local, _)) = to.local.take()
+            && let Err(error) = withdraw(local, to.board.message()).await
+        {
+            self.failed(Reason::Unanswered, error);
+        }
+    }
+
+    fn done<'a>(&'a self, to: &mut In<'a>, done: Done, doing: &Doing<'a>) -> Result<(), RouteError> {
+        match done {
+            Done::Said(is_feedback, said) => {
+                to.is_speaking = false;
+                match said {
+                    Ok(()) => self.counters.events(1, 0),
+                    Err(error) if is_feedback => {
+                        self.counters.events(0, 1);
+                        tracing::debug!(service = %self.config.name, "feedback was not published: {error}");
+                    }
+                    Err(error) => self.failed(Reason::Unanswered, error),
+                }
+            }
+            Done::Withdrawn(Ok(())) => {}
+            Done::Withdrawn(Err(error)) => self.failed(Reason::Unanswered, error),
+            Done::Description(name, described) => {
+                if matches!(to.remotes.get(&name), Some(Remote::Asked)) {
+                    self.described(to, name, described, doing)?;
+                }
+            }
+            Done::News(known, after, news) => {
+                if !to.knows(&known) {
+                    return Ok(());
+                }
+                let (after, has_failed) = match news {
+                    News::Events(events) => {
+                        let last = events.last;
+                        self.hear(to, known.instance, events);
+                        (last, false)
+                    }
+                    News::None(error) => {
+                        tracing::debug!(service = %self.config.name, server = %known.instance, "no events: {error}");
+                        (after, true)
+                    }
+                    News::Changed(changed) => return self.changed(to, changed, doing),
+                };
+                doing.push(ask_for_events(to.client, known, after, has_failed));
+            }
+        }
+        Ok(())
+    }
+
+    /// What a server says of goals is to be published here.
+    fn hear(&self, to: &mut In<'_>, instance: Name, events: Events) {
+        self.counters.events(0, events.dropped);
+        for event in events.events {
+            let taken = match event {
+                Event::Feedback(message) => match cdr::goal_of(&message) {
+                    Err(error) => Err(error.to_string()),
+                    Ok(goal) if lock(to.goals).get(&goal).is_some_and(|of| of != instance) => {
+                        Err("feedback about a goal that another server has".into())
+                    }
+                    Ok(_) => {
+                        self.counters.events(0, to.outbox.feedback(message));
+                        Ok(())
+                    }
+                },
+                Event::Status(message) => match to.board.say(instance, &message) {
+                    Ok(ended) => {
+                        let (now, mut goals) = (Instant::now(), lock(to.goals));
+                        for cdr::Status { goal, .. } in ended {
+                            if goals.get(&goal) == Some(instance) {
+                                goals.end(now, &goal);
+                            }
+                        }
+                        drop(goals);
+                        to.show();
+                        Ok(())
+                    }
+                    Err(error) => Err(error.to_string()),
+                },
+            };
+            if let Err(error) = taken {
+                self.failed(Reason::Malformed, error);
+            }
+        }
+    }
+
+    /// Begins to publish what is next, once what was before is published: a subscriber that does not keep up delays nothing else.
+    fn speak<'a>(&self, to: &mut In<'a>, doing: &Doing<'a>) {
+        if to.is_speaking {
+            return;
+        }
+        let (Some(event), Some((local, _))) = (to.outbox.next(), &to.local) else { return };
+        let local = local.clone();
+        to.is_speaking = true;
+        doing.push(Box::pin(async move {
+            match event {
+                Event::Feedback(message) => Done::Said(true, local.publish_feedback(message).await),
+                Event::Status(message) => Done::Said(false, local.publish_status(message).await),
+            }
+        }));
+    }
+}
+
+impl In<'_> {
+    fn knows(&self, known: &Arc<Known>) -> bool {
+        matches!(self.remotes.get(&known.instance), Some(Remote::Known(now)) if Arc::ptr_eq(now, known))
+    }
+
+    /// Those that a server has, or had.
+    fn lose_goals(&mut self, now: Instant, server: Name) {
+        lock(self.goals).end_all(now, server);
+        if self.board.leave(now, &server) {
+            self.show();
+        }
+    }
+
+    fn show(&mut self) {
+        self.outbox.status(self.board.message());
+    }
+}
+
+async fn next(local: Option<&Stands>) -> Result<(Part, Asked), String> {
+    match local {
+        Some(local) => local.next().await,
+        None => std::future::pending().await,
+    }
+}

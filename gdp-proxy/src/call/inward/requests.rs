@@ -1,0 +1,95 @@
+//! What clients here ask, and whom.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use gdp::Name;
+use gdp_ros::action::{GoalId, cdr};
+use gdp_ros::call::{Failure, FailureCode, Part};
+
+use super::super::asking::{Asking, Failed, Known};
+use super::super::counters::Reason;
+use super::super::stand::Stands;
+use super::super::{MAX_PENDING, lock};
+use super::{Calls, In, Remote, Route};
+use crate::graph::Asked;
+
+impl Route {
+    /// A local client asks.
+    pub(super) fn begin<'a>(&'a self, to: &In<'a>, local: Arc<Stands>, part: Part, asked: Asked, calls: &Calls<'a>) {
+        // What stops a robot finds room.
+        let targets = match calls.len() >= MAX_PENDING && part != Part::CancelGoal {
+            true => Err(Failure::new(FailureCode::Busy, "too many wait here")),
+            false => self.targets(to, part, &asked.request),
+        };
+        let Asked { request, mut asker } = asked;
+        let (client, goals, mut is_leaving) = (to.client, to.goals, to.is_leaving.clone());
+        calls.push(Box::pin(async move {
+            let _pending = self.counters.begun();
+            let goal = cdr::goal_of(&request).unwrap_or(cdr::ANY_GOAL);
+            let is_new = matches!(&targets, Ok((_, true)));
+            let asking = Asking::new(client, part, request);
+            let answer = async {
+                let (targets, _) = targets?;
+                asking.answer(&targets).await
+            };
+            let answer = tokio::select! {
+                answer = answer => Some(answer),
+                () = asker.hangs_up() => None,
+                _ = is_leaving.wait_for(|leaving| *leaving) => {
+                    Some(Err(Failure::new(FailureCode::Gone, "this proxy carries no calls any more").into()))
+                }
+            };
+            match (part, &answer) {
+                (Part::SendGoal, Some(Ok(response))) if cdr::is_accepted(response).unwrap_or_default() => {}
+                // Another request may have begun it before.
+                (Part::SendGoal, _) if is_new => lock(goals).forget(&goal),
+                (Part::GetResult, Some(Ok(_))) => lock(goals).end(Instant::now(), &goal),
+                _ => {}
+            }
+            let answered = match answer {
+                None => Ok(()),
+                Some(Ok(response)) => {
+                    self.counters.answered();
+                    local.answer(part, asker, response).await
+                }
+                Some(Err(Failed { failure, reason })) => {
+                    self.failed(reason, &failure);
+                    local.refuse(part, asker, failure.to_string()).await
+                }
+            };
+            if let Err(error) = answered {
+                self.failed(Reason::Unanswered, error);
+            }
+            asking.changed()
+        }));
+    }
+
+    /// Whom a request is for: most often one server. And whether it begins a goal that was not known.
+    fn targets(&self, to: &In<'_>, part: Part, request: &[u8]) -> Result<(Vec<Arc<Known>>, bool), Failure> {
+        let known = |name: &Name| match to.remotes.get(name) {
+            Some(Remote::Known(known)) => Some(known.clone()),
+            _ => None,
+        };
+        // The nearest first.
+        let all: Vec<_> = to.client.instances().iter().filter_map(|one| known(&one.name)).collect();
+        if part == Part::Service {
+            return Ok((all.into_iter().take(1).collect(), false));
+        }
+        let malformed = |error| Failure::new(FailureCode::Malformed, error);
+        let (goal, mut goals): (GoalId, _) = (cdr::goal_of(request).map_err(malformed)?, lock(to.goals));
+        match (part, goals.get(&goal)) {
+            // What was begun at one is continued there.
+            (_, Some(of)) => Ok((known(&of).into_iter().collect(), false)),
+            (Part::SendGoal, None) => {
+                let nearest: Vec<_> = all.into_iter().take(1).collect();
+                for one in &nearest {
+                    goals.begin(goal, one.instance).map_err(|error| Failure::new(FailureCode::Busy, error))?;
+                }
+                Ok((nearest, true))
+            }
+            // Of all goals, or one that was sent before this proxy was started, perhaps.
+            (_, None) => Ok((all, false)),
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! Which servers elsewhere there are, and which of them can be called.
+
+use std::pin::Pin;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use gdp::Name;
+use gdp::node::Client;
+use gdp_ros::call::{Description, Epoch};
+use gdp_ros::services::service_name;
+
+use super::super::LAST_WORDS;
+use super::super::asking::{Changed, Described, Known, describe, events};
+use super::super::outbox::Outbox;
+use super::super::stand::Stands;
+use super::{Doing, Done, In, Remote, Route};
+use crate::config::What;
+use crate::graph::GraphError;
+use crate::standing::RouteError;
+
+/// Servers elsewhere that are told apart; of more, the nearest.
+const MAX_SERVERS: usize = 64;
+
+/// Before a server is asked again that was of no use.
+const ASK_AGAIN: Duration = Duration::from_secs(5);
+
+impl Route {
+    /// Compares the servers that are attached with those that are known.
+    pub(super) fn look<'a>(&'a self, to: &mut In<'a>, doing: &Doing<'a>) {
+        let now = Instant::now();
+        // What another proxy of this graph serves, clients here have without this one.
+        let instances = to.client.instances().into_iter().filter(|one| !to.way.place.is_twin(now, &one.name));
+        let attached: Vec<Name> = instances.take(MAX_SERVERS).map(|one| one.name).collect();
+        let gone: Vec<Name> = to.remotes.keys().filter(|name| !attached.contains(name)).copied().collect();
+        for name in gone {
+            to.remotes.remove(&name);
+            // Those who ask for results are told as their calls fail.
+            to.lose_goals(now, name);
+        }
+        for name in attached {
+            let ask = match to.remotes.get(&name) {
+                None => true,
+                Some(Remote::Unfit(until)) => *until <= now,
+                Some(Remote::Asked | Remote::Known(_)) => false,
+            };
+            if ask {
+                to.remotes.insert(name, Remote::Asked);
+                let client = to.client;
+                doing.push(Box::pin(async move { Done::Description(name, describe(client, name).await) }));
+            }
+        }
+        self.withdraw_if_alone(to, doing);
+    }
+
+    fn withdraw_if_alone<'a>(&'a self, to: &mut In<'a>, doing: &Doing<'a>) {
+        let known = to.remotes.values().filter(|remote| matches!(remote, Remote::Known(_))).count();
+        let is_unfit = to.remotes.values().any(|remote| matches!(remote, Remote::Unfit(_)));
+        // Another proxy of the graph may know more.
+        to.way.place.set_permitted(known > 0 || !is_unfit);
+        self.counters.servers(known);
+        if known > 0 {
+            return;
+        }
+        if let Some((local, _)) = to.local.take() {
+            tracing::info!(service = %self.config.name, "no server elsewhere is left, so it is not announced here any more");
+            self.standing.set_status("waiting for a server elsewhere");
+            to.outbox = Outbox::default();
+            let message = to.board.message();
+            doing.push(Box::pin(async move { Done::Withdrawn(withdraw(local, message).await) }));
+        }
+    }
+
+    /// A server is another, unless it is known by now that it is.
+    pub(super) fn changed<'a>(
+        &'a self,
+        to: &mut In<'a>,
+        changed: Changed,
+        doing: &Doing<'a>,
+    ) -> Result<(), RouteError> {
+        let Changed { known, now } = changed;
+        if !to.knows(&known) {
+            return Ok(());
+        }
+        to.lose_goals(Instant::now(), known.instance);
+        let is_same = now.as_ref().is_ok_and(|(epoch, _)| *epoch == known.epoch);
+        let now = if is_same { Err("it says that it is another, and that it is the same".into()) } else { now };
+        self.described(to, known.instance, now, doing)
+    }
+
+    pub(super) fn described<'a>(
+        &'a self,
+        to: &mut In<'a>,
+        name: Name,
+        described: Described,
+        doing: &Doing<'a>,
+    ) -> Result<(), RouteError> {
+        let fit = match described {
+            Ok((epoch, there)) => self.fit(to, name, epoch, there)?,
+            Err(error) => Err(error),
+        };
+        match fit {
+            Ok(known) => {
+                to.remotes.insert(name, Remote::Known(known.clone()));
+                if self.config.what == What::Action {
+                    doing.push(ask_for_events(to.client, known, 0, false));
+                }
+            }
+            Err(error) => {
+                tracing::warn!(service = %self.config.name, server = %name, "not called: {error}");
+                if to.local.is_none() {
+                    self.standing.set_status(&error);
+                }
+                to.remotes.insert(name, Remote::Unfit(Instant::now() + ASK_AGAIN));
+            }
+        }
+        self.withdraw_if_alone(to, doing);
+        Ok(())
+    }
+
+    /// Whether a server can be called as what stands for it here, which is made if it is the first. The outer error is the graph's.
+    fn fit(
+        &self,
+        to: &mut In<'_>,
+        instance: Name,
+        epoch: Epoch,
+        there: Description,
+    ) -> Result<Result<Arc<Known>, String>, RouteError> {
+        let dialect = to.way.graph.dialect();
+        let here = match (self.config.what, there.kind.dialect == dialect) {
+            (What::Service, _) => self.types.service_counterpart(&there, dialect),
+            (What::Action, true) => Ok(there.clone()),
+            (What::Action, false) => return Ok(Err("it is an action of ROS 1, which are topics".into())),
+        };
+        let here = match here {
+            Ok(here) => here,
+            Err(error) => return Ok(Err(error.to_string())),
+        };
+        let wanted = to.way.kind.map(|kind| match self.config.what {
+            What::Service => service_name(kind.as_str(), dialect).unwrap_or_default(),
+            What::Action => kind.to_string(),
+        });
+        if let Some(wanted) = wanted.filter(|wanted| *wanted != here.kind.name) {
+            return Ok(Err(format!("it is of {}, and the name is of {wanted}", here.kind.name)));
+        }
+        if let Some(own) = self.own_hash(&here).filter(|own| !there.kind.hash.is_empty() && *own != here.kind.hash) {
+            let own = hex::encode(own);
+            return Ok(Err(format!("its {} is another than the one known here, of hash {own}", here.kind.name)));
+        }
+        if let Some((_, standing)) = to.local.as_ref().filter(|(_, standing)| !standing.kind.agrees(&here.kind)) {
+            return Ok(Err(format!("it is of another type than the {} of another server", standing.kind.name)));
+        }
+        let converters = match self.types.service_converters(&here, &there) {
+            Ok(converters) => Mutex::new(converters),
+            Err(error) => return Ok(Err(error.to_string())),
+        };
+        if to.local.is_none() {
+            let name = here.kind.name.clone();
+            match Stands::new(to.way.graph, &self.config.name, self.config.what, &here) {
+                Ok(stands) => to.local = Some((Arc::new(stands), here)),
+                Err(error @ GraphError::Left) => return Err(error.into()),
+                // An earlier one may still be answering.
+                Err(error) => return Ok(Err(error.to_string())),
+            }
+            self.is_up(&name);
+        }
+        Ok(Ok(Arc::new(Known { instance, epoch, there, converters })))
+    }
+
+    /// Of a type of this graph's dialect, as this proxy itself knows it.
+    fn own_hash(&self, here: &Description) -> Option<Vec<u8>> {
+        let kind = gdp_ros::roster::Kind { hash: vec![], ..here.kind.clone() };
+        let hash = match self.config.what {
+            What::Service => self.types.describe_service(kind).kind.hash,
+            What::Action => self.types.describe_action(kind.name).kind.hash,
+        };
+        Some(hash).filter(|hash| !hash.is_empty())
+    }
+}
+
+/// Shows at last what has become of goals; at most for a while.
+pub(super) async fn withdraw(local: Arc<Stands>, statuses: Bytes) -> Result<(), String> {
+    let said = async {
+        local.publish_status(statuses).await?;
+        local.settle().await;
+        Ok(())
+    };
+    tokio::time::timeout(LAST_WORDS, said).await.unwrap_or(Ok(()))
+}
+
+pub(super) fn ask_for_events(
+    client: &Client,
+    known: Arc<Known>,
+    after: u64,
+    has_failed: bool,
+) -> Pin<Box<dyn Future<Output = Done> + Send + '_>> {
+    Box::pin(async move {
+        let news = events(client, &known, after, has_failed).await;
+        Done::News(known, after, news)
+    })
+}
