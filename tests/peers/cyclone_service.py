@@ -1,7 +1,8 @@
-"""A ROS 2 server or client of example_interfaces/srv/AddTwoInts as rmw_cyclonedds would make it. See README.md."""
+"""A ROS 2 server or client of example_interfaces/srv/AddTwoInts or std_srvs/srv/SetBool as rmw_cyclonedds would make it. See README.md."""
 
 import argparse
 import json
+import signal
 import sys
 import time
 from dataclasses import dataclass
@@ -17,11 +18,12 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 # rmw_cyclonedds puts a header before the body of requests and replies: the client's number, and a sequence number.
+CLIENT = 0x1122334455667788
 
 
 @dataclass
 @final
-class Request(IdlStruct, typename="example_interfaces::srv::dds_::AddTwoInts_Request_"):
+class AddRequest(IdlStruct, typename="example_interfaces::srv::dds_::AddTwoInts_Request_"):
     guid: uint64
     seq: int64
     a: int64
@@ -30,10 +32,27 @@ class Request(IdlStruct, typename="example_interfaces::srv::dds_::AddTwoInts_Req
 
 @dataclass
 @final
-class Response(IdlStruct, typename="example_interfaces::srv::dds_::AddTwoInts_Response_"):
+class AddResponse(IdlStruct, typename="example_interfaces::srv::dds_::AddTwoInts_Response_"):
     guid: uint64
     seq: int64
     sum: int64
+
+
+@dataclass
+@final
+class SetRequest(IdlStruct, typename="std_srvs::srv::dds_::SetBool_Request_"):
+    guid: uint64
+    seq: int64
+    data: bool
+
+
+@dataclass
+@final
+class SetResponse(IdlStruct, typename="std_srvs::srv::dds_::SetBool_Response_"):
+    guid: uint64
+    seq: int64
+    success: bool
+    message: str
 
 
 def say(**fields):
@@ -48,42 +67,88 @@ def endpoints(service, reads, writes):
         Policy.History.KeepLast(10),
         Policy.DataRepresentation(use_cdrv0_representation=True),
     )
-    names = {Request: f"rq{service}Request", Response: f"rr{service}Reply"}
+    names = {AddRequest: f"rq{service}Request", AddResponse: f"rr{service}Reply"}
+    names |= {SetRequest: names[AddRequest], SetResponse: names[AddResponse]}
     reader = DataReader(participant, Topic(participant, names[reads], reads, qos=qos), qos=qos)
     writer = DataWriter(participant, Topic(participant, names[writes], writes, qos=qos), qos=qos)
-    say(event="ready")
     return reader, writer
 
 
-def serve(service):
-    reader, writer = endpoints(service, Request, Response)
+def is_there(reader, writer):
+    return bool(writer.get_matched_subscriptions() and reader.get_matched_publications())
+
+
+def answer(service, request, response, body):
+    """Says for each request what `body` makes of it."""
+    reader, writer = endpoints(service, request, response)
+    say(event="ready")
     while True:
         for asked in reader.take(N=16):
-            if isinstance(asked, Request):
-                writer.write(Response(asked.guid, asked.seq, asked.a + asked.b))
+            if isinstance(asked, request):
+                writer.write(response(asked.guid, asked.seq, *body(asked)))
         time.sleep(0.002)
 
 
-def call(service, a, b):
-    reader, writer = endpoints(service, Response, Request)
-    while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
+def reply(reader, kind, seq):
+    """That to a request, if it has come."""
+    while True:
+        try:
+            [sample] = reader.take(N=1) or [None]
+        except Exception as error:
+            # To a client of another vendor, without a header: rmw_cyclonedds drops what it cannot read, too.
+            print(f"not for us: {error!r}", file=sys.stderr)
+            continue
+        if sample is None or isinstance(sample, kind) and (sample.guid, sample.seq) == (CLIENT, seq):
+            return sample
+
+
+def serve(service):
+    answer(service, AddRequest, AddResponse, lambda asked: [asked.a + asked.b])
+
+
+def call(service):
+    reader, writer = endpoints(service, AddResponse, AddRequest)
+    say(event="ready")
+    while not is_there(reader, writer):
         time.sleep(0.01)
     # Both ends must have found each other, and only one end of that shows here.
     for attempt in range(100):
-        writer.write(Request(0x1122334455667788, attempt, a, b))
+        writer.write(AddRequest(CLIENT, attempt, args.a, args.b))
         for _ in range(100):
-            for reply in reader.take(N=16):
-                if isinstance(reply, Response) and reply.guid == 0x1122334455667788 and reply.seq == attempt:
-                    return say(event="reply", sum=reply.sum)
+            if answered := reply(reader, AddResponse, attempt):
+                return say(event="reply", sum=answered.sum)
             time.sleep(0.002)
 
 
+def switch(service):
+    answer(service, SetRequest, SetResponse, lambda asked: [asked.data, f"{service} is {'on' if asked.data else 'off'}"])
+
+
+def set(*services):
+    ends = {service: endpoints(service, SetResponse, SetRequest) for service in services}
+    for service, (reader, writer) in ends.items():
+        while not is_there(reader, writer):
+            time.sleep(0.01)
+        for seq, value in enumerate([True, False]):
+            writer.write(SetRequest(CLIENT, seq, value))
+            while not (answered := reply(reader, SetResponse, seq)):
+                time.sleep(0.01)
+            say(event="response", service=service, success=answered.success, message=answered.message)
+    while ends:
+        for service in [service for service, pair in ends.items() if not is_there(*pair)]:
+            say(event="gone", service=service)
+            del ends[service]
+        time.sleep(0.05)
+
+
 p = argparse.ArgumentParser()
-p.add_argument("verb", choices=["serve", "call"])
-p.add_argument("--service", default="/add_two_ints")
+p.add_argument("verb", choices=["serve", "call", "switch", "set"])
+p.add_argument("--service", nargs="+", default=["/add_two_ints"])
 p.add_argument("--domain", type=int, default=0)
 p.add_argument("--a", type=int, default=0)
 p.add_argument("--b", type=int, default=0)
 args = p.parse_args()
+# So that it says goodbye.
+signal.signal(signal.SIGTERM, lambda *_: sys.exit())
 participant = DomainParticipant(args.domain)
-serve(args.service) if args.verb == "serve" else call(args.service, args.a, args.b)
+globals()[args.verb](*args.service)

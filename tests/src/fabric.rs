@@ -362,19 +362,19 @@ impl Authority<'_> {
     /// The topic's name, made by its owner.
     pub fn topic(&self) -> Result<String> {
         self.key(OWNER, "owner.pem", "owner")?;
-        self.name(TOPIC, TYPE, "chatter.card")
+        self.name("topic", TOPIC, TYPE, "chatter.card")
     }
 
-    /// One more name of the same owner: its card.
-    pub fn name(&self, topic: &str, kind: &str, card: &str) -> Result<String> {
-        let topic = ["--owner", "owner.pem", "--topic", topic, "--type", kind, "-o", card];
+    /// One more name of the same owner, of a `topic`, a `service` or an `action`: its card.
+    pub fn name(&self, what: &str, topic: &str, kind: &str, card: &str) -> Result<String> {
+        let topic = ["--owner", "owner.pem", "--kind", what, "--topic", topic, "--type", kind, "-o", card];
         field(&self.ctl(OWNER, &[&["name", "create"], &topic[..]].concat())?, "name")
     }
 
     /// One more topic of the owner, for robot and cloud, who have their keys: `chatterI.card` and `chatterI.cert`.
     fn further_topic(&self, i: u32) -> Result<()> {
         let name = format!("chatter{i}");
-        self.name(&format!("{TOPIC}{i}"), TYPE, &format!("{name}.card"))?;
+        self.name("topic", &format!("{TOPIC}{i}"), TYPE, &format!("{name}.card"))?;
         for (label, right) in [("robot", "--publish"), ("cloud", "--read")] {
             let entity = field(&self.ctl(label, &["key", "show", "key.pem", "--kind", "proxy"])?, "name")?;
             self.hand(label, &entity, &[right], &name)?;

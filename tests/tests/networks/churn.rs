@@ -95,7 +95,7 @@ fn proxies(tools: &Tools, chain: &Chain, authority: &Authority<'_>) -> Result<Ve
     ];
     let entities = sides.iter().map(|(label, ..)| authority.proxy(label)).collect::<Result<Vec<_>>>()?;
     for number in 0..TOPICS {
-        authority.name(&format!("/churn/t{number}"), TYPE, &format!("{number}.card"))?;
+        authority.name("topic", &format!("/churn/t{number}"), TYPE, &format!("{number}.card"))?;
         for ((label, _, _, right, ..), entity) in sides.iter().zip(&entities) {
             authority.hand(label, entity, &[right], &number.to_string())?;
         }

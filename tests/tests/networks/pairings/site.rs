@@ -1,5 +1,12 @@
-//! The network, its switch, the proxies, and the programs of `tests/peers/any`.
+//! The network, its switch, its masters and the proxies. What crosses is said by the test, which starts the programs as well.
+//!
+//! ```text
+//!                         ┌ p1 ── l0 old: rospy at a master
+//!   robot r0 ── p0 switch ┤
+//!   all three             └ p2 ── l0 new: Cyclone DDS, Fast DDS
+//! ```
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -7,13 +14,11 @@ use std::process::Command;
 use anyhow::{Context, Result};
 use gdp_tests::Tools;
 use gdp_tests::fabric::{Authority, PATIENCE, Switch};
-use gdp_tests::netns::{End, Namespace, execute, veth};
+use gdp_tests::netns::{End, Namespace, veth};
 use gdp_tests::process::Process;
 use gdp_tests::wait::wait_for;
 use serde_json::{Value, json};
-
-/// What is published: the files of `samples.py`.
-pub const KEYS: [&str; 6] = ["string", "image", "cloud", "joints", "tf", "report"];
+use tempfile::TempDir;
 
 /// Whose ROS a program is made with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,7 +31,7 @@ pub enum Vendor {
 impl Vendor {
     pub const ALL: [Self; 3] = [Self::Rospy, Self::Cyclone, Self::FastDds];
 
-    fn label(self) -> &'static str {
+    pub fn label(self) -> &'static str {
         match self {
             Self::Rospy => "rospy",
             Self::Cyclone => "cyclone",
@@ -39,9 +44,32 @@ impl Vendor {
         if self == Self::Rospy { "old" } else { "new" }
     }
 
-    /// What it publishes of a type.
-    pub fn topic(self, key: &str) -> String {
-        format!("/{}/{key}", self.label())
+    /// What it has of something that each vendor has.
+    pub fn name(self, of: &str) -> String {
+        format!("/{}/{of}", self.label())
+    }
+}
+
+/// What crosses, from a program of the robot's to both sites.
+pub struct Carried {
+    /// `topic`, `service` or `action`.
+    pub what: &'static str,
+    pub name: String,
+    /// As ROS 2 calls it.
+    pub kind: String,
+    /// Whose program at the robot has it.
+    pub source: Vendor,
+}
+
+impl Carried {
+    /// Whether it is for a site. A graph of ROS 1 has no actions: there they are topics.
+    fn is_for(&self, label: &str) -> bool {
+        self.what != "action" || label != "old"
+    }
+
+    /// What its card and certificates are called.
+    fn file(&self) -> String {
+        self.name.trim_start_matches('/').replace('/', "-")
     }
 }
 
@@ -51,26 +79,23 @@ pub struct Site {
     proxies: Vec<Process>,
     _masters: Vec<Process>,
     _switch: Switch,
-    robot: Namespace,
+    pub robot: Namespace,
     old: Namespace,
-    new: Namespace,
+    pub new: Namespace,
     _s1: Namespace,
-    tools: Tools,
-    files: tempfile::TempDir,
-    /// By key, as ROS 2 calls it.
-    types: Value,
+    pub tools: Tools,
+    files: TempDir,
 }
 
 impl Site {
-    /// Everything but the programs that publish and hear.
-    pub fn start() -> Result<Self> {
-        let tools = Tools::beside_this_test()?;
-        let files = tempfile::Builder::new().prefix("gdp-pairings-").tempdir()?;
-        let folder = files.path();
-        execute(Command::new(tools.python()?).arg(tools.peer("any/samples.py")).arg(folder))?;
-        let index: Value = serde_json::from_str(&fs::read_to_string(folder.join("index.json"))?)?;
-        let types = KEYS.iter().map(|key| ((*key).to_owned(), index[key]["type"].clone())).collect();
+    /// For [`Site::start`].
+    pub fn files() -> Result<TempDir> {
+        Ok(tempfile::Builder::new().prefix("gdp-pairings-").tempdir()?)
+    }
 
+    /// Everything but the programs that have what is carried. `more`: what else the robot's proxy is configured with.
+    pub fn start(tools: Tools, files: TempDir, carried: &[Carried], more: Value) -> Result<Self> {
+        let folder = files.path();
         let [s1, robot, old, new] = network()?;
         let authority = Authority { tools: &tools, folder };
         let name = authority.switch("s1")?;
@@ -83,22 +108,37 @@ impl Site {
         let masters = [("robot", &robot), ("old", &old)].map(|(label, at)| master(label, at, folder));
         let _masters = masters.into_iter().collect::<Result<Vec<_>>>()?;
         let (programs, proxies) = (Vec::new(), Vec::new());
-        let mut site =
-            Self { programs, proxies, _masters, _switch: switch, robot, old, new, _s1: s1, tools, files, types };
-        site.start_proxies()?;
+        let mut site = Self { programs, proxies, _masters, _switch: switch, robot, old, new, _s1: s1, tools, files };
+        site.start_proxies(carried, more)?;
         Ok(site)
     }
 
-    /// Publishes every type, beneath `/VENDOR`.
-    pub fn talk(&self, vendor: Vendor) -> Result<Process> {
-        self.program(vendor, "talk", &self.robot, &[&format!("/{}", vendor.label())])
+    /// Where the files and all logs are.
+    pub fn folder(&self) -> &Path {
+        self.files.path()
     }
 
-    /// Hears every type from each vendor.
-    pub fn listen(&self, vendor: Vendor) -> Result<Process> {
-        let prefixes = Vendor::ALL.map(|source| format!("/{}", source.label()));
-        let at = if vendor == Vendor::Rospy { &self.old } else { &self.new };
-        self.program(vendor, "listen", at, &prefixes.each_ref().map(String::as_str))
+    /// Where a vendor's programs are that have what comes from the robot.
+    pub fn sink(&self, vendor: Vendor) -> &Namespace {
+        if vendor == Vendor::Rospy { &self.old } else { &self.new }
+    }
+
+    /// A program of `tests/peers` for ROS 1, with the master of its namespace.
+    pub fn ros1(&self, at: &Namespace, peer: &str) -> Result<Command> {
+        ros1(at, self.folder(), &self.tools.peer(peer))
+    }
+
+    /// A program of `tests/peers` for Cyclone DDS or rclpy.
+    pub fn python(&self, at: &Namespace, peer: &str) -> Result<Command> {
+        let mut command = at.command(self.tools.python()?)?;
+        // UDP alone: two Fast DDS programs of one machine would otherwise meet in shared memory, past the network.
+        command.arg(self.tools.peer(peer)).env("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4").env("ROS_DOMAIN_ID", "0");
+        command.env("ROS_LOG_DIR", self.folder());
+        Ok(command)
+    }
+
+    pub fn spawn(&self, label: &str, command: Command) -> Result<Process> {
+        Process::spawn(label, command, self.folder())
     }
 
     pub fn check_alive(&mut self) -> Result<()> {
@@ -109,61 +149,45 @@ impl Site {
         self.programs.iter().chain(&self.proxies).map(Process::report).collect::<Vec<_>>().join("\n")
     }
 
-    fn program(&self, vendor: Vendor, verb: &str, at: &Namespace, prefixes: &[&str]) -> Result<Process> {
-        let folder = self.files.path();
-        let mut command = match vendor {
-            Vendor::Rospy => ros1(at, folder, &self.tools.peer("any/rospy_any.py"))?,
-            Vendor::Cyclone => {
-                let mut command = at.command(self.tools.python()?)?;
-                command.arg(self.tools.peer("any/cyclone_any.py"));
-                command
-            }
-            Vendor::FastDds => at.command(self.tools.fastdds_any()?)?,
-        };
-        command.arg(verb).arg(folder);
-        if vendor == Vendor::FastDds {
-            let types = KEYS.map(|key| format!("{key}={}", self.types[key].as_str().unwrap_or_default()));
-            command.arg(prefixes.join(",")).args(types);
-        } else {
-            command.args(prefixes);
-        }
-        Process::spawn(&format!("{}-{verb}", vendor.label()), command, folder)
-    }
-
-    /// The robot's is in both of its graphs, and alone knows what the type of the unknown package is, from a folder.
-    fn start_proxies(&mut self) -> Result<()> {
-        let folder = self.files.path();
-        let authority = Authority { tools: &self.tools, folder };
-        let entities =
-            ["robot", "old", "new"].map(|label| authority.proxy(label)).into_iter().collect::<Result<Vec<_>>>()?;
+    /// The robot's is in both of its graphs.
+    fn start_proxies(&mut self, carried: &[Carried], more: Value) -> Result<()> {
+        let authority = Authority { tools: &self.tools, folder: self.files.path() };
+        let labels = ["robot", "old", "new"];
+        let entities = labels.map(|label| authority.proxy(label)).into_iter().collect::<Result<Vec<_>>>()?;
         authority.topic()?;
-        let (mut out, mut into) = (Vec::new(), Vec::new());
-        for source in Vendor::ALL {
-            for key in KEYS {
-                let (topic, name) = (source.topic(key), format!("{}-{key}", source.label()));
-                authority.name(&topic, self.types[key].as_str().context("a type")?, &format!("{name}.card"))?;
-                for (label, entity) in ["robot", "old", "new"].iter().zip(&entities) {
-                    let right = if *label == "robot" { "--publish" } else { "--read" };
-                    authority.hand(label, entity, &[right], &name)?;
-                }
-                let (card, cert) = (format!("{name}.card"), format!("{name}.cert"));
-                out.push(
-                    json!({"topic": topic, "graph": source.graph(), "direction": "out", "card": card, "cert": cert}),
-                );
-                into.push(json!({"topic": topic, "direction": "in", "card": card, "grant": cert}));
+        // By label, by the list of the configuration.
+        let mut lists: BTreeMap<&str, BTreeMap<String, Vec<Value>>> = BTreeMap::new();
+        for one in carried {
+            let (name, what) = (one.file(), one.what);
+            let (card, cert) = (format!("{name}.card"), format!("{name}.cert"));
+            authority.name(what, &one.name, &one.kind, &card)?;
+            for (label, entity) in labels.into_iter().zip(&entities).filter(|(label, _)| one.is_for(label)) {
+                let (right, mut entry) = if label == "robot" {
+                    let graph = one.source.graph();
+                    ("--publish", json!({"graph": graph, "direction": "out", "card": card, "cert": cert}))
+                } else {
+                    ("--read", json!({"direction": "in", "card": card, "grant": cert}))
+                };
+                authority.hand(label, entity, &[right], &name)?;
+                entry[what] = json!(one.name);
+                lists.entry(label).or_default().entry(format!("{what}s")).or_default().push(entry);
             }
         }
         let (ros1, ros2) = (json!({"master": MASTER, "host": "localhost"}), json!({"domain_id": 0}));
-        let robot = json!({
-            "graphs": {"old": ros1, "new": ros2}, "topics": out, "definitions": {"ros2": [folder.join("share")]},
-        });
-        let old = json!({"graphs": {"old": ros1}, "topics": into});
-        let new = json!({"graphs": {"new": ros2}, "topics": into});
-        let parties =
-            [("robot", &self.robot, "r0", robot), ("old", &self.old, "l0", old), ("new", &self.new, "l0", new)];
-        self.proxies = parties
+        let graphs = [json!({"old": ros1, "new": ros2}), json!({"old": ros1}), json!({"new": ros2})];
+        let places = [(&self.robot, "r0"), (&self.old, "l0"), (&self.new, "l0")];
+        self.proxies = labels
             .into_iter()
-            .map(|(label, at, interface, config)| self.proxy(label, at, interface, config))
+            .zip(graphs)
+            .zip(places)
+            .map(|((label, graphs), (at, interface))| {
+                let mut config = if label == "robot" { more.clone() } else { json!({}) };
+                config["graphs"] = graphs;
+                for (list, entries) in lists.remove(label).unwrap_or_default() {
+                    config[list] = json!(entries);
+                }
+                self.proxy(label, at, interface, config)
+            })
             .collect::<Result<Vec<_>>>()?;
         Ok(())
     }
@@ -177,7 +201,7 @@ impl Site {
         fs::write(&path, config.to_string())?;
         let mut command = at.command(self.tools.gdp_proxy()?)?;
         command.arg("--config").arg(&path);
-        Process::spawn(&format!("{label}-proxy"), command, self.files.path())
+        self.spawn(&format!("{label}-proxy"), command)
     }
 }
 
