@@ -76,7 +76,7 @@ fn report(Loaded { config, material }: &Loaded, found: &BTreeMap<String, Topics>
             because: format!("topics[{at}]"),
             ..row(kind)
         });
-        if route.side == Side::Out {
+        if route.permission.side() == Side::Out {
             explicit.insert((label.to_owned(), topic.topic.clone()));
             let others = kinds(published).into_iter().filter(|other| Some(*other) != kind);
             rows.extend(others.map(|other| Row { because: another_type(kind), ..row(Some(other)) }));

@@ -97,5 +97,5 @@ impl<'a> Gathering<'a> {
 }
 
 fn named(plan: &RoutePlan) -> (Name, Side) {
-    (plan.material.card.name(), plan.material.side)
+    (plan.material.card.name(), plan.material.permission.side())
 }

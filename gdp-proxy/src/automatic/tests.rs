@@ -79,7 +79,7 @@ async fn what_finds_no_room_in_the_catalog_is_told_and_the_rest_is_listed() {
     exposed.choice.update(loaded.config.expose.as_ref().unwrap(), &topics, Instant::now());
 
     let plans = automatic.plan(&[]);
-    let [CatalogPlan { end: End::Writes(list), .. }] = &plans.catalogs[..] else { panic!("one catalog") };
+    let [CatalogPlan { end: End::Writes(_, list), .. }] = &plans.catalogs[..] else { panic!("one catalog") };
     let listed = Catalog::read(&list.borrow(), owner.verify_key()).unwrap();
     assert!((100..500).contains(&listed.len()), "{}", listed.len());
     assert_eq!((plans.routes.len(), automatic.kept.told.len()), (listed.len(), 500 - listed.len()));

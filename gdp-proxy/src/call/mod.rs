@@ -105,7 +105,7 @@ impl Carries for Route {
         let RouteMaterial { card, kind, permission, file } = material;
         // What has failed is left to others until it shows that it works by now.
         let place =
-            graph.twins().enter(node.name(), self.standing.part(permission.side(), !self.standing.has_failed()));
+            graph.twins().enter(node.name(), self.standing.part(permission.side()), !self.standing.has_failed());
         let way = Way { graph, node, kind: kind.as_ref(), card: &card, place: &place };
         let (mut right, mut stop) = (EitherRight::new(permission, file), pin!(stop));
         // A call that two carry out does harm.

@@ -85,7 +85,7 @@ mod tests {
     #[tokio::test]
     async fn what_changes_all_the_time_is_told_a_few_times_a_second() {
         let (twins, start) = (Arc::new(Twins::default()), Instant::now());
-        let part = Part { name: Name::from_bytes([9; 32]), side: Side::Out, topic: "/chatter".into() };
+        let part = Part { name: Name::from_bytes([9; 32]), side: Side::Out, title: "topic /chatter".into() };
         let place = twins.enter(Name::from_bytes([1; 32]), part, true);
         let (tell, mut told) = mpsc::unbounded_channel();
         let beating = tokio::spawn(beat(twins, Counting(tell)));
