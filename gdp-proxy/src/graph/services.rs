@@ -239,9 +239,9 @@ impl Stand {
     /// Responds.
     pub async fn answer(&self, asker: Asker, response: Bytes) -> Result<(), String> {
         match (self, asker) {
-            (Self::Ros2(server), Asker::Ros2(id, _)) => {
+            (Self::Ros2(server), Asker::Ros2(id, client)) => {
                 let sample = RawSample::parse(response).ok_or("the response is no CDR that ROS 2 uses")?;
-                server.respond(&id, sample).await.map_err(|error| error.to_string())
+                server.respond(&id, &client, sample).await.map_err(|error| error.to_string())
             }
             (_, Asker::Ros1(asker)) => {
                 // Whoever hung up meanwhile needs none.

@@ -270,17 +270,24 @@ impl RawWriter {
         std::iter::from_fn(|| self.little_endian.try_recv_status()).any(is_match)
     }
 
-    /// Waits until a reader of this participant is served, which is told once.
-    pub(super) async fn until_matched(&self, participant: [u8; 12]) {
+    /// Waits until a reader is served that was not, or not any more: whose, and whether it is now. Each is told once.
+    pub(super) async fn matching(&self) -> (GUID, bool) {
         let mut events = self.little_endian.as_async_status_stream();
         while let Some(event) = events.next().await {
-            if matches!(event, DataWriterStatus::PublicationMatched { reader, current, .. }
-                if is_of(reader, participant) && current.count_change() > 0)
-            {
-                return;
+            if let DataWriterStatus::PublicationMatched { reader, current, .. } = event {
+                return (reader, current.count_change() > 0);
             }
         }
         std::future::pending().await
+    }
+
+    /// Waits until a reader of this participant is served, which is told once.
+    pub(super) async fn until_matched(&self, participant: [u8; 12]) {
+        loop {
+            if matches!(self.matching().await, (reader, true) if is_of(reader, participant)) {
+                return;
+            }
+        }
     }
 
     /// Waits until reliable readers have what was written, for as long as that takes.

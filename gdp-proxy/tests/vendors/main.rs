@@ -175,7 +175,7 @@ async fn add(server: Server) {
     loop {
         let request = server.recv().await.unwrap();
         let sum = number(&request.sample, 0) + number(&request.sample, 1);
-        server.respond(&request.id, cdr(&sum.to_le_bytes())).await.unwrap();
+        server.respond(&request.id, &request.client, cdr(&sum.to_le_bytes())).await.unwrap();
     }
 }
 

@@ -1,5 +1,6 @@
 //! The side that answers.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -14,10 +15,16 @@ use crate::ros2::raw::{RawReader, RawSample, RawWriter, Unreadable, WriteError};
 /// How long discovery may take to show a client whose request is here.
 const SHOWN: Duration = Duration::from_secs(3);
 
+/// How long a client's reader of replies may take to be discovered once its request is here.
+const REACHED: Duration = Duration::from_millis(500);
+
+/// Participants that are told apart.
+const MAX_SERVED: usize = 4096;
+
 /// A service that local clients see.
 pub struct Server {
     requests: RawReader,
-    replies: Mutex<RawWriter>,
+    replies: Mutex<Replies>,
     mapping: Option<Mapping>,
     writers: watch::Receiver<Arc<Writers>>,
 }
@@ -66,7 +73,7 @@ impl Server {
         mapping: Option<Mapping>,
         writers: watch::Receiver<Arc<Writers>>,
     ) -> Self {
-        Self { requests, replies: Mutex::new(replies), mapping, writers }
+        Self { requests, replies: Mutex::new(Replies { writer: replies, served: HashMap::new() }), mapping, writers }
     }
 
     /// The next request. May be cancelled without losing one.
@@ -80,18 +87,60 @@ impl Server {
 
     /// Waits until clients have their answers, for as long as that takes.
     pub async fn settle(&self) {
-        self.replies.lock().await.settle().await;
+        self.replies.lock().await.writer.settle().await;
     }
 
-    /// Answers a request, in the mapping that it came in. Waits a bounded time for clients that do not keep up.
-    pub async fn respond(&self, id: &RequestId, reply: RawSample) -> Result<(), WriteError> {
+    /// Answers a request of a client, in the mapping that it came in. Waits a bounded time for clients that do not keep up, or whose reader is not
+    /// discovered yet.
+    pub async fn respond(&self, id: &RequestId, client: &ClientLife, reply: RawSample) -> Result<(), WriteError> {
         let options = WriteOptionsBuilder::new();
         let (sample, options) = match id.0 {
             Id::Header(header) => (with_header(&reply, header), options),
             Id::Sample(asked) => (reply, options.related_sample_identity(asked)),
         };
-        self.replies.lock().await.write_with(sample, options.build()).await.map(drop)
+        let mut replies = self.replies.lock().await;
+        replies.reach(client.writer).await;
+        replies.writer.write_with(sample, options.build()).await.map(drop)
     }
+}
+
+/// The writer of replies, and whom it serves.
+struct Replies {
+    writer: RawWriter,
+    /// How many readers it serves, by their participants; 0 where one was waited for in vain.
+    served: HashMap<Participant, u32>,
+}
+
+type Participant = [u8; 12];
+
+impl Replies {
+    /// Has a client served: its request may come before its reader of replies is discovered, and what is written by then does not reach it.
+    async fn reach(&mut self, client: GUID) {
+        let client = participant(client);
+        let Self { writer, served } = self;
+        let until_served = async {
+            while !served.contains_key(&client) {
+                let (reader, is_served) = writer.matching().await;
+                let count = served.entry(participant(reader)).or_default();
+                *count = if is_served { *count + 1 } else { count.saturating_sub(1) };
+                if !is_served && *count == 0 {
+                    served.remove(&participant(reader));
+                }
+            }
+        };
+        if timeout(REACHED, until_served).await.is_err() {
+            if served.len() >= MAX_SERVED {
+                served.clear();
+            }
+            served.insert(client, 0);
+        }
+    }
+}
+
+fn participant(endpoint: GUID) -> Participant {
+    let mut participant = Participant::default();
+    participant.copy_from_slice(&endpoint.to_bytes()[..12]);
+    participant
 }
 
 #[cfg(test)]
