@@ -96,8 +96,9 @@ async fn what_travels_compressed_is_shown_as_it_was() {
     assert_eq!(shown["message"]["data"], text.as_str());
     let raw = site.json(&["topic", "echo", "/chatter", "--once", "--raw"]).await;
     assert_eq!((&raw["encoding"], raw["raw"].as_str().unwrap().len()), (&2.into(), length.div_ceil(3) * 4));
-    let mut following = site.follow(&["topic", "bw", "/chatter"]);
-    following.until(&format!("mean: {length} B min: {length} B max: {length} B"));
+    let mut following = site.follow(&["-j", "topic", "bw", "/chatter"]);
+    let line: Value = serde_json::from_str(following.until("min_bytes").lines().last().unwrap()).unwrap();
+    assert_eq!((&line["min_bytes"], &line["max_bytes"]), (&length.into(), &length.into()));
     following.interrupt();
     talking.abort();
     site.switch.stop().await;
