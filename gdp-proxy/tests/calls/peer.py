@@ -17,6 +17,10 @@ import sys
 import threading
 import time
 
+# Of every thread that comes, also of those that libraries make: one alone waits for it, in `end_at_interrupt`.
+signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import rclpy
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient, ActionServer, CancelResponse
@@ -167,16 +171,24 @@ def result_of(future):
     return future.result()
 
 
+def end_at_interrupt(executor):
+    signal.sigwait({signal.SIGINT})
+    rclpy.try_shutdown()
+    # The executor misses a single wake-up now and then, and rclpy's own handler gives no second one.
+    while True:
+        executor.wake()
+        time.sleep(0.05)
+
+
 if __name__ == "__main__":
     name, mode, *arguments = sys.argv[1:]
-    # rclpy's own handler ends the executor; Python's would raise KeyboardInterrupt besides, perhaps in the midst of what is to be done last.
-    signal.signal(signal.SIGINT, lambda *_: None)
-    rclpy.init()
+    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
     node = rclpy.create_node(name)
+    executor = MultiThreadedExecutor()
+    executor.add_node(node)
+    threading.Thread(target=end_at_interrupt, args=[executor], daemon=True).start()
     try:
         globals()[mode](node, *arguments)
-        executor = MultiThreadedExecutor()
-        executor.add_node(node)
         executor.spin()
     except ExternalShutdownException:
         pass
@@ -186,6 +198,5 @@ if __name__ == "__main__":
         if hasattr(node, "server"):
             node.server.destroy()
         node.destroy_node()
-        rclpy.try_shutdown()
         sys.stdout.flush()
         os._exit(0)
