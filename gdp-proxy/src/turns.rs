@@ -25,20 +25,25 @@ pub async fn by_turns(
 ) -> Result<(), RouteError> {
     let mut stop = pin!(stop);
     loop {
-        let mut ahead = None;
+        // Before anything is carried: who has it already is not disturbed.
+        if let Some(ahead) = place.ahead(Instant::now()) {
+            tracing::info!(what = standing.title(), name = %standing.name(), "standing by for {ahead}");
+            standing.set_status(&format!("standing by for {ahead}"));
+            tokio::select! {
+                () = &mut stop => return Ok(()),
+                () = until(node, place, |ahead| ahead.is_none().then_some(())) => {}
+            }
+        }
+        let mut is_stopped = false;
         let over = async {
             tokio::select! {
-                () = &mut stop => {}
-                found = until(node, place, |ahead| ahead) => ahead = Some(found),
+                () = &mut stop => is_stopped = true,
+                _ = until(node, place, |ahead| ahead) => {}
             }
         };
         carry(pin!(over)).await?;
-        let Some(ahead) = ahead else { return Ok(()) };
-        tracing::info!(what = standing.title(), name = %standing.name(), "standing by for {ahead}");
-        standing.set_status(&format!("standing by for {ahead}"));
-        tokio::select! {
-            () = &mut stop => return Ok(()),
-            () = until(node, place, |ahead| ahead.is_none().then_some(())) => {}
+        if is_stopped {
+            return Ok(());
         }
     }
 }

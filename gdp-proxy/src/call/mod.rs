@@ -16,7 +16,7 @@ mod stand;
 use std::fmt::Display;
 use std::pin::pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use gdp::{NameCard, Node};
 use gdp_ros::types::Types;
@@ -45,6 +45,8 @@ pub struct Route {
     types: Arc<Types>,
     counters: CallCounters,
     standing: Standing,
+    /// Servers elsewhere were none that this proxy can call: until when it leaves them to others.
+    unfit_until: Mutex<Option<Instant>>,
 }
 
 /// From where to where, and as what.
@@ -75,6 +77,7 @@ impl Carries for Route {
             types,
             counters: CallCounters::default(),
             standing: Standing::new(title, material.card.name(), kind),
+            unfit_until: Mutex::new(None),
         }
     }
 

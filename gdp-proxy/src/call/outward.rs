@@ -70,10 +70,13 @@ impl Route {
                         }
                     },
                     Err(Unfit::Call(CallerError::Graph(error))) => return Err(error.into()),
+                    // Another proxy of the graph may do better.
                     Err(error @ (Unfit::Call(_) | Unfit::Random)) => {
+                        place.set_permitted(false);
                         self.standing.pause(error, &mut Pause::new(), right).await;
                     }
                     Err(error @ Unfit::OtherType { .. }) => {
+                        place.set_permitted(false);
                         tracing::warn!(service = %self.config.name, "not carried: {error}");
                         self.standing.set_status(&error.to_string());
                         servers.until_gone(&peer).await?;

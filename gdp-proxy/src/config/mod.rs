@@ -48,7 +48,7 @@ const MAX_IMPORTS: usize = 64;
 pub const MAX_ROUTES: usize = 2 * MAX_TOPICS;
 
 /// Services and actions.
-const MAX_CALLS: usize = 2 * MAX_TOPICS;
+pub const MAX_CALLS: usize = 2 * MAX_TOPICS;
 
 /// One for each route and catalog, and some for what blocks for a moment.
 pub const MAX_THREADS: usize = MAX_ROUTES + MAX_CALLS + MAX_IMPORTS + 64;

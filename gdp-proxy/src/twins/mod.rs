@@ -16,7 +16,7 @@ use tokio::sync::Notify;
 
 pub use beat::{Voice, beat};
 
-use crate::config::Side;
+use crate::config::{MAX_CALLS, MAX_ROUTES, Side};
 
 /// For how long another proxy is taken for there that is not heard of: three times as long as it is silent at most.
 pub const HOLD: Duration = Duration::from_secs(3);
@@ -28,7 +28,7 @@ pub const LISTEN: Duration = Duration::from_millis(1500);
 const MAX_OTHERS: usize = 64;
 
 /// Of one proxy.
-const MAX_PARTS: usize = 2048;
+const MAX_PARTS: usize = MAX_ROUTES + MAX_CALLS;
 
 const VERSION: u8 = 2;
 
@@ -310,7 +310,7 @@ mod tests {
         assert!(refused("{}").contains("not understood"));
         assert!(refused(r#"{"version":1,"entity":"x","able":["y"]}"#).contains("version 1"));
         assert!(refused(&claims(1, 3, 0)).contains("version 3"));
-        assert!(refused(&claims(1, 2, MAX_PARTS + 1)).contains("parts: 2049"));
+        assert!(refused(&claims(1, 2, MAX_PARTS + 1)).contains(&format!("parts: {}", MAX_PARTS + 1)));
         (0..MAX_OTHERS as u8).for_each(|i| twins.heard(now, &claims(i, 2, 1)).unwrap());
         assert!(refused(&claims(99, 2, 1)).contains("proxies in a graph: 65"));
         twins.heard(now + HOLD, &claims(99, 2, 1)).unwrap();

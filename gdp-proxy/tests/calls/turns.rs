@@ -47,6 +47,28 @@ async fn of_two_proxies_in_one_graph_one_takes_each_call_and_the_other_takes_ove
     assert_eq!(asked(&mut server, 6).await, Vec::from_iter(10..16), "each once");
 }
 
+/// Whatever its name: calls under way would end with a change.
+#[tokio::test(flavor = "multi_thread")]
+async fn who_takes_calls_is_not_disturbed_by_one_that_comes() {
+    let site = Site::start().await;
+    let (robot, cloud) = (Ros2::new(16), Ros2::new(17));
+    let services = [site.name("service", "/light", "std_srvs/srv/SetBool")];
+    let _out = site.proxy("robot", &robot.graph(), &services, OUT);
+    let mut light = robot.peer("light", &["switch", "/light"]).await;
+    let mut labels = ["a", "b"];
+    labels.sort_by_key(|label| site.identity(label).name());
+    let higher = site.proxy(labels[1], &cloud.graph(), &services, IN);
+    let _client = cloud.begin("client", &["set", "/light", "false"]);
+    light.event("set").await;
+    let lower = site.proxy(labels[0], &cloud.graph(), &services, IN);
+    until("the lower one stands by", async || status(&lower).starts_with("standing by for ").then_some(())).await;
+    // It would have taken over by then.
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    let calls = higher.calls();
+    let call = calls.first().unwrap();
+    assert_eq!((&call["status"], &call["pending"]), (&"up".into(), &1.into()), "{call}");
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn those_who_wait_are_told_when_the_proxy_stops() {
     let site = Site::start().await;

@@ -202,7 +202,7 @@ fn what_is_too_fast_for_its_path_arrives_as_far_as_the_path_goes() {
 
 #[test]
 fn a_slow_subscriber_never_slows_the_others() {
-    let run = |with_slow: bool| {
+    let run = |overflow: Overflow, with_slow: bool| {
         let mut sim = Simulation::new(5);
         let [writer, switch, fast, other, slow] = [(); 5].map(|()| sim.node());
         let link = |mbit: u64| Faults { rate: Some(mbit * MBIT), queue: Some(300_000), ..Faults::delay(5 * MS) };
@@ -211,7 +211,8 @@ fn a_slow_subscriber_never_slows_the_others() {
             sim.join(switch, reader, link(mbit), Faults::delay(5 * MS));
         }
         let history = History { messages: 64, bytes: 64 << 20 };
-        let options = TopicOptions { history, ..TopicOptions::reliable() };
+        let options =
+            TopicOptions { history, reliability: Reliability::Reliable { overflow }, ..TopicOptions::reliable() };
         let topic = sim.publish(writer, options, App::new(50_000, 100, 10 * SECOND));
         for reader in if with_slow { vec![fast, other, slow] } else { vec![fast, other] } {
             sim.subscribe(reader, topic, 20 * MS, InboundOptions::every());
@@ -228,10 +229,35 @@ fn a_slow_subscriber_never_slows_the_others() {
         assert_eq!(sim.topics[topic].readers[&fast].counters().given_up, 0);
         (latencies.len(), percentile(&latencies, 90))
     };
-    let (alone, alone_p90) = run(false);
-    let (beside, beside_p90) = run(true);
-    assert!(beside * 100 >= alone * 95, "{beside} of {alone}");
-    assert!(beside_p90 <= 2 * alone_p90, "{beside_p90} instead of {alone_p90}");
+    for overflow in [Overflow::Block, Overflow::DropOldest] {
+        let (alone, alone_p90) = run(overflow, false);
+        let (beside, beside_p90) = run(overflow, true);
+        assert!(beside * 100 >= alone * 95, "{overflow:?}: {beside} of {alone}");
+        // Who lags is noticed by a publisher that waits; without one, what it asks for goes before what is new.
+        let slower = if overflow == Overflow::Block { 2 } else { 20 };
+        assert!(beside_p90 <= slower * alone_p90, "{overflow:?}: {beside_p90} instead of {alone_p90}");
+    }
+}
+
+/// Messages of some frames, twice as fast as the path, which is long: there is always a gap behind what goes.
+#[test]
+fn what_a_reader_never_gets_does_not_hold_up_the_rest() {
+    let mut sim = Simulation::new(6);
+    let [a, b] = [(); 2].map(|()| sim.node());
+    let narrow = Faults { rate: Some(16 * MBIT), queue: Some(100_000), ..Faults::delay(25 * MS) };
+    sim.join(a, b, narrow, Faults::delay(25 * MS));
+    let options = TopicOptions {
+        reliability: Reliability::Reliable { overflow: Overflow::DropOldest },
+        history: History { messages: 64, bytes: 64 << 20 },
+        ..TopicOptions::reliable()
+    };
+    let topic = sim.publish(a, options, App::new(8_000, 500, 10 * SECOND));
+    sim.subscribe(b, topic, 50 * MS, InboundOptions::every());
+    sim.run(10 * SECOND);
+    let delivered = &sim.topics[topic].readers[&b].delivered;
+    let share = delivered.len() as u64 * 8_000 * 8 * 100 / (10 * 16 * MBIT);
+    let longest = delivered.windows(2).map(|pair| pair[1].1 - pair[0].1).max();
+    assert!(share >= 60, "{share} % of what the path takes, at most {longest:?} ns apart");
 }
 
 #[test]

@@ -63,6 +63,9 @@ pub struct Chosen {
     pub repair: bool,
 }
 
+/// Ranges that are remembered of what never went; readers that lack older ones give them up with what can be repaired no more.
+const MOST_SKIPPED: usize = 256;
+
 /// Frames that wait to go again, of all readers together.
 const MOST_REPAIRS: usize = 1 << 14;
 
@@ -115,6 +118,8 @@ pub struct Outbox {
     /// Whose turn it is if both have something.
     repair_next: bool,
     to_reseal: VecDeque<Arc<Sealed>>,
+    /// Ranges of sequences that never went, the latest ones.
+    skipped: VecDeque<(u64, u64)>,
     counters: TopicCounters,
 }
 
@@ -131,6 +136,7 @@ impl Outbox {
             repairs: VecDeque::new(),
             repair_next: true,
             to_reseal: VecDeque::new(),
+            skipped: VecDeque::new(),
             counters: TopicCounters::default(),
         }
     }
@@ -172,10 +178,22 @@ impl Outbox {
         self.entries.front().map_or(self.last + 1, |entry| entry.message.first())
     }
 
-    /// This sequence, or the first one after it that can be repaired or is yet to come.
-    pub fn next_from(&self, sequence: u64) -> u64 {
-        let index = self.entries.partition_point(|entry| entry.message.last() < sequence);
-        self.entries.get(index).map_or(self.last + 1, |entry| entry.message.first()).max(sequence)
+    /// If nothing of this sequence ever goes: the first one after it of which that is not so.
+    pub fn skips(&self, sequence: u64) -> Option<u64> {
+        let (_, last) = self.skipped.iter().find(|(first, last)| (first..=last).contains(&&sequence))?;
+        Some(last + 1)
+    }
+
+    /// Nothing has gone of this entry, and nothing will.
+    fn skip(&mut self, index: usize) {
+        let message = &self.entries[index].message;
+        match self.skipped.back_mut() {
+            Some((_, last)) if *last + 1 == message.first() => *last = message.last(),
+            _ => self.skipped.push_back((message.first(), message.last())),
+        }
+        if self.skipped.len() > MOST_SKIPPED {
+            self.skipped.pop_front();
+        }
     }
 
     /// Whether so many messages, of so many bytes, find room, or the oldest may go for them.
@@ -221,12 +239,15 @@ impl Outbox {
                     if !may_go && overflow == Overflow::Block {
                         return Err(message);
                     }
-                    // What has begun to go is of use only whole: what waits gives way first.
-                    let begun = self.begun();
-                    let index = if !may_go && begun < self.entries.len() { begun } else { 0 };
+                    // What goes at the moment is of use only whole: what waits behind it gives way first.
+                    let goes = oldest.sent > 0 && !oldest.is_sent();
+                    let index = usize::from(goes && self.entries.len() > 1);
                     let gives_way = &self.entries[index];
                     if !gives_way.is_sent() || gives_way.message.last() > by_all {
                         self.counters.evicted += gives_way.messages();
+                    }
+                    if gives_way.sent == 0 {
+                        self.skip(index);
                     }
                     self.remove(index);
                 }

@@ -294,8 +294,9 @@ impl TopicState {
                 self.large_unheard &= echo.is_none();
                 echo.and_then(|echo| self.outbox.len_of(echo)).into_iter().for_each(|len| peer.suspicion.came(len));
                 self.leader = None;
+                let awaited = peer.acknowledged() + 1;
                 self.wait(now);
-                (None, self.take_room())
+                (self.outbox.skips(awaited), self.take_room())
             }
             Feedback::Nack { session, missing, .. } if *session == self.session => {
                 (self.on_nack(now, reader, missing), false)
@@ -317,9 +318,10 @@ impl TopicState {
             self.limit.set(now);
         }
         let (first, acknowledged) = (missing.first()?.sequence, peer.acknowledged());
-        // What is gone in the midst is told once nothing before it is awaited any more.
-        let from = if acknowledged + 1 < first { self.outbox.oldest() } else { self.outbox.next_from(first) };
-        (from > first && self.outbox.is_reliable()).then_some(from)
+        let oldest = self.outbox.oldest();
+        // What never went is told once nothing before it is awaited any more.
+        let skipped = self.outbox.skips(first).filter(|_| acknowledged + 1 >= first);
+        Some(oldest).filter(|oldest| first < *oldest).or(skipped).filter(|_| self.outbox.is_reliable())
     }
 
     /// Whether a publisher that waits for room now finds some.

@@ -80,7 +80,8 @@ impl Route {
                 None => return Ok(()),
                 Some(Ok(client)) => {
                     pause = Pause::new();
-                    way.place.set_permitted(true);
+                    let is_unfit = lock(&self.unfit_until).is_some_and(|until| Instant::now() < until);
+                    way.place.set_permitted(!is_unfit);
                     match self.carry_in(way, &client, right, &mut over).await? {
                         Some(error) => error,
                         None => return Ok(()),

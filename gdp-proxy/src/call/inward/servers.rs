@@ -10,10 +10,10 @@ use gdp::node::Client;
 use gdp_ros::call::{Description, Epoch};
 use gdp_ros::services::service_name;
 
-use super::super::LAST_WORDS;
 use super::super::asking::{Changed, Described, Known, describe, events};
 use super::super::outbox::Outbox;
 use super::super::stand::Stands;
+use super::super::{LAST_WORDS, lock};
 use super::{Doing, Done, In, Remote, Route};
 use crate::config::What;
 use crate::graph::GraphError;
@@ -56,7 +56,12 @@ impl Route {
     fn withdraw_if_alone<'a>(&'a self, to: &mut In<'a>, doing: &Doing<'a>) {
         let known = to.remotes.values().filter(|remote| matches!(remote, Remote::Known(_))).count();
         let is_unfit = to.remotes.values().any(|remote| matches!(remote, Remote::Unfit(_)));
-        // Another proxy of the graph may know more.
+        // Another proxy of the graph may know more; if it does not either, neither is asked all the time.
+        let now = Instant::now();
+        if is_unfit {
+            *lock(&self.unfit_until) = Some(now + ASK_AGAIN);
+        }
+        let is_unfit = lock(&self.unfit_until).is_some_and(|until| now < until);
         to.way.place.set_permitted(known > 0 || !is_unfit);
         self.counters.servers(known);
         if known > 0 {

@@ -1,6 +1,6 @@
 //! The side that answers.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -49,8 +49,9 @@ impl ClientLife {
     /// Returns when discovery does not show it any more: it has said goodbye, or was not heard of for as long as it said.
     pub async fn ends(&mut self) {
         let Self { writer, writers } = self;
-        _ = timeout(SHOWN, writers.wait_for(|shown| shown.contains(writer))).await;
-        if writers.wait_for(|shown| !shown.contains(writer)).await.is_err() {
+        let is_shown = timeout(SHOWN, writers.wait_for(|shown| shown.contains(writer))).await.is_ok();
+        // Who was never shown is not missed.
+        if !is_shown || writers.wait_for(|shown| !shown.contains(writer)).await.is_err() {
             // Nobody discovers any more: the domain is being left.
             std::future::pending().await
         }
@@ -107,8 +108,14 @@ impl Server {
 /// The writer of replies, and whom it serves.
 struct Replies {
     writer: RawWriter,
-    /// How many readers it serves, by their participants; 0 where one was waited for in vain.
-    served: HashMap<Participant, u32>,
+    served: HashMap<Participant, Served>,
+}
+
+/// Of one participant: how many readers are served, and whose requests were answered; each of these has a reader of its own.
+#[derive(Default)]
+struct Served {
+    readers: usize,
+    clients: HashSet<GUID>,
 }
 
 type Participant = [u8; 12];
@@ -116,23 +123,31 @@ type Participant = [u8; 12];
 impl Replies {
     /// Has a client served: its request may come before its reader of replies is discovered, and what is written by then does not reach it.
     async fn reach(&mut self, client: GUID) {
-        let client = participant(client);
         let Self { writer, served } = self;
+        let of_client = participant(client);
+        if !served.contains_key(&of_client) && served.len() >= MAX_SERVED {
+            served.clear();
+        }
+        let wanted = {
+            let clients = &mut served.entry(of_client).or_default().clients;
+            clients.insert(client);
+            clients.len()
+        };
         let until_served = async {
-            while !served.contains_key(&client) {
+            while served.get(&of_client).is_none_or(|of| of.readers < wanted) {
                 let (reader, is_served) = writer.matching().await;
-                let count = served.entry(participant(reader)).or_default();
-                *count = if is_served { *count + 1 } else { count.saturating_sub(1) };
-                if !is_served && *count == 0 {
-                    served.remove(&participant(reader));
+                let of = served.entry(participant(reader)).or_default();
+                if is_served {
+                    of.readers += 1;
+                } else {
+                    // Whose it was cannot be told.
+                    *of = Served { readers: of.readers.saturating_sub(1), clients: HashSet::new() };
                 }
             }
         };
         if timeout(REACHED, until_served).await.is_err() {
-            if served.len() >= MAX_SERVED {
-                served.clear();
-            }
-            served.insert(client, 0);
+            // It was waited for once.
+            served.entry(of_client).or_default().readers = wanted;
         }
     }
 }

@@ -480,7 +480,8 @@ impl InnerPublisher {
     SA: adapters::with_key::SerializerAdapter<D>,
   {
     // Status reports back from Writer to DataWriter.
-    let (status_sender, status_receiver) = sync_status_channel(4)?;
+    // GDP patch: who matched is told once, and a reader for each of many clients matches at once; before, 4 were remembered.
+    let (status_sender, status_receiver) = sync_status_channel(64)?;
 
     // DDS Spec 2.2.2.4.1.5 create_datawriter:
     // If no QoS is specified, we should take the Publisher default
