@@ -43,15 +43,17 @@ pub struct Request {
 pub struct ClientLife {
     writer: GUID,
     writers: watch::Receiver<Arc<Writers>>,
+    /// Discovery has shown it.
+    is_shown: bool,
 }
 
 impl ClientLife {
     /// Returns when discovery does not show it any more: it has said goodbye, or was not heard of for as long as it said.
     pub async fn ends(&mut self) {
-        let Self { writer, writers } = self;
-        let is_shown = timeout(SHOWN, writers.wait_for(|shown| shown.contains(writer))).await.is_ok();
+        let Self { writer, writers, is_shown } = self;
+        *is_shown = *is_shown || timeout(SHOWN, writers.wait_for(|shown| shown.contains(writer))).await.is_ok();
         // Who was never shown is not missed.
-        if !is_shown || writers.wait_for(|shown| !shown.contains(writer)).await.is_err() {
+        if !*is_shown || writers.wait_for(|shown| !shown.contains(writer)).await.is_err() {
             // Nobody discovers any more: the domain is being left.
             std::future::pending().await
         }
@@ -81,7 +83,7 @@ impl Server {
     pub async fn recv(&self) -> Result<Request, BadRequest> {
         let change = self.requests.change().await?;
         let mapping = self.mapping.unwrap_or_else(|| Mapping::of(change.writer.to_bytes()));
-        let client = ClientLife { writer: change.writer, writers: self.writers.clone() };
+        let client = ClientLife { writer: change.writer, writers: self.writers.clone(), is_shown: false };
         let (id, sample) = request(change, mapping)?;
         Ok(Request { id, sample, client })
     }
@@ -168,7 +170,7 @@ mod tests {
     async fn a_client_ends_once_it_is_shown_no_more() {
         let [writer, other] = [1, 2].map(|number| GUID::from_bytes([number; 16]));
         let (shown, writers) = watch::channel(Arc::new(Writers::from([other])));
-        let mut client = ClientLife { writer, writers };
+        let mut client = ClientLife { writer, writers, is_shown: false };
         assert_eq!(client.ends().now_or_never(), None, "it is not shown yet");
         shown.send_replace(Arc::new(Writers::from([writer, other])));
         assert_eq!(client.ends().now_or_never(), None);
