@@ -2,14 +2,16 @@
 
 use std::sync::Arc;
 
-use gdp::Node;
+use gdp::{NameCard, Node};
 use gdp_ros::types::Types;
 
 use crate::config::Side;
 use crate::graph::Graph;
 use crate::manager::{Failure, Manager, Plan, Work};
 use crate::material::RouteMaterial;
+use crate::ros2::TypeName;
 use crate::standing::{RouteError, Standing};
+use crate::twins::Place;
 use crate::{call, route};
 
 pub type Routes = Manager<Arc<RoutePlan>>;
@@ -46,6 +48,16 @@ pub trait Carries: Send + Sync + 'static {
         material: RouteMaterial,
         stop: impl Future<Output = ()>,
     ) -> impl Future<Output = Result<(), RouteError>>;
+}
+
+/// From where to where, and as what.
+pub struct Way<'a> {
+    pub graph: &'a Graph,
+    pub node: &'a Node,
+    /// Of the name's card or the configuration.
+    pub kind: Option<&'a TypeName>,
+    pub card: &'a NameCard,
+    pub place: &'a Place,
 }
 
 /// Something in one direction, with all that its route needs.

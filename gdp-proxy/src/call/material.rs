@@ -7,24 +7,13 @@ use crate::config::{CallConfig, Config};
 use crate::material::{MaterialError, RouteMaterial, carded_type, with_path};
 use crate::renewal::Renewal;
 
-/// All of them.
+/// All of them, each with which one it is in the order of [`Config::calls`].
 pub fn load(config: &Config, entity: Name) -> Result<Vec<(usize, RouteMaterial)>, MaterialError> {
-    let mut all: Vec<(usize, RouteMaterial)> = Vec::new();
-    for (at, (key, call)) in config.calls().enumerate() {
-        let wrong = |part: &str, reason: String| MaterialError { key: format!("{key}.{part}"), reason };
-        let loaded = load_one(call, entity).map_err(|(part, reason)| wrong(part, reason))?;
-        let name = loaded.card.name();
-        if all.iter().any(|(_, other)| (other.card.name(), other.permission.side()) == (name, loaded.permission.side()))
-        {
-            let reason = format!(
-                "the name {name:#} is already that of another, in the same direction; make a card of its own for {}",
-                call.name
-            );
-            return Err(wrong("card", reason));
-        }
-        all.push((at, loaded));
-    }
-    Ok(all)
+    let load = |(at, (key, call))| {
+        let wrong = |(part, reason)| MaterialError { key: format!("{key}.{part}"), reason };
+        Ok((at, load_one(call, entity).map_err(wrong)?))
+    };
+    config.calls().enumerate().map(load).collect()
 }
 
 fn load_one(call: &CallConfig, entity: Name) -> Result<RouteMaterial, (&'static str, String)> {

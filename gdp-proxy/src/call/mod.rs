@@ -18,18 +18,18 @@ use std::pin::pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use gdp::{NameCard, Node};
+use gdp::Node;
 use gdp_ros::types::Types;
 
 use crate::config::{CallConfig, What};
 use crate::graph::Graph;
 use crate::material::RouteMaterial;
-use crate::ros2::{TopicName, TypeName};
-use crate::routes::Carries;
+use crate::ros2::TopicName;
+use crate::routes::{Carries, Way};
 use crate::standing::{EitherRight, RouteError, Standing};
 use crate::tally::Reason as _;
 use crate::turns::{by_turns, unless};
-use crate::twins::{LISTEN, Place};
+use crate::twins::LISTEN;
 use counters::CallCounters;
 pub use counters::{CallStats, Reason};
 
@@ -47,16 +47,6 @@ pub struct Route {
     standing: Standing,
     /// Servers elsewhere were none that this proxy can call: until when it leaves them to others.
     unfit_until: Mutex<Option<Instant>>,
-}
-
-/// From where to where, and as what.
-struct Way<'a> {
-    graph: &'a Graph,
-    node: &'a Node,
-    /// Of the name's card or the configuration.
-    kind: Option<&'a TypeName>,
-    card: &'a NameCard,
-    place: &'a Place,
 }
 
 impl Carries for Route {
@@ -136,6 +126,11 @@ impl Route {
         if self.counters.failed(reason) {
             tracing::warn!(service = %self.config.name, reason = reason.as_str(), "a call has failed: {why}");
         }
+    }
+
+    /// Whether the servers elsewhere are none that this proxy can call, as far as it knows.
+    fn leaves_to_others(&self, now: Instant) -> bool {
+        lock(&self.unfit_until).is_some_and(|until| now < until)
     }
 
     fn is_up(&self, kind: &str) {

@@ -134,11 +134,11 @@ impl RawReader {
     }
 
     /// Waits until a writer of this participant is heard, which is told once.
-    pub(super) async fn until_matched(&self, participant: [u8; 12]) {
+    pub(super) async fn until_matched(&self, of: Participant) {
         let mut events = self.reader.as_async_status_stream();
         while let Some(event) = events.next().await {
             if matches!(event, DataReaderStatus::SubscriptionMatched { writer, current, .. }
-                if is_of(writer, participant) && current.count_change() > 0)
+                if participant(writer) == of && current.count_change() > 0)
             {
                 return;
             }
@@ -282,9 +282,9 @@ impl RawWriter {
     }
 
     /// Waits until a reader of this participant is served, which is told once.
-    pub(super) async fn until_matched(&self, participant: [u8; 12]) {
+    pub(super) async fn until_matched(&self, of: Participant) {
         loop {
-            if matches!(self.matching().await, (reader, true) if is_of(reader, participant)) {
+            if matches!(self.matching().await, (reader, true) if participant(reader) == of) {
                 return;
             }
         }
@@ -316,8 +316,13 @@ impl RawWriter {
     }
 }
 
-fn is_of(endpoint: GUID, participant: [u8; 12]) -> bool {
-    endpoint.to_bytes().starts_with(&participant)
+/// What the GUIDs of all endpoints of a participant begin with.
+pub(super) type Participant = [u8; 12];
+
+/// Whose endpoint it is.
+pub(super) fn participant(endpoint: GUID) -> Participant {
+    let bytes = endpoint.to_bytes();
+    std::array::from_fn(|i| bytes[i])
 }
 
 /// RTPS time is seconds and 2⁻³² fractions of a second since 1970, until 2106.

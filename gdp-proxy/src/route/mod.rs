@@ -15,14 +15,14 @@ use std::fmt::Display;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use gdp::Node;
 use gdp::node::{NodeError, Publisher};
-use gdp::{NameCard, Node};
 
 use crate::config::{Side, TopicConfig};
 use crate::graph::Graph;
 use crate::material::RouteMaterial;
-use crate::ros2::{TopicName, TypeName};
-use crate::routes::Carries;
+use crate::ros2::TopicName;
+use crate::routes::{Carries, Way};
 use crate::standing::{EitherRight, Pause, Right, RouteError, Standing};
 use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
 use crate::tally::Reason as _;
@@ -43,16 +43,6 @@ pub struct Route {
     standing: Standing,
     /// Of the fabric's side of it.
     fabric: Mutex<FabricCounters>,
-}
-
-/// From where to where, and as what.
-struct Way<'a> {
-    graph: &'a Graph,
-    node: &'a Node,
-    /// Of the name's card or the configuration.
-    kind: Option<&'a TypeName>,
-    card: &'a NameCard,
-    place: &'a Place,
 }
 
 /// A name that is published.

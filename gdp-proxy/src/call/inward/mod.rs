@@ -80,8 +80,7 @@ impl Route {
                 None => return Ok(()),
                 Some(Ok(client)) => {
                     pause = Pause::new();
-                    let is_unfit = lock(&self.unfit_until).is_some_and(|until| Instant::now() < until);
-                    way.place.set_permitted(!is_unfit);
+                    way.place.set_permitted(!self.leaves_to_others(Instant::now()));
                     match self.carry_in(way, &client, right, &mut over).await? {
                         Some(error) => error,
                         None => return Ok(()),

@@ -61,8 +61,7 @@ impl Route {
         if is_unfit {
             *lock(&self.unfit_until) = Some(now + ASK_AGAIN);
         }
-        let is_unfit = lock(&self.unfit_until).is_some_and(|until| now < until);
-        to.way.place.set_permitted(known > 0 || !is_unfit);
+        to.way.place.set_permitted(known > 0 || !self.leaves_to_others(now));
         self.counters.servers(known);
         if known > 0 {
             return;

@@ -10,7 +10,7 @@ use tokio::time::timeout;
 
 use super::mapping::{Headless, Id, Mapping, RequestId, request, with_header};
 use crate::ros2::discovery::Writers;
-use crate::ros2::raw::{RawReader, RawSample, RawWriter, Unreadable, WriteError};
+use crate::ros2::raw::{Participant, RawReader, RawSample, RawWriter, Unreadable, WriteError, participant};
 
 /// How long discovery may take to show a client whose request is here.
 const SHOWN: Duration = Duration::from_secs(3);
@@ -120,8 +120,6 @@ struct Served {
     clients: HashSet<GUID>,
 }
 
-type Participant = [u8; 12];
-
 impl Replies {
     /// Has a client served: its request may come before its reader of replies is discovered, and what is written by then does not reach it.
     async fn reach(&mut self, client: GUID) {
@@ -152,12 +150,6 @@ impl Replies {
             served.entry(of_client).or_default().readers = wanted;
         }
     }
-}
-
-fn participant(endpoint: GUID) -> Participant {
-    let mut participant = Participant::default();
-    participant.copy_from_slice(&endpoint.to_bytes()[..12]);
-    participant
 }
 
 #[cfg(test)]
