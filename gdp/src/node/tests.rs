@@ -287,10 +287,13 @@ async fn a_publisher_that_waits_for_its_turn_replaces_nothing() {
     }
     let TopicCounters { messages, replaced, .. } = publisher.counters().topic;
     assert_eq!((messages, replaced), (100, 0));
-    for _ in 0..100 {
+    // Without waiting some are, sooner or later: the path may be as fast as this for a while.
+    let mut sent = 0;
+    while publisher.counters().topic.replaced == 0 {
+        sent += 1;
+        assert!(sent < 20_000, "nothing was replaced");
         publisher.send(Encoding::Bytes, &[7; 50_000]).await.unwrap();
     }
-    assert!(publisher.counters().topic.replaced > 0, "as it is without waiting");
     robot.close().await;
     assert!(matches!(publisher.ready().await, Err(NodeError::Closed)));
 }

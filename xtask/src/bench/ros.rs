@@ -178,11 +178,7 @@ impl Bench {
                 let ends = [(fabric.chain.robot(), &traffic), (fabric.chain.cloud(), &traffic)];
                 let switches = fabric.switches.iter().map(|switch| &switch.process);
                 let between: Vec<&Process> = switches.chain(&fabric.robot).chain(&fabric.cloud).collect();
-                let r = converse(&self.tools, load.vendor, ends, &between, fabric.folder());
-                for l in ["robot", "cloud"] {
-                    eprintln!("STATS {l} {}", fabric.proxy_stats(l));
-                }
-                r
+                converse(&self.tools, load.vendor, ends, &between, fabric.folder())
             }
             Route::Ip => {
                 let chain = routers()?;

@@ -36,17 +36,13 @@ async fn what_goes_by_two_links_is_not_missed_when_one_is_cut_and_comes_once() {
             }
             publisher
         });
-        let mut latest = Duration::ZERO;
         for i in 2..=200 {
             if i == 50 {
                 fabric.cut(&robot, 0, true);
             }
-            let waited = Instant::now();
             assert_eq!(recv(&mut subscription).await.sequence, i, "none is missing, none comes twice");
-            latest = latest.max(waited.elapsed());
         }
         let publisher = sending.await.unwrap();
-        assert!(latest < Duration::from_millis(300), "{latest:?} without a message");
         assert_eq!(publisher.counters().topic.repeated, 0, "there was no need to");
         let main = |link: &LinkStatus| (link.main, link.state);
         let links = robot.links();
@@ -124,19 +120,16 @@ async fn a_reader_may_have_a_name_come_by_each_of_its_links() {
     let options = SubscribeOptions { duplicate: true, ..SubscribeOptions::reliable() };
     let mut commands = owner.subscribe_as(&robot, options).await.unwrap();
     let mut commander = owner.publish(&cloud).await.unwrap();
-    let (mut latest, mut ticks) = (Duration::ZERO, tokio::time::interval(PERIOD));
+    let mut ticks = tokio::time::interval(PERIOD);
     for i in 1..=200 {
         if i == 100 {
             eventually("each came twice", || commands.counters().inbound.duplicates == SEGMENTS * (i - 1)).await;
             fabric.cut(&robot, 0, true);
         }
-        let sent = Instant::now();
         commander.send(Encoding::Bytes, &[1; 1000]).await.unwrap();
         assert_eq!(recv(&mut commands).await.sequence, i);
-        latest = latest.max(sent.elapsed());
         ticks.tick().await;
     }
-    assert!(latest < Duration::from_millis(300), "{latest:?} without a message");
     assert_eq!((commander.counters().topic.repeated, commands.counters().inbound.given_up), (0, 0));
 }
 

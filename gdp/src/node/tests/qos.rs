@@ -181,10 +181,12 @@ async fn a_late_reader_gets_what_is_pinned_and_the_last_messages_of_each_origin(
     publisher.forget(&[3]);
     let mut bodies = Vec::new();
     while bodies.last().is_none_or(|body| body != "d") {
-        bodies.push(recv(&mut first).await.body);
+        let body = recv(&mut first).await.body;
+        // What is pinned goes to all readers again when one is heard of.
+        if body != "who" || !bodies.contains(&body) {
+            bodies.push(body);
+        }
     }
-    // What is pinned goes to all readers again when one comes.
-    bodies.dedup();
     assert_eq!(bodies, ["old", "who", "a", "b", "c", "d"], "each message once");
 
     let mut second = owner.subscribe(&late).await.unwrap();
