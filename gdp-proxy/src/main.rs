@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use gdp_proxy::config::{MAX_THREADS, schema};
+use gdp_proxy::config::schema;
 use gdp_proxy::dry_run;
 use gdp_proxy::proxy;
 use gdp_proxy::reload::{Loaded, Watch};
@@ -74,10 +74,11 @@ fn run(arguments: Arguments) -> Result<()> {
         );
         return Ok(());
     }
-    // One thread for links, discovery and statistics; routes have threads of their own.
-    let runtime = tokio::runtime::Builder::new_current_thread()
+    // Each worker that is woken wakes another in case there is more to do, mostly in vain; and half of the work is that of other threads: DDS, sockets.
+    let workers = std::thread::available_parallelism().map_or(1, |cores| cores.get().div_ceil(2));
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(workers)
         .enable_all()
-        .max_blocking_threads(MAX_THREADS)
         .build()
         .context("cannot start the runtime")?;
     runtime.block_on(async {

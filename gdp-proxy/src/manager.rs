@@ -1,7 +1,7 @@
 //! What is wanted beside what runs: begins what is wanted and does not run, ends what is not wanted any more, and leaves alone what is
 //! wanted as it is.
 //!
-//! A [`Plan`] says what is to run and where; a [`Work`] is what runs then, on a thread of its own. In one place runs one work at a time: another
+//! A [`Plan`] says what is to run and where; a [`Work`] is what runs then, as a task. In one place runs one work at a time: another
 //! one begins there when the one before has ended. What fails is begun again, because ROS graphs mend; what only a new start of the proxy can mend is
 //! returned by [`Manager::failed`].
 
@@ -11,7 +11,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
-use tokio::runtime::Handle;
 use tokio::sync::watch;
 use tokio::task::{JoinError, JoinSet};
 
@@ -38,7 +37,7 @@ pub trait Work: Send + Sync + 'static {
     fn failed(&self, why: &str);
 
     /// Runs until `stop` ends, and leaves both sides properly then.
-    fn run(&self, stop: impl Future<Output = ()>) -> impl Future<Output = Result<(), Failure>>;
+    fn run(&self, stop: impl Future<Output = ()> + Send) -> impl Future<Output = Result<(), Failure>> + Send;
 }
 
 /// Why a work ended by itself.
@@ -57,7 +56,7 @@ type Begin<P> = Box<dyn Fn(&P) -> <P as Plan>::Work>;
 pub struct Manager<P: Plan> {
     begin: Begin<P>,
     places: BTreeMap<P::Place, Running<P>>,
-    threads: JoinSet<(P::Place, Option<anyhow::Error>)>,
+    tasks: JoinSet<(P::Place, Option<anyhow::Error>)>,
 }
 
 struct Running<P: Plan> {
@@ -87,10 +86,10 @@ impl Add for Changed {
 impl<P: Plan> Manager<P> {
     /// `begin` makes what runs for a plan; it runs later.
     pub fn new(begin: impl Fn(&P) -> P::Work + 'static) -> Self {
-        Self { begin: Box::new(begin), places: BTreeMap::new(), threads: JoinSet::new() }
+        Self { begin: Box::new(begin), places: BTreeMap::new(), tasks: JoinSet::new() }
     }
 
-    /// From now on these run, at most one in a place, and no others. Needs a tokio runtime with enough blocking threads: what finds none waits.
+    /// From now on these run, at most one in a place, and no others.
     pub fn want(&mut self, plans: impl IntoIterator<Item = P>) -> Changed {
         let mut wanted: BTreeMap<P::Place, P> = plans.into_iter().map(|plan| (plan.place(), plan)).collect();
         let mut changed = Changed::default();
@@ -117,7 +116,7 @@ impl<P: Plan> Manager<P> {
     /// safe to cancel.
     pub async fn failed(&mut self) -> anyhow::Error {
         loop {
-            match self.threads.join_next().await {
+            match self.tasks.join_next().await {
                 Some(ended) => {
                     if let Some(error) = self.ended(ended) {
                         return error;
@@ -138,7 +137,7 @@ impl<P: Plan> Manager<P> {
     pub async fn close(mut self) -> Vec<<P::Work as Work>::Stats> {
         self.want([]);
         let works: Vec<_> = self.places.values().map(|running| running.work.clone()).collect();
-        while let Some(ended) = self.threads.join_next().await {
+        while let Some(ended) = self.tasks.join_next().await {
             if let Some(error) = self.ended(ended) {
                 tracing::warn!("while leaving: {error:#}");
             }
@@ -161,9 +160,7 @@ impl<P: Plan> Manager<P> {
         let (place, work) = (plan.place(), Arc::new((self.begin)(&plan)));
         let (stop, stopped) = watch::channel(false);
         self.places.insert(place.clone(), Running { plan, work: work.clone(), stop, next: None });
-        // A thread each: RustDDS and the node wake it directly, and no other topic's sealing is ever in its way.
-        let runtime = Handle::current();
-        self.threads.spawn_blocking(move || (place, runtime.block_on(run(&*work, stopped))));
+        self.tasks.spawn(async move { (place, run(&*work, stopped).await) });
     }
 }
 
@@ -229,7 +226,7 @@ mod tests {
             self.tell(why);
         }
 
-        async fn run(&self, stop: impl Future<Output = ()>) -> Result<(), Failure> {
+        async fn run(&self, stop: impl Future<Output = ()> + Send) -> Result<(), Failure> {
             match self.toy.1 {
                 "fails" => return Err(Failure::Passing("failed".into())),
                 "breaks" => return Err(Failure::Final(anyhow::anyhow!("broken"))),

@@ -46,8 +46,8 @@ pub trait Carries: Send + Sync + 'static {
         graph: &Graph,
         node: &Node,
         material: RouteMaterial,
-        stop: impl Future<Output = ()>,
-    ) -> impl Future<Output = Result<(), RouteError>>;
+        stop: impl Future<Output = ()> + Send,
+    ) -> impl Future<Output = Result<(), RouteError>> + Send;
 }
 
 /// From where to where, and as what.
@@ -115,7 +115,7 @@ impl<R: Carries> Work for Running<R> {
         self.route.standing().failed(why);
     }
 
-    async fn run(&self, stop: impl Future<Output = ()>) -> Result<(), Failure> {
+    async fn run(&self, stop: impl Future<Output = ()> + Send) -> Result<(), Failure> {
         let Planned { graph, material, .. } = &*self.plan;
         let ended = self.route.run(graph, &self.node, material.clone(), stop).await;
         ended.map_err(|error| self.route.standing().ended(error))

@@ -1,49 +1,50 @@
 //! Carries by turns what only one proxy of a graph carries at a time, as [`twins`](crate::twins) says.
 
-use std::pin::{Pin, pin};
+use std::pin::Pin;
 use std::time::{Duration, Instant};
 
 use gdp::{Name, Node};
 
-use crate::standing::{RouteError, Standing};
+use crate::standing::Standing;
 use crate::twins::Place;
 
 /// How often it is looked whether another proxy of the graph carries it.
 const LOOK: Duration = Duration::from_millis(250);
 
-/// Ends when a turn is over.
-pub type Over<'a> = Pin<&'a mut (dyn Future<Output = ()> + 'a)>;
+/// The turns of this proxy, until `stop` ends.
+pub struct Turns<'a, S> {
+    place: &'a Place,
+    node: &'a Node,
+    standing: &'a Standing,
+    stop: Pin<&'a mut S>,
+    is_stopped: bool,
+}
 
-/// Carries whenever no other proxy of the graph does, until `stop` ends. `carry`: one turn, that leaves both sides properly once what it is given has
-/// ended, and returns; before that only with an error.
-pub async fn by_turns(
-    place: &Place,
-    node: &Node,
-    standing: &Standing,
-    stop: impl Future<Output = ()>,
-    mut carry: impl AsyncFnMut(Over<'_>) -> Result<(), RouteError>,
-) -> Result<(), RouteError> {
-    let mut stop = pin!(stop);
-    loop {
-        // Before anything is carried: who has it already is not disturbed.
-        if let Some(ahead) = place.ahead(Instant::now()) {
-            tracing::info!(what = standing.title(), name = %standing.name(), "standing by for {ahead}");
-            standing.set_status(&format!("standing by for {ahead}"));
-            tokio::select! {
-                () = &mut stop => return Ok(()),
-                () = until(node, place, |ahead| ahead.is_none().then_some(())) => {}
-            }
+impl<'a, S: Future<Output = ()>> Turns<'a, S> {
+    pub fn new(place: &'a Place, node: &'a Node, standing: &'a Standing, stop: Pin<&'a mut S>) -> Self {
+        Self { place, node, standing, stop, is_stopped: false }
+    }
+
+    /// Waits until no other proxy of the graph carries it: true. False once it is stopped.
+    pub async fn begin(&mut self) -> bool {
+        if self.is_stopped {
+            return false;
         }
-        let mut is_stopped = false;
-        let over = async {
-            tokio::select! {
-                () = &mut stop => is_stopped = true,
-                _ = until(node, place, |ahead| ahead) => {}
-            }
-        };
-        carry(pin!(over)).await?;
-        if is_stopped {
-            return Ok(());
+        // Before anything is carried: who has it already is not disturbed.
+        let Some(ahead) = self.place.ahead(Instant::now()) else { return true };
+        tracing::info!(what = self.standing.title(), name = %self.standing.name(), "standing by for {ahead}");
+        self.standing.set_status(&format!("standing by for {ahead}"));
+        tokio::select! {
+            () = &mut self.stop => false,
+            () = until(self.node, self.place, |ahead| ahead.is_none().then_some(())) => true,
+        }
+    }
+
+    /// Waits for the end of the turn: then both sides are to be left properly.
+    pub async fn over(&mut self) {
+        tokio::select! {
+            () = &mut self.stop => self.is_stopped = true,
+            _ = until(self.node, self.place, |ahead| ahead) => {}
         }
     }
 }

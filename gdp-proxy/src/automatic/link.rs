@@ -105,7 +105,7 @@ impl Work for CatalogLink {
         self.standing.failed(why);
     }
 
-    async fn run(&self, stop: impl Future<Output = ()>) -> Result<(), Failure> {
+    async fn run(&self, stop: impl Future<Output = ()> + Send) -> Result<(), Failure> {
         let mut publisher = None;
         let ended = tokio::select! {
             Err(error) = self.carry(&mut publisher) => Err(self.standing.ended(error)),

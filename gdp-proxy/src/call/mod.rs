@@ -28,7 +28,7 @@ use crate::ros2::TopicName;
 use crate::routes::{Carries, Way};
 use crate::standing::{EitherRight, RouteError, Standing};
 use crate::tally::Reason as _;
-use crate::turns::{by_turns, unless};
+use crate::turns::{Turns, unless};
 use crate::twins::LISTEN;
 use counters::CallCounters;
 pub use counters::{CallStats, Reason};
@@ -93,7 +93,7 @@ impl Carries for Route {
         graph: &Graph,
         node: &Node,
         material: RouteMaterial,
-        stop: impl Future<Output = ()>,
+        stop: impl Future<Output = ()> + Send,
     ) -> Result<(), RouteError> {
         let RouteMaterial { card, kind, permission, file } = material;
         // What has failed is left to others until it shows that it works by now.
@@ -106,17 +106,19 @@ impl Carries for Route {
         if unless(&mut stop, tokio::time::sleep(LISTEN)).await.is_none() {
             return Ok(());
         }
-        by_turns(&place, node, &self.standing, stop, async |over| {
+        let mut turns = Turns::new(&place, node, &self.standing, stop);
+        while turns.begin().await {
             place.set_keeps(true);
+            let over = pin!(turns.over());
             let ended = match &mut right {
                 EitherRight::Publish(right) => self.run_out(&way, right, over).await,
                 EitherRight::Read(right) => self.run_in(&way, right, over).await,
             };
             self.counters.servers(0);
             place.set_keeps(false);
-            ended
-        })
-        .await
+            ended?;
+        }
+        Ok(())
     }
 }
 

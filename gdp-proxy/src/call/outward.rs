@@ -19,7 +19,7 @@ use crate::config::What;
 use crate::graph::{CallerError, Graph, Peer, Servers};
 use crate::ros2::TypeName;
 use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
-use crate::turns::{Over, unless};
+use crate::turns::unless;
 
 /// A local server, as it is offered.
 struct Offer {
@@ -47,7 +47,7 @@ impl Route {
         &self,
         way: &Way<'_>,
         right: &mut Right<Issued<AdCert>>,
-        mut over: Over<'_>,
+        mut over: Pin<&mut (impl Future<Output = ()> + Send)>,
     ) -> Result<(), RouteError> {
         let Way { graph, node, kind, card, place } = *way;
         let mut servers = Servers::new(graph, &self.config.name, self.config.what);
@@ -128,7 +128,7 @@ impl Route {
         offer: &Offer,
         server: &mut Server,
         right: &mut Right<Issued<AdCert>>,
-        over: &mut Over<'_>,
+        over: &mut (impl Future<Output = ()> + Send + Unpin),
     ) -> Result<Turn, RouteError> {
         let (mut ticks, mut ended) = (ticks(), pin!(server.ended()));
         let (gone, is_gone) = watch::channel(false);

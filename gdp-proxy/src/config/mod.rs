@@ -50,9 +50,6 @@ pub const MAX_ROUTES: usize = 2 * MAX_TOPICS;
 /// Services and actions.
 pub const MAX_CALLS: usize = 2 * MAX_TOPICS;
 
-/// One for each route and catalog, and some for what blocks for a moment.
-pub const MAX_THREADS: usize = MAX_ROUTES + MAX_CALLS + MAX_IMPORTS + 64;
-
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Config {

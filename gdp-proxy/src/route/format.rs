@@ -5,11 +5,15 @@ use std::sync::Arc;
 use bytes::Bytes;
 use gdp::seal::{self, Message};
 use gdp_msg::{Encoding, TranscodeError};
+use tokio::runtime::{Handle, RuntimeFlavor};
 
 use crate::config::{Compression, FramePrefix, TopicConfig};
 use gdp_ros::compression::Packer;
 use gdp_ros::roster::Kind;
 use gdp_ros::types::{Converter, Form, TypeError, Types, sealed, unsealed};
+
+/// What takes about as long as to hand other work to another thread.
+const MANY_BYTES: usize = 256 << 10;
 
 /// From the graph into the fabric.
 pub struct Outbound {
@@ -32,13 +36,13 @@ impl Outbound {
     }
 
     pub fn convert(&mut self, bytes: Bytes) -> Result<Bytes, TranscodeError> {
-        self.converter.convert(bytes)
+        beside(bytes.len(), || self.converter.convert(bytes))
     }
 
     /// What was converted, as it travels.
     pub fn pack<'a>(&'a mut self, body: &'a [u8]) -> (seal::Encoding, &'a [u8]) {
         match &mut self.packer {
-            Some(packer) => packer.pack(self.encoding, body),
+            Some(packer) => beside(body.len(), || packer.pack(self.encoding, body)),
             None => (self.encoding, body),
         }
     }
@@ -72,6 +76,10 @@ impl Inbound {
     }
 
     pub fn convert(&mut self, types: &Types, message: Message) -> Result<Bytes, String> {
+        beside(message.body.len(), || self.convert_here(types, message))
+    }
+
+    fn convert_here(&mut self, types: &Types, message: Message) -> Result<Bytes, String> {
         let unsealed = unsealed(message.encoding, message.body);
         let (encoding, body) = unsealed.map_err(|error| error.to_string())?;
         let converter = self.converter(types, encoding).map_err(|error| error.to_string())?;
@@ -104,6 +112,17 @@ fn converter(
         Some(prefix) => types.prefixing_converter(from, to, prefix.as_str()),
         None => types.converter(from, to),
     }
+}
+
+/// Whether work on so many bytes is to leave what else this thread has to do to others.
+pub fn is_much(bytes: usize) -> bool {
+    let is_shared =
+        || Handle::try_current().is_ok_and(|runtime| runtime.runtime_flavor() == RuntimeFlavor::MultiThread);
+    bytes >= MANY_BYTES && is_shared()
+}
+
+fn beside<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
+    if is_much(bytes) { tokio::task::block_in_place(work) } else { work() }
 }
 
 #[cfg(test)]

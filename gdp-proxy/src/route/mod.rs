@@ -12,6 +12,7 @@ mod pace;
 
 use std::convert::Infallible;
 use std::fmt::Display;
+use std::pin::pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -26,7 +27,7 @@ use crate::routes::{Carries, Way};
 use crate::standing::{EitherRight, Pause, Right, RouteError, Standing};
 use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
 use crate::tally::Reason as _;
-use crate::turns::by_turns;
+use crate::turns::Turns;
 use crate::twins::Place;
 use gdp_ros::roster::ROSTER;
 use gdp_ros::types::Types;
@@ -96,7 +97,7 @@ impl Carries for Route {
         graph: &Graph,
         node: &Node,
         material: RouteMaterial,
-        stop: impl Future<Output = ()>,
+        stop: impl Future<Output = ()> + Send,
     ) -> Result<(), RouteError> {
         // What has failed is left to others until it shows that it works by now.
         let place = graph.twins().enter(node.name(), self.standing.part(self.side), !self.standing.has_failed());
@@ -104,17 +105,19 @@ impl Carries for Route {
         let way = Way { graph, node, kind: kind.as_ref(), card: &card, place: &place };
         let mut right = EitherRight::new(permission, file);
         let mut publisher = None;
-        by_turns(&place, node, &self.standing, stop, async |over| {
+        let mut stop = pin!(stop);
+        let mut turns = Turns::new(&place, node, &self.standing, stop.as_mut());
+        while turns.begin().await {
             let result = tokio::select! {
                 Err(error) = self.carry(&way, &mut right, &mut publisher) => Err(error),
-                () = over => Ok(()),
+                () = turns.over() => Ok(()),
             };
             if let Some(publisher) = publisher.take() {
                 self.close(publisher).await;
             }
-            result
-        })
-        .await
+            result?;
+        }
+        Ok(())
     }
 }
 

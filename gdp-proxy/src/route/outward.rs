@@ -8,8 +8,9 @@ use std::time::{Duration, Instant};
 use gdp::cert::{AdCert, Issued};
 use gdp::node::{ErrorCode, FrameError, NodeError, Publisher};
 use gdp::seal::Draft;
+use tokio::runtime::Handle;
 
-use super::format::Outbound;
+use super::format::{Outbound, is_much};
 use super::pace::Pace;
 use super::{Published, Route, Way};
 use crate::delivery::{lacks, latched, publish_options, stronger};
@@ -274,7 +275,13 @@ impl Route {
         let origin = origin.as_ref().map_or(&[][..], |origin| &origin[..]);
         let (encoding, carried) = out.format.pack(&body);
         // Waits for nothing: what finds no room replaces older messages.
-        match publisher.send_batch(&[Draft { origin, ..Draft::new(encoding, carried) }]).await {
+        let drafts = [Draft { origin, ..Draft::new(encoding, carried) }];
+        let sending = publisher.send_batch(&drafts);
+        let sent = match is_much(carried.len()) {
+            true => tokio::task::block_in_place(|| Handle::current().block_on(sending)),
+            false => sending.await,
+        };
+        match sent {
             Ok(_) => {
                 self.counters.handling.record(began.elapsed());
                 self.counters.passed(body.len(), carried.len());

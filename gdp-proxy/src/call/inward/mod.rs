@@ -24,7 +24,7 @@ use super::stand::Stands;
 use super::{LAST_WORDS, Route, Way, lock};
 use crate::graph::Asked;
 use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
-use crate::turns::{Over, unless};
+use crate::turns::unless;
 use servers::{ask_for_events, withdraw};
 
 /// A server elsewhere.
@@ -72,7 +72,7 @@ impl Route {
         &self,
         way: &Way<'_>,
         right: &mut Right<Reading>,
-        mut over: Over<'_>,
+        mut over: Pin<&mut (impl Future<Output = ()> + Send)>,
     ) -> Result<(), RouteError> {
         let mut pause = Pause::new();
         loop {
@@ -102,7 +102,7 @@ impl Route {
         way: &Way<'_>,
         client: &Client,
         right: &mut Right<Reading>,
-        over: &mut Over<'_>,
+        over: &mut (impl Future<Output = ()> + Send + Unpin),
     ) -> Result<Option<NodeError>, RouteError> {
         let (leaving, is_leaving) = watch::channel(false);
         let goals = Mutex::new(Goals::default());
