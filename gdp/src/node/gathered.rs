@@ -1,10 +1,31 @@
 //! Small messages that came one upon another and are not sealed yet: they will share a signature, and frames.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use crate::seal::{Draft, Encoding, MAX_ORIGIN};
 
 /// Since the last time a topic sealed. A message that comes later than that is sealed by itself, at once; one that comes sooner
 /// waits as long, for company.
 pub const GATHERING: u64 = 100_000;
+
+/// Of all topics of a node together: so much apart are signatures made, which take 20 microseconds here and 70 of each reader; so many may come upon
+/// one another; and none waits longer for its turn.
+const APART: u64 = 300_000;
+const TOGETHER: u64 = 16 * APART;
+const LONGEST: u64 = 8_000_000;
+
+/// Whose turn it is to sign. Topics that together have more messages than that share signatures out: each gathers what it has in its turn.
+#[derive(Default)]
+pub struct Turns(AtomicU64);
+
+impl Turns {
+    /// Takes the next turn; when it is. Clock in nanoseconds, as all times here.
+    pub fn take(&self, now: u64) -> u64 {
+        let next = |last: u64| (last.max(now) + APART).min(now + LONGEST + TOGETHER);
+        let (Ok(last) | Err(last)) = self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |last| Some(next(last)));
+        (next(last) - APART).saturating_sub(TOGETHER).max(now)
+    }
+}
 
 /// With how many it is not worth while to wait: more share a signature that costs each of them little by then, but their proofs grow.
 const MOST: usize = 64;
@@ -80,6 +101,19 @@ impl Gathered {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn turns_to_sign_are_at_once_until_there_are_too_many() {
+        let (turns, start) = (Turns::default(), 1_000_000_000);
+        let at_once = (0..100).take_while(|_| turns.take(start) == start).count();
+        assert_eq!(at_once as u64, TOGETHER / APART + 1);
+        let waits: Vec<u64> = (0..100).map(|_| turns.take(start) - start).collect();
+        assert!(waits.is_sorted() && waits[1] - waits[0] == APART && waits[99] <= LONGEST, "{waits:?}");
+        let later = start + LONGEST + TOGETHER;
+        assert_eq!(turns.take(later), later, "a pause makes up for all of them");
+        let steady = (1..1000).all(|i| turns.take(later + i * APART) == later + i * APART);
+        assert!(steady, "as many as that never wait");
+    }
 
     #[test]
     fn what_was_gathered_comes_out_as_it_was() {

@@ -11,7 +11,7 @@
 //! publishers try, and never wait for it. Who holds [`Outlet::choice`] may take those of a [`Lane`] and [`Outlet::uplink`], and is
 //! called by nobody who holds a lock.
 
-use std::collections::{HashMap, HashSet, VecDeque};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -22,6 +22,7 @@ use zerocopy::IntoBytes;
 use super::choice::Choice;
 use super::clock::Clock;
 use super::counters::{Counters, NodeCounters};
+use super::gathered::Turns;
 use super::lane::{Lane, LinkStatus, Status};
 use super::pairs::Pairs;
 use super::publication::{Publication, Pushed};
@@ -59,6 +60,8 @@ pub struct Outlet {
     publications: Mutex<HashMap<Topic, Arc<Publication>>>,
     /// There may be key boxes for the RIB, or latched messages for a reader.
     pub upkeep: Notify,
+    /// To sign.
+    pub turns: Turns,
     pump: Mutex<Pump>,
     turn: Condvar,
     /// Held by whoever sends, so that frames go in the order in which they were taken from the uplink.
@@ -98,8 +101,8 @@ struct Pump {
     stop: bool,
     /// What others found to do while they sent.
     chores: Vec<Output>,
-    /// Topics whose small messages wait for others, and until when: in the order of time.
-    gathering: VecDeque<(u64, Topic)>,
+    /// Topics whose small messages wait for others, and until when.
+    gathering: BTreeSet<(u64, Topic)>,
 }
 
 /// Room for the frames of one batch, kept from one to the next.
@@ -135,6 +138,7 @@ impl Outlet {
             doubled: Mutex::default(),
             publications: Mutex::default(),
             upkeep: Notify::new(),
+            turns: Turns::default(),
             pump: Mutex::default(),
             turn: Condvar::new(),
             sending: Mutex::new(Batch::new()),
@@ -348,7 +352,7 @@ impl Outlet {
 
     /// Seals at this time what a topic has gathered.
     pub fn gather(&self, topic: Topic, until: u64) {
-        lock(&self.pump).gathering.push_back((until, topic));
+        lock(&self.pump).gathering.insert((until, topic));
         self.plan(Some(until));
     }
 
@@ -378,7 +382,7 @@ impl Outlet {
                 return;
             }
             let chores = std::mem::take(&mut pump.chores);
-            let gathered = pump.gathering.front().map_or(u64::MAX, |(until, _)| *until);
+            let gathered = pump.gathering.first().map_or(u64::MAX, |(until, _)| *until);
             let until = next.unwrap_or(u64::MAX).min(gathered);
             if chores.is_empty() && !pump.again && until > self.clock.now() {
                 pump.asleep = Some(until);
@@ -389,8 +393,11 @@ impl Outlet {
             }
             pump.again = false;
             let now = self.clock.now();
-            let due = pump.gathering.partition_point(|(until, _)| *until <= now);
-            let due: Vec<Topic> = pump.gathering.drain(..due).map(|(_, topic)| topic).collect();
+            let mut due = Vec::new();
+            while let Some((_, topic)) = pump.gathering.first().copied().filter(|(until, _)| *until <= now) {
+                pump.gathering.pop_first();
+                due.push(topic);
+            }
             drop(pump);
             due.into_iter().for_each(|topic| self.seal_gathered(topic, now));
             chores.into_iter().for_each(|chore| self.do_chore(chore));

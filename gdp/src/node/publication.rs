@@ -218,12 +218,13 @@ impl Publication {
             return Ok(None);
         }
         let (now, taken) = (outlet.clock.now(), |first| move |pushed| Some((first, pushed)));
-        if Gathered::takes(drafts) && now.saturating_sub(sealing.sealed_at) < GATHERING {
+        let begins = sealing.gathered.is_empty();
+        if begins {
+            let is_soon = now.saturating_sub(sealing.sealed_at) < GATHERING;
+            sealing.gathered_until = outlet.turns.take(now).max(if is_soon { now + GATHERING } else { now });
+        }
+        if Gathered::takes(drafts) && sealing.gathered_until > now {
             let first = sealing.writer.next_sequence() + sealing.gathered.len() as u64;
-            let begins = sealing.gathered.is_empty();
-            if begins {
-                sealing.gathered_until = now + GATHERING;
-            }
             sealing.gathered.push(&drafts[0]);
             begun.take().into_iter().for_each(|begun| begun(first));
             if sealing.gathered.is_full() {
