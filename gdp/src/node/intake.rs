@@ -354,6 +354,11 @@ impl Intake {
         self.writers.values().filter_map(of).chain(deadline).min()
     }
 
+    /// Whether the rest of a message is to come.
+    pub fn is_amid(&self) -> bool {
+        self.writers.values().any(|known| known.session.as_ref().is_some_and(|session| session.inbound.is_amid()))
+    }
+
     /// Brings what waited for room to the application.
     fn take_up(&mut self, counters: &Counters) {
         while let Some(message) = self.stalled.pop_front() {

@@ -81,6 +81,7 @@ impl Receiver {
         let mut attached: [Option<Socket>; MAX_LANES] = Default::default();
         let mut batch = None;
         let mut next_tick = Instant::now() + TICK;
+        let mut rest = Rest::default();
         loop {
             loop {
                 let command = match attached.iter().any(Option::is_some) {
@@ -132,6 +133,12 @@ impl Receiver {
                     }
                 }
             }
+            if received {
+                rest.came(intakes.is_amid);
+            } else if rest.is_near() {
+                std::hint::spin_loop();
+                continue;
+            }
             let mut sockets = attached.iter().flatten().map(|socket| &*socket.data);
             if !received && sockets.clone().next().is_some() {
                 let waited = match (sockets.next(), sockets.next()) {
@@ -149,6 +156,43 @@ impl Receiver {
                 all.for_each(|socket| socket.links.held.retain(|(_, until)| Instant::now() < *until));
             }
         }
+    }
+}
+
+/// The rest of a message, of which something has come: often it is but microseconds behind, and to sleep and be woken would take longer.
+#[derive(Default)]
+struct Rest {
+    /// Since when it is waited for.
+    since: Option<Instant>,
+    /// How often it came while it was waited for, less how often it did not.
+    luck: i8,
+}
+
+impl Rest {
+    const NEAR: Duration = Duration::from_micros(50);
+    /// Who had none so often tries only now and then.
+    const LEAST: i8 = -16;
+    const MOST: i8 = 4;
+
+    /// Frames came. `is_amid`: they did not end all messages.
+    fn came(&mut self, is_amid: bool) {
+        if self.since.take().is_some() {
+            self.luck = (self.luck + 1).clamp(0, Self::MOST);
+        }
+        if is_amid && self.luck >= 0 {
+            self.since = Some(Instant::now());
+        } else if is_amid {
+            self.luck += 1;
+        }
+    }
+
+    /// Whether to look again at once.
+    fn is_near(&mut self) -> bool {
+        let is_near = self.since.is_some_and(|since| since.elapsed() < Self::NEAR);
+        if !is_near && self.since.take().is_some() {
+            self.luck = if self.luck > 0 { self.luck - 1 } else { Self::LEAST };
+        }
+        is_near
     }
 }
 
@@ -270,6 +314,8 @@ struct Intakes {
     timers: BTreeSet<(u64, Name)>,
     /// Intakes that something came for in the batch at hand.
     touched: Vec<Name>,
+    /// Whether the rest of a message of these is to come.
+    is_amid: bool,
 }
 
 impl Intakes {
@@ -282,6 +328,7 @@ impl Intakes {
             held: Held::default(),
             timers: BTreeSet::new(),
             touched: Vec::new(),
+            is_amid: false,
         }
     }
 
@@ -360,8 +407,10 @@ impl Intakes {
                 self.touched.push(name);
             }
         }
+        self.is_amid = false;
         while let Some(name) = self.touched.pop() {
             self.poll(&name);
+            self.is_amid |= self.intakes.get(&name).is_some_and(|intake| intake.is_amid());
         }
     }
 
@@ -447,6 +496,26 @@ mod tests {
     use zerocopy::IntoBytes;
 
     const NAME: Name = Name::from_bytes([1; 32]);
+
+    #[test]
+    fn the_rest_of_a_message_is_waited_for_only_where_it_comes_soon() {
+        let mut rest = Rest::default();
+        rest.came(false);
+        assert!(!rest.is_near(), "there is none");
+        let mut looked = 0;
+        for _ in 0..100 {
+            rest.came(true);
+            looked += usize::from(rest.is_near());
+            rest.since = rest.since.map(|since| since - Rest::NEAR);
+            assert!(!rest.is_near());
+        }
+        assert!((1..10).contains(&looked), "{looked} times in vain");
+        for _ in 0..20 {
+            rest.came(true);
+        }
+        let looked = (0..20).filter(|_| (rest.came(true), rest.is_near()).1).count();
+        assert_eq!(looked, 20, "it comes soon by now");
+    }
 
     #[test]
     fn frames_of_unknown_sources_wait_a_moment() {
