@@ -10,8 +10,9 @@ use gdp::Name;
 use serde::Serialize;
 
 use crate::automatic::{card_of, choose, judge};
-use crate::config::Side;
-use crate::graph::{self, Onlooker, Published, Topics};
+use crate::config::{Config, ExposeConfig, Side, Thing, What, is_hidden};
+use crate::graph::{self, Found, Offered, Onlooker};
+use crate::material::{ExposeMaterial, Material, RouteMaterial};
 use crate::reload::Loaded;
 use crate::ros2::{ShownQos, TopicName, TypeName};
 
@@ -25,15 +26,18 @@ pub struct Report {
     /// The proxy's own name.
     entity: Name,
     topics: Vec<Row>,
-    /// Catalogs of which the topics that match come in; what they list shows only in the fabric.
+    /// Services and actions. What every node has for itself is shown only if it crosses.
+    calls: Vec<Row>,
+    /// Catalogs of which what matches comes in; what they list shows only in the fabric.
     imports: Vec<Name>,
 }
 
-/// A topic in one direction, or one that does not cross, or publishers of it that do not because they use another type.
+/// Something in one direction, or that does not cross, or those who offer it that do not because they use another type.
 #[derive(Serialize)]
 struct Row {
     graph: String,
-    topic: String,
+    #[serde(flatten)]
+    of: Of,
     /// As ROS 2 writes it; null if nobody says it yet.
     #[serde(rename = "type")]
     kind: Option<String>,
@@ -48,76 +52,137 @@ struct Row {
     because: String,
 }
 
+/// As the statistics file calls them.
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Of {
+    Topic { topic: String },
+    Call { what: What, service: String },
+}
+
 /// Looks for so long. The graphs are joined under a name of their own, so a proxy that runs is not disturbed.
 pub async fn run(loaded: &Loaded, patience: Duration) -> Result<Report> {
     let mut graphs = graph::All::new();
     graph::join(&mut graphs, &loaded.config.graphs, &format!("{}dry_run_{}", graph::NODE, std::process::id())).await?;
     let looked = graphs.iter().map(|(label, graph)| look(label, Onlooker::of(graph), patience));
-    let found: BTreeMap<String, Topics> = join_all(looked).await.into_iter().collect();
+    let found: BTreeMap<String, Found> = join_all(looked).await.into_iter().collect();
     graph::leave(graphs).await;
     report(loaded, &found)
 }
 
 /// What would cross of what there is in the graphs, by their names in the configuration.
-fn report(Loaded { config, material }: &Loaded, found: &BTreeMap<String, Topics>) -> Result<Report> {
-    let none = Topics::new();
-    let topics_of = |label: &str| found.get(label).unwrap_or(&none);
-    let (mut rows, mut explicit) = (vec![], BTreeSet::new());
-    for (at, route) in &material.routes {
-        let topic = &config.topics[*at];
-        let Ok((label, _)) = config.graphs.get(topic.graph.as_deref()) else { continue };
-        let published = topics_of(label).get(&topic.topic).map_or(&[][..], Vec::as_slice);
-        let kind = route.kind.as_ref().or_else(|| Some(&published.first()?.kind));
-        let row = |kind: Option<&TypeName>| Row::new(label, &topic.topic, kind, published);
-        rows.push(Row {
-            direction: Some(route.permission.side()),
-            name: Some(route.card.name()),
-            called: route.card.get("topic").map(str::to_owned),
-            because: format!("topics[{at}]"),
-            ..row(kind)
-        });
-        if route.permission.side() == Side::Out {
-            explicit.insert((label.to_owned(), topic.topic.clone()));
-            let others = kinds(published).into_iter().filter(|other| Some(*other) != kind);
-            rows.extend(others.map(|other| Row { because: another_type(kind), ..row(Some(other)) }));
-        }
+fn report(Loaded { config, material }: &Loaded, found: &BTreeMap<String, Found>) -> Result<Report> {
+    let mut rows = Rows::default();
+    for listed in listed(config, material) {
+        rows.of_listed(found, listed);
     }
-    for (label, topics) in found {
-        let here = |(topic, _): &(&TopicName, _)| !explicit.contains(&(label.clone(), (*topic).clone()));
-        let of_graph = |graph: &Option<String>| config.graphs.get(graph.as_deref()).is_ok_and(|(it, _)| it == label);
+    for (label, found) in found {
         let expose = config.expose.as_ref().zip(material.expose.as_ref());
-        let expose = expose.filter(|(expose, _)| of_graph(&expose.graph));
-        for (topic, published) in topics.iter().filter(here) {
-            let chosen = expose.and_then(|(expose, _)| choose(expose, topic, published));
-            for kind in kinds(published) {
-                let row = Row::new(label, topic, Some(kind), published);
-                rows.push(match (expose, &chosen) {
-                    (None, _) => row,
-                    (Some((_, material)), Some((chosen, exposed))) if chosen == kind => Row {
-                        direction: Some(Side::Out),
-                        name: Some(card_of(&material.owner, kind, exposed)?.name()),
-                        called: Some(exposed.name.to_string()),
-                        because: "expose".into(),
-                        ..row
-                    },
-                    (Some((expose, _)), chosen) => match judge(expose, topic, kind) {
-                        Err(why) => Row { because: why.to_string(), ..row },
-                        Ok(_) => Row { because: another_type(chosen.as_ref().map(|(chosen, _)| chosen)), ..row },
-                    },
-                });
-            }
+        let is_here = |graph: &Option<String>| config.graphs.get(graph.as_deref()).is_ok_and(|(it, _)| it == label);
+        let expose = expose.filter(|(expose, _)| is_here(&expose.graph));
+        for ((thing, name), offered) in found {
+            rows.of_found(label, *thing, name, offered, expose)?;
         }
     }
     let imports = material.imports.iter().map(|import| import.catalog.name()).collect();
-    Ok(Report { version: VERSION, entity: material.identity.name(), topics: rows, imports })
+    let (topics, calls) = rows.rows.into_iter().partition(|row| matches!(row.of, Of::Topic { .. }));
+    Ok(Report { version: VERSION, entity: material.identity.name(), topics, calls, imports })
 }
 
-/// All that a topic is published as, each once, in the order in which they are published.
-fn kinds(published: &[Published]) -> Vec<&TypeName> {
+/// One direction of something that the configuration lists.
+struct Listed<'a> {
+    key: String,
+    graph: &'a str,
+    thing: Thing,
+    name: &'a TopicName,
+    material: &'a RouteMaterial,
+}
+
+fn listed<'a>(config: &'a Config, material: &'a Material) -> impl Iterator<Item = Listed<'a>> {
+    let graph = |label: &'a Option<String>| Some(config.graphs.get(label.as_deref()).ok()?.0);
+    let topics = material.routes.iter().filter_map(move |(at, material)| {
+        let topic = &config.topics[*at];
+        let (key, graph) = (format!("topics[{at}]"), graph(&topic.graph)?);
+        Some(Listed { key, graph, thing: Thing::Topic, name: &topic.topic, material })
+    });
+    let calls = config.calls().zip(&material.calls).filter_map(move |((key, call), (_, material))| {
+        Some(Listed { key, graph: graph(&call.graph)?, thing: Thing::Call(call.what), name: &call.name, material })
+    });
+    topics.chain(calls)
+}
+
+#[derive(Default)]
+struct Rows {
+    rows: Vec<Row>,
+    /// What is listed as going out is not exposed besides.
+    explicit: BTreeSet<(String, Thing, TopicName)>,
+}
+
+impl Rows {
+    fn of_listed(&mut self, found: &BTreeMap<String, Found>, listed: Listed<'_>) {
+        let Listed { key, graph, thing, name, material } = listed;
+        let offered =
+            found.get(graph).and_then(|found| found.get(&(thing, name.clone()))).map_or(&[][..], Vec::as_slice);
+        let kind = material.kind.as_ref().or_else(|| offered.first()?.kind.as_ref());
+        let row = |kind: Option<&TypeName>| Row::new(graph, thing, name, kind, offered);
+        self.rows.push(Row {
+            direction: Some(material.permission.side()),
+            name: Some(material.card.name()),
+            called: material.card.get("topic").map(str::to_owned),
+            because: key,
+            ..row(kind)
+        });
+        if material.permission.side() == Side::Out {
+            self.explicit.insert((graph.to_owned(), thing, name.clone()));
+            let others = kinds(offered).into_iter().flatten().filter(|other| Some(*other) != kind);
+            self.rows.extend(others.map(|other| Row { because: another_type(kind), ..row(Some(other)) }));
+        }
+    }
+
+    fn of_found(
+        &mut self,
+        graph: &str,
+        thing: Thing,
+        name: &TopicName,
+        offered: &[Offered],
+        expose: Option<(&ExposeConfig, &ExposeMaterial)>,
+    ) -> Result<()> {
+        if self.explicit.contains(&(graph.to_owned(), thing, name.clone())) {
+            return Ok(());
+        }
+        let chosen = expose.and_then(|(expose, _)| choose(expose, thing, name, offered));
+        if thing != Thing::Topic && chosen.is_none() && is_hidden(thing, name) {
+            return Ok(());
+        }
+        for kind in kinds(offered) {
+            let row = Row::new(graph, thing, name, kind, offered);
+            self.rows.push(match (expose, &chosen) {
+                (None, _) => row,
+                (Some((_, material)), Some((chosen, exposed))) if chosen.as_ref() == kind => Row {
+                    direction: Some(Side::Out),
+                    name: Some(card_of(&material.owner, thing, kind, exposed)?.name()),
+                    called: Some(exposed.name.to_string()),
+                    because: "expose".into(),
+                    ..row
+                },
+                (Some((expose, _)), chosen) => match judge(expose, thing, name, kind) {
+                    Err(why) => Row { because: why.to_string(), ..row },
+                    Ok(_) => {
+                        Row { because: another_type(chosen.as_ref().and_then(|(chosen, _)| chosen.as_ref())), ..row }
+                    }
+                },
+            });
+        }
+        Ok(())
+    }
+}
+
+/// All types that something is offered as, each once, in the order in which they are.
+fn kinds(offered: &[Offered]) -> Vec<Option<&TypeName>> {
     let mut kinds = Vec::new();
-    for Published { kind, .. } in published {
-        if !kinds.contains(&kind) {
-            kinds.push(kind);
+    for Offered { kind, .. } in offered {
+        if !kinds.contains(&kind.as_ref()) {
+            kinds.push(kind.as_ref());
         }
     }
     kinds
@@ -125,58 +190,73 @@ fn kinds(published: &[Published]) -> Vec<&TypeName> {
 
 fn another_type(chosen: Option<&TypeName>) -> String {
     let chosen = chosen.map_or_else(|| "another type".into(), ToString::to_string);
-    format!("the topic crosses as {chosen}, and a topic is of one type: that of whom the proxy sees first")
+    format!("it crosses as {chosen}, and a name is of one type: that of whom the proxy sees first")
 }
 
 impl Row {
-    /// Of a topic that is published so, as far as it is of this type: it does not cross.
-    fn new(graph: &str, topic: &TopicName, kind: Option<&TypeName>, published: &[Published]) -> Self {
-        let of_kind = published.iter().filter(|it| Some(&it.kind) == kind);
+    /// Of what is offered so, as far as it is of this type: it does not cross.
+    fn new(graph: &str, thing: Thing, name: &TopicName, kind: Option<&TypeName>, offered: &[Offered]) -> Self {
+        let of_kind = offered.iter().filter(|it| it.kind.as_ref() == kind);
         Self {
             graph: graph.into(),
-            topic: topic.to_string(),
+            of: match thing {
+                Thing::Topic => Of::Topic { topic: name.to_string() },
+                Thing::Call(what) => Of::Call { what, service: name.to_string() },
+            },
             kind: kind.map(ToString::to_string),
             qos: qos(of_kind),
             direction: None,
             name: None,
             called: None,
-            because: "not under topics".into(),
+            because: format!("not under {}", thing.list()),
         }
     }
 }
 
-async fn look(label: &str, mut onlooker: Onlooker, patience: Duration) -> (String, Topics) {
+async fn look(label: &str, mut onlooker: Onlooker, patience: Duration) -> (String, Found) {
     let forever = async {
         loop {
             onlooker.changed().await;
         }
     };
     _ = tokio::time::timeout(patience, forever).await;
-    (label.to_owned(), onlooker.topics())
+    (label.to_owned(), onlooker.found())
 }
 
 /// `reliable, volatile`; of several, all that differ.
-fn qos<'a>(published: impl Iterator<Item = &'a Published>) -> Option<String> {
+fn qos<'a>(offered: impl Iterator<Item = &'a Offered>) -> Option<String> {
     let shown = |qos: ShownQos| format!("{:?}, {:?}", qos.reliability, qos.durability);
-    let all: BTreeSet<String> = published.filter_map(|it| it.qos.map(shown)).collect();
+    let all: BTreeSet<String> = offered.filter_map(|it| it.qos.map(shown)).collect();
     (!all.is_empty()).then(|| all.into_iter().collect::<Vec<_>>().join("; "))
+}
+
+impl Of {
+    fn name(&self) -> &str {
+        match self {
+            Self::Topic { topic: name } | Self::Call { service: name, .. } => name,
+        }
+    }
 }
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        for row in &self.topics {
+        for row in self.topics.iter().chain(&self.calls) {
             let sign = match row.direction {
                 Some(Side::Out) => "out",
                 Some(Side::In) => "in",
                 None => "-",
             };
-            let Row { graph, topic, kind, qos, name, called, because, .. } = row;
-            write!(f, "{sign:3} {topic} [{}] in {graph}", kind.as_deref().unwrap_or("type not known"))?;
+            let Row { graph, of, kind, qos, name, called, because, .. } = row;
+            write!(f, "{sign:3} ")?;
+            if let Of::Call { what, .. } = of {
+                write!(f, "{} ", what.as_str())?;
+            }
+            write!(f, "{} [{}] in {graph}", of.name(), kind.as_deref().unwrap_or("type not known"))?;
             if let Some(qos) = qos {
                 write!(f, " ({qos})")?;
             }
             match (name, called) {
-                (Some(name), Some(called)) if called != topic => writeln!(f, ": {name} as {called}, {because}")?,
+                (Some(name), Some(called)) if called != of.name() => writeln!(f, ": {name} as {called}, {because}")?,
                 (Some(name), _) => writeln!(f, ": {name}, {because}")?,
                 (None, _) => writeln!(f, ": {because}")?,
             }
@@ -190,8 +270,12 @@ impl fmt::Display for Report {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
+    use gdp::cert::{AdCert, issue};
+
     use super::*;
-    use crate::config::ExposeConfig;
+    use crate::config::CallConfig;
     use crate::material::Material;
     use crate::material::tests::Files;
 
@@ -200,28 +284,42 @@ mod tests {
         let files = Files::new();
         files.owner.save_new(&files.path("owner.pem")).unwrap();
         let mut config = files.config("");
-        let expose = "{owner: owner.pem, catalog: t.card, topics: [/**], deny: [/d], types: [a/msg/B, a/msg/C]}";
+        let expose = "{owner: owner.pem, catalog: t.card, topics: [/**], services: [/**], deny: [/d], types: [a/msg/B, a/msg/C, a/srv/S]}";
         let mut expose: ExposeConfig = serde_saphyr::from_str(expose).unwrap();
         (expose.owner, expose.catalog) = (files.path("owner.pem"), files.path("other.card"));
         let catalog = gdp::NameCard::create(files.owner.verify_key(), "catalog", "/robot", "", None).unwrap();
         catalog.save_new(&expose.catalog).unwrap();
         config.expose = Some(expose);
+        let card = gdp::NameCard::create(files.owner.verify_key(), "service", "/listed", "", None).unwrap();
+        card.save_new(&files.path("s.card")).unwrap();
+        let cert = AdCert { name: card.name(), ..files.claims() };
+        fs::write(files.path("s.ad"), issue(&files.owner, &cert).unwrap().to_pem()).unwrap();
+        let name = TopicName::parse("/listed").unwrap();
+        let call = CallConfig::without_files(What::Service, &name, "ros2", None, Side::Out);
+        config.services.push(CallConfig { card: files.path("s.card"), cert: Some(files.path("s.ad")), ..call });
         let loaded = Loaded { material: Material::load(&config).unwrap(), config };
 
-        let published = |kinds: &str| {
-            let kind = |kind| Published { kind: TypeName::parse(kind).unwrap(), qos: None };
+        let offered = |kinds: &str| {
+            let kind = |kind| Offered { kind: TypeName::parse(kind).ok(), qos: None };
             kinds.split(' ').map(kind).collect::<Vec<_>>()
         };
-        let topic = |name: &str| TopicName::parse(name).unwrap();
+        let topic = |name: &str| (Thing::Topic, TopicName::parse(name).unwrap());
+        let service = |name: &str| (Thing::Call(What::Service), TopicName::parse(name).unwrap());
         let string = "std_msgs/msg/String";
-        let topics = Topics::from([
-            (topic("/a"), published("a/msg/A a/msg/B a/msg/C a/msg/B")),
-            (topic("/chatter"), published("a/msg/A std_msgs/msg/String")),
-            (topic("/d"), published("a/msg/B a/msg/C")),
+        let found = Found::from([
+            (topic("/a"), offered("a/msg/A a/msg/B a/msg/C a/msg/B")),
+            (topic("/chatter"), offered("a/msg/A std_msgs/msg/String")),
+            (topic("/d"), offered("a/msg/B a/msg/C")),
+            (service("/s"), offered("a/srv/S")),
+            (service("/d"), offered("a/srv/S")),
+            (service("/listed"), offered("a/srv/L")),
+            (service("/o"), offered("a/srv/O")),
+            (service("/untyped"), vec![Offered { kind: None, qos: None }]),
+            (service("/talker/get_parameters"), offered("a/srv/S")),
         ]);
-        let report = report(&loaded, &BTreeMap::from([("ros2".into(), topics)])).unwrap();
+        let report = report(&loaded, &BTreeMap::from([("ros2".into(), found)])).unwrap();
         let shown = |topic: &str| {
-            let rows = report.topics.iter().filter(|row| row.topic == topic);
+            let rows = report.topics.iter().filter(|row| row.of.name() == topic);
             rows.map(|row| (row.kind.as_deref().unwrap(), row.direction, row.because.as_str())).collect::<Vec<_>>()
         };
         let crosses_as = |kind| another_type(Some(&TypeName::parse(kind).unwrap()));
@@ -235,5 +333,17 @@ mod tests {
         );
         assert_eq!(shown("/chatter"), [(string, Some(Side::Out), "topics[0]"), ("a/msg/A", None, &crosses_as(string))]);
         assert_eq!(shown("/d"), [("a/msg/B", None, "deny has /d"), ("a/msg/C", None, "deny has /d")]);
+        let calls: Vec<_> =
+            report.calls.iter().map(|row| (row.of.name(), row.name.is_some(), row.because.as_str())).collect();
+        assert_eq!(
+            calls,
+            [
+                ("/listed", true, "services[0]"),
+                ("/d", false, "deny has /d"),
+                ("/o", false, "its type is not one of types"),
+                ("/s", true, "expose"),
+                ("/untyped", false, "its type is not one of types"),
+            ]
+        );
     }
 }

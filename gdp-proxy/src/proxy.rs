@@ -79,10 +79,9 @@ async fn carry(
         calls: routes::manager(node.clone(), types.clone()),
         catalogs: automatic::manager(node.clone()),
     };
-    let mut explicit = plans(&loaded, &graphs)?;
+    let mut explicit = Explicit::new(&loaded, &graphs)?;
     let mut automatic = Automatic::new(&loaded, &graphs, node.name(), None)?;
     running.want(&mut automatic, &explicit);
-    running.calls.want(call_plans(&loaded, &graphs)?);
     let mut shown = Shown::new(stats);
     let mut diagnostics = Diagnostics::wanted(&loaded.config, node.name(), &graphs, &types).await;
     let ended = loop {
@@ -105,10 +104,9 @@ async fn carry(
                     }
                     loaded = new;
                     watch.taken(&loaded);
-                    explicit = plans(&loaded, &graphs)?;
+                    explicit = Explicit::new(&loaded, &graphs)?;
                     automatic = Automatic::new(&loaded, &graphs, node.name(), Some(automatic))?;
-                    let (topics, calls) = (running.want(&mut automatic, &explicit), call_plans(&loaded, &graphs)?);
-                    let Changed { begun, ended, kept } = topics + running.calls.want(calls);
+                    let Changed { begun, ended, kept } = running.want(&mut automatic, &explicit);
                     tracing::info!(begun, ended, kept, "took the changed configuration");
                 }
                 Err(error) => {
@@ -145,11 +143,11 @@ struct RunningStats {
 }
 
 impl Running {
-    /// From now on these topics cross, and what matches by itself.
-    fn want(&mut self, automatic: &mut Automatic, explicit: &[Arc<RoutePlan>]) -> Changed {
-        let plans = automatic.plan(explicit);
+    /// From now on this crosses, and what matches by itself.
+    fn want(&mut self, automatic: &mut Automatic, explicit: &Explicit) -> Changed {
+        let plans = automatic.plan(&explicit.topics, &explicit.calls);
         self.catalogs.want(plans.catalogs);
-        self.routes.want(plans.routes)
+        self.routes.want(plans.routes) + self.calls.want(plans.calls)
     }
 
     /// What only a new start can mend. Safe to cancel.
@@ -205,29 +203,35 @@ async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
     }
 }
 
-/// A route for each direction of the topics.
-fn plans(Loaded { config, material }: &Loaded, graphs: &graph::All) -> Result<Vec<Arc<RoutePlan>>> {
-    if config.topics.is_empty()
-        && config.expose.is_none()
-        && config.import.is_empty()
-        && config.calls().next().is_none()
-    {
-        tracing::warn!("no topics, services or actions are configured, so nothing is exposed");
-    }
-    let plan = |(at, material): &(usize, RouteMaterial)| {
-        let topic = &config.topics[*at];
-        planned(topic.clone(), topic.graph.as_deref(), material, config, graphs)
-    };
-    material.routes.iter().map(plan).collect()
+/// What the configuration lists.
+struct Explicit {
+    /// A route for each direction.
+    topics: Vec<Arc<RoutePlan>>,
+    calls: Vec<Arc<CallPlan>>,
 }
 
-/// One for each service and action.
-fn call_plans(Loaded { config, material }: &Loaded, graphs: &graph::All) -> Result<Vec<Arc<CallPlan>>> {
-    let plan = |(at, material): &(usize, RouteMaterial)| {
-        let (_, call) = config.calls().nth(*at).context("a service that is not configured")?;
-        planned(call.clone(), call.graph.as_deref(), material, config, graphs)
-    };
-    material.calls.iter().map(plan).collect()
+impl Explicit {
+    fn new(Loaded { config, material }: &Loaded, graphs: &graph::All) -> Result<Self> {
+        if config.topics.is_empty()
+            && config.expose.is_none()
+            && config.import.is_empty()
+            && config.calls().next().is_none()
+        {
+            tracing::warn!("no topics, services or actions are configured, so nothing is exposed");
+        }
+        let topic = |(at, material): &(usize, RouteMaterial)| {
+            let topic = &config.topics[*at];
+            planned(topic.clone(), topic.graph.as_deref(), material, config, graphs)
+        };
+        let call = |(at, material): &(usize, RouteMaterial)| {
+            let (_, call) = config.calls().nth(*at).context("a service that is not configured")?;
+            planned(call.clone(), call.graph.as_deref(), material, config, graphs)
+        };
+        Ok(Self {
+            topics: material.routes.iter().map(topic).collect::<Result<_>>()?,
+            calls: material.calls.iter().map(call).collect::<Result<_>>()?,
+        })
+    }
 }
 
 fn planned<R: Carries>(

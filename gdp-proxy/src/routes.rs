@@ -33,6 +33,9 @@ pub trait Carries: Send + Sync + 'static {
 
     fn key(config: &Self::Config) -> Self::Key;
 
+    /// What the log calls it.
+    fn title(config: &Self::Config) -> String;
+
     /// `graph`: what the configuration calls it.
     fn new(config: &Self::Config, graph: &str, material: &RouteMaterial, types: Arc<Types>) -> Self;
 

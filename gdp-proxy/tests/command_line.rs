@@ -60,7 +60,7 @@ fn a_dry_run_shows_what_would_cross_under_which_name() {
     let mut text = fs::read_to_string(files.path("robot.yaml")).unwrap();
     let domain = 50 + std::process::id() % 40;
     text += &format!(
-        "graphs: {{a: {{domain_id: {domain}}}}}\nexpose: {{owner: owner.pem, catalog: catalog.card, topics: [/a/**], deny: [/a/secret]}}\n"
+        "graphs: {{a: {{domain_id: {domain}}}}}\nexpose: {{owner: owner.pem, catalog: catalog.card, topics: [/a/**], services: [/a/**], deny: [/a/secret]}}\n"
     );
     fs::write(files.path("robot.yaml"), text).unwrap();
 
@@ -72,6 +72,9 @@ fn a_dry_run_shows_what_would_cross_under_which_name() {
         Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
     let topics = ["/a/b", "/a/secret", "/c", "/chatter"];
     let _writers = topics.map(|topic| node.writer(&TopicName::parse(topic).unwrap(), &kind, &offer).unwrap());
+    let trigger = TypeName::parse("std_srvs/srv/Trigger").unwrap();
+    let services = ["/a/go", "/a/secret"];
+    let _servers = services.map(|name| node.server(&TopicName::parse(name).unwrap(), &trigger, None).unwrap());
 
     // Longer and longer, for a busy machine.
     let mut looks = ["2", "5", "15", "40"].iter().map(|seconds| {
@@ -79,9 +82,13 @@ fn a_dry_run_shows_what_would_cross_under_which_name() {
         assert!(output.status.success(), "{output:?}");
         let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(report["entity"], files.entity);
-        report["topics"].as_array().unwrap().clone()
+        ["topics", "calls"].map(|key| report[key].as_array().unwrap().clone())
     });
-    let rows = looks.find(|rows| topics.iter().all(|topic| rows.iter().any(|row| row["topic"] == *topic))).unwrap();
+    let has = |rows: &[serde_json::Value], key: &str, names: &[&str]| {
+        names.iter().all(|name| rows.iter().any(|row| row[key] == *name))
+    };
+    let is_all = |[rows, calls]: &[Vec<_>; 2]| has(rows, "topic", &topics) && has(calls, "service", &services);
+    let [rows, calls] = looks.find(is_all).unwrap();
     let shown = |topic: &str, key: &str| rows.iter().find(|row| row["topic"] == topic).unwrap()[key].clone();
     let of = |topic: &str| (shown(topic, "direction"), shown(topic, "because").as_str().unwrap().to_owned());
     assert_eq!(of("/chatter"), ("out".into(), "topics[0]".into()));
@@ -93,6 +100,12 @@ fn a_dry_run_shows_what_would_cross_under_which_name() {
         ("std_msgs/msg/String".into(), 64)
     );
     assert_eq!(shown("/a/b", "qos"), "Reliable, Volatile");
+    let of = |row: &serde_json::Value| {
+        ["what", "service", "type", "because"].map(|key| row[key].as_str().unwrap_or_default().to_owned())
+    };
+    assert_eq!(of(&calls[0]), ["service", "/a/go", "std_srvs/srv/Trigger", "expose"]);
+    assert_eq!(of(&calls[1]), ["service", "/a/secret", "std_srvs/srv/Trigger", "deny has /a/secret"]);
+    assert_eq!((calls[0]["name"].as_str().unwrap().len(), calls.len()), (64, 2));
 }
 
 #[test]

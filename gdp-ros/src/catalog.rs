@@ -50,9 +50,9 @@ pub struct Catalog {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Entry {
-    /// That of its card. `kind` is `topic`; whoever does not know another one leaves such entries out.
+    /// That of its card. `kind` is `topic`, `service` or `action`; whoever does not know another one leaves such entries out.
     pub metadata: Metadata,
-    /// Everybody's who may read it.
+    /// Everybody's who may read or call it.
     pub grants: Vec<Issued<ReadGrant>>,
 }
 

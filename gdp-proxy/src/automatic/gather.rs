@@ -6,39 +6,51 @@ use std::sync::Arc;
 use gdp::Name;
 use tokio::sync::watch;
 
-use crate::config::{MAX_ROUTES, Side};
+use crate::config::{CallConfig, MAX_CALLS, MAX_ROUTES, Manner, Side, Thing};
+use crate::graph::Graph;
 use crate::manager::Plan;
-use crate::material::Permission;
+use crate::material::{Permission, RouteMaterial};
 use crate::renewal::{Renewal, Told};
 use crate::ros2::TopicName;
-use crate::routes::RoutePlan;
+use crate::routes::{CallPlan, Carries, Planned, RoutePlan};
+use crate::{call, route};
 
 /// What is kept from one time to the next.
 #[derive(Default)]
 pub struct Kept {
     /// The rights to names that were made or learnt here; routes follow them by themselves.
     rights: BTreeMap<(Name, Side), watch::Sender<Permission>>,
-    /// What has been said in the log: once, and not whenever a graph changes.
-    pub told: BTreeSet<(TopicName, String)>,
+    /// What has been said in the log of what: once, and not whenever a graph changes.
+    pub told: BTreeSet<(String, String)>,
 }
 
 /// One time.
 pub struct Gathering<'a> {
     kept: &'a mut Kept,
-    pub routes: Vec<Arc<RoutePlan>>,
-    places: BTreeSet<<Arc<RoutePlan> as Plan>::Place>,
-    /// Of which topic each name is: a node publishes a name once and subscribes to it once.
-    names: BTreeMap<(Name, Side), TopicName>,
+    topics: Gathered<route::Route>,
+    calls: Gathered<call::Route>,
+    names: Names,
     used: BTreeSet<(Name, Side)>,
-    told: BTreeSet<(TopicName, String)>,
+    told: BTreeSet<(String, String)>,
+}
+
+/// Of what each name is: a node has a name once in each direction.
+type Names = BTreeMap<(Name, Side), String>;
+
+/// All plans of a kind.
+struct Gathered<R: Carries> {
+    plans: Vec<Arc<Planned<R>>>,
+    places: BTreeSet<<Arc<Planned<R>> as Plan>::Place>,
+    most: usize,
 }
 
 impl<'a> Gathering<'a> {
     /// These go first.
-    pub fn new(kept: &'a mut Kept, routes: Vec<Arc<RoutePlan>>) -> Self {
-        let places = routes.iter().map(Plan::place).collect();
-        let names = routes.iter().map(|plan| (named(plan), plan.config.topic.clone())).collect();
-        Self { kept, routes, places, names, used: BTreeSet::new(), told: BTreeSet::new() }
+    pub fn new(kept: &'a mut Kept, topics: &[Arc<RoutePlan>], calls: &[Arc<CallPlan>]) -> Self {
+        let mut names = Names::new();
+        let (topics, calls) =
+            (Gathered::new(topics, &mut names, MAX_ROUTES), Gathered::new(calls, &mut names, MAX_CALLS));
+        Self { kept, topics, calls, names, used: BTreeSet::new(), told: BTreeSet::new() }
     }
 
     /// The right to a name, as it is told to whoever uses it from now on.
@@ -56,46 +68,76 @@ impl<'a> Gathering<'a> {
         (permission, Renewal::Told(Told::new(sender.subscribe())))
     }
 
-    /// Whether it is to run: another may have its place.
-    pub fn add(&mut self, plan: RoutePlan) -> bool {
-        let plan = Arc::new(plan);
-        if self.routes.len() >= MAX_ROUTES {
-            self.tell(&plan.config.topic, format!("there are {MAX_ROUTES} routes already; run a second proxy"));
-            return false;
-        }
-        if self.places.contains(&plan.place()) {
-            return false;
-        }
-        if let Some(other) = self.names.get(&named(&plan)) {
-            let why =
-                format!("its name {:#} is already that of {other}, in the same direction", plan.material.card.name());
-            self.tell(&plan.config.topic, why);
-            return false;
-        }
-        self.places.insert(plan.place());
-        self.names.insert(named(&plan), plan.config.topic.clone());
-        self.routes.push(plan);
-        true
+    /// Something of this name in this graph. Whether it is to run: another may have its place.
+    pub fn add(
+        &mut self,
+        thing: Thing,
+        name: &TopicName,
+        manner: &Manner,
+        place: &(String, Arc<Graph>),
+        material: RouteMaterial,
+    ) -> bool {
+        let ((label, graph), kind, side) = (place.clone(), material.kind.clone(), material.permission.side());
+        let added = match thing {
+            Thing::Topic => {
+                let config = manner.topic(name, &label, kind, side.into());
+                self.topics.add(Planned { config, label, graph, material }, &mut self.names)
+            }
+            Thing::Call(what) => {
+                let config = CallConfig::without_files(what, name, &label, kind, side);
+                self.calls.add(Planned { config, label, graph, material }, &mut self.names)
+            }
+        };
+        added.unwrap_or_else(|why| {
+            self.tell(thing, name, why);
+            false
+        })
     }
 
-    /// Says why a topic is not carried.
-    pub fn tell(&mut self, topic: &TopicName, why: String) {
-        let complaint = (topic.clone(), why);
+    /// Says why something is not carried.
+    pub fn tell(&mut self, thing: Thing, name: &TopicName, why: String) {
+        let complaint = (thing.title(name), why);
         if !self.kept.told.contains(&complaint) {
-            tracing::warn!(%topic, "not carried: {}", complaint.1);
+            tracing::warn!(what = complaint.0, "not carried: {}", complaint.1);
         }
         self.told.insert(complaint);
     }
 
     /// What was not used this time is not kept.
-    pub fn finish(self) -> Vec<Arc<RoutePlan>> {
-        let Self { kept, routes, used, told, .. } = self;
+    pub fn finish(self) -> (Vec<Arc<RoutePlan>>, Vec<Arc<CallPlan>>) {
+        let Self { kept, topics, calls, used, told, .. } = self;
         kept.rights.retain(|key, _| used.contains(key));
         kept.told = told;
-        routes
+        (topics.plans, calls.plans)
     }
 }
 
-fn named(plan: &RoutePlan) -> (Name, Side) {
+impl<R: Carries> Gathered<R> {
+    fn new(plans: &[Arc<Planned<R>>], names: &mut Names, most: usize) -> Self {
+        names.extend(plans.iter().map(|plan| (named(plan), R::title(&plan.config))));
+        Self { plans: plans.to_vec(), places: plans.iter().map(Plan::place).collect(), most }
+    }
+
+    /// Whether its place was free; an error says why else it is not added.
+    fn add(&mut self, plan: Planned<R>, names: &mut Names) -> Result<bool, String> {
+        let (plan, most) = (Arc::new(plan), self.most);
+        if self.plans.len() >= most {
+            return Err(format!("there are {most} routes already; run a second proxy"));
+        }
+        if self.places.contains(&plan.place()) {
+            return Ok(false);
+        }
+        if let Some(other) = names.get(&named(&plan)) {
+            let name = plan.material.card.name();
+            return Err(format!("its name {name:#} is already that of {other}, in the same direction"));
+        }
+        self.places.insert(plan.place());
+        names.insert(named(&plan), R::title(&plan.config));
+        self.plans.push(plan);
+        Ok(true)
+    }
+}
+
+fn named<R: Carries>(plan: &Planned<R>) -> (Name, Side) {
     (plan.material.card.name(), plan.material.permission.side())
 }

@@ -1,6 +1,6 @@
 //! The names of what is exposed, and the certificates for them: made here, with the key of their owner.
 //!
-//! A name follows from the topic, its type and what else the configuration says of it, so it is the same whenever the proxy runs; and from a secret
+//! A name follows from what it is of, its type and what else the configuration says of it, so it is the same whenever the proxy runs; and from a secret
 //! that follows from the owner's key, so nobody guesses it. Certificates hold for [`LIFETIME`] and are issued anew when half of it is over: who is taken
 //! off the readers loses the right by then.
 
@@ -10,7 +10,7 @@ use gdp::name::Metadata;
 use gdp::{Name, NameCard, SigningKey};
 
 use super::choice::Exposed;
-use crate::config::ExposeConfig;
+use crate::config::{ExposeConfig, Thing};
 use crate::ros2::TypeName;
 
 /// Seconds.
@@ -53,12 +53,12 @@ impl Issuer {
         Self { owner, entity }
     }
 
-    /// The card of a topic.
-    pub fn card(&self, kind: &TypeName, exposed: &Exposed) -> Result<NameCard, IssueError> {
-        card_of(&self.owner, kind, exposed)
+    /// The card of something.
+    pub fn card(&self, thing: Thing, kind: Option<&TypeName>, exposed: &Exposed) -> Result<NameCard, IssueError> {
+        card_of(&self.owner, thing, kind, exposed)
     }
 
-    /// For this proxy to publish the name, and for the readers to read it. `now`: nanoseconds since 1970.
+    /// For this proxy to publish or serve the name, and for the readers to read or call it. `now`: nanoseconds since 1970.
     pub fn issue(&self, name: Name, config: &ExposeConfig, now: u64) -> Result<Papers, IssueError> {
         let (serial, issued) = (now, now / 1_000_000_000);
         let (not_before, not_after) = (issued.saturating_sub(BACKDATED), issued.saturating_add(LIFETIME));
@@ -71,9 +71,15 @@ impl Issuer {
     }
 }
 
-/// The card of a topic that this owner has.
-pub fn card_of(owner: &SigningKey, kind: &TypeName, exposed: &Exposed) -> Result<NameCard, IssueError> {
-    let said = [("kind", "topic"), ("topic", exposed.name.as_str()), ("type", kind.as_str())];
+/// The card of something that this owner has.
+pub fn card_of(
+    owner: &SigningKey,
+    thing: Thing,
+    kind: Option<&TypeName>,
+    exposed: &Exposed,
+) -> Result<NameCard, IssueError> {
+    let kind = kind.map_or("", TypeName::as_str);
+    let said = [("kind", thing.as_str()), ("topic", exposed.name.as_str()), ("type", kind)];
     let mut metadata: Metadata = exposed.manner.meta.clone();
     metadata.extend(said.map(|(key, value)| (key.to_owned(), value.to_owned())));
     let said = gdp::name::canonical_json(&metadata);
@@ -95,7 +101,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-    use crate::config::{Manner, Reader};
+    use crate::config::{Manner, Reader, What};
     use crate::ros2::TopicName;
 
     const NOW: u64 = 1_800_000_000_000_000_000;
@@ -103,20 +109,23 @@ mod tests {
     #[test]
     fn a_name_is_the_same_every_time_and_another_for_everything_else() {
         let (owner, other) = (SigningKey::generate().unwrap(), SigningKey::generate().unwrap());
-        let name = |owner: &SigningKey, topic: &str, kind: &str, meta: &str| {
+        let name = |owner: &SigningKey, thing: Thing, topic: &str, kind: &str, meta: &str| {
             let meta = BTreeMap::from([("site".into(), meta.into())]);
             let exposed =
                 Exposed { name: TopicName::parse(topic).unwrap(), manner: Manner { meta, ..Manner::default() } };
-            let kind = TypeName::parse(kind).unwrap();
-            Issuer::new(owner.clone(), entity()).card(&kind, &exposed).unwrap().name()
+            let kind = TypeName::parse(kind).ok();
+            Issuer::new(owner.clone(), entity()).card(thing, kind.as_ref(), &exposed).unwrap().name()
         };
-        let first = name(&owner, "/a", "a/msg/A", "x");
-        assert_eq!(first, name(&owner, "/a", "a/msg/A", "x"));
+        let (topic, service) = (Thing::Topic, Thing::Call(What::Service));
+        let first = name(&owner, topic, "/a", "a/msg/A", "x");
+        assert_eq!(first, name(&owner, topic, "/a", "a/msg/A", "x"));
         let others = [
-            name(&other, "/a", "a/msg/A", "x"),
-            name(&owner, "/b", "a/msg/A", "x"),
-            name(&owner, "/a", "a/msg/B", "x"),
-            name(&owner, "/a", "a/msg/A", "y"),
+            name(&other, topic, "/a", "a/msg/A", "x"),
+            name(&owner, service, "/a", "a/msg/A", "x"),
+            name(&owner, topic, "/b", "a/msg/A", "x"),
+            name(&owner, topic, "/a", "a/msg/B", "x"),
+            name(&owner, topic, "/a", "", "x"),
+            name(&owner, topic, "/a", "a/msg/A", "y"),
         ];
         assert!(others.iter().all(|other| *other != first));
     }
@@ -126,7 +135,7 @@ mod tests {
         let owner = SigningKey::generate().unwrap();
         let issuer = Issuer::new(owner.clone(), entity());
         let exposed = Exposed { name: TopicName::parse("/a").unwrap(), manner: Manner::default() };
-        let card = issuer.card(&TypeName::parse("a/msg/A").unwrap(), &exposed).unwrap();
+        let card = issuer.card(Thing::Topic, TypeName::parse("a/msg/A").ok().as_ref(), &exposed).unwrap();
         assert_eq!((card.get("topic"), card.get("nonce").unwrap().len()), (Some("/a"), 32));
         let mut config: ExposeConfig = serde_saphyr::from_str("{owner: o, catalog: c, topics: [/a]}").unwrap();
         let to = Grantee::Role { domain: entity(), role: "operator".into() };

@@ -8,7 +8,7 @@ use gdp::seal::Message;
 use gdp::{Name, NameCard, VerifyKey};
 use gdp_ros::catalog::{Catalog, CatalogError, LEASE};
 
-use crate::config::ImportConfig;
+use crate::config::{ImportConfig, Thing};
 use crate::ros2::{TopicName, TypeName};
 
 /// Writers of one catalog. More are not heard.
@@ -17,12 +17,15 @@ const MAX_WRITERS: usize = 16;
 /// Seconds after which a catalog is looked at again though it is the same: certificates end, and memberships are renewed.
 const AGAIN: u64 = 600;
 
-/// A topic that this proxy may read.
+/// What this proxy may read or call.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Listed {
     pub card: NameCard,
-    pub topic: TopicName,
-    pub kind: TypeName,
+    pub thing: Thing,
+    /// As it is called where it is.
+    pub name: TopicName,
+    /// Topics have one.
+    pub kind: Option<TypeName>,
     pub right: Reading,
 }
 
@@ -100,7 +103,7 @@ impl Catalogs {
         listed.filter(|listed| names.insert(listed.card.name())).cloned().collect()
     }
 
-    /// A topic with the first grant that reaches this proxy. Other kinds of names are for other releases.
+    /// What it is, with the first grant that reaches this proxy. Other kinds of names are for other releases.
     fn listed(
         &self,
         card: NameCard,
@@ -108,11 +111,12 @@ impl Catalogs {
         member: Option<&Membership>,
         now_unix: u64,
     ) -> Option<Listed> {
-        if card.get("kind") != Some("topic") {
+        let thing = Thing::parse(card.get("kind")?)?;
+        let name = TopicName::parse(card.get("topic")?).ok()?;
+        let kind = card.get("type").filter(|text| !text.is_empty()).map(TypeName::parse).transpose().ok()?;
+        if !thing.fits(kind.as_ref()) {
             return None;
         }
-        let topic = TopicName::parse(card.get("topic")?).ok()?;
-        let kind = TypeName::parse(card.get("type")?).ok()?;
         let proof = card.proof();
         let shown = |grant: Issued<ReadGrant>| {
             let member = match grant.cert.claims_unverified().ok()?.to {
@@ -124,20 +128,16 @@ impl Catalogs {
             reading.verify(&proof, self.entity, None, now_unix).is_ok().then_some(reading)
         };
         let right = grants.into_iter().find_map(shown)?;
-        Some(Listed { card, topic, kind, right })
+        Some(Listed { card, thing, name, kind, right })
     }
 }
 
 /// What of it comes into the graph here, with what it is called there. Of several with one name, the first.
-pub fn chosen<'a>(config: &ImportConfig, listed: &'a [Listed]) -> BTreeMap<TopicName, &'a Listed> {
+pub fn chosen<'a>(config: &ImportConfig, listed: &'a [Listed]) -> BTreeMap<(Thing, TopicName), &'a Listed> {
     let mut chosen = BTreeMap::new();
-    for listed in listed {
-        let denied = config.deny.iter().any(|pattern| pattern.covers(&listed.topic));
-        if denied || !config.topics.iter().any(|pattern| pattern.matches(&listed.topic)) {
-            continue;
-        }
-        if let Some(topic) = config.local_name(&listed.topic) {
-            chosen.entry(topic).or_insert(listed);
+    for listed in listed.iter().filter(|listed| config.wants(listed.thing, &listed.name)) {
+        if let Some(name) = config.local_name(&listed.name) {
+            chosen.entry((listed.thing, name)).or_insert(listed);
         }
     }
     chosen
@@ -153,6 +153,7 @@ mod tests {
     use gdp_ros::catalog::{CATALOG, Entry};
 
     use super::*;
+    use crate::config::What;
 
     const NOW: u64 = 1_800_000_000;
 
@@ -167,14 +168,13 @@ mod tests {
             entry(&owner, "topic", "/role", &owner, std::slice::from_ref(&role)),
             entry(&owner, "topic", "/theirs", &owner, &[Grantee::Entity(name(9))]),
             entry(&owner, "topic", "/forged", &stranger, std::slice::from_ref(&me)),
-            entry(&owner, "service", "/later", &owner, std::slice::from_ref(&me)),
             entry(&owner, "topic", "no name", &owner, std::slice::from_ref(&me)),
         ];
         let mut catalogs = Catalogs::new(owner.verify_key(), name(1));
         let body = Catalog::new(entries).unwrap().to_bytes().unwrap();
         assert!(catalogs.take(&message(2, 1, &body), || None, now, NOW).unwrap());
         let names =
-            |catalogs: &Catalogs| catalogs.all().iter().map(|it| it.topic.to_string()).collect::<Vec<_>>().join(" ");
+            |catalogs: &Catalogs| catalogs.all().iter().map(|it| it.name.to_string()).collect::<Vec<_>>().join(" ");
         assert_eq!(names(&catalogs), "/mine");
 
         let (entity, role) = (name(1), "operator".into());
@@ -215,22 +215,63 @@ mod tests {
     #[test]
     fn patterns_choose_deny_wins_and_names_are_local() {
         let owner = key();
-        let says = "{catalog: c, grant: g, topics: [/camera/**, /odom], deny: [/camera/raw], remap: [{from: /odom, to: /where}], prefix: /r1}";
+        let says = "{catalog: c, grant: g, topics: [/camera/**, /odom], services: [/**], deny: [/camera/raw], \
+                    remap: [{from: /odom, to: /where}], prefix: /r1}";
         let config: ImportConfig = serde_saphyr::from_str(says).unwrap();
-        let listed = |topic: &str| {
-            let Entry { metadata, mut grants } = entry(&owner, "topic", topic, &owner, &[Grantee::Entity(name(1))]);
-            let (topic, kind) = (TopicName::parse(topic).unwrap(), TypeName::parse("a/msg/B").unwrap());
+        let listed = |thing: Thing, name: &str| {
+            let Entry { metadata, mut grants } = entry(&owner, thing.as_str(), name, &owner, &[me()]);
+            let name = TopicName::parse(name).unwrap();
             let card = NameCard::new(owner.verify_key(), metadata).unwrap();
-            Listed { card, topic, kind, right: Reading { grant: grants.remove(0), member: None } }
+            Listed { card, thing, name, kind: None, right: Reading { grant: grants.remove(0), member: None } }
         };
-        let all = ["/camera/left", "/camera/raw", "/odom", "/odometry", "/where"].map(listed);
+        let topics = ["/camera/left", "/camera/raw", "/odom", "/odometry", "/where"];
+        let services = ["/camera/raw", "/camera/set", "/camera/set_parameters", "/odom"];
+        let all: Vec<Listed> = topics
+            .map(|name| listed(Thing::Topic, name))
+            .into_iter()
+            .chain(services.map(|name| listed(Thing::Call(What::Service), name)))
+            .chain([listed(Thing::Call(What::Action), "/dock")])
+            .collect();
         let chosen = chosen(&config, &all);
-        let names: Vec<String> = chosen.keys().map(ToString::to_string).collect();
-        assert_eq!(names, ["/r1/camera/left", "/r1/where"]);
+        let titles: Vec<String> = chosen.keys().map(|(thing, name)| thing.title(name)).collect();
+        assert_eq!(titles, ["topic /r1/camera/left", "topic /r1/where", "service /r1/camera/set", "service /r1/where"]);
+    }
+
+    #[test]
+    fn what_is_called_is_listed_with_or_without_its_type_and_nothing_that_no_proxy_lists() {
+        let (owner, now) = (key(), Instant::now());
+        let cases = [
+            ("service", "/a", "a/srv/B", true),
+            ("service", "/b", "", true),
+            ("action", "/c", "a/action/B", true),
+            ("topic", "/d", "a/msg/B", true),
+            ("topic", "/e", "", false),
+            ("service", "/f", "a/msg/B", false),
+            ("action", "/g", "a/srv/B", false),
+            ("service", "/h", "no type", false),
+            ("service", "no name", "", false),
+            ("parameter", "/i", "a/msg/B", false),
+            ("", "/j", "a/msg/B", false),
+        ];
+        let entries = cases.map(|(kind, name, of, _)| entry_of(&owner, kind, name, of, &owner, &[me()]));
+        let body = Catalog::new(entries.into()).unwrap().to_bytes().unwrap();
+        let mut catalogs = Catalogs::new(owner.verify_key(), name(1));
+        assert!(catalogs.take(&message(2, 1, &body), || None, now, NOW).unwrap());
+        let mut listed: Vec<_> = catalogs.all().iter().map(|it| it.thing.title(&it.name)).collect();
+        listed.sort();
+        assert_eq!(listed, ["action /c", "service /a", "service /b", "topic /d"]);
+    }
+
+    fn me() -> Grantee {
+        Grantee::Entity(name(1))
     }
 
     fn entry(owner: &SigningKey, kind: &str, topic: &str, signer: &SigningKey, to: &[Grantee]) -> Entry {
-        let card = NameCard::create(owner.verify_key(), kind, topic, "a/msg/B", Some("n".into())).unwrap();
+        entry_of(owner, kind, topic, "a/msg/B", signer, to)
+    }
+
+    fn entry_of(owner: &SigningKey, kind: &str, topic: &str, of: &str, signer: &SigningKey, to: &[Grantee]) -> Entry {
+        let card = NameCard::create(owner.verify_key(), kind, topic, of, Some("n".into())).unwrap();
         let grant = |to: &Grantee| {
             let claims = ReadGrant { name: card.name(), to: to.clone(), serial: 1, not_before: 0, not_after: u64::MAX };
             issue(signer, &claims).unwrap().into()

@@ -1,5 +1,5 @@
-//! Topics that cross without being listed: what of a graph matches the patterns of `expose` goes out, and what of a catalog matches those of `import`
-//! comes in, each for as long as it is there.
+//! Topics, services and actions that cross without being listed: what of a graph matches the patterns of `expose` goes out, and what of a catalog matches those
+//! of `import` comes in, each for as long as it is there.
 //!
 //! [`choice`] says which, [`issuer`] makes their names and certificates, [`listed`] reads catalogs: none of these waits or sends. [`link`] carries a catalog. Here they
 //! are put together, into plans for the managers of routes and of catalogs.
@@ -27,11 +27,11 @@ use self::gather::{Gathering, Kept};
 use self::issuer::{Issuer, Papers};
 use self::link::{CatalogPlan, End};
 use self::listed::{Listed, chosen};
-use crate::config::{Direction, ExposeConfig, ImportConfig};
-use crate::graph::{self, Graph, Onlooker};
+use crate::config::{ExposeConfig, ImportConfig, Thing};
+use crate::graph::{self, Found, Graph, Onlooker};
 use crate::material::{ImportMaterial, Permission, RouteMaterial};
 use crate::reload::Loaded;
-use crate::routes::RoutePlan;
+use crate::routes::{CallPlan, RoutePlan};
 
 pub use self::choice::{choose, judge};
 pub use self::issuer::card_of;
@@ -63,6 +63,7 @@ struct Expose {
 struct Import {
     config: ImportConfig,
     place: (String, Arc<Graph>),
+    onlooker: Onlooker,
     material: ImportMaterial,
     listed: watch::Receiver<Arc<[Listed]>>,
     tell: Arc<watch::Sender<Arc<[Listed]>>>,
@@ -72,6 +73,7 @@ struct Import {
 /// What the managers are to run.
 pub struct Plans {
     pub routes: Vec<Arc<RoutePlan>>,
+    pub calls: Vec<Arc<CallPlan>>,
     pub catalogs: Vec<CatalogPlan>,
 }
 
@@ -118,6 +120,7 @@ impl Automatic {
             let (config, place) = (config.clone(), place(&config.graph)?);
             Ok(Import {
                 config,
+                onlooker: Onlooker::of(&place.1),
                 place,
                 material: material.clone(),
                 listed: tell.subscribe(),
@@ -140,21 +143,25 @@ impl Automatic {
         if let Some(expose) = &mut self.expose {
             news.push(Box::pin(expose.onlooker.changed()));
         }
-        for import in &mut self.imports {
-            news.push(Box::pin(async { _ = import.listed.changed().await }));
+        for Import { config, listed, onlooker, .. } in &mut self.imports {
+            news.push(Box::pin(async { _ = listed.changed().await }));
+            if config.wants_calls() {
+                news.push(Box::pin(onlooker.changed()));
+            }
         }
         select_all(news).await;
         self.look = Instant::now() + LOOK;
     }
 
-    /// What is to run, `explicit` first: what the configuration lists is not exposed or imported a second time.
-    pub fn plan(&mut self, explicit: &[Arc<RoutePlan>]) -> Plans {
+    /// What is to run, what the configuration lists first: it is not exposed or imported a second time.
+    pub fn plan(&mut self, topics: &[Arc<RoutePlan>], calls: &[Arc<CallPlan>]) -> Plans {
         let Self { expose, imports, kept, .. } = self;
-        let mut gathering = Gathering::new(kept, explicit.to_vec());
+        let mut gathering = Gathering::new(kept, topics, calls);
         let mut catalogs: Vec<CatalogPlan> =
             expose.iter_mut().filter_map(|expose| expose.plan(&mut gathering)).collect();
         catalogs.extend(imports.iter_mut().map(|import| import.plan(&mut gathering)));
-        Plans { routes: gathering.finish(), catalogs }
+        let (routes, calls) = gathering.finish();
+        Plans { routes, calls, catalogs }
     }
 }
 
@@ -168,32 +175,31 @@ impl Expose {
     }
 
     fn plan(&mut self, gathering: &mut Gathering) -> Option<CatalogPlan> {
-        self.choice.update(&self.config, &self.onlooker.topics(), Instant::now());
+        self.choice.update(&self.config, &self.onlooker.found(), Instant::now());
         let now = unix_nanos();
         let catalog = self.catalog.clone();
         let own = papers(&self.issuer, &mut self.papers, &self.config, &catalog, now)?;
         let (_, renewal) = gathering.right(catalog.name(), Permission::Publish(own.cert.clone()));
         let (mut entries, mut bytes, mut names) = (BTreeMap::new(), 0, BTreeSet::from([catalog.name()]));
         let mut is_full = None;
-        let (label, graph) = &self.place;
-        for (topic, kind, exposed) in self.choice.iter() {
+        for (thing, called, kind, exposed) in self.choice.iter() {
             if entries.len() >= MAX_ENTRIES {
                 is_full.get_or_insert_with(|| format!("there are {MAX_ENTRIES} names in the catalog already"));
             }
             if let Some(why) = &is_full {
-                gathering.tell(topic, why.clone());
+                gathering.tell(thing, called, why.clone());
                 continue;
             }
-            let card = match self.issuer.card(kind, exposed) {
+            let card = match self.issuer.card(thing, kind, exposed) {
                 Ok(card) => card,
                 Err(error) => {
-                    gathering.tell(topic, error.to_string());
+                    gathering.tell(thing, called, error.to_string());
                     continue;
                 }
             };
             let name = card.name();
             if entries.contains_key(&name) {
-                gathering.tell(topic, "remap gives it the name of another topic".into());
+                gathering.tell(thing, called, "remap gives it the name of another".into());
                 continue;
             }
             let Some(issued) = papers(&self.issuer, &mut self.papers, &self.config, &card, now) else { continue };
@@ -202,19 +208,18 @@ impl Expose {
             let size = match entry.size() {
                 Ok(size) => size,
                 Err(error) => {
-                    gathering.tell(topic, error.to_string());
+                    gathering.tell(thing, called, error.to_string());
                     continue;
                 }
             };
             if bytes + size > MAX_ENTRY_BYTES {
-                let why = "the catalog is full with as many grants in it; expose fewer topics, or give the readers a role in a domain";
-                gathering.tell(topic, is_full.insert(why.into()).clone());
+                let why = "the catalog is full with as many grants in it; expose less, or give the readers a role in a domain";
+                gathering.tell(thing, called, is_full.insert(why.into()).clone());
                 continue;
             }
             let (permission, file) = gathering.right(name, Permission::Publish(issued.cert));
-            let config = exposed.manner.topic(topic, label, Some(kind.clone()), Direction::Out);
-            let material = RouteMaterial { card, kind: Some(kind.clone()), permission, file };
-            if gathering.add(RoutePlan { config, label: label.clone(), graph: graph.clone(), material }) {
+            let material = RouteMaterial { card, kind: kind.cloned(), permission, file };
+            if gathering.add(thing, called, &exposed.manner, &self.place, material) {
                 entries.insert(name, entry);
                 bytes += size;
             }
@@ -265,14 +270,17 @@ fn papers(
 impl Import {
     fn plan(&mut self, gathering: &mut Gathering) -> CatalogPlan {
         let listed = self.listed.borrow_and_update().clone();
-        let (label, graph) = &self.place;
-        for (topic, Listed { card, kind, right, .. }) in chosen(&self.config, &listed) {
+        let manner = self.config.manner();
+        let here = if self.config.wants_calls() { self.onlooker.found() } else { Found::new() };
+        for ((thing, called), Listed { card, kind, right, .. }) in chosen(&self.config, &listed) {
+            // Both would carry out each call.
+            if thing != Thing::Topic && here.contains_key(&(thing, called.clone())) {
+                gathering.tell(thing, &called, "it is served here already; give the import a prefix".into());
+                continue;
+            }
             let (permission, file) = gathering.right(card.name(), Permission::Read(right.clone()));
-            let config = self.config.manner().topic(&topic, label, Some(kind.clone()), Direction::In);
-            let (card, kind) = (card.clone(), Some(kind.clone()));
-            let material = RouteMaterial { card, kind, permission, file };
-            let plan = RoutePlan { config, label: label.clone(), graph: graph.clone(), material };
-            gathering.add(plan);
+            let material = RouteMaterial { card: card.clone(), kind: kind.clone(), permission, file };
+            gathering.add(thing, &called, &manner, &self.place, material);
         }
         let ImportMaterial { catalog, grant, file } = self.material.clone();
         let end = End::Reads(grant, self.tell.clone(), self.files.clone());

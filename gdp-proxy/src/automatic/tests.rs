@@ -3,12 +3,12 @@
 use std::fs;
 use std::path::Path;
 
-use gdp::cert::{Grantee, ReadGrant, issue};
+use gdp::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp::{NameCard, SigningKey};
 
 use super::*;
-use crate::config::Config;
-use crate::graph::{Published, Topics};
+use crate::config::{Config, What};
+use crate::graph::{Found, Offered};
 use crate::material::Material;
 use crate::material::tests::Files;
 use crate::ros2::{TopicName, TypeName};
@@ -39,8 +39,9 @@ async fn a_name_that_is_listed_twice_is_read_once_and_the_rest_is_told() {
     let list = |import: &Import, cards: &[&NameCard]| {
         let listed = cards.iter().map(|card| Listed {
             card: (*card).clone(),
-            topic: TopicName::parse(card.get("topic").unwrap()).unwrap(),
-            kind: TypeName::parse(card.get("type").unwrap()).unwrap(),
+            thing: Thing::parse(card.get("kind").unwrap()).unwrap(),
+            name: TopicName::parse(card.get("topic").unwrap()).unwrap(),
+            kind: TypeName::parse(card.get("type").unwrap()).ok(),
             right: import.material.grant.clone(),
         });
         import.tell.send_replace(listed.collect());
@@ -48,12 +49,18 @@ async fn a_name_that_is_listed_twice_is_read_once_and_the_rest_is_told() {
     list(&automatic.imports[0], &[&files.card, &a]);
     list(&automatic.imports[1], &[&a, &b]);
     for _ in 0..2 {
-        let routes = automatic.plan(&explicit).routes;
+        let routes = automatic.plan(&explicit, &[]).routes;
         let topics: Vec<_> = routes.iter().map(|plan| plan.config.topic.as_str()).collect();
         assert_eq!(topics, ["/chatter", "/one/a", "/two/b"]);
-        let told: Vec<_> = automatic.kept.told.iter().map(|(topic, why)| format!("{topic}: {why}")).collect();
-        assert!(told[0].starts_with("/one/chatter: its name ") && told[0].contains("is already that of /chatter"));
-        assert!(told[1].starts_with("/two/a: its name ") && told[1].contains("is already that of /one/a"), "{told:?}");
+        let told: Vec<_> = automatic.kept.told.iter().map(|(what, why)| format!("{what}: {why}")).collect();
+        assert!(
+            told[0].starts_with("topic /one/chatter: its name ")
+                && told[0].contains("is already that of topic /chatter")
+        );
+        assert!(
+            told[1].starts_with("topic /two/a: its name ") && told[1].contains("is already that of topic /one/a"),
+            "{told:?}"
+        );
         assert_eq!(told.len(), 2);
     }
     drop((automatic, explicit));
@@ -72,19 +79,75 @@ async fn what_finds_no_room_in_the_catalog_is_told_and_the_rest_is_listed() {
     let expose = format!("expose: {{owner: owner.pem, catalog: catalog.card, topics: [/**], readers: [{readers}]}}");
     let (loaded, graphs) = load(&files, &expose).await;
     let mut automatic = Automatic::new(&loaded, &graphs, files.entity, None).unwrap();
-    let published = || vec![Published { kind: TypeName::parse("std_msgs/msg/String").unwrap(), qos: None }];
-    let topics: Topics = (0..500).map(|i| (TopicName::parse(&format!("/t{i:03}")).unwrap(), published())).collect();
+    let offered = || vec![Offered { kind: TypeName::parse("std_msgs/msg/String").ok(), qos: None }];
+    let topic = |i| (Thing::Topic, TopicName::parse(&format!("/t{i:03}")).unwrap());
+    let topics: Found = (0..500).map(|i| (topic(i), offered())).collect();
     // They have gone when it is planned, but just now.
     let exposed = automatic.expose.as_mut().unwrap();
     exposed.choice.update(loaded.config.expose.as_ref().unwrap(), &topics, Instant::now());
 
-    let plans = automatic.plan(&[]);
+    let plans = automatic.plan(&[], &[]);
     let [CatalogPlan { end: End::Writes(_, list), .. }] = &plans.catalogs[..] else { panic!("one catalog") };
     let listed = Catalog::read(&list.borrow(), owner.verify_key()).unwrap();
     assert!((100..500).contains(&listed.len()), "{}", listed.len());
     assert_eq!((plans.routes.len(), automatic.kept.told.len()), (listed.len(), 500 - listed.len()));
     assert!(automatic.kept.told.iter().all(|(_, why)| why.contains("the catalog is full")));
     drop((automatic, plans));
+    graph::leave(graphs).await;
+}
+
+#[tokio::test]
+async fn services_are_listed_and_carried_as_calls_unless_the_configuration_lists_them_itself() {
+    let files = Files::new();
+    let owner = SigningKey::generate().unwrap();
+    owner.save_new(&files.path("owner.pem")).unwrap();
+    let catalog = NameCard::create(owner.verify_key(), "catalog", "/robot", "", None).unwrap();
+    catalog.save_new(&files.path("catalog.card")).unwrap();
+    let card = NameCard::create(files.owner.verify_key(), "service", "/light", "", None).unwrap();
+    card.save_new(&files.path("light.card")).unwrap();
+    let cert = AdCert { name: card.name(), ..files.claims() };
+    fs::write(files.path("light.ad"), issue(&files.owner, &cert).unwrap().to_pem()).unwrap();
+    let (loaded, graphs) = load(
+        &files,
+        "services: [{service: /light, direction: out, card: light.card, cert: light.ad}], \
+         expose: {owner: owner.pem, catalog: catalog.card, topics: [/a], services: [/**], remap: [{from: /b, to: /a}]}",
+    )
+    .await;
+    let mut automatic = Automatic::new(&loaded, &graphs, files.entity, None).unwrap();
+    let offered = |thing, name, kind| {
+        ((thing, TopicName::parse(name).unwrap()), vec![Offered { kind: TypeName::parse(kind).ok(), qos: None }])
+    };
+    let service = Thing::Call(What::Service);
+    let found = Found::from([
+        offered(Thing::Topic, "/a", "std_msgs/msg/String"),
+        offered(service, "/a", "std_srvs/srv/Trigger"),
+        offered(service, "/b", "std_srvs/srv/Trigger"),
+        offered(service, "/light", "std_srvs/srv/SetBool"),
+        offered(service, "/untyped", ""),
+        offered(Thing::Call(What::Action), "/dock", "a/action/Dock"),
+    ]);
+    let exposed = automatic.expose.as_mut().unwrap();
+    exposed.choice.update(loaded.config.expose.as_ref().unwrap(), &found, Instant::now());
+    let (config, material) = (loaded.config.services[0].clone(), loaded.material.calls[0].1.clone());
+    let explicit = [Arc::new(CallPlan { config, label: "a".into(), graph: graphs["a"].clone(), material })];
+
+    let plans = automatic.plan(&[], &explicit);
+    let [CatalogPlan { end: End::Writes(_, list), .. }] = &plans.catalogs[..] else { panic!("one catalog") };
+    let listed = Catalog::read(&list.borrow(), owner.verify_key()).unwrap();
+    let mut listed: Vec<_> =
+        listed.iter().map(|(card, _)| ["kind", "topic", "type"].map(|key| card.get(key))).collect();
+    listed.sort();
+    let expected = [
+        ["service", "/a", "std_srvs/srv/Trigger"],
+        ["service", "/untyped", ""],
+        ["topic", "/a", "std_msgs/msg/String"],
+    ];
+    assert_eq!(listed, expected.map(|entry| entry.map(Some)));
+    let names: Vec<_> = plans.calls.iter().map(|plan| plan.config.name.as_str()).collect();
+    assert_eq!((names, plans.routes.len()), (vec!["/light", "/a", "/untyped"], 1));
+    let told = automatic.kept.told.iter().map(|(what, why)| format!("{what}: {why}")).collect::<Vec<_>>();
+    assert_eq!(told, ["service /b: remap gives it the name of another"]);
+    drop((automatic, plans, explicit));
     graph::leave(graphs).await;
 }
 

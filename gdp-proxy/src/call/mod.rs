@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 use gdp::Node;
 use gdp_ros::types::Types;
 
-use crate::config::{CallConfig, What};
+use crate::config::{CallConfig, Thing, What};
 use crate::graph::Graph;
 use crate::material::RouteMaterial;
 use crate::ros2::TopicName;
@@ -58,15 +58,18 @@ impl Carries for Route {
         (config.what, config.name.clone())
     }
 
+    fn title(config: &CallConfig) -> String {
+        Thing::Call(config.what).title(&config.name)
+    }
+
     fn new(config: &CallConfig, graph: &str, material: &RouteMaterial, types: Arc<Types>) -> Self {
-        let title = format!("{} {}", config.what.as_str(), config.name);
         let kind = material.kind.as_ref().map(ToString::to_string);
         Self {
             config: config.clone(),
             graph: graph.into(),
             types,
             counters: CallCounters::default(),
-            standing: Standing::new(title, material.card.name(), kind),
+            standing: Standing::new(Self::title(config), material.card.name(), kind),
             unfit_until: Mutex::new(None),
         }
     }

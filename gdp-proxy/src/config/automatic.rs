@@ -1,4 +1,4 @@
-//! What crosses by itself: topics here that match a pattern (`expose`), and topics elsewhere that a catalog lists (`import`).
+//! What crosses by itself: topics, services and actions here that match a pattern (`expose`), and those elsewhere that a catalog lists (`import`).
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,10 +14,10 @@ use serde::de::{self, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
 use super::topics::Priority;
-use super::{Compression, Conversion, Direction, FramePrefix, Graphs, Pattern, TopicConfig, schema};
+use super::{Compression, Conversion, Direction, FramePrefix, Graphs, Pattern, Thing, TopicConfig, What, schema};
 use crate::ros2::{Qos, TopicName, TypeName};
 
-/// Topics here that cross as long as somebody publishes them, under names that the proxy makes with the owner's key and lists in a catalog.
+/// What is here and crosses as long as somebody publishes or serves it, under names that the proxy makes with the owner's key and lists in a catalog.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ExposeConfig {
@@ -29,12 +29,19 @@ pub struct ExposeConfig {
     /// The name card of the catalog (`gdp-ctl name create --kind catalog`), a name of the same owner.
     pub catalog: PathBuf,
     /// Which topics.
+    #[serde(default)]
     #[schemars(schema_with = "schema::rules")]
     pub topics: Vec<Rule>,
-    /// If there are any: only topics of one of these types, as ROS 2 writes them.
+    /// Which services.
+    #[serde(default)]
+    pub services: Vec<Pattern>,
+    /// Which actions of ROS 2.
+    #[serde(default)]
+    pub actions: Vec<Pattern>,
+    /// If there are any: only what is of one of these types, as ROS 2 writes them. ROS 1 does not tell those of services.
     #[serde(default)]
     pub types: Vec<TypeName>,
-    /// Which topics not, whatever else is said.
+    /// Which topics, services and actions not, whatever else is said.
     #[serde(default)]
     pub deny: Vec<Pattern>,
     /// Who may read all that is exposed: names of entities, and roles in domains.
@@ -45,15 +52,15 @@ pub struct ExposeConfig {
     #[serde(default)]
     #[schemars(with = "Vec<String>")]
     pub scope: Vec<Name>,
-    /// What topics are called elsewhere.
+    /// What they are called elsewhere.
     #[serde(default)]
     pub remap: Vec<Remap>,
-    /// How topics cross whose pattern does not say it.
+    /// How topics cross whose pattern does not say it. Of services and actions, `meta` alone.
     #[serde(default)]
     pub defaults: Manner,
 }
 
-/// Topics elsewhere that a catalog lists, as long as it lists them.
+/// What is elsewhere and crosses as long as a catalog lists it.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ImportConfig {
@@ -65,23 +72,30 @@ pub struct ImportConfig {
     /// The owner's permission to read it (`gdp-ctl grant add --read`).
     pub grant: PathBuf,
     /// Which topics, as the catalog calls them.
+    #[serde(default)]
     pub topics: Vec<Pattern>,
-    /// Which topics not, whatever else is said.
+    /// Which services, likewise.
+    #[serde(default)]
+    pub services: Vec<Pattern>,
+    /// Which actions, likewise.
+    #[serde(default)]
+    pub actions: Vec<Pattern>,
+    /// Which topics, services and actions not, whatever else is said.
     #[serde(default)]
     pub deny: Vec<Pattern>,
-    /// What topics are called here.
+    /// What they are called here.
     #[serde(default)]
     pub remap: Vec<Remap>,
     /// A namespace that all of them come into, after `remap`.
     #[serde(default)]
     pub prefix: Option<TopicName>,
-    /// Put in front of the frames in all of them; see `topics`.
+    /// Put in front of the frames in all topics; see `topics`.
     #[serde(default)]
     pub frame_prefix: Option<FramePrefix>,
     /// If absent: what each publisher offers.
     #[serde(default)]
     pub qos: Option<Qos>,
-    /// Each comes by two links at once.
+    /// Each topic comes by two links at once.
     #[serde(default)]
     pub duplicate: bool,
 }
@@ -146,7 +160,7 @@ pub(super) struct Role {
     role: String,
 }
 
-/// Another name for a topic, or for a namespace and so for all topics in it.
+/// Another name for a topic, service or action, or for a namespace and so for all that is in it.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Remap {
@@ -189,7 +203,7 @@ impl Manner {
     }
 }
 
-/// What the topic is called by the first of these that knows it. None, if the name would be too long.
+/// What something is called by the first of these that knows it. None, if the name would be too long.
 pub fn remapped(topic: &TopicName, remap: &[Remap]) -> Option<TopicName> {
     let rest = |from: &TopicName| {
         let rest = topic.as_str().strip_prefix(from.as_str())?;
@@ -202,6 +216,22 @@ pub fn remapped(topic: &TopicName, remap: &[Remap]) -> Option<TopicName> {
 }
 
 impl ExposeConfig {
+    /// How it crosses, if a pattern means it.
+    pub fn manner(&self, thing: Thing, name: &TopicName) -> Option<Manner> {
+        let called = |patterns: &[Pattern]| {
+            let is_meant = patterns.iter().any(|pattern| pattern.matches(thing, name));
+            is_meant.then(|| Manner { meta: self.defaults.meta.clone(), ..Manner::default() })
+        };
+        match thing {
+            Thing::Topic => {
+                let rule = self.topics.iter().find(|rule| rule.topic.matches(thing, name))?;
+                Some(rule.manner.or(&self.defaults))
+            }
+            Thing::Call(What::Service) => called(&self.services),
+            Thing::Call(What::Action) => called(&self.actions),
+        }
+    }
+
     fn manners(&self) -> impl Iterator<Item = &Manner> {
         self.topics.iter().map(|rule| &rule.manner).chain([&self.defaults])
     }
@@ -213,7 +243,7 @@ impl ExposeConfig {
 
     /// Errors with the key inside `expose`.
     pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
-        graphs.get(self.graph.as_deref()).map_err(|reason| ("graph", reason))?;
+        check_patterns(!self.topics.is_empty(), &self.services, &self.actions, self.graph.as_deref(), graphs)?;
         if self.readers.len() > MAX_GRANTS {
             return Err(("readers", format!("more than {MAX_GRANTS}; give them a role in a domain")));
         }
@@ -230,10 +260,26 @@ impl ExposeConfig {
 impl ImportConfig {
     /// Errors with the key inside the import.
     pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
-        graphs.get(self.graph.as_deref()).map_err(|reason| ("graph", reason)).map(|_| ())
+        check_patterns(!self.topics.is_empty(), &self.services, &self.actions, self.graph.as_deref(), graphs)
     }
 
-    /// What the topic is called here.
+    /// Whether it is to come in.
+    pub fn wants(&self, thing: Thing, name: &TopicName) -> bool {
+        let patterns = match thing {
+            Thing::Topic => &self.topics,
+            Thing::Call(What::Service) => &self.services,
+            Thing::Call(What::Action) => &self.actions,
+        };
+        let is_denied = self.deny.iter().any(|pattern| pattern.covers(name));
+        !is_denied && patterns.iter().any(|pattern| pattern.matches(thing, name))
+    }
+
+    /// Whether services or actions may come in.
+    pub fn wants_calls(&self) -> bool {
+        !self.services.is_empty() || !self.actions.is_empty()
+    }
+
+    /// What it is called here.
     pub fn local_name(&self, topic: &TopicName) -> Option<TopicName> {
         let topic = remapped(topic, &self.remap)?;
         match &self.prefix {
@@ -245,6 +291,23 @@ impl ImportConfig {
     pub fn manner(&self) -> Manner {
         let frame_prefix = self.frame_prefix.clone();
         Manner { qos: self.qos, duplicate: Some(self.duplicate), frame_prefix, ..Manner::default() }
+    }
+}
+
+fn check_patterns(
+    has_topics: bool,
+    services: &[Pattern],
+    actions: &[Pattern],
+    graph: Option<&str>,
+    graphs: &Graphs,
+) -> Result<(), (&'static str, String)> {
+    let (_, graph) = graphs.get(graph).map_err(|reason| ("graph", reason))?;
+    match actions {
+        [] if !has_topics && services.is_empty() => {
+            Err(("topics", "no pattern here, in services or in actions, so nothing would cross".into()))
+        }
+        [] => Ok(()),
+        _ => What::Action.check_graph(graph).map_err(|reason| ("actions", reason)),
     }
 }
 
@@ -298,7 +361,10 @@ impl<'de, T, M: Deserialize<'de>> Visitor<'de> for TextOrMap<T, M> {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
+    use crate::config::Config;
 
     #[test]
     fn a_namespace_is_renamed_with_all_that_is_in_it_and_nothing_else() {
@@ -332,6 +398,33 @@ mod tests {
         assert_eq!((topic.priority.get(), topic.graph.as_deref(), topic.duplicate), (6, Some("here"), false));
         assert_eq!((topic.compression, topic.frame_prefix.unwrap().as_str()), (Compression::None, "r1/"));
         assert_eq!(manner(0).compression, Some(Compression::Zstd));
+    }
+
+    #[test]
+    fn something_must_be_meant_and_what_is_misspelt_or_not_of_ros_1_is_named() {
+        let parse = |graph: &str, says: &str| {
+            let text =
+                format!("{{version: 1, identity: i, links: [{{to: 'eth://r0'}}], graphs: {{a: {{{graph}}}}}, {says}}}");
+            Config::parse(&text, Path::new("p.yaml")).map_err(|error| error.to_string())
+        };
+        let expose = |lists: &str| format!("expose: {{owner: o, catalog: c, {lists}}}");
+        let import = |lists: &str| format!("import: [{{catalog: c, grant: g, {lists}}}]");
+        let (ros1, ros2) = ("master: 'http://b:11311'", "domain_id: 1");
+        for good in ["services: [/**]", "actions: [/dock]", "topics: [/a]"] {
+            parse(ros2, &format!("{}, {}", expose(good), import(good))).unwrap();
+        }
+        for (graph, says, refusal) in [
+            (ros2, expose("deny: [/a]"), "p.yaml: expose.topics: no pattern here"),
+            (ros2, import("topics: []"), "p.yaml: import[0].topics: no pattern here"),
+            (ros1, expose("services: [/**], actions: [/a]"), "p.yaml: expose.actions: actions of ROS 1 are topics"),
+            (ros1, import("actions: [/a]"), "p.yaml: import[0].actions: actions of ROS 1 are topics"),
+            (ros2, expose("service: [/**]"), "did you mean `services`?"),
+            (ros2, expose("services: [{service: /a, max_hz: 5}]"), "p.yaml: "),
+            (ros2, expose("services: [light]"), "is no pattern of names"),
+        ] {
+            let said = parse(graph, &says).unwrap_err();
+            assert!(said.contains(refusal), "{says}: {said}");
+        }
     }
 
     #[test]

@@ -57,6 +57,22 @@ impl What {
             Self::Action => "action",
         }
     }
+
+    /// Whether it can be of this type.
+    pub fn fits(self, kind: &TypeName) -> bool {
+        kind.as_str().split('/').nth(1) == Some(self.folder())
+    }
+
+    /// Whether a graph can have it.
+    pub(super) fn check_graph(self, graph: &GraphConfig) -> Result<(), String> {
+        match (self, graph) {
+            (Self::Action, GraphConfig::Ros1(_)) => Err(
+                "actions of ROS 1 are topics: list NAME/goal, NAME/cancel, NAME/status, NAME/feedback and NAME/result under topics"
+                    .into(),
+            ),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// One entry of `services` or `actions`, which are alike but for the key of its name.
@@ -102,6 +118,12 @@ pub fn list<'de, D: Deserializer<'de>, E: Deserialize<'de> + Into<CallConfig>>(
 }
 
 impl CallConfig {
+    /// One of `graph` that no file speaks of.
+    pub fn without_files(what: What, name: &TopicName, graph: &str, kind: Option<TypeName>, side: Side) -> Self {
+        let (name, graph) = (name.clone(), Some(graph.into()));
+        Self { what, name, graph, kind, side, card: PathBuf::new(), cert: None, grant: None }
+    }
+
     /// The file with the right to it, and its key.
     pub fn right(&self) -> (&'static str, Option<&PathBuf>) {
         match self.side {
@@ -113,16 +135,10 @@ impl CallConfig {
     /// Errors with the key inside it.
     pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
         let (_, graph) = graphs.get(self.graph.as_deref()).map_err(|reason| ("graph", reason))?;
-        if self.what == What::Action && matches!(graph, GraphConfig::Ros1(_)) {
-            let reason = "actions of ROS 1 are topics: list NAME/goal, NAME/cancel, NAME/status, NAME/feedback and NAME/result under topics";
-            return Err(("graph", reason.into()));
-        }
-        let folder = self.what.folder();
-        if let Some(kind) = self.kind.as_ref().filter(|kind| kind.as_str().split('/').nth(1) != Some(folder)) {
-            return Err((
-                "type",
-                format!("{kind} is no type of a {}: write it as package/{folder}/Name", self.what.as_str()),
-            ));
+        self.what.check_graph(graph).map_err(|reason| ("graph", reason))?;
+        if let Some(kind) = self.kind.as_ref().filter(|kind| !self.what.fits(kind)) {
+            let (what, folder) = (self.what.as_str(), self.what.folder());
+            return Err(("type", format!("{kind} is no type of a {what}: write it as package/{folder}/Name")));
         }
         let unused = match self.side {
             Side::Out => ("grant", self.grant.is_some()),

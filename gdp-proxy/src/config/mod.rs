@@ -10,6 +10,7 @@ mod graphs;
 mod pattern;
 mod relay;
 mod schema;
+mod thing;
 mod topics;
 mod unknown;
 
@@ -33,6 +34,7 @@ pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config};
 pub use self::pattern::{Pattern, is_hidden};
 pub use self::relay::RelayConfig;
 pub use self::schema::schema;
+pub use self::thing::Thing;
 pub use self::topics::{Compression, Conversion, Direction, Side, TopicConfig};
 
 /// A longer file is no configuration.
@@ -82,10 +84,10 @@ pub struct Config {
     /// Topics that cross, with the files of each.
     #[serde(default)]
     pub topics: Vec<TopicConfig>,
-    /// Topics here that cross by themselves.
+    /// Topics, services and actions here that cross by themselves.
     #[serde(default)]
     pub expose: Option<ExposeConfig>,
-    /// Topics elsewhere that cross by themselves.
+    /// Topics, services and actions elsewhere that cross by themselves.
     #[serde(default)]
     pub import: Vec<ImportConfig>,
     /// Services that cross, with the files of each.

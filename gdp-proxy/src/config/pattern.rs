@@ -5,6 +5,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
 
+use super::{Thing, What};
 use crate::ros2::TopicName;
 
 const MAX_PATTERN: usize = 253;
@@ -25,14 +26,14 @@ impl Pattern {
         }
         let text: String = text.chars().take(64).collect();
         Err(format!(
-            "{text:?} is no pattern of topics: write a name with a leading slash, in which * stands for any characters between two slashes and /** for \
+            "{text:?} is no pattern of names: write a name with a leading slash, in which * stands for any characters between two slashes and /** for \
              any number of segments, such as /camera/** or /*/odom"
         ))
     }
 
     /// Whether the name is one of those meant. [Hidden](is_hidden) ones are meant only by a pattern that is their name.
-    pub fn matches(&self, topic: &TopicName) -> bool {
-        if is_hidden(topic) { self.0 == topic.as_str() } else { self.covers(topic) }
+    pub fn matches(&self, thing: Thing, name: &TopicName) -> bool {
+        if is_hidden(thing, name) { self.0 == name.as_str() } else { self.covers(name) }
     }
 
     /// The same, hidden or not: what is denied is denied.
@@ -47,12 +48,31 @@ impl Pattern {
     }
 }
 
-/// What ROS and proxies have for themselves: `/rosout`, `/rosout_agg`, `/parameter_events`, `/gdp_proxy…`, and names with a segment that begins with an underscore.
-pub fn is_hidden(topic: &TopicName) -> bool {
-    let name = topic.as_str();
+/// What ROS and proxies have for themselves: `/rosout`, `/rosout_agg`, `/parameter_events`, `/gdp_proxy…`, names with a segment that begins with an underscore,
+/// and the services that nodes have without being asked to, which read and set their parameters and log levels.
+pub fn is_hidden(thing: Thing, name: &TopicName) -> bool {
+    let name = name.as_str();
     matches!(name, "/rosout" | "/rosout_agg" | "/parameter_events")
         || name.starts_with("/gdp_proxy")
         || segments(name).any(|segment| segment.starts_with('_'))
+        || thing == Thing::Call(What::Service) && segments(name).last().is_some_and(is_of_every_node)
+}
+
+fn is_of_every_node(last: &str) -> bool {
+    // Also `set_parameters_atomically`.
+    last.starts_with("set_parameters")
+        || matches!(
+            last,
+            "get_parameters"
+                | "describe_parameters"
+                | "list_parameters"
+                | "get_parameter_types"
+                | "get_type_description"
+                | "get_logger_levels"
+                | "set_logger_levels"
+                | "get_loggers"
+                | "set_logger_level"
+        )
 }
 
 fn segments(name: &str) -> impl Iterator<Item = &str> {
@@ -103,7 +123,11 @@ mod tests {
     use super::*;
 
     fn matches(pattern: &str, topic: &str) -> bool {
-        Pattern::parse(pattern).unwrap().matches(&TopicName::parse(topic).unwrap())
+        is_meant(Thing::Topic, pattern, topic)
+    }
+
+    fn is_meant(thing: Thing, pattern: &str, name: &str) -> bool {
+        Pattern::parse(pattern).unwrap().matches(thing, &TopicName::parse(name).unwrap())
     }
 
     #[test]
@@ -137,6 +161,31 @@ mod tests {
             let any = ["/**", "/*", "/*/**", "/r*", "/a/**"].iter().any(|pattern| matches(pattern, topic));
             assert!(!any && matches(topic, topic), "{topic}");
         }
+    }
+
+    #[test]
+    fn services_that_every_node_has_are_meant_only_by_their_names() {
+        let (service, action) = (Thing::Call(What::Service), Thing::Call(What::Action));
+        for last in [
+            "get_parameters",
+            "set_parameters",
+            "set_parameters_atomically",
+            "describe_parameters",
+            "list_parameters",
+            "get_parameter_types",
+            "get_type_description",
+            "get_loggers",
+            "set_logger_level",
+            "_action/send_goal",
+        ] {
+            let name = format!("/a/{last}");
+            for pattern in ["/**", "/a/**", "/*/*", "/a/get_*", "/a/*_parameters"] {
+                assert!(!is_meant(service, pattern, &name), "{pattern} {name}");
+            }
+            assert!(is_meant(service, &name, &name), "{name}");
+        }
+        assert!(is_meant(service, "/**", "/a/get_plan") && is_meant(service, "/**", "/get_parameters/now"));
+        assert!(is_meant(action, "/**", "/a/get_parameters") && matches("/**", "/a/get_parameters"));
     }
 
     #[test]

@@ -87,6 +87,15 @@ pub enum Side {
     In,
 }
 
+impl From<Side> for Direction {
+    fn from(side: Side) -> Self {
+        match side {
+            Side::Out => Self::Out,
+            Side::In => Self::In,
+        }
+    }
+}
+
 /// How messages travel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]

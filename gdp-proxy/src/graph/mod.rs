@@ -19,7 +19,7 @@ use crate::twins::Twins;
 use gdp_ros::roster::{Dialect, Kind, Offer};
 use gdp_ros::types::{TypeError, Types};
 
-pub use onlooker::{Onlooker, Published, Topics};
+pub use onlooker::{Found, Offered, Onlooker};
 
 /// One graph, until it is [left](Self::leave).
 pub enum Graph {

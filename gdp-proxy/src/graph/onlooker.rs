@@ -1,4 +1,4 @@
-//! What others publish in a ROS graph, for whoever chooses among it. What proxies publish is not in it.
+//! What others publish and serve in a ROS graph, for whoever chooses among it. What proxies have there is not in it.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,17 +7,18 @@ use tokio::sync::watch;
 
 use super::Graph;
 use super::ros1::is_proxy;
-use crate::ros2::{self, ShownQos, TopicName, TypeName};
+use crate::config::{Thing, What};
+use crate::ros2::{self, ServicePeer, ShownQos, TopicName, TypeName};
 
-/// The topics that have publishers.
-pub type Topics = BTreeMap<TopicName, Vec<Published>>;
+/// The topics that have publishers, and the services and actions that have servers.
+pub type Found = BTreeMap<(Thing, TopicName), Vec<Offered>>;
 
-/// What a topic is published as; of ROS 1, one for all publishers.
+/// What a topic is published or a service or action is served as; of ROS 1, one for all who do.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Published {
-    /// As ROS 2 writes it.
-    pub kind: TypeName,
-    /// Of ROS 2.
+pub struct Offered {
+    /// As ROS 2 writes it. Masters of ROS 1 do not know those of services.
+    pub kind: Option<TypeName>,
+    /// Of the publishers of ROS 2.
     pub qos: Option<ShownQos>,
 }
 
@@ -46,28 +47,40 @@ impl Onlooker {
         }
     }
 
-    /// What is published now. Names and types that are none of ROS's are left out.
-    pub fn topics(&self) -> Topics {
+    /// What there is now. Names and types that are none of ROS's are left out.
+    pub fn found(&self) -> Found {
         match self {
-            Self::Ros1(graph) => {
-                graph.snapshot().topics.iter().filter_map(|(name, topic)| of_ros1(name, topic)).collect()
-            }
+            Self::Ros1(graph) => of_ros1(graph.snapshot()),
             Self::Ros2(graph) => of_ros2(&graph.borrow()),
         }
     }
 }
 
-fn of_ros1(name: &str, topic: &gdp_ros1::Topic) -> Option<(TopicName, Vec<Published>)> {
-    topic.publishers.iter().find(|node| !is_proxy(node))?;
-    let kind = TypeName::parse(&topic.kind.as_ref()?.replacen('/', "/msg/", 1)).ok()?;
-    Some((TopicName::parse(name).ok()?, vec![Published { kind, qos: None }]))
+fn of_ros1(there: &gdp_ros1::Snapshot) -> Found {
+    let topics = there.topics.iter().filter_map(|(name, topic)| {
+        topic.publishers.iter().find(|node| !is_proxy(node))?;
+        let kind = TypeName::parse(&topic.kind.as_ref()?.replacen('/', "/msg/", 1)).ok()?;
+        Some((Thing::Topic, name, Some(kind)))
+    });
+    let services = there.services.iter().filter(|(_, nodes)| nodes.iter().any(|node| !is_proxy(node)));
+    let services = services.map(|(name, _)| (Thing::Call(What::Service), name, None));
+    let all = topics.chain(services).filter_map(|(thing, name, kind)| {
+        Some(((thing, TopicName::parse(name).ok()?), vec![Offered { kind, qos: None }]))
+    });
+    all.collect()
 }
 
-fn of_ros2(graph: &ros2::Graph) -> Topics {
-    let published = graph.topics.iter().filter(|(_, topic)| !topic.publishers.is_empty());
-    let of = |topic: &ros2::TopicInfo| {
+fn of_ros2(graph: &ros2::Graph) -> Found {
+    let published = |topic: &ros2::TopicInfo| {
         let publishers = topic.publishers.iter();
-        publishers.map(|endpoint| Published { kind: endpoint.kind.clone(), qos: Some(endpoint.qos) }).collect()
+        publishers.map(|it| Offered { kind: Some(it.kind.clone()), qos: Some(it.qos) }).collect()
     };
-    published.map(|(name, topic)| (name.clone(), of(topic))).collect()
+    let served = |servers: &[ServicePeer]| -> Vec<Offered> {
+        servers.iter().map(|it| Offered { kind: Some(it.kind.clone()), qos: None }).collect()
+    };
+    let topics = graph.topics.iter().map(|(name, it)| (Thing::Topic, name, published(it)));
+    let services = graph.services.iter().map(|(name, it)| (Thing::Call(What::Service), name, served(&it.servers)));
+    let actions = graph.actions.iter().map(|(name, it)| (Thing::Call(What::Action), name, served(&it.servers)));
+    let all = topics.chain(services).chain(actions).filter(|(.., offered)| !offered.is_empty());
+    all.map(|(thing, name, offered)| ((thing, name.clone()), offered)).collect()
 }

@@ -19,7 +19,7 @@ use std::time::Duration;
 use gdp::Node;
 use gdp::node::{NodeError, Publisher};
 
-use crate::config::{Side, TopicConfig};
+use crate::config::{Side, Thing, TopicConfig};
 use crate::graph::Graph;
 use crate::material::RouteMaterial;
 use crate::ros2::TopicName;
@@ -62,6 +62,10 @@ impl Carries for Route {
         config.topic.clone()
     }
 
+    fn title(config: &TopicConfig) -> String {
+        Thing::Topic.title(&config.topic)
+    }
+
     fn new(config: &TopicConfig, graph: &str, material: &RouteMaterial, types: Arc<Types>) -> Self {
         let kind = material.kind.as_ref().map(ToString::to_string);
         Self {
@@ -70,7 +74,7 @@ impl Carries for Route {
             side: material.permission.side(),
             types,
             counters: RouteCounters::default(),
-            standing: Standing::new(format!("topic {}", config.topic), material.card.name(), kind),
+            standing: Standing::new(Self::title(config), material.card.name(), kind),
             fabric: Mutex::new(FabricCounters::None),
         }
     }
