@@ -3,9 +3,7 @@
 use std::fs;
 use std::time::{Duration, Instant};
 
-use gdp::cert::{Grantee, ReadGrant, issue};
 use gdp::seal::Encoding;
-use gdp::{NameCard, SigningKey};
 use gdp_proxy::automatic::choice::GRACE;
 use gdp_proxy::ros2::{Domain, TopicName, TypeName};
 
@@ -168,23 +166,8 @@ async fn a_changed_configuration_disturbs_no_topic_that_is_the_same() {
 
 /// What the configurations of `robot` and `cloud` say: of what is in `/camera` there, all but a secret comes here, in `/far/r1`.
 fn by_pattern(site: &Site) -> (String, String) {
-    let (robot, cloud) = (site.folder("robot"), site.folder("cloud"));
-    let owner = SigningKey::generate().unwrap();
-    owner.save_new(&robot.join("owner.pem")).unwrap();
-    let catalog = NameCard::create(owner.verify_key(), "catalog", "/robot", "", None).unwrap();
-    let (name, to) = (catalog.name(), Grantee::Entity(site.identity("cloud").name()));
-    let grant = ReadGrant { name, to, serial: 1, not_before: 0, not_after: u64::MAX };
-    fs::write(cloud.join("catalog.grant"), issue(&owner, &grant).unwrap().to_pem()).unwrap();
-    for folder in [&robot, &cloud] {
-        catalog.save_new(&folder.join("catalog.card")).unwrap();
-    }
-    let expose = format!(
-        "expose: {{owner: owner.pem, catalog: catalog.card, topics: [/camera/**], deny: [/camera/secret], readers: [{}], \
-         remap: [{{from: /camera, to: /r1/camera}}]}}\n",
-        site.identity("cloud").name()
-    );
-    let import = "import: [{catalog: catalog.card, grant: catalog.grant, topics: [/**], prefix: /far}]\n";
-    (expose, import.into())
+    let expose = "topics: [/camera/**], deny: [/camera/secret], remap: [{from: /camera, to: /r1/camera}]";
+    site.by_pattern("robot", "cloud", expose, "topics: [/**], prefix: /far")
 }
 
 /// Of a `std_msgs/msg/String`; padding may follow.

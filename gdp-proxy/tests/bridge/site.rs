@@ -127,6 +127,23 @@ impl Site {
         format!("  - {{{}: {}, card: {i}.card, {rights}{says}}}\n", topic.what, topic.topic)
     }
 
+    /// Lets one proxy read all that another exposes: what their configurations say, with these patterns.
+    pub fn by_pattern(&self, from: &str, to: &str, expose: &str, import: &str) -> (String, String) {
+        let (owner, reader) = (SigningKey::generate().unwrap(), self.identity(to).name());
+        owner.save_new(&self.folder(from).join("owner.pem")).unwrap();
+        let catalog = NameCard::create(owner.verify_key(), "catalog", from, "", None).unwrap();
+        let (name, grantee) = (catalog.name(), Grantee::Entity(reader));
+        let grant = ReadGrant { name, to: grantee, serial: 1, not_before: 0, not_after: u64::MAX };
+        fs::write(self.folder(to).join("catalog.grant"), issue(&owner, &grant).unwrap().to_pem()).unwrap();
+        for label in [from, to] {
+            catalog.save_new(&self.folder(label).join(format!("{from}.card"))).unwrap();
+        }
+        (
+            format!("expose: {{owner: owner.pem, catalog: {from}.card, readers: [{reader}], {expose}}}\n"),
+            format!("import: [{{catalog: {from}.card, grant: catalog.grant, {import}}}]\n"),
+        )
+    }
+
     /// Where the files of a proxy are.
     pub fn folder(&self, label: &str) -> PathBuf {
         let folder = self.folder.path().join(label);

@@ -9,6 +9,7 @@ mod hub;
 #[allow(dead_code, reason = "the tests of the ROS 1 node, whose it is, use the rest")]
 #[path = "../../../gdp-ros1/tests/rospy/master.rs"]
 mod master;
+mod patterns;
 mod ros2;
 #[allow(dead_code, reason = "the tests of topics, whose it is, use the rest")]
 #[path = "../bridge/site.rs"]
