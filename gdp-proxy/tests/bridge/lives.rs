@@ -95,6 +95,8 @@ async fn a_publisher_that_is_not_heard_of_is_missed_and_comes_back_with_what_it_
     out.signal(libc::SIGCONT);
     let mut late = there.begin("late", &["listen", "/map"]);
     assert_eq!(texts(&mut late, 1).await, ["the map"], "nobody has written it again");
+    writer.write(cdr("another map"), 0).await.unwrap();
+    assert_eq!(texts(&mut late, 1).await, ["another map"], "its DDS goes on as well");
     onlooker.leave().await;
     talking.leave().await;
 }

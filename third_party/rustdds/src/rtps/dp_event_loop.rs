@@ -311,6 +311,8 @@ impl DPEventLoop {
       }
       match ev_wrapper.poll.poll(&mut events, Some(poll_timeout)) {
         Ok(_) => {}
+        // GDP patch: a process that was stopped and goes on finds its waits interrupted.
+        Err(e) if e.kind() == std::io::ErrorKind::Interrupted => continue,
         Err(e) => {
           error!("dp_event_loop poll failed: {e:?}");
           break;
