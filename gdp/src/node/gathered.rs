@@ -4,17 +4,18 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::seal::{Draft, Encoding, MAX_ORIGIN};
 
-/// Since the last time a topic sealed. A message that comes later than that is sealed by itself, at once; one that comes sooner
-/// waits as long, for company.
+/// Since the last time a topic sealed. A message that comes later than that is sealed by itself, at once, if there is nothing to wait for; one that comes
+/// sooner waits as long, for company.
 pub const GATHERING: u64 = 100_000;
 
-/// Of all topics of a node together: so much apart are signatures made, which take 20 microseconds here and 70 of each reader; so many may come upon
-/// one another; and none waits longer for its turn.
+/// Small messages of all topics of a node together are signed so much apart, because each costs every reader the time of many messages; so many may
+/// come upon one another; and none waits longer for its turn.
 const APART: u64 = 300_000;
 const TOGETHER: u64 = 16 * APART;
 const LONGEST: u64 = 8_000_000;
 
-/// Whose turn it is to sign. Topics that together have more messages than that share signatures out: each gathers what it has in its turn.
+/// Whose turn it is to sign. Topics that together have more messages than that share signatures out: each gathers what comes until its turn. What comes
+/// too seldom to meet company by then does not wait.
 #[derive(Default)]
 pub struct Turns(AtomicU64);
 

@@ -354,7 +354,7 @@ impl Intake {
         self.writers.values().filter_map(of).chain(deadline).min()
     }
 
-    /// Whether the rest of a message is to come.
+    /// Whether the rest of the newest message of a writer is to come.
     pub fn is_amid(&self) -> bool {
         self.writers.values().any(|known| known.session.as_ref().is_some_and(|session| session.inbound.is_amid()))
     }

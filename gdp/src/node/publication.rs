@@ -219,15 +219,17 @@ impl Publication {
         }
         let (now, taken) = (outlet.clock.now(), |first| move |pushed| Some((first, pushed)));
         let begins = sealing.gathered.is_empty();
-        if begins {
-            let is_soon = now.saturating_sub(sealing.sealed_at) < GATHERING;
-            sealing.gathered_until = outlet.turns.take(now).max(if is_soon { now + GATHERING } else { now });
+        if begins && Gathered::takes(drafts) {
+            // As long as the last one was ago, another is not likely to come.
+            let wait = (outlet.turns.take(now) - now).max(GATHERING);
+            let is_soon = now.saturating_sub(sealing.sealed_at) < wait;
+            sealing.gathered_until = if is_soon { now + wait } else { now };
         }
-        if Gathered::takes(drafts) && sealing.gathered_until > now {
+        if Gathered::takes(drafts) && (!begins || sealing.gathered_until > now) {
             let first = sealing.writer.next_sequence() + sealing.gathered.len() as u64;
             sealing.gathered.push(&drafts[0]);
             begun.take().into_iter().for_each(|begun| begun(first));
-            if sealing.gathered.is_full() {
+            if sealing.gathered.is_full() || sealing.gathered_until <= now {
                 return self.seal_all(outlet, sealing).map(taken(first));
             }
             return Ok(Some((first, Pushed::Gathered(begins.then_some(sealing.gathered_until)))));

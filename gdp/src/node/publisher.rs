@@ -105,7 +105,7 @@ impl Publisher {
         self.flush(patience).await
     }
 
-    /// Seals one message and sends it; those that come within 100 µs of one another share a signature and frames. It goes as [`PublishOptions`](super::PublishOptions) say: `Ok` says that it is on its way or waits for
+    /// Seals one message and sends it; those that come within 100 µs of one another share a signature and frames, and of a node that would sign more than 3000 times a second those within 8 ms. It goes as [`PublishOptions`](super::PublishOptions) say: `Ok` says that it is on its way or waits for
     /// its turn. Returns the sequence number. Waits only if the name is reliable and the history full; a message that it was
     /// cancelled in waiting for is sent all the same. While the link to the switch is lost, what is best effort fails at once, and
     /// what is reliable is kept; but to a switch whose daemon fell silent frames are sent on, as long as its data plane answers

@@ -113,6 +113,7 @@ impl Receiver {
             }
             intakes.tick();
             let mut received = false;
+            intakes.is_amid = false;
             for place in &mut attached {
                 let Some(Socket { data, largest, links }) = place else { continue };
                 let batch = batch.get_or_insert_with(|| RecvBatch::new(*largest));
@@ -314,7 +315,7 @@ struct Intakes {
     timers: BTreeSet<(u64, Name)>,
     /// Intakes that something came for in the batch at hand.
     touched: Vec<Name>,
-    /// Whether the rest of a message of these is to come.
+    /// Whether the rest of a message is to come, of which something came of late.
     is_amid: bool,
 }
 
@@ -407,7 +408,6 @@ impl Intakes {
                 self.touched.push(name);
             }
         }
-        self.is_amid = false;
         while let Some(name) = self.touched.pop() {
             self.poll(&name);
             self.is_amid |= self.intakes.get(&name).is_some_and(|intake| intake.is_amid());

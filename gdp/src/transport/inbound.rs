@@ -308,7 +308,7 @@ impl<M> Inbound<M> {
             self.plan_ask(now);
         }
         // A writer that stopped in the middle of a message, or whose last segments were lost.
-        if self.is_amid() && now >= self.idle_at() && self.due < self.highest_known() {
+        if !self.slots.is_empty() && now >= self.idle_at() && self.due < self.highest_known() {
             self.due = self.highest_known();
             self.plan_ask(now);
         }
@@ -328,8 +328,8 @@ impl<M> Inbound<M> {
     pub fn next_wake(&self) -> Option<u64> {
         let ready = (!self.ready.is_empty()).then_some(0);
         // If all is dealt with of which anything came, the next segment is soon enough.
-        let mark = self.mark.filter(|_| self.is_amid()).map(|(at, _)| at);
-        let idle = (self.is_amid() && self.due < self.highest_known()).then(|| self.idle_at());
+        let mark = self.mark.filter(|_| !self.slots.is_empty()).map(|(at, _)| at);
+        let idle = (!self.slots.is_empty() && self.due < self.highest_known()).then(|| self.idle_at());
         let timers = [self.ask_at, self.report_at].into_iter().filter(|at| *at < u64::MAX);
         [ready, mark, idle, self.deadline()].into_iter().flatten().chain(timers).min()
     }
@@ -349,9 +349,9 @@ impl<M> Inbound<M> {
         self.next
     }
 
-    /// Whether the rest of a message is to come.
+    /// Whether the rest of the newest message is to come.
     pub fn is_amid(&self) -> bool {
-        !self.slots.is_empty()
+        self.slots.back().is_some_and(|slot| slot.is_open() && slot.total() > 0)
     }
 
     /// Bytes of what waits, and of what is known of incomplete messages.
