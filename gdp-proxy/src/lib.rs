@@ -14,6 +14,7 @@ mod delivery;
 pub mod diagnostics;
 pub mod dry_run;
 pub mod graph;
+mod large;
 pub mod manager;
 pub mod material;
 mod membership;

@@ -74,8 +74,8 @@ fn run(arguments: Arguments) -> Result<()> {
         );
         return Ok(());
     }
-    // Each worker that is woken wakes another in case there is more to do, mostly in vain; and half of the work is that of other threads: DDS, sockets.
-    let workers = std::thread::available_parallelism().map_or(1, |cores| cores.get().div_ceil(2));
+    // Half of the work is that of other threads: of DDS, and of the node.
+    let workers = std::thread::available_parallelism().map_or(2, |cores| cores.get().div_ceil(2).max(2));
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(workers)
         .enable_all()

@@ -1,4 +1,4 @@
-//! A catalog on its way: published for others, or read. Each has a thread, as routes have.
+//! A catalog on its way: published for others, or read. Each is a task, as routes are.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -14,6 +14,7 @@ use tokio::sync::watch;
 
 use super::listed::{Catalogs, Listed};
 use crate::config::Side;
+use crate::large::beside;
 use crate::manager::{Failure, Manager, Plan, Work};
 use crate::material::unix_now;
 use crate::renewal::Renewal;
@@ -216,7 +217,9 @@ impl CatalogLink {
                 message = subscription.recv() => match message {
                     Some(message) if message.encoding == CATALOG => {
                         let member = || Some(files?.load().ok()?.membership);
-                        let taken = catalogs.take(&message, member, Instant::now(), unix_now());
+                        let take = || catalogs.take(&message, member, Instant::now(), unix_now());
+                        // Each name in it has signatures.
+                        let taken = beside(message.body.len(), take);
                         taken.unwrap_or_else(|error| {
                             tracing::warn!(catalog = %self.plan.card.name(), writer = %message.writer, "a catalog is not taken: {error}");
                             false

@@ -15,6 +15,7 @@ use gdp_ros::services::Converters;
 
 use super::counters::Reason;
 use super::lock;
+use crate::large::beside;
 
 /// For a server's proxy to answer a question about events, which it does once a minute though there are none.
 const PATIENCE: Duration = Duration::from_secs(90);
@@ -140,7 +141,8 @@ impl<'a> Asking<'a> {
 
     /// Asks one server. If that is another than the one that was described, it has not seen the request, and is asked once more.
     async fn call(&self, known: &Arc<Known>) -> Result<Bytes, Failed> {
-        let body = lock(&known.converters).request.convert(self.request.clone()).map_err(unconvertible)?;
+        let convert = || lock(&known.converters).request.convert(self.request.clone());
+        let body = beside(self.request.len(), convert).map_err(unconvertible)?;
         let failed = match self.exchange(known, known.epoch, body.clone()).await {
             Err(failed) if failed.reason == Reason::Changed => failed,
             answered => return answered,
@@ -159,7 +161,9 @@ impl<'a> Asking<'a> {
     async fn exchange(&self, known: &Known, epoch: Epoch, body: Bytes) -> Result<Bytes, Failed> {
         let failed = |reason, code, why: &dyn ToString| Failed { failure: Failure::new(code, why.to_string()), reason };
         match ask(self.client, known.instance, &Request::Call { epoch, part: self.part, body }).await {
-            Ok(Reply::Answer(body)) => lock(&known.converters).response.convert(body).map_err(unconvertible),
+            Ok(Reply::Answer(body)) => {
+                beside(body.len(), || lock(&known.converters).response.convert(body)).map_err(unconvertible)
+            }
             Ok(Reply::Failure(failure)) => Err(failure.into()),
             Ok(Reply::Description(..) | Reply::Events(_)) => {
                 Err(failed(Reason::Malformed, FailureCode::Malformed, &"it answered another question"))

@@ -1,5 +1,5 @@
 //! One service or action in one direction, as `route` has topics: servers here that are called from elsewhere ([`outward`]), or servers elsewhere
-//! that are called from here ([`inward`]). Each has a thread of its own; a call waits for its answer in it and holds up nobody.
+//! that are called from here ([`inward`]). Each is a task of its own; a call waits for its answer in it and holds up nobody.
 //!
 //! Neither side ends a call by itself, however long it takes: it ends with its answer, with its server, or when the client gives it up or is there no
 //! more. Of several proxies in one graph one takes calls; when it stops, those who wait are told, as far as their ROS version has a way to.

@@ -19,6 +19,7 @@ use rustdds::{
     DataReaderStatus, DataWriterStatus, GUID, Publisher, QosPolicies, RTPSEntity, RepresentationIdentifier,
     SequenceNumber, StatusEvented, Timestamp, Topic, WriteOptions, WriteOptionsBuilder,
 };
+use tokio::task::coop::cooperative;
 
 /// Bytes of the encapsulation header: representation (2), options (2).
 pub const ENCAPSULATION: usize = 4;
@@ -155,14 +156,15 @@ impl RawReader {
 
     /// As [`recv`](Self::recv), with the message's identity.
     pub(super) async fn change(&self) -> Result<Change, Unreadable> {
-        poll_fn(|context| {
+        // However much there is to read, others have their turn.
+        cooperative(poll_fn(|context| {
             if let Some(taken) = self.take() {
                 return Poll::Ready(taken);
             }
             self.reader.set_waker(Some(context.waker().clone()));
             // What came between the look and the waker would wake nobody.
             self.take().map_or(Poll::Pending, Poll::Ready)
-        })
+        }))
         .await
     }
 

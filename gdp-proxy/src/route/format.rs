@@ -5,15 +5,15 @@ use std::sync::Arc;
 use bytes::Bytes;
 use gdp::seal::{self, Message};
 use gdp_msg::{Encoding, TranscodeError};
-use tokio::runtime::{Handle, RuntimeFlavor};
 
 use crate::config::{Compression, FramePrefix, TopicConfig};
+use crate::large::beside;
 use gdp_ros::compression::Packer;
 use gdp_ros::roster::Kind;
 use gdp_ros::types::{Converter, Form, TypeError, Types, sealed, unsealed};
 
-/// What takes about as long as to hand other work to another thread.
-const MANY_BYTES: usize = 256 << 10;
+/// What is compressed is seldom more than so many times as large.
+const LIKELY_RATIO: usize = 8;
 
 /// From the graph into the fabric.
 pub struct Outbound {
@@ -76,7 +76,8 @@ impl Inbound {
     }
 
     pub fn convert(&mut self, types: &Types, message: Message) -> Result<Bytes, String> {
-        beside(message.body.len(), || self.convert_here(types, message))
+        let ratio = if matches!(message.encoding, seal::Encoding::Other(_)) { LIKELY_RATIO } else { 1 };
+        beside(message.body.len() * ratio, || self.convert_here(types, message))
     }
 
     fn convert_here(&mut self, types: &Types, message: Message) -> Result<Bytes, String> {
@@ -112,17 +113,6 @@ fn converter(
         Some(prefix) => types.prefixing_converter(from, to, prefix.as_str()),
         None => types.converter(from, to),
     }
-}
-
-/// Whether work on so many bytes is to leave what else this thread has to do to others.
-pub fn is_much(bytes: usize) -> bool {
-    let is_shared =
-        || Handle::try_current().is_ok_and(|runtime| runtime.runtime_flavor() == RuntimeFlavor::MultiThread);
-    bytes >= MANY_BYTES && is_shared()
-}
-
-fn beside<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
-    if is_much(bytes) { tokio::task::block_in_place(work) } else { work() }
 }
 
 #[cfg(test)]

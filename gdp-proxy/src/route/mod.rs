@@ -1,4 +1,4 @@
-//! One topic in one direction. Each route has a thread of its own, so a slow topic holds up nobody else's; within it a
+//! One topic in one direction. Each route is a task of its own, and what is [`large`](crate::large) keeps no thread from the others; within it a
 //! message goes straight from one side to the other, without a queue or a wake-up in between. A topic whose right has ended is
 //! asked for again and again, and the others go on.
 

@@ -10,11 +10,12 @@ use gdp::node::{ErrorCode, FrameError, NodeError, Publisher};
 use gdp::seal::Draft;
 use tokio::runtime::Handle;
 
-use super::format::{Outbound, is_much};
+use super::format::Outbound;
 use super::pace::Pace;
 use super::{Published, Route, Way};
 use crate::delivery::{lacks, latched, publish_options, stronger};
 use crate::graph::{Arrived, Event, GraphError, Key, Reader};
+use crate::large::is_large;
 use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
 use gdp_ros::roster::{self, Announcement, Kind, Offer, Outgoing};
@@ -274,10 +275,10 @@ impl Route {
         let origin = from.and_then(|key| out.roster.number(&key)).map(roster::origin);
         let origin = origin.as_ref().map_or(&[][..], |origin| &origin[..]);
         let (encoding, carried) = out.format.pack(&body);
-        // Waits for nothing: what finds no room replaces older messages.
         let drafts = [Draft { origin, ..Draft::new(encoding, carried) }];
         let sending = publisher.send_batch(&drafts);
-        let sent = match is_much(carried.len()) {
+        // Waits for nothing: what finds no room replaces older messages.
+        let sent = match is_large(carried.len()) {
             true => tokio::task::block_in_place(|| Handle::current().block_on(sending)),
             false => sending.await,
         };
