@@ -200,6 +200,28 @@ fn what_is_too_fast_for_its_path_arrives_as_far_as_the_path_goes() {
     assert!(delivered * 500_000 * 8 >= 10 * 40 * MBIT * 7 / 10, "{delivered} messages");
 }
 
+/// Messages of a few frames with pauses between them: none waits for what the ones before have shown of the path.
+#[test]
+fn short_messages_with_pauses_never_wait_for_a_report() {
+    for size in [8_000, 20_000, 40_000] {
+        let mut sim = Simulation::new(6);
+        let [a, b] = [(); 2].map(|()| sim.node());
+        let fast = Faults { rate: Some(1000 * MBIT), queue: Some(1 << 20), ..Faults::delay(MS / 5) };
+        sim.join(a, b, fast, Faults::delay(MS / 5));
+        let topic = sim.publish(a, TopicOptions::reliable(), App::new(size, 30, 40 * SECOND));
+        sim.subscribe(b, topic, MS, InboundOptions::every());
+        sim.run(40 * SECOND);
+        let latencies = sim.latencies(topic, b);
+        let late = latencies.iter().filter(|latency| **latency > 5 * MS).count();
+        assert!(
+            latencies.len() > 1190 && late < 5,
+            "{size}: {late} of {} are late, {}",
+            latencies.len(),
+            percentile(&latencies, 99)
+        );
+    }
+}
+
 #[test]
 fn a_slow_subscriber_never_slows_the_others() {
     let run = |overflow: Overflow, with_slow: bool| {

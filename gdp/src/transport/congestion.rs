@@ -169,6 +169,11 @@ impl Path {
             self.round += 1;
             self.round_ends = sample.sent;
         }
+        let stale = now.saturating_sub(self.min_rtt_at) > RTT_WINDOW;
+        if stale && sample.paused {
+            // The queue has run dry by itself.
+            (self.min_rtt, self.min_rtt_at) = (sample.rtt.or(self.min_rtt), now);
+        }
         self.advance(now, sample.sent.saturating_sub(sample.acknowledged));
         congested
     }
