@@ -218,21 +218,24 @@ impl Publication {
             return Ok(None);
         }
         let (now, taken) = (outlet.clock.now(), |first| move |pushed| Some((first, pushed)));
-        let begins = sealing.gathered.is_empty();
-        if begins && Gathered::takes(drafts) {
-            // As long as the last one was ago, another is not likely to come.
-            let wait = (outlet.turns.take(now) - now).max(GATHERING);
-            let is_soon = now.saturating_sub(sealing.sealed_at) < wait;
-            sealing.gathered_until = if is_soon { now + wait } else { now };
-        }
-        if Gathered::takes(drafts) && (!begins || sealing.gathered_until > now) {
-            let first = sealing.writer.next_sequence() + sealing.gathered.len() as u64;
-            sealing.gathered.push(&drafts[0]);
-            begun.take().into_iter().for_each(|begun| begun(first));
-            if sealing.gathered.is_full() || sealing.gathered_until <= now {
-                return self.seal_all(outlet, sealing).map(taken(first));
+        if Gathered::takes(drafts) {
+            let begins = sealing.gathered.is_empty();
+            if begins {
+                // As long as the last one was ago, another is not likely to come.
+                let wait = (outlet.turns.take(now) - now).max(GATHERING);
+                let is_soon = now.saturating_sub(sealing.sealed_at) < wait;
+                sealing.gathered_until = if is_soon { now + wait } else { now };
             }
-            return Ok(Some((first, Pushed::Gathered(begins.then_some(sealing.gathered_until)))));
+            let waits = sealing.gathered_until > now;
+            if waits || !begins {
+                let first = sealing.writer.next_sequence() + sealing.gathered.len() as u64;
+                sealing.gathered.push(&drafts[0]);
+                begun.take().into_iter().for_each(|begun| begun(first));
+                if !waits || sealing.gathered.is_full() {
+                    return self.seal_all(outlet, sealing).map(taken(first));
+                }
+                return Ok(Some((first, Pushed::Gathered(begins.then_some(sealing.gathered_until)))));
+            }
         }
         if let Pushed::Waits = self.seal_all(outlet, sealing)? {
             return Ok(None);

@@ -169,12 +169,7 @@ impl Path {
             self.round += 1;
             self.round_ends = sample.sent;
         }
-        let stale = now.saturating_sub(self.min_rtt_at) > RTT_WINDOW;
-        if stale && sample.paused {
-            // The queue has run dry by itself.
-            (self.min_rtt, self.min_rtt_at) = (sample.rtt.or(self.min_rtt), now);
-        }
-        self.advance(now, sample.sent.saturating_sub(sample.acknowledged));
+        self.advance(now, sample);
         congested
     }
 
@@ -285,7 +280,8 @@ impl Path {
         congested
     }
 
-    fn advance(&mut self, now: u64, under_way: u64) {
+    fn advance(&mut self, now: u64, sample: &Sample) {
+        let under_way = sample.sent.saturating_sub(sample.acknowledged);
         let rtt = self.min_rtt.unwrap_or(INITIAL_RTT);
         match self.phase {
             Phase::Drain if under_way <= self.queueless(rtt) => self.begin_steady(now),
@@ -307,7 +303,10 @@ impl Path {
             _ => {}
         }
         let stale = now.saturating_sub(self.min_rtt_at) > RTT_WINDOW;
-        if stale && matches!(self.phase, Phase::Steady { .. }) && self.min_rtt.is_some() {
+        if stale && sample.paused {
+            // The queue has run dry by itself.
+            (self.min_rtt, self.min_rtt_at) = (sample.rtt.or(self.min_rtt), now);
+        } else if stale && matches!(self.phase, Phase::Steady { .. }) && self.min_rtt.is_some() {
             self.phase = Phase::Dry { until: now + DRY_TIME.max(rtt + self.report_interval) };
         }
     }
