@@ -233,10 +233,10 @@ async fn a_rib_that_starts_anew_stops_nothing_that_runs() -> Result<()> {
         (scene.switch.records().iter().filter(|record| record.name == name).count() == 2).then_some(())
     })?;
     scene.passes(b"true").await?;
-    let mut again = scene
-        .owner
-        .subscribe(&node(&scene.switch, &Identity::generate("proxy")?).await?, SubscribeOptions::reliable())
-        .await?;
+    let reader = node(&scene.switch, &Identity::generate("proxy")?).await?;
+    let mut again = scene.owner.subscribe(&reader, SubscribeOptions::reliable()).await?;
+    // A reader begins with what is sent once the writer knows of it.
+    eventually("the robot to know both", || (scene.publisher.readers() == 2).then_some(()))?;
     scene.publisher.send(Encoding::Bytes, b"to both").await?;
     let message = tokio::time::timeout(SOON, again.recv()).await?;
     assert_eq!(message.map(|message| message.body).as_deref(), Some(&b"to both"[..]));
