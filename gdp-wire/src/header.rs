@@ -5,6 +5,7 @@ use core::mem::{offset_of, size_of};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use crate::Name;
+use crate::siphash::siphash24;
 
 /// The protocol version in the high four bits of the first byte.
 pub const VERSION: u8 = 1;
@@ -269,10 +270,16 @@ impl Header {
         self.tag = tag.to_be();
     }
 
+    /// The hop tag of this header under a key of its link.
+    #[inline(always)]
+    pub fn tag_for(&self, key: [u64; 2], count: u64) -> u64 {
+        siphash24(key, &self.tagged_words(count))
+    }
+
     /// The eleven little-endian words the hop tag covers: the whole header but the tag itself, and the high 32 bits of the
     /// link's count. These are not in the header; they go on top of the link id, which is the same in all frames under a key.
     #[inline(always)]
-    pub(crate) fn tagged_words(&self, count: u64) -> [u64; 11] {
+    pub fn tagged_words(&self, count: u64) -> [u64; 11] {
         let this = (&raw const *self).cast::<u64>();
         // SAFETY: `Header` is 96 bytes of plain data with the alignment of u64, so it holds twelve words.
         let word = |i: usize| u64::from_le(unsafe { this.add(i).read() });

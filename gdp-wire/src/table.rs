@@ -4,7 +4,7 @@
 use core::fmt;
 use core::net::IpAddr;
 
-use crate::{Name, replay};
+use crate::{Header, Name, replay};
 
 /// The version of everything a data plane keeps in memory that outlives a daemon: the maps, and what their entries mean. To
 /// be raised with every change of meaning; of sizes as well, though a daemon compares those itself.
@@ -323,6 +323,20 @@ pub trait Tables {
 
     /// The count for a frame that leaves by this link: 1 for the first.
     fn next_count(&self, link: &LinkEntry) -> u64;
+
+    /// Whether a frame has the hop tag that its header and its whole `count` on the link make under `key`. For planes that check the
+    /// tags of many frames at once.
+    #[inline(always)]
+    fn has_tag(&self, header: &Header, key: [u64; 2], count: u64) -> bool {
+        header.tag_for(key, count) == header.tag()
+    }
+
+    /// Writes the hop tag into a header that has all else, or sees to it that this is done before the frame leaves. For planes that
+    /// make the tags of many frames at once.
+    #[inline(always)]
+    fn write_tag(&self, header: &mut Header, key: [u64; 2], count: u64) {
+        header.set_tag(header.tag_for(key, count));
+    }
 
     /// Whether this plane can send by the link now. Asked only of a plane that is not the last.
     fn can_send(&self, link: &LinkEntry) -> bool;

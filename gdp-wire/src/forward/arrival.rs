@@ -2,7 +2,6 @@
 
 use super::{FrameType, frame_type};
 use crate::replay::{self, Words};
-use crate::siphash::siphash24;
 use crate::table::Tables;
 use crate::{Counter, Header, LinkEntry};
 
@@ -24,7 +23,7 @@ pub fn arrival<'t, T: Tables>(
     well_formed(header, available)?;
     let link = tables.link(header.link_id()).ok_or(Counter::NoLink)?;
     let window = tables.window(link).ok_or(Counter::NoLink)?;
-    let count = authentic(header, link, &window)?;
+    let count = authentic(header, link, &window, |key, count| tables.has_tag(header, key, count))?;
     if replay::is_fresh(&window, count) { Ok(Arrival { link, window, count }) } else { Err(Counter::Replayed) }
 }
 
@@ -35,7 +34,7 @@ pub fn accept(header: &Header, available: usize, link: &LinkEntry, window: &impl
     if header.link_id() != link.id {
         return Err(Counter::NoLink);
     }
-    let count = authentic(header, link, window)?;
+    let count = authentic(header, link, window, |key, count| header.tag_for(key, count) == header.tag())?;
     if replay::take(window, count) { Ok(frame_type) } else { Err(Counter::Replayed) }
 }
 
@@ -57,13 +56,23 @@ fn well_formed(header: &Header, available: usize) -> Result<FrameType, Counter> 
 
 /// The frame's count on its link, if the neighbour made the tag.
 #[inline(always)]
-fn authentic(header: &Header, link: &LinkEntry, window: &impl Words) -> Result<u64, Counter> {
-    let count = replay::whole(window, header.link_counter());
-    let key = if header.flags & Header::KEY_PHASE != 0 { link.rx_keys[1] } else { link.rx_keys[0] };
+fn authentic(
+    header: &Header,
+    link: &LinkEntry,
+    window: &impl Words,
+    has_tag: impl FnOnce([u64; 2], u64) -> bool,
+) -> Result<u64, Counter> {
+    let (key, count) = keyed(header, link, window);
     // An entry that is being written or removed may have no key yet, or no longer; everybody knows that one.
     if key == [0; 2] {
         return Err(Counter::BadTag);
     }
-    let tag = siphash24(key, &header.tagged_words(count));
-    if tag == header.tag() { Ok(count) } else { Err(Counter::BadTag) }
+    if has_tag(key, count) { Ok(count) } else { Err(Counter::BadTag) }
+}
+
+/// The key of a frame's tag, and the frame's whole count on its link, if it is authentic.
+#[inline(always)]
+pub fn keyed(header: &Header, link: &LinkEntry, window: &impl Words) -> ([u64; 2], u64) {
+    let count = replay::whole(window, header.link_counter());
+    (if header.flags & Header::KEY_PHASE != 0 { link.rx_keys[1] } else { link.rx_keys[0] }, count)
 }

@@ -1,6 +1,6 @@
 //! What becomes of a frame at each link of a group.
 
-use super::{is_foreign, stamp, wait};
+use super::{is_foreign, stamp_by, wait};
 use crate::table::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole};
 
@@ -37,6 +37,6 @@ pub fn copy<T: Tables>(header: &mut Header, length: usize, link: &LinkEntry, ing
     }
     header.set_egress_bits(if link.role == LinkRole::Switch as u32 { bits } else { 0 });
     wait(header, link, tables);
-    stamp(header, link, tables.next_count(link));
+    stamp_by(header, link, tables);
     Copy::Send(counter)
 }

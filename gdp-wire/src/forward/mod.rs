@@ -11,12 +11,11 @@ mod copy;
 mod probe;
 mod route;
 
-pub use arrival::accept;
+pub use arrival::{accept, keyed};
 pub use copy::{Copy, copy};
 
 use crate::header::FrameType;
 use crate::replay;
-use crate::siphash::siphash24;
 use crate::table::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole};
 
@@ -85,7 +84,7 @@ pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, traffic: u8,
             }
             travel(header, ingress, fate.bits, fate.set);
             wait(header, fate.link, tables);
-            stamp(header, fate.link, tables.next_count(fate.link));
+            stamp_by(header, fate.link, tables);
             Verdict::Send(fate.link, fate.counter)
         }
         What::Copy => {
@@ -177,14 +176,28 @@ fn is_for_this_plane<T: Tables>(fate: &Fate<'_>, length: usize, tables: &T) -> b
 /// sent on the link, with this one.
 #[inline(always)]
 pub fn stamp(header: &mut Header, link: &LinkEntry, count: u64) {
+    let key = direct(header, link, count);
+    header.set_tag(header.tag_for(key, count));
+}
+
+/// As [`stamp`], for the next frame of the link, as the plane has it done.
+#[inline(always)]
+fn stamp_by<T: Tables>(header: &mut Header, link: &LinkEntry, tables: &T) {
+    let count = tables.next_count(link);
+    let key = direct(header, link, count);
+    tables.write_tag(header, key, count);
+}
+
+/// Writes the fields that belong to `link`, but for the hop tag; the key of that.
+#[inline(always)]
+fn direct(header: &mut Header, link: &LinkEntry, count: u64) -> [u64; 2] {
     // Once, although user space may change it meanwhile: flag and key must be of the same phase.
     // SAFETY: a field of a live entry.
     let second = unsafe { (&raw const link.tx_phase).read_volatile() } & 1 != 0;
     header.flags = header.flags & !Header::KEY_PHASE | if second { Header::KEY_PHASE } else { 0 };
     header.set_link_id(link.peer_id);
     header.set_link_counter(count as u32);
-    let key = if second { link.tx_keys[1] } else { link.tx_keys[0] };
-    header.set_tag(siphash24(key, &header.tagged_words(count)));
+    if second { link.tx_keys[1] } else { link.tx_keys[0] }
 }
 
 /// Takes a router's mark over into the header, which goes all the way to the reader; `false` if what carried the frame was marked,

@@ -1,0 +1,34 @@
+/* What of DPDK is inline in its headers, as functions; and all that bindgen reads. */
+#ifndef GDP_DPDK_SHIM_H
+#define GDP_DPDK_SHIM_H
+
+#include <rte_dev.h>
+#include <rte_eal.h>
+#include <rte_errno.h>
+#include <rte_ethdev.h>
+#include <rte_lcore.h>
+#include <rte_log.h>
+#include <rte_mbuf.h>
+#include <rte_mempool.h>
+
+/* Macros that bindgen does not see through. */
+static const uint64_t GDP_GATHERS = RTE_ETH_TX_OFFLOAD_MULTI_SEGS;
+static const uint64_t GDP_SPREAD_BY = RTE_ETH_RSS_IP | RTE_ETH_RSS_UDP;
+static const uint64_t GDP_INDIRECT = RTE_MBUF_F_INDIRECT;
+
+/* The error of the last call that failed on this thread. */
+int gdp_errno(void);
+
+uint16_t gdp_rx_burst(uint16_t port, uint16_t queue, struct rte_mbuf **mbufs, uint16_t count);
+uint16_t gdp_tx_burst(uint16_t port, uint16_t queue, struct rte_mbuf **mbufs, uint16_t count);
+
+/* Each of one segment, with the usual headroom; 0, or a negative error if there are not so many. */
+int gdp_alloc(struct rte_mempool *pool, struct rte_mbuf **mbufs, unsigned int count);
+/* Whole chains. */
+void gdp_free(struct rte_mbuf **mbufs, unsigned int count);
+/* An mbuf of `pool` that refers to what `of`, of one segment, holds; null if there is none. */
+struct rte_mbuf *gdp_refer(struct rte_mempool *pool, struct rte_mbuf *of);
+/* Puts `tail` behind `head`. */
+int gdp_chain(struct rte_mbuf *head, struct rte_mbuf *tail);
+
+#endif

@@ -1,0 +1,111 @@
+//! Frames as payload of UDP over IPv4. What does not look as our peers send it (options, fragments, lengths that disagree) is the
+//! host's to judge. Checksums of what arrives are not looked at: the hop tag covers the frame's header, and the reader's
+//! decryption its payload.
+
+use gdp_wire::{Carrier, LocalAddress};
+use zerocopy::network_endian::U16;
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
+
+use super::ethernet::{self, Ethernet};
+use super::{Carried, Ours, Stations, checksum};
+
+/// Bytes in front of the frame.
+pub const LEN: usize = size_of::<Headers>();
+
+/// Version 4, five words.
+const VERSION_LENGTH: u8 = 0x45;
+/// Also IPv6's "next header".
+pub const UDP: u8 = 17;
+pub const HOP_LIMIT: u8 = 64;
+const DO_NOT_FRAGMENT: u16 = 0x4000;
+/// More fragments follow, and the place of this one.
+const FRAGMENT: u16 = 0x3fff;
+
+#[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+struct Ipv4 {
+    version_length: u8,
+    traffic: u8,
+    length: U16,
+    id: [u8; 2],
+    fragment: U16,
+    time_to_live: u8,
+    protocol: u8,
+    checksum: [u8; 2],
+    source: [u8; 4],
+    destination: [u8; 4],
+}
+
+#[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+pub struct Udp {
+    pub source: [u8; 2],
+    pub destination: [u8; 2],
+    /// Of header and payload.
+    pub length: U16,
+    pub checksum: [u8; 2],
+}
+
+#[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+struct Headers {
+    ethernet: Ethernet,
+    ip: Ipv4,
+    udp: Udp,
+}
+
+const _: () = assert!(LEN == 42);
+
+impl Udp {
+    /// From us to the peer, without a checksum. Wraps where the frame is longer than a datagram can be.
+    #[inline]
+    pub fn new(carrier: &Carrier, frame: &[u8]) -> Self {
+        Self {
+            source: carrier.local_port.to_ne_bytes(),
+            destination: carrier.peer_port.to_ne_bytes(),
+            length: ((size_of::<Self>() + frame.len()) as u16).into(),
+            checksum: [0; 2],
+        }
+    }
+}
+
+#[inline]
+pub fn find(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
+    let (Headers { ip, udp, .. }, _) = Headers::ref_from_prefix(packet).ok()?;
+    if ip.version_length != VERSION_LENGTH || ip.protocol != UDP || ip.fragment.get() & FRAGMENT != 0 {
+        return None;
+    }
+    let (ip_length, udp_length) = (usize::from(ip.length.get()), usize::from(udp.length.get()));
+    let available = udp_length.checked_sub(size_of::<Udp>())?;
+    let fits = size_of::<Ipv4>() + udp_length <= ip_length && ethernet::LEN + ip_length <= packet.len();
+    let to = LocalAddress {
+        ip: [u32::from_ne_bytes(ip.destination), 0, 0, 0],
+        port: u16::from_ne_bytes(udp.destination),
+        kind: Carrier::UDP4.into(),
+    };
+    (fits && ours.is_ours(&to)).then_some(Carried { at: LEN, available, over_udp: true, traffic: ip.traffic })
+}
+
+#[inline]
+pub fn dress(front: &mut [u8], frame: &[u8], carrier: &Carrier, stations: Stations, traffic: u8) {
+    let Ok(front) = Headers::mut_from_bytes(front) else { return };
+    let mut ip = Ipv4 {
+        version_length: VERSION_LENGTH,
+        traffic,
+        length: ((size_of::<Ipv4>() + size_of::<Udp>() + frame.len()) as u16).into(),
+        id: [0; 2],
+        fragment: DO_NOT_FRAGMENT.into(),
+        time_to_live: HOP_LIMIT,
+        protocol: UDP,
+        checksum: [0; 2],
+        source: carrier.local_ip[0].to_ne_bytes(),
+        destination: carrier.peer_ip[0].to_ne_bytes(),
+    };
+    ip.checksum = (!checksum::fold(checksum::sum(ip.as_bytes()))).to_ne_bytes();
+    let mut udp = Udp::new(carrier, frame);
+    if carrier.flags & Carrier::CHECKSUM != 0 {
+        let addresses = checksum::sum(&ip.source) + checksum::sum(&ip.destination);
+        udp.checksum = checksum::of_datagram(addresses, &udp, frame);
+    }
+    *front = Headers { ethernet: Ethernet::new(stations, ethernet::IPV4), ip, udp };
+}

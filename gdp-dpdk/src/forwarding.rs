@@ -1,0 +1,314 @@
+//! What becomes of the packets that arrive together: in phases over all of them, so that what one waits for is fetched while others
+//! are worked on. No device is touched here, so tests see the very code that loops run.
+//!
+//! 1. Each packet's frame is found and its header copied out; its route is prefetched.
+//! 2. What the hop tags must be is computed for all of them at once.
+//! 3. Each frame is decided about. What leaves is noted with the header it leaves with, or the headers if there are copies.
+//! 4. The tags of what leaves are made, again for all at once, and each frame is dressed for its link and handed over.
+
+use gdp_wire::forward::{self, Copy, Kind, Verdict};
+use gdp_wire::header::FIRST_QUIC_BYTE;
+
+use gdp_wire::{Carrier, Counter, Header, LinkEntry};
+use zerocopy::{FromBytes, IntoBytes};
+
+use crate::batch::{BATCH, BatchTables, Due, Expected, expect_tags, write_tags};
+use crate::carrier::{self, Carried};
+use crate::local::{At, Local, NextHop};
+use crate::mbuf::{Burst, Mbuf, Pool};
+use crate::view::View;
+
+/// Where packets go.
+pub trait Sink {
+    /// By a port of this plane.
+    fn send(&mut self, port: u32, mbuf: Mbuf);
+
+    /// To this host, as it arrived.
+    fn pass(&mut self, mbuf: Mbuf);
+
+    /// Whether the port takes packets that are chains of mbufs.
+    fn gathers(&self, port: u32) -> bool;
+}
+
+/// How often each of the counters was counted.
+pub type Counts = [u64; Counter::COUNT];
+
+/// Payloads of copies from this size on are not copied but referred to, where the port takes that. Two mbufs more cost about as much.
+const REFERRED: usize = 512;
+
+const ETHERNET_HEADER: usize = 14;
+
+/// Working memory of a loop; nothing is kept in it between batches.
+pub struct Forwarding {
+    /// Where copies are made.
+    pool: Pool,
+    frames: Vec<Frame>,
+    /// Those of the frames.
+    headers: Vec<Header>,
+    expected: Box<[Expected; BATCH]>,
+    leaving: Leaving,
+}
+
+/// A packet with a frame that has a header.
+struct Frame {
+    /// Until it is handed over.
+    mbuf: Option<Mbuf>,
+    carried: Carried,
+}
+
+/// What leaves: the headers, what their tags are made from, and the rest, each at the same place.
+#[derive(Default)]
+struct Leaving {
+    headers: Vec<Header>,
+    dues: Vec<Due>,
+    ways: Vec<Way>,
+}
+
+/// Which frame leaves, and how.
+struct Way {
+    frame: usize,
+    hop: NextHop,
+    carrier: Carrier,
+    counter: Counter,
+    is_copy: bool,
+}
+
+impl Forwarding {
+    pub fn new(pool: Pool) -> Self {
+        Self {
+            pool,
+            frames: Vec::with_capacity(BATCH),
+            headers: Vec::with_capacity(BATCH),
+            expected: Box::new([Expected::default(); BATCH]),
+            leaving: Leaving::default(),
+        }
+    }
+
+    /// Forwards what arrived at `port`. `ports`: all that this plane drives.
+    pub fn run<V: View>(
+        &mut self,
+        (port, ports): (u32, &[u32]),
+        burst: &mut Burst,
+        (view, local): (&V, &Local),
+        sink: &mut impl Sink,
+        counts: &mut Counts,
+    ) {
+        self.find(&At { local, port }, burst, view, sink, counts);
+        expect_tags(&self.headers, view, &mut self.expected);
+        self.decide(&BatchTables::new(view, local, ports), view, sink, counts);
+        write_tags(&mut self.leaving.headers, &self.leaving.dues);
+        self.leave(local.ethertype, sink, counts);
+    }
+
+    /// Phase 1.
+    fn find<V: View>(&mut self, at: &At<'_>, burst: &mut Burst, view: &V, sink: &mut impl Sink, counts: &mut Counts) {
+        for mbuf in burst.drain() {
+            match locate(&mbuf, at) {
+                Located::Frame(carried, header) => {
+                    view.prefetch(&header.destination);
+                    self.headers.push(header);
+                    self.frames.push(Frame { mbuf: Some(mbuf), carried });
+                }
+                Located::Host(counter) => {
+                    counts[counter as usize] += 1;
+                    sink.pass(mbuf);
+                }
+                Located::Drop(counter) => counts[counter as usize] += 1,
+            }
+        }
+    }
+
+    /// Phase 3.
+    fn decide<V: View>(&mut self, tables: &BatchTables<'_, V>, view: &V, sink: &mut impl Sink, counts: &mut Counts) {
+        let Self { frames, headers, expected, leaving, .. } = self;
+        for (i, ((frame, header), expected)) in frames.iter_mut().zip(headers).zip(expected.iter()).enumerate() {
+            let (ingress, tag) = (header.link_id(), header.tag());
+            let Carried { available, traffic, .. } = frame.carried;
+            tables.expect(*expected);
+            // What is sent is counted when it leaves.
+            let counter = match forward::decide(header, available, traffic, tables) {
+                Verdict::Send(link, counter) => {
+                    view.sample(tag, &header.destination);
+                    leaving.add(header, (i, false), link, counter, tables);
+                    counter
+                }
+                Verdict::Answer(link, counter) => {
+                    leaving.add(header, (i, false), link, counter, tables);
+                    counter
+                }
+                Verdict::Copies(group) => {
+                    view.sample(tag, &header.destination);
+                    copies(i, header, (ingress, group), view, tables, leaving, counts);
+                    counted(counts, Counter::Replicated)
+                }
+                // Another plane's: that is behind this host's interface.
+                Verdict::Notice(_) | Verdict::Slow => {
+                    frame.mbuf.take().into_iter().for_each(|mbuf| sink.pass(mbuf));
+                    counted(counts, Counter::Slow)
+                }
+                Verdict::Drop(counter) => counted(counts, counter),
+            };
+            view.count_arrival(ingress, counter);
+        }
+    }
+
+    /// Phase 4.
+    fn leave(&mut self, ethertype: u16, sink: &mut impl Sink, counts: &mut Counts) {
+        let Self { pool, frames, headers, leaving, .. } = self;
+        for (header, way) in leaving.headers.iter().zip(&leaving.ways) {
+            let frame = &mut frames[way.frame];
+            let ready = if way.is_copy {
+                let gathers = sink.gathers(way.hop.port);
+                frame
+                    .mbuf
+                    .as_ref()
+                    .and_then(|mbuf| copied(pool, mbuf, frame.carried.at, header, gathers, way, ethertype))
+            } else {
+                frame.mbuf.take().and_then(|mbuf| changed(mbuf, frame.carried.at, header, way, ethertype))
+            };
+            match ready {
+                Some(mbuf) => {
+                    counts[way.counter as usize] += 1;
+                    sink.send(way.hop.port, mbuf);
+                }
+                None => counts[Counter::RedirectFailed as usize] += 1,
+            }
+        }
+        frames.clear();
+        headers.clear();
+        leaving.clear();
+    }
+}
+
+impl Leaving {
+    /// A frame that leaves by a link, as its header is now.
+    fn add<V: View>(
+        &mut self,
+        header: &Header,
+        (frame, is_copy): (usize, bool),
+        link: &LinkEntry,
+        counter: Counter,
+        tables: &BatchTables<'_, V>,
+    ) {
+        // Both are there: nothing is decided to leave by a link that this plane cannot send by, or without a tag.
+        if let (Some(hop), Some(due)) = (tables.next_hop_of(link), tables.take_due()) {
+            self.headers.push(*header);
+            self.dues.push(due);
+            self.ways.push(Way { frame, hop, carrier: link.carrier, counter, is_copy });
+        }
+    }
+
+    fn clear(&mut self) {
+        self.headers.clear();
+        self.dues.clear();
+        self.ways.clear();
+    }
+}
+
+/// What a packet is, before anything is decided about it.
+enum Located {
+    Frame(Carried, Header),
+    /// This host's.
+    Host(Counter),
+    Drop(Counter),
+}
+
+fn locate(mbuf: &Mbuf, at: &At<'_>) -> Located {
+    let packet = mbuf.bytes();
+    if packet.len() < ETHERNET_HEADER {
+        return Located::Drop(Counter::Truncated);
+    }
+    let Some(carried) = carrier::find(packet, at) else { return Located::Host(Counter::Foreign) };
+    let frame = packet.get(carried.at..).unwrap_or_default();
+    // Behind an empty datagram there may be padding.
+    let Some(first) = frame.first().filter(|_| carried.available > 0) else {
+        return Located::Drop(Counter::Truncated);
+    };
+    if carried.over_udp && *first >= FIRST_QUIC_BYTE {
+        return Located::Host(Counter::Control);
+    }
+    match forward::classify(*first) {
+        // A copy, because a frame may lie anywhere.
+        Kind::Headed => match Header::read_from_prefix(frame) {
+            Ok((header, _)) => Located::Frame(carried, header),
+            Err(_) => Located::Drop(Counter::Truncated),
+        },
+        Kind::Control => Located::Host(Counter::Control),
+        Kind::Unknown => Located::Drop(Counter::Unknown),
+    }
+}
+
+/// Notes the copies of a frame that leave.
+fn copies<V: View>(
+    frame: usize,
+    header: &Header,
+    (ingress, group): (u32, u32),
+    view: &V,
+    tables: &BatchTables<'_, V>,
+    leaving: &mut Leaving,
+    counts: &mut Counts,
+) {
+    let Some(ingress) = view.link(ingress) else { return };
+    for link in view.members(group).filter_map(|id| view.link(id)) {
+        let mut copy = *header;
+        match forward::copy(&mut copy, header.frame_len(), link, ingress, tables) {
+            Copy::Send(counter) => leaving.add(&copy, (frame, true), link, counter, tables),
+            Copy::Drop(counter) => counts[counter as usize] += 1,
+            Copy::None => {}
+        }
+    }
+}
+
+/// A packet whose frame lay `at`, as it leaves.
+fn changed(mut mbuf: Mbuf, at: usize, header: &Header, way: &Way, ethertype: u16) -> Option<Mbuf> {
+    let front = carrier::len(&way.carrier);
+    let length = front + header.frame_len();
+    if !mbuf.reshape(front as isize - at as isize, length) {
+        return None;
+    }
+    dress(mbuf.bytes_mut()?, front, header, way, ethertype);
+    Some(mbuf)
+}
+
+/// A packet of its own with the frame that lies `at` in another.
+fn copied(
+    pool: &Pool,
+    of: &Mbuf,
+    at: usize,
+    header: &Header,
+    gathers: bool,
+    way: &Way,
+    ethertype: u16,
+) -> Option<Mbuf> {
+    let front = carrier::len(&way.carrier);
+    let payload = of.bytes().get(at + Header::LEN..at + header.frame_len())?;
+    let mut mbuf = pool.alloc()?;
+    // A checksum is over all of the frame.
+    if gathers && payload.len() >= REFERRED && way.carrier.flags & Carrier::CHECKSUM == 0 {
+        mbuf.reshape(0, front + Header::LEN).then_some(())?;
+        dress(mbuf.bytes_mut()?, front, header, way, ethertype);
+        let mut rest = pool.refer(of)?;
+        rest.reshape(-((at + Header::LEN) as isize), payload.len()).then_some(())?;
+        return mbuf.chain(rest).then_some(mbuf);
+    }
+    mbuf.reshape(0, front + header.frame_len()).then_some(())?;
+    let bytes = mbuf.bytes_mut()?;
+    bytes.get_mut(front + Header::LEN..)?.copy_from_slice(payload);
+    dress(bytes, front, header, way, ethertype);
+    Some(mbuf)
+}
+
+/// Writes what is in front of the payload: `front` bytes of headers, and the frame's own.
+fn dress(packet: &mut [u8], front: usize, header: &Header, way: &Way, ethertype: u16) {
+    let Some((before, frame)) = packet.split_at_mut_checked(front) else { return };
+    if let Some(place) = frame.get_mut(..Header::LEN) {
+        place.copy_from_slice(header.as_bytes());
+    }
+    let traffic = Header::ip_traffic(header.flags);
+    carrier::dress(before, frame, &way.carrier, way.hop.stations, traffic, ethertype);
+}
+
+fn counted(counts: &mut Counts, counter: Counter) -> Counter {
+    counts[counter as usize] += 1;
+    counter
+}

@@ -1,0 +1,252 @@
+//! The loops, one for each core, and the ports that they share. Each receives by its own queues, forwards, and sends: a packet stays with
+//! the loop that received it.
+//!
+//! A loop is told of ports between two batches, and answers; so a port that was removed is used by none any more.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
+use std::sync::mpsc::{self, Receiver};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use arc_swap::ArcSwap;
+use gdp_wire::Counter;
+
+use crate::forwarding::Counts;
+use crate::host::{Host, ToHost};
+use crate::idle::Idle;
+use crate::local::Local;
+use crate::mbuf::Pool;
+use crate::port::{Port, PortConfig, PortCounters, Receive, Send};
+use crate::tap::Tap;
+use crate::view::Reader;
+use crate::worker::{Command, Lane, LoopPort, Worker};
+use crate::{DpdkError, Eal};
+
+/// How the loops are set up.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SwitchConfig {
+    /// The core of each loop; none: one loop, on whichever core it finds itself.
+    pub cores: Vec<usize>,
+    pub idle: Idle,
+    /// Packets there is memory for. They wait in the queues of all ports together, and cost their size each.
+    pub packets: u32,
+    /// Bytes of the largest packet.
+    pub largest: usize,
+}
+
+impl Default for SwitchConfig {
+    fn default() -> Self {
+        Self { cores: Vec::new(), idle: Idle::default(), packets: 16384, largest: 2048 }
+    }
+}
+
+/// A switch cannot be set up.
+#[derive(Debug, thiserror::Error)]
+pub enum SwitchError {
+    #[error(transparent)]
+    Dpdk(#[from] DpdkError),
+    #[error("the interface {interface} on the host's side of {device} cannot be made: {source}")]
+    Tap { interface: String, device: String, source: std::io::Error },
+    #[error("cannot start a thread: {0}")]
+    Thread(std::io::Error),
+    #[error("a loop has ended; the log says why")]
+    Ended,
+}
+
+/// The loops of a switch, and its ports. Dropping it ends them, and lets go of the ports.
+pub struct Switch {
+    // Order is the order of the end.
+    ports: HashMap<u32, Served>,
+    loops: Vec<Loop>,
+    local: Arc<ArcSwap<Local>>,
+    host: ToHost,
+    pool: Pool,
+    eal: Eal,
+}
+
+/// A port as it is held here.
+struct Served {
+    _host: Host,
+    port: Port,
+    lost: Arc<AtomicU64>,
+}
+
+/// A loop's thread.
+struct Loop {
+    commands: Option<mpsc::Sender<Command>>,
+    counters: Arc<[AtomicU64; Counter::COUNT]>,
+    thread: Option<JoinHandle<()>>,
+    /// Of its thread, by which its processor time can be asked for.
+    clock: Arc<AtomicI32>,
+}
+
+impl Switch {
+    /// Starts the loops, without ports. `reader`: makes each its way to the tables.
+    pub fn start<R: Reader>(
+        eal: Eal,
+        config: &SwitchConfig,
+        mut reader: impl FnMut() -> R,
+    ) -> Result<Self, SwitchError> {
+        let pool = Pool::new(eal, config.packets, config.largest)?;
+        let (local, host) = (Arc::new(ArcSwap::default()), ToHost::start().map_err(SwitchError::Thread)?);
+        let cores: Vec<Option<usize>> = match &config.cores[..] {
+            [] => vec![None],
+            cores => cores.iter().copied().map(Some).collect(),
+        };
+        let mut loops = Vec::new();
+        for core in cores {
+            let (commands, told) = mpsc::channel();
+            let counters: Arc<[AtomicU64; Counter::COUNT]> = Arc::new([const { AtomicU64::new(0) }; Counter::COUNT]);
+            let clock = Arc::new(AtomicI32::new(0));
+            let worker = Worker::new(
+                told,
+                (reader(), local.clone()),
+                (host.clone(), pool.clone()),
+                counters.clone(),
+                config.idle,
+            );
+            let clock_of = clock.clone();
+            let thread = move || {
+                clock_of.store(thread_clock(), Ordering::Relaxed);
+                worker.run(eal, core);
+            };
+            let thread = std::thread::Builder::new().name("gdp-dpdk".into()).spawn(thread);
+            let thread = Some(thread.map_err(SwitchError::Thread)?);
+            loops.push(Loop { commands: Some(commands), counters, thread, clock });
+        }
+        Ok(Self { ports: HashMap::new(), loops, local, host, pool, eal })
+    }
+
+    /// Takes a device over as the port with this number, with `interface` as the host's side of it, which is made in the network
+    /// namespace of the calling thread. The other side's index is `number`, so that is given by the caller once it is made.
+    pub fn add_port(
+        &mut self,
+        config: &PortConfig,
+        interface: &str,
+        number: impl FnOnce(&str) -> std::io::Result<u32>,
+    ) -> Result<u32, SwitchError> {
+        let wanted = self.loops.len() as u16;
+        // One to send by for each loop, and one for the host.
+        let config = PortConfig { receive_queues: wanted, send_queues: wanted + 1, ..config.clone() };
+        let (port, receives, sends) = Port::open(self.eal, &config, &self.pool)?;
+        let fail = |source| SwitchError::Tap { interface: interface.to_owned(), device: config.device.clone(), source };
+        let tap = Tap::create(interface, port.mac(), port.mtu()).map_err(fail)?;
+        let number = number(interface).map_err(fail)?;
+        let tap = Arc::new(tap);
+        let gathers = sends.first().is_some_and(Send::gathers);
+        let sends: Vec<_> = sends.into_iter().map(|send| Arc::new(Mutex::new(send))).collect();
+        let lost = Arc::new(AtomicU64::new(0));
+        let lane = |i: usize| Lane::new(sends[i % sends.len()].clone(), gathers, lost.clone());
+        let host = Host::start(tap, (self.host.clone(), number), self.pool.clone(), lane(self.loops.len()))
+            .map_err(SwitchError::Thread)?;
+        let mut shares: Vec<Vec<Receive>> = self.loops.iter().map(|_| Vec::new()).collect();
+        let count = shares.len();
+        receives.into_iter().enumerate().for_each(|(i, receive)| shares[i % count].push(receive));
+        let mut answers = Vec::new();
+        for (i, (one, receive)) in self.loops.iter().zip(shares).enumerate() {
+            let (answer, answered) = mpsc::sync_channel(1);
+            one.tell(Command::Add(Box::new(LoopPort { number, receive, lane: lane(i) }), answer))?;
+            answers.push(answered);
+        }
+        self.ports.insert(number, Served { _host: host, port, lost });
+        wait(answers)?;
+        Ok(number)
+    }
+
+    /// Lets go of a port; an unknown one is no error.
+    pub fn remove_port(&mut self, number: u32) {
+        let Some(served) = self.ports.remove(&number) else { return };
+        let mut answers = Vec::new();
+        for one in &self.loops {
+            let (answer, answered) = mpsc::sync_channel(1);
+            if one.tell(Command::Remove(number, answer)).is_ok() {
+                answers.push(answered);
+            }
+        }
+        let _ = wait(answers);
+        drop(served);
+    }
+
+    /// Says what of the packets is for this switch, and where links over UDP leave.
+    pub fn set_local(&self, local: Local) {
+        self.local.store(Arc::new(local));
+    }
+
+    pub fn local(&self) -> Arc<Local> {
+        self.local.load_full()
+    }
+
+    pub fn has_port(&self, number: u32) -> bool {
+        self.ports.contains_key(&number)
+    }
+
+    /// In the order of [`Counter::ALL`].
+    pub fn counters(&self) -> Counts {
+        let mut all = [0; Counter::COUNT];
+        for one in &self.loops {
+            all.iter_mut().zip(one.counters.iter()).for_each(|(sum, count)| *sum += count.load(Ordering::Relaxed));
+        }
+        all[Counter::RedirectLost as usize] = self.losses().map(|(_, lost)| lost).sum();
+        all
+    }
+
+    /// Packets that were handed to a port's device, or its host's side, and did not leave.
+    pub fn losses(&self) -> impl Iterator<Item = (u32, u64)> {
+        self.ports.iter().map(|(number, served)| (*number, served.lost.load(Ordering::Relaxed)))
+    }
+
+    /// What the device of a port has counted.
+    pub fn port_counters(&self, number: u32) -> Option<PortCounters> {
+        self.ports.get(&number).map(|served| served.port.counters())
+    }
+
+    /// Processor time that each loop has taken.
+    pub fn processor_time(&self) -> Vec<Duration> {
+        self.loops.iter().map(|one| read_clock(one.clock.load(Ordering::Relaxed))).collect()
+    }
+}
+
+impl Drop for Switch {
+    fn drop(&mut self) {
+        let ports: Vec<u32> = self.ports.keys().copied().collect();
+        ports.into_iter().for_each(|number| self.remove_port(number));
+    }
+}
+
+impl Loop {
+    fn tell(&self, command: Command) -> Result<(), SwitchError> {
+        let commands = self.commands.as_ref().ok_or(SwitchError::Ended)?;
+        commands.send(command).map_err(|_| SwitchError::Ended)
+    }
+}
+
+impl Drop for Loop {
+    fn drop(&mut self) {
+        drop(self.commands.take());
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Waits until all loops have done what they were told.
+fn wait(answers: Vec<Receiver<()>>) -> Result<(), SwitchError> {
+    answers.into_iter().try_for_each(|answered| answered.recv().map_err(|_| SwitchError::Ended))
+}
+
+/// The calling thread's clock of processor time, for others to read.
+fn thread_clock() -> i32 {
+    let mut clock = 0;
+    // SAFETY: of the calling thread, into a place for a number.
+    unsafe { libc::pthread_getcpuclockid(libc::pthread_self(), &raw mut clock) };
+    clock
+}
+
+fn read_clock(clock: i32) -> Duration {
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: a place for the answer; of a thread that is gone there is none, and it stays zero.
+    unsafe { libc::clock_gettime(clock, &raw mut time) };
+    Duration::new(time.tv_sec as u64, time.tv_nsec as u32)
+}

@@ -1,0 +1,27 @@
+//! What a loop is given to decide by.
+
+use gdp_wire::table::Tables;
+use gdp_wire::{Counter, Name};
+
+/// The tables of a switch as they are during a batch. Lookups must neither block nor allocate.
+pub trait View: Tables {
+    /// The links of a group, by their ids.
+    fn members(&self, group: u32) -> impl Iterator<Item = u32>;
+
+    /// Has the CPU fetch where the name's route begins, while others are decided about.
+    fn prefetch(&self, name: &Name);
+
+    /// Counts a frame that came in on a link.
+    fn count_arrival(&self, link: u32, counter: Counter);
+
+    /// Counts the name of a frame that leaves and arrived with this hop tag, if it is one of those that are looked at.
+    fn sample(&self, tag: u64, name: &Name);
+}
+
+/// A loop's own way to the tables.
+pub trait Reader: Send + 'static {
+    type View<'a>: View;
+
+    /// The tables as they are now. Cheap: a loop does so for every batch.
+    fn enter(&mut self) -> Self::View<'_>;
+}
