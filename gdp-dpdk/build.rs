@@ -9,9 +9,9 @@ const LIBRARIES: [&str; 5] = ["rte_eal", "rte_ethdev", "rte_mbuf", "rte_mempool"
 /// The releases whose stable ABI is 23: see docs/dpdk.md.
 const MAJORS: [&str; 2] = ["22.11", "23."];
 
-const FUNCTIONS: &str = "rte_(eal_init|eal_cleanup|strerror|log_set_global_level|thread_register|thread_unregister|dev_probe|dev_remove|\
-    pktmbuf_pool_create|mempool_free|mempool_avail_count|mempool_in_use_count|\
-    eth_dev_(get_port_by_name|info_get|configure|start|stop|close|set_mtu|get_mtu|socket_id|adjust_nb_rx_tx_desc|rx_intr_enable|rx_intr_disable)|\
+const FUNCTIONS: &str = "rte_(eal_init|eal_cleanup|strerror|thread_register|thread_unregister|dev_probe|dev_remove|\
+    pktmbuf_pool_create|mempool_free|mempool_in_use_count|\
+    eth_dev_(get_port_by_name|info_get|configure|start|stop|close|get_mtu|socket_id|adjust_nb_rx_tx_desc)|\
     eth_(rx_queue_setup|tx_queue_setup|promiscuous_enable|macaddr_get|link_get_nowait|stats_get))";
 
 fn main() {

@@ -69,11 +69,11 @@ pub struct Expected {
 }
 
 /// Computes what the tags of these frames must be. Frames of no link get one that does not matter.
-pub fn expect_tags<V: View>(headers: &[Header], view: &V, expected: &mut [Expected; BATCH]) {
+pub fn expect_tags(headers: &[Header], tables: &impl Tables, expected: &mut [Expected; BATCH]) {
     let (mut keys, mut words, mut tags) = ([[0; 2]; BATCH], [[0; 11]; BATCH], [0; BATCH]);
     for (i, header) in headers.iter().enumerate().take(BATCH) {
-        let keyed = view.link(header.link_id()).and_then(|link| {
-            let window = view.window(link)?;
+        let keyed = tables.link(header.link_id()).and_then(|link| {
+            let window = tables.window(link)?;
             Some(forward::keyed(header, link, &window))
         });
         let (key, count) = keyed.unwrap_or_default();
@@ -103,36 +103,36 @@ impl<V: View> Tables for BatchTables<'_, V> {
 
     #[inline]
     fn link(&self, id: u32) -> Option<&LinkEntry> {
-        self.view.link(id)
+        self.view.tables().link(id)
     }
 
     #[inline]
     fn route(&self, name: &Name) -> Option<FibEntry> {
-        self.view.route(name)
+        self.view.tables().route(name)
     }
 
     #[inline]
     fn next_hop(&self, bit: u32) -> u32 {
-        self.view.next_hop(bit)
+        self.view.tables().next_hop(bit)
     }
 
     #[inline]
     fn own_bit(&self) -> u64 {
-        self.view.own_bit()
+        self.view.tables().own_bit()
     }
 
     fn is_permitted(&self, permit: &Permit) -> bool {
-        self.view.is_permitted(permit)
+        self.view.tables().is_permitted(permit)
     }
 
     #[inline]
     fn window(&self, link: &LinkEntry) -> Option<impl Words> {
-        self.view.window(link)
+        self.view.tables().window(link)
     }
 
     #[inline]
     fn next_count(&self, link: &LinkEntry) -> u64 {
-        self.view.next_count(link)
+        self.view.tables().next_count(link)
     }
 
     #[inline]
@@ -155,7 +155,7 @@ impl<V: View> Tables for BatchTables<'_, V> {
 
     fn can_copy(&self, group: u32, bits: u64, _: usize) -> bool {
         let own = self.own_bit();
-        let links = self.view.members(group).filter_map(|id| self.view.link(id));
+        let links = self.view.members(group).filter_map(|id| self.view.tables().link(id));
         let wanted =
             |link: &&LinkEntry| bits & if link.role == LinkRole::Switch as u32 { link.reach } else { own } != 0;
         links.filter(wanted).all(|link| self.can_send(link))
@@ -168,18 +168,18 @@ impl<V: View> Tables for BatchTables<'_, V> {
     }
 
     fn may_complain(&self, link: &LinkEntry) -> bool {
-        self.view.may_complain(link)
+        self.view.tables().may_complain(link)
     }
 
     fn complain(&self, link: &LinkEntry) {
-        self.view.complain(link);
+        self.view.tables().complain(link);
     }
 
     fn may_punt(&self, link: &LinkEntry) -> bool {
-        self.view.may_punt(link)
+        self.view.tables().may_punt(link)
     }
 
     fn punt(&self, link: &LinkEntry) {
-        self.view.punt(link);
+        self.view.tables().punt(link);
     }
 }

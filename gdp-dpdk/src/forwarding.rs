@@ -8,6 +8,7 @@
 
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
 use gdp_wire::header::FIRST_QUIC_BYTE;
+use gdp_wire::table::Tables as _;
 
 use gdp_wire::{Carrier, Counter, Header, LinkEntry};
 use zerocopy::{FromBytes, IntoBytes};
@@ -94,7 +95,7 @@ impl Forwarding {
         counts: &mut Counts,
     ) {
         self.find(&At { local, port }, burst, view, sink, counts);
-        expect_tags(&self.headers, view, &mut self.expected);
+        expect_tags(&self.headers, view.tables(), &mut self.expected);
         self.decide(&BatchTables::new(view, local, ports), view, sink, counts);
         write_tags(&mut self.leaving.headers, &self.leaving.dues);
         self.leave(local.ethertype, sink, counts);
@@ -248,8 +249,9 @@ fn copies<V: View>(
     leaving: &mut Leaving,
     counts: &mut Counts,
 ) {
-    let Some(ingress) = view.link(ingress) else { return };
-    for link in view.members(group).filter_map(|id| view.link(id)) {
+    let links = view.tables();
+    let Some(ingress) = links.link(ingress) else { return };
+    for link in view.members(group).filter_map(|id| links.link(id)) {
         let mut copy = *header;
         match forward::copy(&mut copy, header.frame_len(), link, ingress, tables) {
             Copy::Send(counter) => leaving.add(&copy, (frame, true), link, counter, tables),

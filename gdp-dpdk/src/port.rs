@@ -25,8 +25,6 @@ pub struct PortConfig {
     pub receive_queues: u16,
     /// By which packets leave, at most.
     pub send_queues: u16,
-    /// Bytes of the largest packet behind its Ethernet header; `None`: as the device has it.
-    pub mtu: Option<u16>,
 }
 
 /// A device that packets arrive at and leave by. It stays in use until its queues are gone as well.
@@ -105,10 +103,6 @@ impl Port {
         let receives = config.receive_queues.clamp(1, info.max_rx_queues.max(1));
         let sends = config.send_queues.clamp(1, info.max_tx_queues.max(1));
         fail("it takes no such queues")(configure(id, &info, receives, sends))?;
-        if let Some(mtu) = config.mtu {
-            // SAFETY: a port that is there. A device that cannot change it says so, and keeps the one it has.
-            unsafe { sys::rte_eth_dev_set_mtu(id, mtu) };
-        }
         let (mut arriving, mut leaving) = (DESCRIPTORS, DESCRIPTORS);
         // SAFETY: a port that is there, and places for two numbers.
         fail("it takes no such queues")(unsafe {

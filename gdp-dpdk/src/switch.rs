@@ -119,17 +119,18 @@ impl Switch {
         Ok(Self { ports: HashMap::new(), loops, local, host, pool, eal })
     }
 
-    /// Takes a device over as the port with this number, with `interface` as the host's side of it, which is made in the network
-    /// namespace of the calling thread. The other side's index is `number`, so that is given by the caller once it is made.
+    /// Takes a device (see [`PortConfig::device`]) over, with `interface` as the host's side of it, made in the network namespace of the
+    /// calling thread. `number`: tells the number of the port, by which links and tables know it, once the interface is there. That, and the
+    /// address of the device.
     pub fn add_port(
         &mut self,
-        config: &PortConfig,
+        device: &str,
         interface: &str,
         number: impl FnOnce(&str) -> std::io::Result<u32>,
-    ) -> Result<u32, SwitchError> {
+    ) -> Result<(u32, [u8; 6]), SwitchError> {
         let wanted = self.loops.len() as u16;
         // One to send by for each loop, and one for the host.
-        let config = PortConfig { receive_queues: wanted, send_queues: wanted + 1, ..config.clone() };
+        let config = PortConfig { device: device.to_owned(), receive_queues: wanted, send_queues: wanted + 1 };
         let (port, receives, sends) = Port::open(self.eal, &config, &self.pool)?;
         let fail = |source| SwitchError::Tap { interface: interface.to_owned(), device: config.device.clone(), source };
         let tap = Tap::create(interface, port.mac(), port.mtu()).map_err(fail)?;
@@ -150,9 +151,10 @@ impl Switch {
             one.tell(Command::Add(Box::new(LoopPort { number, receive, lane: lane(i) }), answer))?;
             answers.push(answered);
         }
+        let mac = port.mac();
         self.ports.insert(number, Served { _host: host, port, lost });
         wait(answers)?;
-        Ok(number)
+        Ok((number, mac))
     }
 
     /// Lets go of a port; an unknown one is no error.

@@ -3,8 +3,12 @@
 use gdp_wire::table::Tables;
 use gdp_wire::{Counter, Name};
 
-/// The tables of a switch as they are during a batch. Lookups must neither block nor allocate.
-pub trait View: Tables {
+/// The tables of a switch as they are during a batch, and where what became of its frames is counted. Nothing may block or allocate.
+pub trait View {
+    type Tables: Tables;
+
+    fn tables(&self) -> &Self::Tables;
+
     /// The links of a group, by their ids.
     fn members(&self, group: u32) -> impl Iterator<Item = u32>;
 

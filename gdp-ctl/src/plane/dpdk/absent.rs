@@ -1,0 +1,55 @@
+//! What stands for the DPDK plane in a build without it: nothing can be of this type.
+
+use std::collections::HashMap;
+use std::convert::Infallible;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp::link::KeyedEntry;
+use gdp_wire::{Counter, LinkEntry};
+
+use super::{DpdkConfig, DpdkPlaneError};
+use crate::plane::forwarder::Shared;
+use crate::plane::tables::Reader;
+
+pub struct DpdkPlane(Infallible);
+
+impl DpdkPlane {
+    pub fn start(
+        _: &DpdkConfig,
+        _: u16,
+        _: impl FnMut() -> Reader,
+        _: &Arc<Shared>,
+    ) -> Result<Self, DpdkPlaneError> {
+        Err(DpdkPlaneError::NotBuilt)
+    }
+
+    pub fn device_of(&self, _: u32) -> Option<&str> {
+        match self.0 {}
+    }
+
+    pub fn routes(&self, _: &LinkEntry) -> bool {
+        match self.0 {}
+    }
+
+    pub fn follow(&mut self, _: Option<SocketAddr>, _: &[(u32, u16)], _: &[KeyedEntry]) {
+        match self.0 {}
+    }
+
+    pub fn follow_link(&mut self, _: &LinkEntry) {
+        match self.0 {}
+    }
+
+    pub fn counters(&self) -> [u64; Counter::COUNT] {
+        match self.0 {}
+    }
+
+    pub fn losses(&self) -> HashMap<String, u64> {
+        match self.0 {}
+    }
+
+    pub fn processor_time(&self) -> Vec<Duration> {
+        match self.0 {}
+    }
+}

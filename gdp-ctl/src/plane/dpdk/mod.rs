@@ -1,0 +1,104 @@
+//! The DPDK plane: devices that this process drives by itself, with the loops of `gdp-dpdk` between them. It decides by the tables of
+//! the userspace plane, which stays behind it, as behind XDP: what the loops leave to it reaches it by the host's sides of the ports.
+//!
+//! Without the feature `dpdk` there is none, and [`DpdkPlane::start`] says so.
+
+#[cfg(not(feature = "dpdk"))]
+mod absent;
+#[cfg(feature = "dpdk")]
+mod present;
+#[cfg(feature = "dpdk")]
+mod quiet;
+#[cfg(feature = "dpdk")]
+mod routes;
+
+use std::time::Duration;
+
+#[cfg(not(feature = "dpdk"))]
+pub use absent::DpdkPlane;
+#[cfg(feature = "dpdk")]
+pub use present::DpdkPlane;
+
+/// How the DPDK plane is set up.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DpdkConfig {
+    pub ports: Vec<DpdkPort>,
+    /// Whether its memory is huge pages.
+    pub huge_pages: bool,
+    /// Of ordinary memory that it may take, in MiB, if it is not huge pages.
+    pub memory_mib: u32,
+    /// The core of each loop; none: one loop, on any core.
+    pub cores: Vec<usize>,
+    /// How long a loop sleeps at most while nothing arrives; 0: it asks its devices without end.
+    pub idle: Duration,
+}
+
+impl Default for DpdkConfig {
+    fn default() -> Self {
+        Self {
+            ports: Vec::new(),
+            huge_pages: false,
+            memory_mib: 256,
+            cores: Vec::new(),
+            idle: Duration::from_micros(250),
+        }
+    }
+}
+
+/// A device, and the interface that the host has of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DpdkPort {
+    /// Made when the daemon starts; addresses belong here.
+    pub interface: String,
+    /// As DPDK writes devices: a PCI address, or a driver with its arguments, as `net_af_packet0,iface=eth0`.
+    pub device: String,
+}
+
+impl DpdkPort {
+    /// The address of a network card.
+    pub fn pci(&self) -> Option<&str> {
+        let address = self.device.split(',').next().unwrap_or_default();
+        let is_pci = address.matches(':').count() > 0 && address.contains('.') && !address.contains('=');
+        is_pci.then_some(address)
+    }
+
+    /// The interface of the kernel that the device is, if it is one.
+    pub fn carrier(&self) -> Option<&str> {
+        self.device.split(',').find_map(|argument| argument.strip_prefix("iface="))
+    }
+}
+
+/// The DPDK plane cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum DpdkPlaneError {
+    #[error("this gdp-ctl was built without the feature `dpdk`: build with `cargo build -p gdp-ctl --features dpdk`")]
+    NotBuilt,
+    #[error("there is no `dpdk.ports` in the configuration: each takes an interface's name and a device")]
+    NoPorts,
+    #[cfg(feature = "dpdk")]
+    #[error(transparent)]
+    Eal(#[from] gdp_dpdk::EalError),
+    #[cfg(feature = "dpdk")]
+    #[error(transparent)]
+    Switch(#[from] gdp_dpdk::SwitchError),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn devices_say_what_they_are() {
+        let port = |device: &str| DpdkPort { interface: "gdp0".into(), device: device.into() };
+        for (device, pci, carrier) in [
+            ("0000:02:00.0", Some("0000:02:00.0"), None),
+            ("02:00.1,arg=1", Some("02:00.1"), None),
+            ("net_af_packet0,iface=eth0,qpairs=1", None, Some("eth0")),
+            ("net_af_xdp3,iface=a:b.c", None, Some("a:b.c")),
+            ("net_null0", None, None),
+            ("", None, None),
+        ] {
+            assert_eq!((port(device).pci(), port(device).carrier()), (pci, carrier), "{device}");
+        }
+    }
+}

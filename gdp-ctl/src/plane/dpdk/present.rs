@@ -1,0 +1,191 @@
+//! The plane itself, in a build that has it.
+
+use std::collections::HashMap;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp::link::KeyedEntry;
+use gdp::port::interface_index;
+use gdp_dpdk::carrier::Stations;
+use gdp_dpdk::local::{Local, NextHop};
+use gdp_dpdk::{Eal, EalConfig, Idle, Memory, Switch, SwitchConfig};
+use gdp_wire::table::{ip_of, mac_words};
+use gdp_wire::{Counter, LinkEntry, Name};
+
+use super::quiet::Quiet;
+use super::routes::Routes;
+use super::{DpdkConfig, DpdkPlaneError};
+use crate::plane::forwarder::Shared;
+use crate::plane::tables::{Reader, View};
+use crate::plane::udp;
+
+/// Ports and loops. Dropping it lets go of the devices.
+pub struct DpdkPlane {
+    switch: Switch,
+    /// By the number of a port, which is the index of the host's interface.
+    ports: HashMap<u32, Held>,
+    routes: Option<Routes>,
+}
+
+/// A port as it is held here.
+struct Held {
+    interface: String,
+    device: String,
+    mac: [u16; 3],
+    _quiet: Option<Quiet>,
+}
+
+impl DpdkPlane {
+    /// Takes all devices over, in the network namespace of the calling thread. `reader`: makes each loop its way to the tables.
+    pub fn start(
+        config: &DpdkConfig,
+        ethertype: u16,
+        mut reader: impl FnMut() -> Reader,
+        shared: &Arc<Shared>,
+    ) -> Result<Self, DpdkPlaneError> {
+        if config.ports.is_empty() {
+            return Err(DpdkPlaneError::NoPorts);
+        }
+        let pci = config.ports.iter().filter_map(|port| port.pci()).map(str::to_owned).collect();
+        let memory = if config.huge_pages { Memory::HugePages } else { Memory::Ordinary { mib: config.memory_mib } };
+        let eal = Eal::begin(&EalConfig { memory, pci })?;
+        let idle = if config.idle.is_zero() { Idle::Busy } else { Idle::Sleep(config.idle) };
+        let loops = SwitchConfig { cores: config.cores.clone(), idle, ..SwitchConfig::default() };
+        let mut switch = Switch::start(eal, &loops, || LoopReader { tables: reader(), shared: shared.clone() })?;
+        switch.set_local(Local { ethertype, ..Local::default() });
+        let mut ports = HashMap::new();
+        for port in &config.ports {
+            let quiet = port.carrier().map(Quiet::keep);
+            let (number, mac) = switch.add_port(&port.device, &port.interface, interface_index)?;
+            tracing::info!("{}: DPDK device {}", port.interface, port.device);
+            let held = Held {
+                interface: port.interface.clone(),
+                device: port.device.clone(),
+                mac: mac_words(mac),
+                _quiet: quiet,
+            };
+            ports.insert(number, held);
+        }
+        let routes = Routes::open().inspect_err(|error| {
+            tracing::warn!(%error, "the kernel's routes cannot be asked for; links over UDP are sent on by the userspace plane");
+        });
+        Ok(Self { switch, ports, routes: routes.ok() })
+    }
+
+    /// The device behind an interface, if this plane has it.
+    pub fn device_of(&self, interface: u32) -> Option<&str> {
+        self.ports.get(&interface).map(|held| held.device.as_str())
+    }
+
+    /// Whether this plane can send the datagrams of a link now.
+    pub fn routes(&self, link: &LinkEntry) -> bool {
+        self.switch.local().next_hops.contains_key(&link.id)
+    }
+
+    /// Looks again at what is for this switch and where links over UDP leave. `bound`: where the UDP socket takes frames; `vlans`: those
+    /// that GDP runs on, each with the port below it.
+    pub fn follow(&mut self, bound: Option<SocketAddr>, vlans: &[(u32, u16)], links: &[KeyedEntry]) {
+        let before = self.switch.local();
+        let addresses = match (bound, udp::addresses()) {
+            (None, _) => Vec::new(),
+            (Some(bound), Ok(all)) => {
+                let mut taken: Vec<_> = udp::taken_at(bound, all).into_iter().map(|(address, _)| address).collect();
+                taken.dedup();
+                taken
+            }
+            (Some(_), Err(error)) => {
+                tracing::warn!(%error, "the addresses of interfaces cannot be read; UDP is taken where it was");
+                before.addresses.clone()
+            }
+        };
+        let next_hops = links.iter().filter_map(|link| Some((link.id, self.next_hop(link)?))).collect();
+        let local = Local { ethertype: before.ethertype, addresses, vlans: vlans.to_vec(), next_hops };
+        if local != *before {
+            self.switch.set_local(local);
+        }
+    }
+
+    /// Looks where a link leaves, if it is one over UDP.
+    pub fn follow_link(&mut self, link: &LinkEntry) {
+        let (before, hop) = (self.switch.local(), self.next_hop(link));
+        if before.next_hops.get(&link.id) != hop.as_ref() {
+            let mut local = Local::clone(&before);
+            match hop {
+                Some(hop) => local.next_hops.insert(link.id, hop),
+                None => local.next_hops.remove(&link.id),
+            };
+            self.switch.set_local(local);
+        }
+    }
+
+    fn next_hop(&self, link: &LinkEntry) -> Option<NextHop> {
+        let carrier = &link.carrier;
+        if carrier.kind == gdp_wire::Carrier::ETHERNET || carrier.local_ip == [0; 4] {
+            return None;
+        }
+        let (from, to) = (ip_of(carrier.kind, carrier.local_ip), ip_of(carrier.kind, carrier.peer_ip));
+        let leaves = self.routes.as_ref()?.lookup(from, to)?;
+        let local = self.ports.get(&leaves.interface)?.mac;
+        let stations = Stations { peer: mac_words(leaves.mac), local };
+        Some(NextHop { port: leaves.interface, stations })
+    }
+
+    pub fn counters(&self) -> [u64; Counter::COUNT] {
+        self.switch.counters()
+    }
+
+    /// Frames that were lost after the decision, by the name of the interface they were to leave by.
+    pub fn losses(&self) -> HashMap<String, u64> {
+        let named = |(port, lost)| Some((self.ports.get(&port)?.interface.clone(), lost));
+        self.switch.losses().filter_map(named).collect()
+    }
+
+    /// What each loop has taken.
+    pub fn processor_time(&self) -> Vec<Duration> {
+        self.switch.processor_time()
+    }
+}
+
+/// A loop's way to the tables, and to where it counts.
+struct LoopReader {
+    tables: Reader,
+    shared: Arc<Shared>,
+}
+
+struct LoopView<'a> {
+    tables: View<'a>,
+    shared: &'a Shared,
+}
+
+impl gdp_dpdk::view::Reader for LoopReader {
+    type View<'a> = LoopView<'a>;
+
+    fn enter(&mut self) -> LoopView<'_> {
+        LoopView { tables: self.tables.enter(), shared: &self.shared }
+    }
+}
+
+impl<'a> gdp_dpdk::view::View for LoopView<'a> {
+    type Tables = View<'a>;
+
+    fn tables(&self) -> &View<'a> {
+        &self.tables
+    }
+
+    fn members(&self, group: u32) -> impl Iterator<Item = u32> {
+        self.tables.members(group)
+    }
+
+    fn prefetch(&self, name: &Name) {
+        self.tables.prefetch(name);
+    }
+
+    fn count_arrival(&self, link: u32, counter: Counter) {
+        self.shared.tally.count_arrival(link, counter);
+    }
+
+    fn sample(&self, tag: u64, name: &Name) {
+        self.shared.tally.sample(tag, name);
+    }
+}
