@@ -1,6 +1,7 @@
 //! The daemon's configuration file, and what it is without one. Strict YAML: unknown keys are refused. Read once, at
 //! start; paths in it are relative to its folder.
 
+mod dpdk;
 mod etcd;
 
 use std::fmt;
@@ -15,10 +16,12 @@ use gdp::link::RekeySchedule;
 use gdp_wire::Name;
 use serde::{Deserialize, Deserializer};
 
+use self::dpdk::DpdkEntry;
 pub use self::etcd::EtcdConfig;
 use self::etcd::EtcdEntry;
 use crate::folders;
 use crate::plane::FIB_CAPACITY;
+use crate::plane::dpdk::DpdkConfig;
 use crate::plane::pins::BPFFS;
 
 /// A configuration is a page of text; more is a wrong file.
@@ -36,6 +39,8 @@ pub struct Config {
     /// Where to take links over UDP, if at all.
     pub udp: Option<SocketAddr>,
     pub data_plane: DataPlane,
+    /// For the DPDK plane.
+    pub dpdk: DpdkConfig,
     /// Whether this daemon is the RIB. If not, the topology leads to it.
     pub rib: bool,
     pub neighbours: Vec<Neighbour>,
@@ -75,7 +80,7 @@ pub enum Inside {
 }
 
 /// Which data plane the user wants.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum DataPlane {
     /// XDP where it attaches, else the userspace plane.
@@ -83,6 +88,9 @@ pub enum DataPlane {
     Auto,
     /// XDP on every Ethernet interface, or no start.
     Xdp,
+    /// DPDK on the devices that the configuration lists for it, or no start.
+    Dpdk,
+    /// The userspace plane alone.
     Userspace,
 }
 
@@ -153,6 +161,7 @@ impl Config {
             interfaces: Some(Vec::new()),
             udp: Some(udp),
             data_plane: DataPlane::Userspace,
+            dpdk: DpdkConfig::default(),
             rib: false,
             neighbours: Vec::new(),
             ebpf_object: None,
@@ -226,6 +235,7 @@ struct File {
     interfaces: Option<Vec<String>>,
     udp: Udp,
     data_plane: DataPlane,
+    dpdk: DpdkEntry,
     rib: Option<bool>,
     /// A neighbour like others; that there is one says that the RIB is elsewhere.
     uplink: Option<PlaceEntry>,
@@ -353,6 +363,10 @@ impl File {
             return invalid(format!("public: {} addresses, where at most {MAX_ADDRESSES} are told", self.public.len()));
         }
         let etcd = self.etcd.map(|entry| entry.check(rib)).transpose().map_err(ParseError::Invalid)?;
+        let dpdk = self.dpdk.check().map_err(ParseError::Invalid)?;
+        if self.data_plane == DataPlane::Dpdk && dpdk.ports.is_empty() {
+            return invalid("data_plane: dpdk needs devices: dpdk: {ports: [{interface: gdp0, device: 0000:02:00.0}]}".into());
+        }
         let here = |path: PathBuf| folder.join(path);
         Ok(Config {
             identity: match self.identity {
@@ -370,6 +384,7 @@ impl File {
                 Udp::On(addr) => Some(addr),
             },
             data_plane: self.data_plane,
+            dpdk,
             rib,
             neighbours,
             ebpf_object: self.ebpf_object.map(here),
@@ -516,6 +531,37 @@ mod tests {
         }
         let elsewhere = format!("uplink: {{interface: a, switch: {S}}}\netcd: {{endpoints: ['http://a:1']}}");
         assert!(parse(&elsewhere).unwrap_err().contains("this daemon is none"));
+    }
+
+    #[test]
+    fn devices_for_dpdk() {
+        let config = parse("").unwrap();
+        assert_eq!((config.data_plane, config.dpdk), (DataPlane::Auto, DpdkConfig::default()));
+        let text = "data_plane: dpdk\ndpdk: {huge_pages: true, memory_mib: 512, cores: [2, 3], idle_us: 0, ports: [\
+                    {interface: gdp0, device: '0000:02:00.0'}, {interface: gdp1, device: 'net_af_xdp0,iface=eth1'}]}";
+        let config = parse(text).unwrap();
+        assert_eq!(config.data_plane, DataPlane::Dpdk);
+        let DpdkConfig { ports, huge_pages, memory_mib, cores, idle } = config.dpdk;
+        assert!(huge_pages && idle.is_zero());
+        assert_eq!((memory_mib, &cores[..]), (512, &[2, 3][..]));
+        let devices: Vec<_> = ports.iter().map(|port| (&port.interface[..], port.pci(), port.carrier())).collect();
+        assert_eq!(devices, [("gdp0", Some("0000:02:00.0"), None), ("gdp1", None, Some("eth1"))]);
+
+        for (section, needle) in [
+            ("{port: []}", "port"),
+            ("{ports: [{interface: gdp0}]}", "device"),
+            ("{ports: [{interface: a/b, device: net_null0}]}", "no name for an interface"),
+            ("{ports: [{interface: a, device: 'a b'}]}", "is no device"),
+            ("{ports: [{interface: eth0, device: 'net_af_xdp0,iface=eth0'}]}", "another name"),
+            ("{ports: [{interface: a, device: b}, {interface: a, device: c}]}", "listed twice"),
+            ("{memory_mib: 1}", "memory_mib"),
+            ("{idle_us: 1000000}", "idle_us"),
+            ("{cores: [-1]}", "cores"),
+        ] {
+            let error = parse(&format!("dpdk: {section}")).expect_err(section);
+            assert!(error.contains(needle), "{section}: {error}");
+        }
+        assert!(parse("data_plane: dpdk").unwrap_err().contains("needs devices"));
     }
 
     #[test]

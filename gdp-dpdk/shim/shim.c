@@ -55,3 +55,8 @@ int gdp_chain(struct rte_mbuf *head, struct rte_mbuf *tail)
 {
 	return rte_pktmbuf_chain(head, tail);
 }
+
+struct rte_mbuf *gdp_next(struct rte_mbuf *mbuf)
+{
+	return mbuf->next;
+}

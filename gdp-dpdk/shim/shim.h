@@ -31,4 +31,7 @@ struct rte_mbuf *gdp_refer(struct rte_mempool *pool, struct rte_mbuf *of);
 /* Puts `tail` behind `head`. */
 int gdp_chain(struct rte_mbuf *head, struct rte_mbuf *tail);
 
+/* The segment behind this one; null if it is the last. */
+struct rte_mbuf *gdp_next(struct rte_mbuf *mbuf);
+
 #endif

@@ -142,6 +142,22 @@ impl Mbuf {
         Some(unsafe { std::slice::from_raw_parts_mut(raw.buffer.add(raw.data_offset.into()), raw.data_length.into()) })
     }
 
+    /// A copy of all bytes, of all segments.
+    pub fn to_vec(&self) -> Vec<u8> {
+        let mut bytes = Vec::with_capacity(self.len());
+        let mut next = Some(self.0);
+        while let Some(raw) = next {
+            // SAFETY: a live segment of this packet, and so many bytes of its buffer are the packet's.
+            unsafe {
+                let raw = raw.as_ref();
+                let start = raw.buffer.add(raw.data_offset.into());
+                bytes.extend_from_slice(std::slice::from_raw_parts(start, raw.data_length.into()));
+                next = NonNull::new(sys::gdp_next(std::ptr::from_ref(raw).cast_mut().cast()).cast());
+            }
+        }
+        bytes
+    }
+
     /// Whether it is in one piece.
     pub fn is_linear(&self) -> bool {
         self.raw().segments == 1

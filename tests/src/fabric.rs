@@ -11,6 +11,7 @@ use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
 use crate::chain::{Chain, ChainOptions};
+use crate::dpdk;
 use crate::netns::{Namespace, execute};
 use crate::process::Process;
 use crate::tools::Tools;
@@ -22,8 +23,9 @@ pub const PATIENCE: Duration = Duration::from_secs(20);
 #[derive(Clone, Debug)]
 pub struct FabricOptions {
     pub chain: ChainOptions,
-    /// `auto`, `xdp` or `userspace`.
-    pub data_plane: &'static str,
+    /// Of the switches: `auto`, `xdp`, `userspace`, or a driver of DPDK's ([`crate::dpdk::DRIVERS`]). They take turns, if there are fewer
+    /// than switches.
+    pub data_planes: &'static [&'static str],
     pub best_effort: bool,
     pub transient_local: bool,
     pub depth: u32,
@@ -37,7 +39,7 @@ impl Default for FabricOptions {
     fn default() -> Self {
         Self {
             chain: ChainOptions::default(),
-            data_plane: "xdp",
+            data_planes: &["xdp"],
             best_effort: false,
             transient_local: false,
             depth: 10,
@@ -311,12 +313,15 @@ fn start_switch(
 ) -> Result<Switch> {
     let label = format!("s{}", i + 1);
     let last = names.len() - 1;
-    let left = (i > 0).then(|| json!({"interface": "l0", "switch": names[i - 1]}));
-    let right = (i < last).then(|| json!({"interface": "r0", "switch": names[i + 1]}));
+    let data_plane = options.data_planes[i % options.data_planes.len()];
+    let (interfaces, data_plane, dpdk) = dpdk::planned(data_plane, &["l0", "r0"]);
+    let left = (i > 0).then(|| json!({"interface": interfaces[0], "switch": names[i - 1]}));
+    let right = (i < last).then(|| json!({"interface": interfaces[1], "switch": names[i + 1]}));
     let mut config = json!({
-        "interfaces": ["l0", "r0"],
+        "interfaces": interfaces,
         "udp": null,
-        "data_plane": options.data_plane,
+        "data_plane": data_plane,
+        "dpdk": dpdk,
         "bpffs": options.pinned.then(|| folder.join(BPFFS)),
         "rib": i == last,
         "neighbours": left.iter().chain(&right).collect::<Vec<_>>(),

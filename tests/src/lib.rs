@@ -5,6 +5,7 @@
 //!   [`wire`]: a cable that is bad
 //! - [`ring`]: five daemons in a ring; [`replicas`]: three that are replicas of the RIB, on [`etcd`]
 //! - [`federation`]: three trust domains, and a robot that roams between two of them
+//! - [`dpdk`]: switches that DPDK forwards in
 //! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its ends
 //! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
 //! - [`measure`]: benchmarks: in turn, figures, tables, plots
@@ -15,6 +16,7 @@
 //! Everything made here is removed when its guard is dropped, also by a panic or Ctrl-C.
 
 pub mod chain;
+pub mod dpdk;
 pub mod etcd;
 pub mod fabric;
 pub mod federation;

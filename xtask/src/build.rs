@@ -17,6 +17,9 @@ pub struct Options {
     /// Build with overflow checks and debug assertions, as the tests do
     #[arg(long)]
     checked: bool,
+    /// Build gdp-ctl with the DPDK data plane
+    #[arg(long)]
+    dpdk: bool,
 }
 
 pub fn run(options: Options) -> Result<()> {
@@ -24,20 +27,24 @@ pub fn run(options: Options) -> Result<()> {
     if options.ebpf_only {
         return ebpf();
     }
-    all(if options.checked { Profile::Checked } else { Profile::Release })
+    if options.dpdk {
+        setup::ensure(&[Part::Dpdk])?;
+    }
+    all(if options.checked { Profile::Checked } else { Profile::Release }, options.dpdk)
 }
 
-/// Everything `gdp-ctl` and `gdp-proxy` need to run with the kernel data plane.
-pub fn all(profile: Profile) -> Result<()> {
+/// Everything `gdp-ctl` and `gdp-proxy` need to run with the kernel data plane, and perhaps with DPDK.
+pub fn all(profile: Profile, dpdk: bool) -> Result<()> {
     ebpf()?;
-    executables(profile)?;
+    executables(profile, dpdk)?;
     beside_executables(profile)
 }
 
 /// The executables alone: enough for the userspace data plane.
-pub fn executables(profile: Profile) -> Result<()> {
+pub fn executables(profile: Profile, dpdk: bool) -> Result<()> {
     // All default members, as `test` does: another choice of packages would mean other features of the dependencies.
-    shell::run(shell::cargo().args(["build", "--profile", profile.name()]))
+    let features: &[&str] = if dpdk { &["--features", "gdp-ctl/dpdk"] } else { &[] };
+    shell::run(shell::cargo().args(["build", "--profile", profile.name()]).args(features))
 }
 
 /// Compiles `gdp-ebpf` with the compiler that [`EbpfCompiler`] finds, to [`workspace::ebpf_object`].

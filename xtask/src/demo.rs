@@ -44,7 +44,7 @@ pub fn run(options: Options) -> Result<()> {
         bail!("the demo builds network namespaces and loads XDP programs, which needs root");
     }
     setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces, Part::Dds])?;
-    build::all(Profile::Release)?;
+    build::all(Profile::Release, false)?;
     peer_programs::build()?;
     wait::catch_interrupts();
     netns::sweep()?;

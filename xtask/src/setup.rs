@@ -15,6 +15,9 @@ pub struct Options {
     /// Only say what is missing, and how it would be installed
     #[arg(long)]
     dry_run: bool,
+    /// Only what the DPDK data plane needs to be built and run
+    #[arg(long)]
+    dpdk: bool,
 }
 
 /// What a verb is about to do, and so what it needs.
@@ -28,6 +31,8 @@ pub enum Part {
     Lints,
     /// Build networks of namespaces.
     Namespaces,
+    /// Compile and run the DPDK data plane.
+    Dpdk,
     /// Run replicas of a RIB.
     Etcd,
     /// Run foreign DDS programs against ours.
@@ -48,13 +53,14 @@ pub fn run(options: Options) -> Result<()> {
         Part::Ebpf,
         Part::Lints,
         Part::Namespaces,
+        Part::Dpdk,
         Part::Etcd,
         Part::Dds,
         Part::Rosbags,
         Part::Ros1,
         Part::Ros2,
     ];
-    let missing = missing(&all);
+    let missing = missing(if options.dpdk { &[Part::Workspace, Part::Dpdk] } else { &all });
     if missing.is_empty() {
         println!("Nothing to do: everything is installed.");
         return Ok(());
@@ -154,6 +160,14 @@ const STEPS: &[Step] = &[
         present: || ["ip", "ethtool", "nft"].iter().all(|program| shell::which(program).is_some()),
         debian: &["apt-get install -y --no-install-recommends iproute2 ethtool nftables"],
         elsewhere: "install iproute2, ethtool and nftables",
+    },
+    Step {
+        part: Part::Dpdk,
+        what: "DPDK 22.11 with its headers, drivers and testpmd, and libclang",
+        why: "the DPDK data plane is linked with it, bindgen reads its headers with libclang, and `bench forward` compares with testpmd",
+        present: dpdk_present,
+        debian: &["apt-get install -y --no-install-recommends dpdk libdpdk-dev pkg-config libclang-22-dev"],
+        elsewhere: "install DPDK 22.11 or 23.x (headers, libraries, drivers, testpmd), pkg-config and libclang",
     },
     Step {
         part: Part::Etcd,
@@ -369,6 +383,12 @@ fn ros1_present() -> bool {
         && modules.iter().all(|module| python.join(module).is_dir())
         && shares.iter().all(|package| Path::new("/usr/share").join(package).is_dir())
         && has_netifaces()
+}
+
+/// The headers, and what bindgen and the linker find them by.
+fn dpdk_present() -> bool {
+    let programs = ["pkg-config", "dpdk-testpmd"].iter().all(|program| shell::which(program).is_some());
+    programs && has_libclang() && shell::output_of("pkg-config", &["--modversion", "libdpdk"]).is_some()
 }
 
 /// Where Debian's versions of LLVM lie.

@@ -1,4 +1,4 @@
-//! `cargo xtask test`: unit tests, then the tests that need root: real XDP, namespaces, DDS.
+//! `cargo xtask test`: unit tests, then the tests that need root: real XDP, DPDK, namespaces, DDS.
 
 use anyhow::{Result, bail};
 
@@ -10,7 +10,7 @@ use crate::{build, peers, shell};
 pub struct Options {
     /// Only tests whose name contains this
     filter: Option<String>,
-    /// Only what needs neither root nor an eBPF toolchain
+    /// Only what needs neither root nor an eBPF toolchain nor DPDK
     #[arg(long)]
     unit: bool,
     /// Only what needs root
@@ -31,8 +31,10 @@ pub fn run(options: Options) -> Result<()> {
         // Skipping would look like success, above all in CI.
         bail!("the kernel and namespace tests need root: run as root, or `cargo xtask test --unit` for the rest");
     }
-    setup::ensure(&[Part::Ebpf, Part::Namespaces])?;
-    build::all(Profile::Checked)?;
+    setup::ensure(&[Part::Ebpf, Part::Namespaces, Part::Dpdk])?;
+    // What is above does without DPDK, so that this is tried as well.
+    shell::say_and_run(tests(&options).args(["-p", "gdp-dpdk"]))?;
+    build::all(Profile::Checked, true)?;
     build::ebpf_rebuilt(Profile::Checked)?;
     let mut command = tests(&options);
     // Of the whole workspace, and not with `-p gdp-tests`: Cargo would choose other features for the dependencies, and compile

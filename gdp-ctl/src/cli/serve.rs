@@ -10,7 +10,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 use super::Context;
-use crate::config::Config;
+use crate::config::{Config, DataPlane};
 use crate::serve;
 
 #[derive(Debug, Args)]
@@ -24,6 +24,9 @@ pub struct Options {
     /// Where to take links over UDP, instead of what is configured.
     #[arg(long, value_name = "ADDRESS:PORT")]
     udp: Option<SocketAddr>,
+    /// What forwards frames, instead of what is configured.
+    #[arg(long, value_name = "PLANE")]
+    data_plane: Option<DataPlane>,
     /// The eBPF object, instead of the configured or installed one.
     #[arg(long, value_name = "FILE")]
     ebpf_object: Option<PathBuf>,
@@ -50,6 +53,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     }
     config.identity = options.identity.unwrap_or(config.identity);
     config.udp = options.udp.or(config.udp);
+    config.data_plane = options.data_plane.unwrap_or(config.data_plane);
     config.ebpf_object = options.ebpf_object.or(config.ebpf_object);
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()

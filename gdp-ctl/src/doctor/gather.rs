@@ -46,6 +46,7 @@ fn wanted(config: &Config) -> Wanted {
         DataPlane::Auto if !folders::is_root() && config.interfaces.is_none() => {
             Wanted::Userspace("this is not root and no `interfaces` are configured")
         }
+        DataPlane::Dpdk => Wanted::Userspace("`data_plane: dpdk` is configured, which does without XDP"),
         DataPlane::Auto | DataPlane::Xdp => Wanted::Xdp,
     }
 }

@@ -134,12 +134,14 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         DataPlane::Auto if !folders::is_root() && config.interfaces.is_none() => Wanted::Userspace,
         DataPlane::Auto => Wanted::Auto,
         DataPlane::Xdp => Wanted::Xdp,
+        DataPlane::Dpdk => Wanted::Dpdk,
         DataPlane::Userspace => Wanted::Userspace,
     };
     let planes = Planes::open(PlaneConfig {
         wanted,
         ebpf_object: config.ebpf_object.clone(),
         fib_capacity: config.fib_capacity,
+        dpdk: config.dpdk.clone(),
         pins: config.bpffs.clone().map(|bpffs| PinPlace { bpffs, switch: identity.name() }),
         ..PlaneConfig::default()
     })?;
@@ -347,6 +349,9 @@ async fn follow_addresses(daemon: Arc<Daemon>) {
 async fn interfaces_to_use(config: &Config) -> Result<Vec<String>, StartError> {
     if let Some(interfaces) = &config.interfaces {
         return Ok(interfaces.clone());
+    }
+    if config.data_plane == DataPlane::Dpdk {
+        return Ok(config.dpdk.ports.iter().map(|port| port.interface.clone()).collect());
     }
     if !folders::is_root() {
         tracing::info!("not root: no Ethernet links and no XDP; links over UDP only, forwarded by the userspace plane");

@@ -1,12 +1,10 @@
 //! The internet checksum (RFC 1071): of the IPv4 header, and of datagrams to peers that want it ([`Carrier::CHECKSUM`], or IPv6
 //! without [`Carrier::ZERO_CHECKSUM`]).
-//!
-//! [`Carrier::CHECKSUM`]: gdp_wire::Carrier::CHECKSUM
-//! [`Carrier::ZERO_CHECKSUM`]: gdp_wire::Carrier::ZERO_CHECKSUM
 
-use zerocopy::IntoBytes;
+use gdp_wire::Carrier;
+use zerocopy::network_endian::U16;
 
-use super::udp4::{UDP, Udp};
+use super::udp4::UDP;
 
 /// The sum of `bytes` as 16-bit words, not [folded](fold). The words are in the machine's order, as the order of bytes does not
 /// matter as long as it is one (RFC 1071, 2 (B)); an odd last byte is the first of a word whose second is zero.
@@ -15,8 +13,12 @@ pub fn sum(bytes: &[u8]) -> u64 {
     // Of twice as long words, since 2^16 is 1 in this arithmetic: compilers make vectors of it.
     let (words, rest) = bytes.as_chunks::<4>();
     let sum: u64 = words.iter().map(|word| u64::from(u32::from_ne_bytes(*word))).sum();
-    let mut last = [0; 4];
-    last.iter_mut().zip(rest).for_each(|(last, byte)| *last = *byte);
+    let last = match *rest {
+        [a] => [a, 0, 0, 0],
+        [a, b] => [a, b, 0, 0],
+        [a, b, c] => [a, b, c, 0],
+        _ => [0; 4],
+    };
     sum + u64::from(u32::from_ne_bytes(last))
 }
 
@@ -29,11 +31,20 @@ pub fn fold(sum: u64) -> u16 {
     ((sum & 0xffff) + (sum >> 16)) as u16
 }
 
-/// The bytes of the checksum of a datagram (RFC 768, RFC 8200) whose header has none yet. `addresses`: [`sum`] of both IP addresses.
+/// [`sum`] of an IP address, as [`Carrier`] has it.
 #[inline]
-pub fn of_datagram(addresses: u64, udp: &Udp, payload: &[u8]) -> [u8; 2] {
-    let pseudo_header = addresses + sum(&[0, UDP]) + sum(udp.length.as_bytes());
-    match !fold(pseudo_header + sum(udp.as_bytes()) + sum(payload)) {
+pub fn sum_of_words(address: &[u32]) -> u64 {
+    address.iter().copied().map(u64::from).sum()
+}
+
+/// The bytes of the checksum of a datagram (RFC 768, RFC 8200) from us to the peer. `addresses`: [`sum_of_words`] of both IP
+/// addresses; `length`: of UDP header and payload.
+#[inline]
+pub fn of_datagram(carrier: &Carrier, addresses: u64, length: U16, payload: &[u8]) -> [u8; 2] {
+    let length = u64::from(u16::from_ne_bytes(length.to_bytes()));
+    let pseudo_header = addresses + u64::from(u16::from(UDP).to_be()) + length;
+    let header = u64::from(carrier.local_port) + u64::from(carrier.peer_port) + length;
+    match !fold(pseudo_header + header + sum(payload)) {
         // It would say that there is none.
         0 => [0xff; 2],
         checksum => checksum.to_ne_bytes(),

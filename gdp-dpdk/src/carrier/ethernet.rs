@@ -1,8 +1,7 @@
 //! Frames as payload of Ethernet, with an IEEE 802.1Q tag or without.
 
-use gdp_wire::table::mac_bytes;
 use zerocopy::network_endian::U16;
-use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned, transmute};
 
 use super::{Carried, Ours, Stations};
 
@@ -36,11 +35,13 @@ struct Tagged {
 const _: () = assert!(LEN == 14 && TAGGED_LEN == 18);
 
 impl Ethernet {
-    /// From us to the peer. `ethertype`: in host order.
+    /// Makes it one from us to the peer. `ethertype`: in host order.
     #[inline]
-    pub fn new(stations: Stations, ethertype: u16) -> Self {
-        let Stations { peer, local } = stations;
-        Self { destination: mac_bytes(peer), source: mac_bytes(local), ethertype: ethertype.into() }
+    pub fn address(&mut self, stations: Stations, ethertype: u16) {
+        // In place: a header made elsewhere is copied with reads that span the writes before them, which is slow.
+        self.destination = transmute!(stations.peer);
+        self.source = transmute!(stations.local);
+        self.ethertype = ethertype.into();
     }
 }
 
@@ -67,7 +68,7 @@ pub fn find_tagged(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
 #[inline]
 pub fn dress(front: &mut [u8], stations: Stations, ethertype: u16) {
     if let Ok(front) = Ethernet::mut_from_bytes(front) {
-        *front = Ethernet::new(stations, ethertype);
+        front.address(stations, ethertype);
     }
 }
 
@@ -75,10 +76,8 @@ pub fn dress(front: &mut [u8], stations: Stations, ethertype: u16) {
 #[inline]
 pub fn dress_tagged(front: &mut [u8], vlan: u16, stations: Stations, traffic: u8, ethertype: u16) {
     if let Ok(front) = Tagged::mut_from_bytes(front) {
-        *front = Tagged {
-            ethernet: Ethernet::new(stations, VLAN),
-            control: (vlan & 0xfff | u16::from(traffic >> 5) << 13).into(),
-            ethertype: ethertype.into(),
-        };
+        front.ethernet.address(stations, VLAN);
+        front.control = (vlan & 0xfff | u16::from(traffic >> 5) << 13).into();
+        front.ethertype = ethertype.into();
     }
 }

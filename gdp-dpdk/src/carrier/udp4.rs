@@ -56,16 +56,18 @@ struct Headers {
 
 const _: () = assert!(LEN == 42);
 
+/// What a UDP header says of the length, its own included. Wraps where the frame is longer than a datagram can be.
+#[inline]
+pub fn udp_length(frame: &[u8]) -> U16 {
+    ((size_of::<Udp>() + frame.len()) as u16).into()
+}
+
 impl Udp {
-    /// From us to the peer, without a checksum. Wraps where the frame is longer than a datagram can be.
+    /// From us to the peer.
     #[inline]
-    pub fn new(carrier: &Carrier, frame: &[u8]) -> Self {
-        Self {
-            source: carrier.local_port.to_ne_bytes(),
-            destination: carrier.peer_port.to_ne_bytes(),
-            length: ((size_of::<Self>() + frame.len()) as u16).into(),
-            checksum: [0; 2],
-        }
+    pub fn new(carrier: &Carrier, length: U16, checksum: [u8; 2]) -> Self {
+        let (source, destination) = (carrier.local_port.to_ne_bytes(), carrier.peer_port.to_ne_bytes());
+        Self { source, destination, length, checksum }
     }
 }
 
@@ -89,23 +91,34 @@ pub fn find(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
 #[inline]
 pub fn dress(front: &mut [u8], frame: &[u8], carrier: &Carrier, stations: Stations, traffic: u8) {
     let Ok(front) = Headers::mut_from_bytes(front) else { return };
-    let mut ip = Ipv4 {
+    let (source, destination) = (carrier.local_ip[0], carrier.peer_ip[0]);
+    let addresses = checksum::sum_of_words(&[source, destination]);
+    let length = ((size_of::<Ipv4>() + size_of::<Udp>() + frame.len()) as u16).to_be();
+    // Of values, and not of the header where it is: short writes that long reads follow at once are slow.
+    let words = [
+        u16::from_ne_bytes([VERSION_LENGTH, traffic]),
+        length,
+        DO_NOT_FRAGMENT.to_be(),
+        u16::from_ne_bytes([HOP_LIMIT, UDP]),
+    ];
+    let sum = addresses + words.into_iter().map(u64::from).sum::<u64>();
+    front.ethernet.address(stations, ethernet::IPV4);
+    front.ip = Ipv4 {
         version_length: VERSION_LENGTH,
         traffic,
-        length: ((size_of::<Ipv4>() + size_of::<Udp>() + frame.len()) as u16).into(),
+        length: U16::from_bytes(length.to_ne_bytes()),
         id: [0; 2],
         fragment: DO_NOT_FRAGMENT.into(),
         time_to_live: HOP_LIMIT,
         protocol: UDP,
-        checksum: [0; 2],
-        source: carrier.local_ip[0].to_ne_bytes(),
-        destination: carrier.peer_ip[0].to_ne_bytes(),
+        checksum: (!checksum::fold(sum)).to_ne_bytes(),
+        source: source.to_ne_bytes(),
+        destination: destination.to_ne_bytes(),
     };
-    ip.checksum = (!checksum::fold(checksum::sum(ip.as_bytes()))).to_ne_bytes();
-    let mut udp = Udp::new(carrier, frame);
-    if carrier.flags & Carrier::CHECKSUM != 0 {
-        let addresses = checksum::sum(&ip.source) + checksum::sum(&ip.destination);
-        udp.checksum = checksum::of_datagram(addresses, &udp, frame);
-    }
-    *front = Headers { ethernet: Ethernet::new(stations, ethernet::IPV4), ip, udp };
+    let udp_length = udp_length(frame);
+    let udp_checksum = match carrier.flags & Carrier::CHECKSUM {
+        0 => [0; 2],
+        _ => checksum::of_datagram(carrier, addresses, udp_length, frame),
+    };
+    front.udp = Udp::new(carrier, udp_length, udp_checksum);
 }

@@ -7,7 +7,7 @@ use zerocopy::network_endian::{U16, U32};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
 use super::ethernet::{self, Ethernet};
-use super::udp4::{HOP_LIMIT, UDP, Udp};
+use super::udp4::{HOP_LIMIT, UDP, Udp, udp_length};
 use super::{Carried, Ours, Stations, checksum};
 
 /// Bytes in front of the frame.
@@ -58,18 +58,22 @@ pub fn find(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
 #[inline]
 pub fn dress(front: &mut [u8], frame: &[u8], carrier: &Carrier, stations: Stations, traffic: u8) {
     let Ok(front) = Headers::mut_from_bytes(front) else { return };
-    let mut udp = Udp::new(carrier, frame);
-    let ip = Ipv6 {
+    let length = udp_length(frame);
+    let checksum = match carrier.flags & (Carrier::CHECKSUM | Carrier::ZERO_CHECKSUM) {
+        Carrier::ZERO_CHECKSUM => [0; 2],
+        _ => {
+            let addresses = checksum::sum_of_words(&carrier.local_ip) + checksum::sum_of_words(&carrier.peer_ip);
+            checksum::of_datagram(carrier, addresses, length, frame)
+        }
+    };
+    front.ethernet.address(stations, ethernet::IPV6);
+    front.ip = Ipv6 {
         version_class: (6 << 28 | u32::from(traffic) << 20).into(),
-        length: udp.length,
+        length,
         next: UDP,
         hop_limit: HOP_LIMIT,
         source: carrier.local_ip.map(u32::to_ne_bytes),
         destination: carrier.peer_ip.map(u32::to_ne_bytes),
     };
-    if carrier.flags & (Carrier::CHECKSUM | Carrier::ZERO_CHECKSUM) != Carrier::ZERO_CHECKSUM {
-        let addresses = checksum::sum(ip.source.as_flattened()) + checksum::sum(ip.destination.as_flattened());
-        udp.checksum = checksum::of_datagram(addresses, &udp, frame);
-    }
-    *front = Headers { ethernet: Ethernet::new(stations, ethernet::IPV6), ip, udp };
+    front.udp = Udp::new(carrier, length, checksum);
 }

@@ -1,7 +1,6 @@
 //! Four lanes, with AVX2.
 
 use core::arch::x86_64::*;
-use core::array;
 
 const LANES: usize = 4;
 
@@ -59,17 +58,22 @@ fn store(a: Vector) -> [u64; LANES] {
 /// The first words of all keys, and the second ones.
 #[target_feature(enable = "avx2")]
 #[inline]
-fn load_keys(keys: &[[u64; 2]; LANES]) -> [Vector; 2] {
-    let (halves, _) = keys.as_flattened().as_chunks();
-    let [low, high] = [load(&halves[0]), load(&halves[1])];
-    let [k02, k13] = [_mm256_permute2x128_si256::<0x20>(low, high), _mm256_permute2x128_si256::<0x31>(low, high)];
-    [_mm256_unpacklo_epi64(k02, k13), _mm256_unpackhi_epi64(k02, k13)]
+fn load_keys([a, b, c, d]: [&[u64; 2]; LANES]) -> [Vector; 2] {
+    let [ac, bd] = [load_both(a, c), load_both(b, d)];
+    [_mm256_unpacklo_epi64(ac, bd), _mm256_unpackhi_epi64(ac, bd)]
+}
+
+#[target_feature(enable = "avx2")]
+#[inline]
+fn load_both(low: &[u64; 2], high: &[u64; 2]) -> Vector {
+    // SAFETY: 16 bytes each to read, of any alignment.
+    unsafe { _mm256_loadu2_m128i(high.as_ptr().cast(), low.as_ptr().cast()) }
 }
 
 /// The first words of all lanes, the second ones, and so on.
 #[target_feature(enable = "avx2")]
 #[inline]
-fn load_words(words: &[[u64; 11]; LANES]) -> [Vector; 11] {
+fn load_words(words: [&[u64; 11]; LANES]) -> [Vector; 11] {
     let [w0, w1, w2, w3] = columns::<0>(words);
     let [w4, w5, w6, w7] = columns::<4>(words);
     let [_, w8, w9, w10] = columns::<7>(words);
@@ -79,7 +83,7 @@ fn load_words(words: &[[u64; 11]; LANES]) -> [Vector; 11] {
 /// The words from `FROM` (0 … 7) on of all lanes, transposed: row `i` is what were the words at place `i` of the rows.
 #[target_feature(enable = "avx2")]
 #[inline]
-fn columns<const FROM: usize>(words: &[[u64; 11]; LANES]) -> [Vector; 4] {
+fn columns<const FROM: usize>(words: [&[u64; 11]; LANES]) -> [Vector; 4] {
     let mut rows = [splat(0); LANES];
     for (row, words) in rows.iter_mut().zip(words) {
         let (chunks, _) = words[FROM..].as_chunks();

@@ -1,7 +1,6 @@
 //! Eight lanes, with AVX-512F.
 
 use core::arch::x86_64::*;
-use core::array;
 
 const LANES: usize = 8;
 
@@ -58,17 +57,29 @@ fn store(a: Vector) -> [u64; LANES] {
 /// The first words of all keys, and the second ones.
 #[target_feature(enable = "avx512f")]
 #[inline]
-fn load_keys(keys: &[[u64; 2]; LANES]) -> [Vector; 2] {
-    let (halves, _) = keys.as_flattened().as_chunks();
-    let [low, high] = [load(&halves[0]), load(&halves[1])];
-    let [even, odd] = [_mm512_setr_epi64(0, 2, 4, 6, 8, 10, 12, 14), _mm512_setr_epi64(1, 3, 5, 7, 9, 11, 13, 15)];
-    [_mm512_permutex2var_epi64(low, even, high), _mm512_permutex2var_epi64(low, odd, high)]
+fn load_keys([a, b, c, d, e, f, g, h]: [&[u64; 2]; LANES]) -> [Vector; 2] {
+    let [aceg, bdfh] = [load_four(a, c, e, g), load_four(b, d, f, h)];
+    [_mm512_unpacklo_epi64(aceg, bdfh), _mm512_unpackhi_epi64(aceg, bdfh)]
+}
+
+#[target_feature(enable = "avx512f")]
+#[inline]
+fn load_four(a: &[u64; 2], b: &[u64; 2], c: &[u64; 2], d: &[u64; 2]) -> Vector {
+    let ab = _mm512_inserti32x4::<1>(_mm512_castsi128_si512(load_key(a)), load_key(b));
+    _mm512_inserti32x4::<3>(_mm512_inserti32x4::<2>(ab, load_key(c)), load_key(d))
+}
+
+#[target_feature(enable = "avx512f")]
+#[inline]
+fn load_key(key: &[u64; 2]) -> __m128i {
+    // SAFETY: 16 bytes to read, of any alignment.
+    unsafe { _mm_loadu_si128(key.as_ptr().cast()) }
 }
 
 /// The first words of all lanes, the second ones, and so on.
 #[target_feature(enable = "avx512f")]
 #[inline]
-fn load_words(words: &[[u64; 11]; LANES]) -> [Vector; 11] {
+fn load_words(words: [&[u64; 11]; LANES]) -> [Vector; 11] {
     let [w0, w1, w2, w3, w4, w5, w6, w7] = columns::<0>(words);
     let [.., w8, w9, w10] = columns::<3>(words);
     [w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10]
@@ -77,7 +88,7 @@ fn load_words(words: &[[u64; 11]; LANES]) -> [Vector; 11] {
 /// The words from `FROM` (0 … 3) on of all lanes, transposed.
 #[target_feature(enable = "avx512f")]
 #[inline]
-fn columns<const FROM: usize>(words: &[[u64; 11]; LANES]) -> [Vector; 8] {
+fn columns<const FROM: usize>(words: [&[u64; 11]; LANES]) -> [Vector; 8] {
     let mut rows = [splat(0); LANES];
     for (row, words) in rows.iter_mut().zip(words) {
         let (chunks, _) = words[FROM..].as_chunks();

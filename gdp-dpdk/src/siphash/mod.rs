@@ -53,8 +53,7 @@ macro_rules! in_lanes {
         impl State {
             #[target_feature(enable = $feature)]
             #[inline]
-            fn new(keys: &[[u64; 2]; LANES]) -> Self {
-                let [k0, k1] = load_keys(keys);
+            fn new([k0, k1]: [Vector; 2]) -> Self {
                 let [c0, c1, c2, c3] = super::INITIAL;
                 Self([xor(k0, splat(c0)), xor(k1, splat(c1)), xor(k0, splat(c2)), xor(k1, splat(c3))])
             }
@@ -93,24 +92,28 @@ macro_rules! in_lanes {
             }
         }
 
-        /// Hashes groups of as many as there are lanes, interleaved: where one has to wait for what it last computed, another goes on.
+        /// One to `GROUPS * LANES` hashes, or just as many if `FULL` says so, in interleaved groups: where one has to wait for what it
+        /// last computed, another goes on. The lanes that nothing is left for do the last hash once more.
         #[target_feature(enable = $feature)]
         #[inline]
-        fn hash<const GROUPS: usize>(
-            keys: &[[[u64; 2]; LANES]; GROUPS],
-            words: &[[[u64; 11]; LANES]; GROUPS],
-            tags: &mut [[u64; LANES]; GROUPS],
-        ) {
+        fn hash<const GROUPS: usize, const FULL: bool>(keys: &[[u64; 2]], words: &[[u64; 11]], tags: &mut [u64]) {
+            let last = if FULL { GROUPS * LANES } else { tags.len() } - 1;
+            let (keys, words, tags) = (&keys[..=last], &words[..=last], &mut tags[..=last]);
             let mut states = [State([splat(0); 4]); GROUPS];
             let mut loaded = [[splat(0); 11]; GROUPS];
-            for i in 0..GROUPS {
-                states[i] = State::new(&keys[i]);
-                loaded[i] = load_words(&words[i]);
+            for group in 0..GROUPS {
+                let (mut group_keys, mut group_words) = ([&keys[0]; LANES], [&words[0]; LANES]);
+                for lane in 0..LANES {
+                    let i = (group * LANES + lane).min(last);
+                    (group_keys[lane], group_words[lane]) = (&keys[i], &words[i]);
+                }
+                states[group] = State::new(load_keys(group_keys));
+                loaded[group] = load_words(group_words);
             }
             for word in 0..11 {
                 let mut each = [splat(0); GROUPS];
-                for i in 0..GROUPS {
-                    each[i] = loaded[i][word];
+                for group in 0..GROUPS {
+                    each[group] = loaded[group][word];
                 }
                 absorb(&mut states, each);
             }
@@ -123,44 +126,30 @@ macro_rules! in_lanes {
                     state.round();
                 }
             }
-            for i in 0..GROUPS {
-                let [v0, v1, v2, v3] = states[i].0;
-                tags[i] = store(xor(xor(v0, v1), xor(v2, v3)));
+            for (state, tags) in states.into_iter().zip(tags.chunks_mut(LANES)) {
+                let [v0, v1, v2, v3] = state.0;
+                let all = store(xor(xor(v0, v1), xor(v2, v3)));
+                tags.iter_mut().zip(all).for_each(|(tag, new)| *tag = new);
             }
         }
 
         /// As [`super::siphash24_many`].
         #[target_feature(enable = $feature)]
         pub fn siphash24_many(keys: &[[u64; 2]], words: &[[u64; 11]], tags: &mut [u64]) {
-            let count = keys.len().min(words.len()).min(tags.len());
-            let (keys, words, tags) = (&keys[..count], &words[..count], &mut tags[..count]);
-            let (key_groups, last_keys) = keys.as_chunks::<LANES>();
-            let (word_groups, last_words) = words.as_chunks::<LANES>();
-            let (tag_groups, last_tags) = tags.as_chunks_mut::<LANES>();
-            let (key_pairs, odd_keys) = key_groups.as_chunks::<2>();
-            let (word_pairs, odd_words) = word_groups.as_chunks::<2>();
-            let (tag_pairs, odd_tags) = tag_groups.as_chunks_mut::<2>();
-            for ((keys, words), tags) in key_pairs.iter().zip(word_pairs).zip(tag_pairs) {
-                hash(keys, words, tags);
+            const BOTH: usize = 2 * LANES;
+            let bursts = keys.chunks(BOTH).zip(words.chunks(BOTH)).zip(tags.chunks_mut(BOTH));
+            for ((keys, words), tags) in bursts {
+                let count = keys.len().min(words.len()).min(tags.len());
+                let (keys, words, tags) = (&keys[..count], &words[..count], &mut tags[..count]);
+                match count {
+                    // Sooner done without vectors.
+                    1 => super::one_by_one(keys, words, tags),
+                    LANES => hash::<1, true>(keys, words, tags),
+                    BOTH => hash::<2, true>(keys, words, tags),
+                    ..LANES => hash::<1, false>(keys, words, tags),
+                    _ => hash::<2, false>(keys, words, tags),
+                }
             }
-            for ((keys, words), tags) in odd_keys.iter().zip(odd_words).zip(odd_tags) {
-                hash(array::from_ref(keys), array::from_ref(words), array::from_mut(tags));
-            }
-            hash_rest(last_keys, last_words, last_tags);
-        }
-
-        /// Fewer than there are lanes.
-        #[target_feature(enable = $feature)]
-        fn hash_rest(keys: &[[u64; 2]], words: &[[u64; 11]], tags: &mut [u64]) {
-            // One alone is done sooner without vectors.
-            if tags.len() < 2 {
-                return super::one_by_one(keys, words, tags);
-            }
-            let (mut all_keys, mut all_words, mut all_tags) = ([[0; 2]; LANES], [[0; 11]; LANES], [[0; LANES]]);
-            all_keys.iter_mut().zip(keys).for_each(|(all, key)| *all = *key);
-            all_words.iter_mut().zip(words).for_each(|(all, words)| *all = *words);
-            hash(&[all_keys], &[all_words], &mut all_tags);
-            tags.iter_mut().zip(all_tags.as_flattened()).for_each(|(tag, all)| *tag = *all);
         }
     };
 }

@@ -7,7 +7,7 @@ use gdp_wire::forward::{self, Copy, Kind};
 use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::replay::{self, Window};
 use gdp_wire::table::{MAX_COPIED_FRAME, Tables};
-use gdp_wire::{Counter, FibEntry, Header, LinkEntry, Name, Permit};
+use gdp_wire::{Counter, FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::frames::carrier::Place;
@@ -29,7 +29,11 @@ pub struct PlainTables<const KERNEL: bool> {
     windows: HashMap<u32, Window>,
     /// Egress bits that the kernel copies for, by group.
     served: HashMap<u32, u64>,
+    /// Bytes of the longest frame that it copies.
+    longest_copy: usize,
     makes_copies: bool,
+    /// It leaves to the next plane what is for this port, which is none of its own.
+    without_port: Option<u32>,
     /// Links that frames wait for.
     queues: HashSet<u32>,
     /// The daemon was given a probe just now.
@@ -52,7 +56,9 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             sent: RefCell::new(switch.links.iter().map(|link| (link.id, link.tx_counter)).collect()),
             windows: switch.links.iter().map(|link| (link.id, window(&link.taken))).collect(),
             served: switch.kernel_groups().map(|(group, _, served)| (group, served)).collect(),
+            longest_copy: MAX_COPIED_FRAME,
             makes_copies: true,
+            without_port: None,
             queues: HashSet::new(),
             punted: false,
         }
@@ -62,6 +68,20 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
     #[allow(dead_code, reason = "each test that includes this uses a part of it")]
     pub fn without_copies(self) -> Self {
         Self { makes_copies: false, ..self }
+    }
+
+    /// Of a plane that copies whatever it can send, by all ports but this one.
+    #[allow(dead_code, reason = "each test that includes this uses a part of it")]
+    pub fn with_all_copies_but_by(self, port: u32) -> Self {
+        let without = Self { without_port: Some(port), longest_copy: usize::MAX, ..self };
+        let own = without.own_bit;
+        let groups = without.groups.iter().map(|(group, links)| {
+            let links = links.iter().filter_map(|id| without.links.get(id)).filter(|link| !without.can_send(link));
+            let bits_of = |link: &LinkEntry| if link.role == LinkRole::Switch as u32 { link.reach } else { own };
+            (*group, links.fold(u64::MAX, |served, link| served & !bits_of(link)))
+        });
+        let served = groups.collect();
+        Self { served, ..without }
     }
 
     /// Of a switch where frames wait before they leave by these links.
@@ -98,7 +118,7 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
         let payload = payload.get(..header.payload_len().into()).unwrap_or(payload);
         let send = |link: &LinkEntry, header: &Header, payload: &[u8], counter| {
             // The fixtures leave this port without an interface.
-            if KERNEL && link.port == 63 {
+            if KERNEL && link.port == 63 && self.without_port.is_none() {
                 return Fate::new(Verdict::Drop, Counter::RedirectFailed);
             }
             Fate::sent(self.carried(link, header, payload), counter)
@@ -175,12 +195,13 @@ impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
     }
 
     fn can_send(&self, link: &LinkEntry) -> bool {
-        self.switch.link(link.id).is_some_and(|link| link.port.is_some())
+        self.without_port != Some(link.port)
+            && self.switch.link(link.id).is_some_and(|link| link.port.is_some())
     }
 
     fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool {
         let served = self.served.get(&group).copied().unwrap_or(0);
-        length <= MAX_COPIED_FRAME && bits & !served == 0
+        length <= self.longest_copy && bits & !served == 0
     }
 
     fn has_queue(&self, link: &LinkEntry) -> bool {

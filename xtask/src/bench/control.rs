@@ -26,7 +26,7 @@ pub struct Options {
 
 pub fn run(options: Options) -> Result<()> {
     let mut command = super::target("control")?;
-    build::all(Profile::Release)?;
+    build::all(Profile::Release, false)?;
     options.rows.pass(&mut command);
     command.args(["--names", &options.names.to_string()]);
     super::pass(&mut command, options.rounds, options.milliseconds, options.json);

@@ -92,7 +92,7 @@ pub fn run(options: Options) -> Result<()> {
     let routes = if options.paths.is_empty() { vec![Route::Gdp, Route::Ip, Route::Site] } else { options.paths };
     setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces, Part::Dds])?;
     if routes.contains(&Route::Gdp) {
-        build::all(Profile::Release)?;
+        build::all(Profile::Release, false)?;
     }
     peer_programs::build()?;
     wait::catch_interrupts();

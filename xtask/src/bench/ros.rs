@@ -121,7 +121,7 @@ pub fn run(options: Options) -> Result<()> {
     let routes = if options.paths.is_empty() { ROUTES.to_vec() } else { options.paths };
     setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces, Part::Dds])?;
     if routes.contains(&Route::Gdp) {
-        build::all(Profile::Release)?;
+        build::all(Profile::Release, false)?;
     }
     peer_programs::build()?;
     let bridge = if routes.iter().any(|route| matches!(route, Route::Zenoh | Route::ZenohTls)) {

@@ -1,5 +1,7 @@
 //! The fixtures' switch in both data planes, and what becomes of a frame there. The kernel is asked under `BPF_PROG_TEST_RUN`, so nothing
 //! is sent; but it asks the routing table of a network namespace where links over UDP lead.
+pub mod dpdk;
+
 use anyhow::{Context, Result, bail, ensure};
 use gdp::port::Interface;
 use gdp_ctl::plane::group_places::Member;

@@ -1,0 +1,151 @@
+//! The fixtures' switch in DPDK: the code that its loops run, on packets in its memory, without a device.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use anyhow::{Context, Result, ensure};
+use gdp_ctl::plane::dpdk::{LoopReader, LoopView};
+use gdp_ctl::plane::forwarder::Shared;
+use gdp_ctl::plane::link_memory::LinkMemory;
+use gdp_ctl::plane::tables::UserTables;
+use gdp_dpdk::carrier::Stations;
+use gdp_dpdk::forwarding::{Counts, Forwarding, Sink};
+use gdp_dpdk::local::{Local, NextHop};
+use gdp_dpdk::view::Reader as _;
+use gdp_dpdk::{Burst, Eal, EalConfig, Mbuf, Pool};
+use gdp_tests::frames::fixtures::{Fate, Switch, Verdict};
+use gdp_wire::table::{PORT_ROUTED, PORT_USERSPACE, mac_words};
+use gdp_wire::{Counter, LocalAddress};
+
+/// Where frames arrive; so it has the VLANs.
+const PORT: u32 = 1;
+
+/// Links by this port lead nowhere, as the fixtures have it.
+pub const NOWHERE: u32 = 63;
+
+/// Larger than any generated frame.
+const LARGEST: usize = 9216;
+
+pub struct DpdkSwitch {
+    pool: Pool,
+    forwarding: Forwarding,
+    reader: LoopReader,
+    local: Local,
+    ports: Vec<u32>,
+    _tables: UserTables,
+    pub link_memory: LinkMemory,
+}
+
+impl DpdkSwitch {
+    /// `gathers`: whether ports take packets that are chains, in which copies share what they have in common.
+    pub fn new(switch: &Switch) -> Result<Self> {
+        let (tables, link_memory) = super::user_tables(switch);
+        let reader = LoopReader::new(tables.reader(), Arc::new(Shared::new(tables.queues().clone())));
+        // As the namespace of [`super::Site`] has them.
+        let stations = Stations { peer: mac_words([2, 0, 0, 0, 0xee, 4]), local: mac_words([2, 0, 0, 0, 0xee, 1]) };
+        let routed = switch.links().filter(|link| link.port == PORT_ROUTED);
+        let ports: BTreeSet<u32> = switch.links().map(|link| link.port).collect();
+        let ports = ports.into_iter().filter(|port| ![PORT_ROUTED, PORT_USERSPACE, NOWHERE].contains(port));
+        let local = Local {
+            ethertype: switch.ethertype,
+            addresses: switch.own_addresses().iter().map(|own| LocalAddress::new(own.ip(), own.port())).collect(),
+            vlans: switch.vlans().into_iter().map(|id| (PORT, id)).collect(),
+            next_hops: routed.map(|link| (link.id, NextHop { port: PORT, stations })).collect(),
+        };
+        let pool = Pool::new(Eal::begin(&EalConfig::default())?, 1023, LARGEST)?;
+        Ok(Self {
+            forwarding: Forwarding::new(pool.clone()),
+            pool,
+            reader,
+            local,
+            ports: ports.chain([PORT]).collect(),
+            _tables: tables,
+            link_memory,
+        })
+    }
+
+    /// What becomes of frames that arrive together, each of them and what is counted in all.
+    pub fn run(&mut self, frames: &[Vec<u8>], gathers: bool) -> Result<(Seen, Counts)> {
+        let mut burst = Burst::new();
+        for frame in frames {
+            let mut mbuf = self.pool.alloc().context("a packet")?;
+            ensure!(mbuf.reshape(0, frame.len()), "a frame of {} B does not fit", frame.len());
+            mbuf.bytes_mut().context("its bytes")?.copy_from_slice(frame);
+            burst.push(mbuf).ok().context("room in a burst")?;
+        }
+        let (mut seen, mut counts) = (Seen { gathers, ..Seen::default() }, [0; Counter::COUNT]);
+        let view: LoopView<'_> = self.reader.enter();
+        self.forwarding.run((PORT, &self.ports), &mut burst, (&view, &self.local), &mut seen, &mut counts);
+        drop(view);
+        ensure!(self.pool.in_use() == 0, "{} packets are lost", self.pool.in_use());
+        Ok((seen, counts))
+    }
+
+    /// What becomes of one frame.
+    pub fn fate(&mut self, frame: &[u8], gathers: bool) -> Result<Fate> {
+        let (Seen { sent, passed, .. }, counts) = self.run(&[frame.to_vec()], gathers)?;
+        let counted: Vec<_> = Counter::ALL.iter().zip(counts).filter(|(_, count)| *count > 0).collect();
+        if counts[Counter::Replicated as usize] == 1 {
+            return copied(sent, &counted);
+        }
+        let [(counter, 1)] = counted[..] else { anyhow::bail!("counted {counted:?}") };
+        Ok(match (&sent[..], &passed[..]) {
+            ([out], []) => Fate::sent(out.clone(), *counter),
+            ([], [host]) => {
+                ensure!(host == frame, "a frame that passes was changed");
+                Fate::new(Verdict::Pass, *counter)
+            }
+            ([], []) => Fate::new(Verdict::Drop, *counter),
+            _ => anyhow::bail!("{} were sent and {} passed", sent.len(), passed.len()),
+        })
+    }
+}
+
+/// Copies are counted together: which is which is told by their destinations.
+fn copied(sent: Vec<Vec<u8>>, counted: &[(&Counter, u64)]) -> Result<Fate> {
+    let of = |counter: Counter| counted.iter().find(|(found, _)| **found == counter).map_or(0, |(_, count)| *count);
+    let (forwarded, delivered) = (of(Counter::Forwarded), of(Counter::Delivered));
+    ensure!(forwarded + delivered == sent.len() as u64, "{} copies were sent, counted {counted:?}", sent.len());
+    let dropped = (0..of(Counter::TooBig)).map(|_| (None, Counter::TooBig));
+    let sent = sent.into_iter().map(|frame| {
+        let counter = if has_bits(&frame) { Counter::Forwarded } else { Counter::Delivered };
+        (Some(frame), counter)
+    });
+    let copies: Vec<_> = sent.chain(dropped).collect();
+    let marked = copies.iter().filter(|(frame, counter)| frame.is_some() && *counter == Counter::Forwarded).count();
+    ensure!(marked as u64 == forwarded, "{marked} copies have egress bits, and {forwarded} were forwarded");
+    Ok(Fate::copied(copies))
+}
+
+/// Whether a copy is on its way to further switches. Copies are carried by Ethernet, tagged or not, or UDP.
+fn has_bits(packet: &[u8]) -> bool {
+    let at = match (packet[12], packet[13]) {
+        (0x81, 0) => 18,
+        (0x08, 0) => 42,
+        (0x86, 0xdd) => 62,
+        _ => 14,
+    };
+    packet[at + 24..at + 32] != [0; 8]
+}
+
+/// What a batch's frames became.
+#[derive(Default)]
+pub struct Seen {
+    gathers: bool,
+    pub sent: Vec<Vec<u8>>,
+    pub passed: Vec<Vec<u8>>,
+}
+
+impl Sink for Seen {
+    fn send(&mut self, _: u32, mbuf: Mbuf) {
+        self.sent.push(mbuf.to_vec());
+    }
+
+    fn pass(&mut self, mbuf: Mbuf) {
+        self.passed.push(mbuf.to_vec());
+    }
+
+    fn gathers(&self, _: u32) -> bool {
+        self.gathers
+    }
+}
