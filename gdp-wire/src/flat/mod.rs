@@ -33,7 +33,7 @@ mod table;
 use crate::{FibEntry, Name};
 
 #[cfg(target_has_atomic = "64")]
-pub use table::{Full, NotATable, Table, count};
+pub use table::{Full, NotATable, Table, count, prefetch};
 
 /// Lines in a bucket.
 const LINES: usize = 8;

@@ -63,6 +63,10 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         Ok(table)
     }
 
+    pub fn memory(&self) -> &M {
+        &self.memory
+    }
+
     /// Names in the table.
     pub fn len(&self) -> u32 {
         self.names
@@ -318,6 +322,35 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
 /// Names in the memory of a table that somebody else writes; one that moves meanwhile may count twice.
 pub fn count(memory: &[AtomicU64]) -> usize {
     memory.iter().skip(BUCKET).step_by(LINE).filter(|state| state.load(Ordering::Relaxed) & LIVE != 0).count()
+}
+
+/// Brings the line that a lookup of the name begins with into the caches, without waiting for it. On x86-64 and AArch64; elsewhere
+/// it does nothing.
+#[inline]
+pub fn prefetch(memory: &[AtomicU64], name: &Name) {
+    let word = |index: usize| memory.get(index).map_or(0, |word| word.load(Ordering::Relaxed));
+    let place = Place::of(name, [word(KEY), word(KEY + 1)], word(MASK) as u32);
+    if let Some(line) = memory.get(place.at(0)) {
+        fetch(line);
+    }
+}
+
+#[inline(always)]
+fn fetch(line: &AtomicU64) {
+    let line = core::ptr::from_ref(line);
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: changes nothing but the caches, and every x86-64 processor has it.
+    unsafe {
+        use core::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        _mm_prefetch::<_MM_HINT_T0>(line.cast());
+    }
+    #[cfg(target_arch = "aarch64")]
+    // SAFETY: changes nothing but the caches, and every AArch64 processor has it.
+    unsafe {
+        core::arch::asm!("prfm pldl1keep, [{}]", in(reg) line, options(nostack, readonly, preserves_flags));
+    }
+    #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
+    let _ = line;
 }
 
 /// A number in some bits of a state.
