@@ -16,15 +16,10 @@ use aya::maps::{Array, ArrayOfMaps, IterableMap, Map, MapData, MapError};
 use gdp_wire::flat::{BUCKET, Table, buckets_for, count};
 use gdp_wire::{FibEntry, Name};
 
+use super::growing::{self, FIRST, Growing};
 use super::kernel::{LoadError, UpdateError};
 use super::mapping::Mapping;
 use super::pins::{Pins, PinsError};
-
-/// Names that the first table is for: 128 KiB.
-const FIRST: u32 = 1024;
-
-/// Names that are copied at a time.
-const BATCH: usize = 1024;
 
 // The kernel wants no dots in them.
 const PIN: &str = "FIB_TABLE";
@@ -77,22 +72,7 @@ impl Fib {
 
     /// Adds a name, or changes where it leads. If there is no room, nothing is changed.
     pub fn insert(&mut self, name: &Name, entry: FibEntry) -> Result<(), UpdateError> {
-        if self.table.len() >= self.limit.min(self.table.capacity()) && self.table.get(name).is_none() {
-            if self.table.len() >= self.limit {
-                return Err(self.full());
-            }
-            self.grow()?;
-        }
-        if self.table.insert(name, entry).is_ok() {
-            return Ok(());
-        }
-        // Too many names where this one belongs. That is next to impossible, and elsewhere in another table; but who can bring it
-        // about must not make the table grow without end.
-        if self.table.capacity() / 2 >= self.limit {
-            return Err(self.full());
-        }
-        self.grow()?;
-        self.table.insert(name, entry).map_err(|_| self.full())
+        Growing::insert(self, name, entry)
     }
 
     /// [`Self::insert`] for many. Those before the one that was refused are in.
@@ -118,27 +98,6 @@ impl Fib {
         self.pinned = None;
     }
 
-    /// Has programs read a table twice as large.
-    fn grow(&mut self) -> Result<(), UpdateError> {
-        let (mut table, map) = make(self.table.capacity().saturating_mul(2))?;
-        let mut names = self.table.iter();
-        let mut batch = Vec::with_capacity(BATCH);
-        loop {
-            batch.extend(names.by_ref().take(BATCH));
-            if batch.is_empty() {
-                break;
-            }
-            table.insert_all(&batch).map_err(|_| self.full())?;
-            batch.clear();
-        }
-        drop(names);
-        pin(&map, self.pinned.as_deref())?;
-        self.publish(&map)?;
-        // Of the old one nothing is left but what programs still read.
-        self.table = table;
-        Ok(())
-    }
-
     /// Has programs find their table in `map`, and the next daemon as well.
     fn publish(&mut self, map: &Buckets) -> Result<(), UpdateError> {
         self.current.set(0, map, 0).map_err(map_error)?;
@@ -150,9 +109,31 @@ impl Fib {
             renamed => renamed.map_err(|source| UpdateError::FibPin { path: new, source }),
         }
     }
+}
 
-    fn full(&self) -> UpdateError {
-        UpdateError::FibFull { capacity: self.limit }
+impl Growing for Fib {
+    type Memory = Mapping;
+
+    fn table(&self) -> &Table<Mapping> {
+        &self.table
+    }
+
+    fn table_mut(&mut self) -> &mut Table<Mapping> {
+        &mut self.table
+    }
+
+    fn limit(&self) -> u32 {
+        self.limit
+    }
+
+    fn grow(&mut self, names: u32) -> Result<(), UpdateError> {
+        let (mut table, map) = make(names)?;
+        self.copy_to(&mut table)?;
+        pin(&map, self.pinned.as_deref())?;
+        self.publish(&map)?;
+        // Of the old one nothing is left but what programs still read.
+        self.table = table;
+        Ok(())
     }
 }
 
@@ -165,13 +146,9 @@ pub fn names_pinned(folder: &Path) -> Result<usize, MapError> {
 
 /// An empty table for so many names, not yet pinned.
 fn make(names: u32) -> Result<(Table<Mapping>, Buckets), UpdateError> {
-    let no_memory = |source| UpdateError::FibMemory { names, source };
-    let random = gdp::crypto::random::<16>().map_err(|error| no_memory(io::Error::other(error)))?;
-    let (key, _) = random.as_chunks();
     let map = Buckets::create(buckets_for(names), BPF_F_MMAPABLE | BPF_F_INNER_MAP).map_err(map_error)?;
-    let memory = map_memory(&map).map_err(no_memory)?;
-    let table = Table::begin(memory, [key[0], key[1]].map(u64::from_ne_bytes));
-    Ok((table.map_err(|error| no_memory(io::Error::other(error)))?, map))
+    let table = growing::begin(names, || map_memory(&map))?;
+    Ok((table, map))
 }
 
 /// Pins a table that has every name.

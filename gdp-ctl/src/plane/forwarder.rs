@@ -1,5 +1,5 @@
 //! Moves frames between data sockets according to [`super::userspace::handle`]: one thread for each socket that receives.
-//! Nothing is allocated, and the tables are locked once, for each batch.
+//! Nothing is allocated for a batch, and the tables are entered once.
 
 use std::collections::HashMap;
 use std::io;
@@ -13,8 +13,10 @@ use gdp_wire::{Counter, Header};
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::notices::Notices;
+use super::queues::Queues;
+use super::tables::Reader;
 use super::tally::Tally;
-use super::userspace::{CopyOut, Outcome, UserTables, copies, handle};
+use super::userspace::{CopyOut, Outcome, copies, handle};
 
 /// Frames that a thread hands to an interface before it looks again whether they wait there, if they did not.
 const LOOK: usize = 16;
@@ -40,19 +42,20 @@ impl From<LinkAddr> for Medium {
 
 /// What all threads share.
 pub struct Shared {
-    pub tables: RwLock<UserTables>,
     pub notices: Arc<Notices>,
     pub tally: Tally,
+    queues: Arc<Queues>,
     sockets: RwLock<HashMap<Medium, Arc<DataSocket>>>,
     counters: [AtomicU64; Counter::COUNT],
 }
 
 impl Shared {
-    pub fn new(tables: UserTables) -> Self {
+    /// `queues`: those of the tables.
+    pub fn new(queues: Arc<Queues>) -> Self {
         Self {
-            tables: RwLock::new(tables),
             notices: Arc::default(),
             tally: Tally::default(),
+            queues,
             sockets: RwLock::new(HashMap::new()),
             counters: [const { AtomicU64::new(0) }; Counter::COUNT],
         }
@@ -63,10 +66,8 @@ impl Shared {
         std::array::from_fn(|i| self.counters[i].load(Ordering::Relaxed))
     }
 
-    /// Sends a frame of this node itself to the neighbour on link `id`; if it is lost, so be it.
-    pub fn send_own(&self, id: u32, header: Header, payload: &[u8]) {
-        let made = self.tables.read().unwrap_or_else(PoisonError::into_inner).address_frame(id, header);
-        let Some((header, to)) = made else { return };
+    /// Sends a frame of this node itself; if it is lost, so be it.
+    pub fn send_own(&self, to: LinkAddr, header: Header, payload: &[u8]) {
         let sockets = self.sockets.read().unwrap_or_else(PoisonError::into_inner);
         if let Some(socket) = sockets.get(&Medium::from(to)) {
             socket.send_batch([OutFrame { to, head: header.as_bytes(), body: payload }]);
@@ -90,12 +91,19 @@ pub struct Forwarder {
 
 impl Forwarder {
     /// `largest`: bytes of the largest frame the socket can deliver.
-    pub fn start(medium: Medium, socket: Arc<DataSocket>, largest: usize, shared: &Arc<Shared>) -> io::Result<Self> {
+    pub fn start(
+        medium: Medium,
+        socket: Arc<DataSocket>,
+        largest: usize,
+        shared: &Arc<Shared>,
+        tables: Reader,
+    ) -> io::Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
         sockets(shared, |sockets| sockets.insert(medium, socket.clone()));
         let worker = Worker {
             socket,
             shared: shared.clone(),
+            tables,
             stop: stop.clone(),
             batch: RecvBatch::new(largest),
             sends: Vec::with_capacity(BATCH),
@@ -116,7 +124,7 @@ impl Drop for Forwarder {
         self.stop();
         sockets(&self.shared, |sockets| sockets.remove(&self.medium));
         if let Medium::Ethernet(ifindex) = self.medium {
-            self.shared.tables.read().unwrap_or_else(PoisonError::into_inner).queues().note(ifindex, 0);
+            self.shared.queues.note(ifindex, 0);
         }
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
@@ -127,6 +135,7 @@ impl Drop for Forwarder {
 struct Worker {
     socket: Arc<DataSocket>,
     shared: Arc<Shared>,
+    tables: Reader,
     stop: Arc<AtomicBool>,
     batch: RecvBatch,
     /// What is to be sent of the batch.
@@ -148,6 +157,8 @@ struct Send {
 impl Worker {
     fn run(mut self) {
         while !self.stop.load(Ordering::Relaxed) {
+            // Keys that are gone from the tables are not to stay because nothing comes.
+            drop(self.tables.enter());
             let received = match self.socket.wait_readable(NOTICE) {
                 Ok(false) => continue,
                 Ok(true) => self.socket.try_recv_batch(&mut self.batch),
@@ -171,9 +182,8 @@ impl Worker {
     /// Before more is handed over: what is still there waits.
     fn look_at_queues(&mut self) {
         let shared = &self.shared;
-        let tables = shared.tables.read().unwrap_or_else(PoisonError::into_inner);
         let due = self.unseen.extract_if(.., |(_, frames)| *frames >= LOOK).map(|(ifindex, _)| ifindex);
-        tables.queues().look(due, |ifindex| {
+        shared.queues.look(due, |ifindex| {
             let sockets = shared.sockets.read().unwrap_or_else(PoisonError::into_inner);
             sockets.get(&Medium::Ethernet(ifindex)).map_or(0, |socket| socket.send_queue())
         });
@@ -181,7 +191,7 @@ impl Worker {
 
     fn decide(&mut self) {
         let mut counts = [0u64; Counter::COUNT];
-        let tables = self.shared.tables.read().unwrap_or_else(PoisonError::into_inner);
+        let tables = self.tables.enter();
         for (index, InFrame { bytes: frame, congested, .. }) in self.batch.frames().enumerate() {
             let arrived = Header::read_from_prefix(frame).ok().map(|(header, _)| (header.link_id(), header.tag()));
             let outcome = handle(frame, congested, &tables);

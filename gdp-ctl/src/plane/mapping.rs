@@ -1,25 +1,33 @@
-//! The memory of a BPF array in this process. Programs and other processes may change it at any moment, so it is words that are
-//! only ever accessed atomically. For [`super::link_memory`] and [`super::fib`].
+//! Words that are only ever accessed atomically: the memory of a BPF array in this process, which programs and other processes may
+//! change at any moment, or memory of this process alone. For [`super::link_memory`], [`super::fib`] and [`super::tables`].
 
 use std::io;
-use std::os::fd::{AsFd, AsRawFd};
+use std::os::fd::{AsFd, AsRawFd, RawFd};
 use std::ptr::NonNull;
 use std::sync::atomic::AtomicU64;
 
 use aya::maps::MapData;
 
-/// A mapping of the first words of an array made with `BPF_F_MMAPABLE`. It outlives the array's descriptor.
+/// A mapping of whole pages. That of an array outlives the array's descriptor.
 pub struct Mapping {
     start: NonNull<AtomicU64>,
     words: usize,
 }
 
 impl Mapping {
-    /// `words`: no more than the array has.
+    /// The first words of an array made with `BPF_F_MMAPABLE`; no more than it has.
     pub fn new(map: &MapData, words: usize) -> io::Result<Self> {
-        let (fd, bytes) = (map.fd().as_fd().as_raw_fd(), words * size_of::<AtomicU64>());
-        let (access, flags) = (libc::PROT_READ | libc::PROT_WRITE, libc::MAP_SHARED | libc::MAP_POPULATE);
-        // SAFETY: a fresh mapping of a descriptor that is open; nothing existing is replaced. The kernel refuses what is
+        Self::map(map.fd().as_fd().as_raw_fd(), libc::MAP_SHARED | libc::MAP_POPULATE, words)
+    }
+
+    /// Words that are zero, and use no memory before they are written to.
+    pub fn own(words: usize) -> io::Result<Self> {
+        Self::map(-1, libc::MAP_PRIVATE | libc::MAP_ANONYMOUS, words)
+    }
+
+    fn map(fd: RawFd, flags: i32, words: usize) -> io::Result<Self> {
+        let (bytes, access) = (words * size_of::<AtomicU64>(), libc::PROT_READ | libc::PROT_WRITE);
+        // SAFETY: a fresh mapping, of a descriptor that is open or of none; nothing existing is replaced. The kernel refuses what is
         // larger than the array.
         let address = unsafe { libc::mmap(std::ptr::null_mut(), bytes, access, flags, fd, 0) };
         match NonNull::new(address) {
@@ -31,7 +39,7 @@ impl Mapping {
 
 impl AsRef<[AtomicU64]> for Mapping {
     fn as_ref(&self) -> &[AtomicU64] {
-        // SAFETY: `new` mapped so many words here, aligned to a page; they stay until `drop`.
+        // SAFETY: `map` mapped so many words here, aligned to a page; they stay until `drop`.
         unsafe { std::slice::from_raw_parts(self.start.as_ptr(), self.words) }
     }
 }
@@ -43,7 +51,7 @@ unsafe impl Sync for Mapping {}
 
 impl Drop for Mapping {
     fn drop(&mut self) {
-        // SAFETY: the mapping that `new` made, unmapped once.
+        // SAFETY: the mapping that `map` made, unmapped once.
         unsafe { libc::munmap(self.start.as_ptr().cast(), self.words * size_of::<AtomicU64>()) };
     }
 }

@@ -7,8 +7,9 @@
 //! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`] and [`explain`] serve it
 //! - [`losses`]: what is lost after a redirect; [`kernel_types`] serves it
 //! - [`device`]: interfaces as the kernel describes them; [`xdp_features`] and [`netlink`] serve it
-//! - [`userspace`]: the tables and what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
-//! - [`fib`]: the names in the kernel, and room for more of them
+//! - [`tables`]: the full tables, which threads read while they change
+//! - [`userspace`]: what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
+//! - [`fib`]: the names in the kernel; [`growing`]: room for more of them, there and in the full tables
 //! - [`groups`]: which links take copies of a frame; [`kernel_groups`] and [`group_places`]: what the kernel holds of them
 //! - [`link_memory`]: what the two planes share; this and the FIB are [`mapping`]s
 //! - [`queues`]: where frames wait to be sent
@@ -24,6 +25,7 @@ pub mod fib;
 pub mod forwarder;
 pub mod group_places;
 pub mod groups;
+mod growing;
 pub mod host_pair;
 pub mod kernel;
 pub mod kernel_groups;
@@ -37,6 +39,7 @@ pub mod notices;
 pub mod object;
 pub mod pins;
 pub mod queues;
+pub mod tables;
 pub mod tally;
 pub mod udp;
 pub mod userspace;
@@ -46,12 +49,12 @@ pub mod xdp_features;
 use std::collections::{HashMap, HashSet};
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
-use std::sync::{Arc, PoisonError, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::Arc;
 
 use gdp::link::KeyedEntry;
 use gdp::name::NamePrefix;
 use gdp::port::{DataSocket, HostPair, Interface, LinkAddr};
-use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS, PORT_ROUTED, PORT_USERSPACE, Tables, ip_of, mac_bytes};
+use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS, PORT_ROUTED, PORT_USERSPACE, ip_of, mac_bytes};
 use gdp_wire::{
     Carrier, Counter, FibEntry, Header, LinkEntry, LinkRole, LocalAddress, Name, Permit, SwitchConfig, Vlan,
 };
@@ -64,8 +67,8 @@ use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
 use link_memory::LinkMemory;
 use notices::Notices;
 use pins::{Pins, PinsError};
+use tables::UserTables;
 use udp::Routing;
-use userspace::UserTables;
 use xdp_features::XdpFeatures;
 
 /// Names the FIB can hold unless configured otherwise. The kernel's table begins with room for 1024 names and doubles as names
@@ -172,6 +175,7 @@ pub struct Planes {
     config: PlaneConfig,
     kernel: Result<KernelPlane, String>,
     features: Option<XdpFeatures>,
+    tables: UserTables,
     shared: Arc<Shared>,
     link_memory: LinkMemory,
     own_bit: u64,
@@ -251,12 +255,14 @@ impl Planes {
         }
         let adopted = kernel.as_ref().map_or(Ok(None), KernelPlane::adopted)?;
         let link_memory = kernel.as_ref().map_or_else(|_| LinkMemory::new(), |kernel| kernel.link_memory().clone());
+        let tables = UserTables::new(link_memory.clone(), config.fib_capacity)?;
         let mut planes = Self {
             config,
             kernel,
             // Kernels before 6.3 cannot be asked; there it is assumed that native XDP comes with redirection.
             features: XdpFeatures::open().ok(),
-            shared: Arc::new(Shared::new(UserTables::new(link_memory.clone()))),
+            shared: Arc::new(Shared::new(tables.queues().clone())),
+            tables,
             link_memory,
             own_bit: 0,
             groups: Groups::default(),
@@ -313,7 +319,7 @@ impl Planes {
             return Err(PlaneError::NoXdp { interface: interface.name.clone(), reason });
         }
         let medium = Medium::Ethernet(interface.index);
-        let forwarder = Forwarder::start(medium, socket, interface.mtu as usize, &self.shared)
+        let forwarder = Forwarder::start(medium, socket, interface.mtu as usize, &self.shared, self.tables.reader())
             .map_err(|source| PlaneError::Thread { interface: interface.name.clone(), source })?;
         let vlan = interface.vlan.as_ref().map(|vlan| vlan.id);
         let port = Port { interface: interface.name.clone(), device, vlan, forwarder };
@@ -366,7 +372,7 @@ impl Planes {
         pair: Option<host_pair::Ends>,
     ) -> Result<Vec<InterfacePlane>, PlaneError> {
         self.detach_udp();
-        let forwarder = Forwarder::start(Medium::Udp, socket, LARGEST_UDP_FRAME, &self.shared)
+        let forwarder = Forwarder::start(Medium::Udp, socket, LARGEST_UDP_FRAME, &self.shared, self.tables.reader())
             .map_err(|source| PlaneError::Thread { interface: "udp".into(), source })?;
         self.host_pair = pair.as_ref().map_or(0, |pair| pair.switch.index);
         self.udp = Some(UdpPort { bound, forwarder, pair, devices: HashSet::new() });
@@ -420,7 +426,7 @@ impl Planes {
     /// Adds or replaces a link; frames of it are sent to `to`. `entry.port` is filled in here.
     pub fn set_link(&mut self, mut entry: LinkEntry, to: LinkAddr) -> Result<(), PlaneError> {
         entry.port = self.port_for(&entry, to);
-        if self.read_tables().link(entry.id).is_none() {
+        if self.tables.link(entry.id).is_none() {
             self.link_memory.begin(entry.id);
             self.shared.notices.begin(entry.id);
             self.shared.tally.begin(entry.id);
@@ -428,7 +434,7 @@ impl Planes {
                 kernel.begin_link(entry.id)?;
             }
         }
-        let before = self.tables().set_link(entry, to);
+        let before = self.tables.set_link(entry, to);
         if let Ok(kernel) = &mut self.kernel {
             kernel.set_link(&entry)?;
         }
@@ -448,12 +454,18 @@ impl Planes {
 
     /// Asks the data plane of the neighbour on a link whether it lives.
     pub fn ask(&self, link: u32, cookie: u64) {
-        self.shared.send_own(link, Header::echo(cookie), &[]);
+        self.send_own(link, Header::echo(cookie), &[]);
     }
 
     /// Sends a probe (see [`Header::probe`]) to the neighbour on a link.
     pub fn probe(&self, link: u32, probe: Header, cookie: u64) {
-        self.shared.send_own(link, probe, &cookie.to_be_bytes());
+        self.send_own(link, probe, &cookie.to_be_bytes());
+    }
+
+    fn send_own(&self, link: u32, header: Header, payload: &[u8]) {
+        if let Some((header, to)) = self.tables.address_frame(link, header) {
+            self.shared.send_own(to, header, payload);
+        }
     }
 
     /// What neighbours said to this node itself.
@@ -463,7 +475,7 @@ impl Planes {
 
     /// An unknown link is no error.
     pub fn remove_link(&mut self, id: u32) -> Result<(), PlaneError> {
-        let Some(removed) = self.tables().remove_link(id) else { return Ok(()) };
+        let Some(removed) = self.tables.remove_link(id) else { return Ok(()) };
         self.routes_of_links.remove(&id);
         self.set_kernel_groups_of(&[removed]);
         if let Ok(kernel) = &mut self.kernel {
@@ -474,7 +486,7 @@ impl Planes {
 
     /// All links, as the planes hold them.
     pub fn links(&self) -> Vec<KeyedEntry> {
-        self.read_tables().links().map(|(entry, _)| entry.clone()).collect()
+        self.tables.links().map(|(entry, _)| entry.clone()).collect()
     }
 
     /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold the same number.
@@ -484,13 +496,12 @@ impl Planes {
 
     /// `number`: the one that the group of the readers had, if it is new here.
     fn set_route_by_group(&mut self, name: Name, route: &PlaneRoute, number: Option<u32>) -> Result<(), PlaneError> {
-        let capacity = self.config.fib_capacity;
-        if !self.read_tables().has_room_for(&name, capacity as usize) {
-            return Err(UpdateError::FibFull { capacity }.into());
+        if !self.tables.has_room_for(&name) {
+            return Err(UpdateError::FibFull { capacity: self.config.fib_capacity }.into());
         }
         let (group, is_new) = self.groups.take_as(&route.readers, number);
         if is_new {
-            self.tables().set_group(group, &route.readers);
+            self.tables.set_group(group, &route.readers);
         }
         let beyond = (route.egress_bits & !self.own_bit).count_ones() as usize;
         let forks = beyond + route.readers.len() > 1 && self.groups.fork(group);
@@ -498,16 +509,23 @@ impl Planes {
             self.set_kernel_group(group);
         }
         let (entry, permits) = entry_of(&name, route, group);
-        let before = self.tables().set_route(name, entry, &permits);
+        let before = match self.tables.set_route(name, entry, &permits) {
+            Ok(before) => before,
+            Err(error) => {
+                self.release_group(group);
+                return Err(error.into());
+            }
+        };
         let set = self.set_kernel_route(&name, entry, &permits, before.as_ref().map_or(&[], |(_, permits)| permits));
         let released = match (&set, before) {
             (Ok(()), before) => before.map(|(before, _)| before.group),
             (Err(_), Some((before, permits))) => {
-                self.tables().set_route(name, before, &permits);
+                // What it held until now it has room for.
+                let _ = self.tables.set_route(name, before, &permits);
                 Some(group)
             }
             (Err(_), None) => {
-                self.tables().remove_route(&name);
+                self.tables.remove_route(&name);
                 Some(group)
             }
         };
@@ -520,7 +538,7 @@ impl Planes {
         if let Ok(kernel) = &mut self.kernel {
             kernel.remove_route(name);
         }
-        let Some((before, permits)) = self.tables().remove_route(name) else { return Ok(()) };
+        let Some((before, permits)) = self.tables.remove_route(name) else { return Ok(()) };
         if let Ok(kernel) = &mut self.kernel {
             permits.iter().try_for_each(|permit| kernel.forbid(permit))?;
         }
@@ -530,24 +548,23 @@ impl Planes {
 
     /// Where a name leads, as the planes were told.
     pub fn route(&self, name: &Name) -> Option<FibEntry> {
-        self.read_tables().route(name)
+        self.tables.route(name)
     }
 
     /// Of the names that lead somewhere, those that begin so; `limit` of them at most.
     pub fn names_like(&self, prefix: &NamePrefix, limit: usize) -> Vec<Name> {
-        let tables = self.read_tables();
-        let names = tables.routes().map(|(name, _)| *name).filter(|name| prefix.matches(name));
+        let names = self.tables.routes().map(|(name, _)| name).filter(|name| prefix.matches(name));
         names.take(limit).collect()
     }
 
     /// For each egress bit the link toward that switch; 0 if there is none.
     pub fn next_hop(&self, bit: u8) -> u32 {
-        self.read_tables().next_hop(bit.into())
+        self.tables.next_hop(bit.into())
     }
 
     /// The links that may send to a name.
     pub fn writers(&self, name: &Name) -> Vec<u32> {
-        let tables = self.read_tables();
+        let tables = &self.tables;
         let first = tables.route(name).map(|entry| entry.writer_link).filter(|link| ![0, ANY_WRITER].contains(link));
         let others = tables.permits(name).iter().filter(|permit| permit.part == Permit::DESTINATION);
         first.into_iter().chain(others.map(|permit| permit.link)).collect()
@@ -560,12 +577,12 @@ impl Planes {
 
     /// Whether frames that leave by a link do so without the userspace plane, if they come in by XDP.
     pub fn kernel_sends_on(&self, id: u32) -> bool {
-        self.kernel.is_ok() && self.read_tables().link(id).is_some_and(|link| link.port != PORT_USERSPACE)
+        self.kernel.is_ok() && self.tables.link(id).is_some_and(|link| link.port != PORT_USERSPACE)
     }
 
     /// For each egress bit the link toward that switch, or 0.
     pub fn set_next_hops(&mut self, next_hops: &[u32; EGRESS_SET_SIZE as usize]) -> Result<(), PlaneError> {
-        self.tables().set_next_hops(next_hops);
+        self.tables.set_next_hops(next_hops);
         if let Ok(kernel) = &mut self.kernel {
             kernel.set_next_hops(next_hops)?;
         }
@@ -575,7 +592,7 @@ impl Planes {
     /// This switch's own egress bit; 0 before it has one.
     pub fn set_own_bit(&mut self, own_bit: u64) -> Result<(), PlaneError> {
         self.own_bit = own_bit;
-        self.tables().set_own_bit(own_bit);
+        self.tables.set_own_bit(own_bit);
         let config = SwitchConfig { own_bit, ethertype: self.config.ethertype.into(), host_pair: self.host_pair };
         if let Ok(kernel) = &mut self.kernel {
             kernel.set_config(config)?;
@@ -636,8 +653,7 @@ impl Planes {
         limit: usize,
     ) -> Result<(Vec<(Name, FibEntry)>, bool), PlaneError> {
         let behind = |name: &Name| after.is_none_or(|after| name.as_bytes() > after.as_bytes());
-        let mut routes: Vec<_> =
-            self.read_tables().routes().filter(|(name, _)| behind(name)).map(|(name, entry)| (*name, *entry)).collect();
+        let mut routes: Vec<_> = self.tables.routes().filter(|(name, _)| behind(name)).collect();
         let order = |a: &(Name, FibEntry), b: &(Name, FibEntry)| a.0.as_bytes().cmp(b.0.as_bytes());
         let more = routes.len() > limit;
         if more {
@@ -678,7 +694,7 @@ impl Planes {
         for ifindex in &stop {
             self.devices.get_mut(ifindex).into_iter().for_each(|device| device.sends = false);
         }
-        let links: Vec<_> = self.read_tables().links().cloned().collect();
+        let links: Vec<_> = self.tables.links().cloned().collect();
         for (entry, to) in links {
             if self.port_for(&entry, to) != entry.port {
                 self.set_link(*entry, to)?;
@@ -884,7 +900,7 @@ impl Planes {
     /// One name less takes copies by this group.
     fn release_group(&mut self, group: u32) {
         if self.groups.release(group) {
-            self.tables().set_group(group, &[]);
+            self.tables.set_group(group, &[]);
             if let Ok(kernel) = &mut self.kernel {
                 kernel.release_group(group);
             }
@@ -911,8 +927,8 @@ impl Planes {
     fn set_kernel_group(&mut self, group: u32) {
         let Ok(kernel) = &self.kernel else { return };
         let mut members = Vec::new();
-        let tables = self.read_tables();
-        let mut links: Vec<&LinkEntry> = tables.members(group).filter_map(|id| tables.link(id)).collect();
+        let tables = &self.tables;
+        let mut links: Vec<&LinkEntry> = tables.members(group).into_iter().filter_map(|id| tables.link(id)).collect();
         let neighbours = links.iter().filter(|link| link.role == LinkRole::Switch as u32).count();
         let makes_copies = self.groups.makes_copies(group, neighbours);
         if !makes_copies {
@@ -926,7 +942,6 @@ impl Planes {
                 None => served &= !self.own_bit,
             }
         }
-        drop(tables);
         if let Ok(kernel) = &mut self.kernel
             && let Err(error) = kernel.set_group(group, &members, served)
         {
@@ -946,10 +961,8 @@ impl Planes {
     /// Asks again by which interfaces links over UDP leave; and has the kernel copy again what it left to the userspace plane since a
     /// copy found that this was not so any more.
     fn follow_routes(&mut self) {
-        let links = |tables: &UserTables| -> Vec<KeyedEntry> {
-            tables.links().map(|(entry, _)| entry).filter(|entry| entry.port == PORT_ROUTED).cloned().collect()
-        };
-        let routed = links(&self.read_tables());
+        let links = self.tables.links().map(|(entry, _)| entry).filter(|entry| entry.port == PORT_ROUTED);
+        let routed: Vec<KeyedEntry> = links.cloned().collect();
         for link in &routed {
             self.follow_route(link);
         }
@@ -995,7 +1008,7 @@ impl Planes {
                 if entry.port == PORT_ROUTED {
                     self.routing.get_or_insert_with(Routing::enable);
                 }
-                self.tables().set_link(*entry, to);
+                self.tables.set_link(*entry, to);
                 self.follow_route(&entry);
                 left.links.push((entry, to));
             } else if let Ok(kernel) = &mut self.kernel {
@@ -1003,8 +1016,8 @@ impl Planes {
                 kernel.remove_link(entry.id)?;
             }
         }
-        self.tables().set_own_bit(config.own_bit);
-        self.tables().set_next_hops(&next_hops);
+        self.tables.set_own_bit(config.own_bit);
+        self.tables.set_next_hops(&next_hops);
         let readers = self.adopted_readers(&groups);
         self.left = Some(left);
         let sources = self.adopted_sources(sources);
@@ -1037,7 +1050,7 @@ impl Planes {
 
     /// The links by which frames may come from each name, sorted, of those that are there.
     fn adopted_sources(&self, permits: Vec<Permit>) -> HashMap<Name, Vec<u32>> {
-        let tables = self.read_tables();
+        let tables = &self.tables;
         let mut sources: HashMap<Name, Vec<u32>> = HashMap::new();
         for permit in permits.into_iter().filter(|permit| tables.link(permit.link).is_some()) {
             sources.entry(permit.name).or_default().push(permit.link);
@@ -1048,7 +1061,7 @@ impl Planes {
 
     /// The local readers of each group that has any, sorted.
     fn adopted_readers(&self, groups: &[(u32, Vec<u32>)]) -> HashMap<u32, Vec<u32>> {
-        let tables = self.read_tables();
+        let tables = &self.tables;
         let is_reader = |id: &u32| tables.link(*id).is_some_and(|link| link.role != LinkRole::Switch as u32);
         let of = |members: &[u32]| {
             let mut readers: Vec<u32> = members.iter().copied().filter(is_reader).collect();
@@ -1057,14 +1070,6 @@ impl Planes {
         };
         let groups = groups.iter().map(|(group, members)| (*group, of(members)));
         groups.filter(|(group, readers)| *group != NEIGHBOURS && !readers.is_empty()).collect()
-    }
-
-    fn read_tables(&self) -> RwLockReadGuard<'_, UserTables> {
-        self.shared.tables.read().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn tables(&self) -> RwLockWriteGuard<'_, UserTables> {
-        self.shared.tables.write().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

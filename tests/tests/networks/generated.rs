@@ -10,7 +10,7 @@ use crate::frames;
 use anyhow::{Context, Result, ensure};
 use gdp_ctl::plane::kernel::{Buffers, KernelPlane};
 use gdp_ctl::plane::link_memory::LinkMemory;
-use gdp_ctl::plane::userspace::UserTables;
+use gdp_ctl::plane::tables::UserTables;
 use gdp_wire::Counter;
 
 use crate::planes::{Site, counted, is_for_no_data_socket, run_uncounted, run_userspace, user_tables};

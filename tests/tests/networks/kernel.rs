@@ -83,11 +83,11 @@ fn frames_that_come_to_both_planes_at_once_are_taken_once() -> Result<()> {
     let together = Barrier::new(2);
     let (in_kernel, in_userspace) = std::thread::scope(|scope| {
         let in_userspace = scope.spawn(|| {
-            let mut sent = Vec::new();
+            let (mut sent, mut reader) = (Vec::new(), tables.reader());
             for round in frames.chunks(FRAMES) {
                 together.wait();
                 sent.extend(round.iter().rev().map(|frame| {
-                    let outcome = handle(&mut frame[14..].to_vec(), false, &tables);
+                    let outcome = handle(&mut frame[14..].to_vec(), false, &reader.enter());
                     (matches!(outcome, Outcome::Send { .. }), outcome)
                 }));
                 let start = sent.len() - round.len();

@@ -7,8 +7,9 @@ use gdp::port::Interface;
 use gdp_ctl::plane::group_places::Member;
 use gdp_ctl::plane::kernel::{Action, Buffers, KernelPlane};
 use gdp_ctl::plane::link_memory::LinkMemory;
+use gdp_ctl::plane::tables::UserTables;
 use gdp_ctl::plane::udp::Routing;
-use gdp_ctl::plane::userspace::{Outcome, UserTables, copies, handle};
+use gdp_ctl::plane::userspace::{Outcome, copies, handle};
 use gdp_tests::Tools;
 use gdp_tests::frames::fixtures::{Fate, Switch, Verdict};
 use gdp_tests::netns::{End, Entered, Namespace, veth};
@@ -97,16 +98,16 @@ pub fn user_tables(switch: &Switch) -> (UserTables, LinkMemory) {
 }
 
 pub fn user_tables_with(switch: &Switch, link_memory: LinkMemory) -> UserTables {
-    let mut tables = UserTables::new(link_memory);
+    let mut tables = UserTables::new(link_memory, 1024).expect("memory");
     for link in switch.links() {
         // Only to be told apart.
         let to = gdp::port::LinkAddr::Ethernet { ifindex: link.port, mac: [0; 6] };
         tables.set_link(link, to);
     }
-    for (name, entry, permitted) in switch.routes() {
-        tables.set_route(name, entry, &permitted);
-    }
     switch.groups().for_each(|(group, readers)| tables.set_group(group, readers));
+    for (name, entry, permitted) in switch.routes() {
+        tables.set_route(name, entry, &permitted).expect("room");
+    }
     tables.set_next_hops(&switch.next_hops());
     tables.set_own_bit(switch.config().own_bit);
     tables
@@ -156,11 +157,13 @@ pub fn run_userspace(tables: &UserTables, switch: &Switch, frame: &[u8]) -> Fate
         let link = switch.link(link).expect("a link of the switch");
         link.carry(switch.ethertype, &parts.concat())
     };
-    match handle(&mut gdp, place.class & 3 == 3, tables) {
+    let mut reader = tables.reader();
+    let tables = reader.enter();
+    match handle(&mut gdp, place.class & 3 == 3, &tables) {
         Outcome::Send { link, length, counter, .. } => Fate::sent(carried(link, &[&gdp[..length]]), counter),
         Outcome::Copies { ingress, group } => {
             let (mut sent, mut dropped) = (Vec::new(), Vec::new());
-            copies(&gdp, (ingress, group), tables, |copy| sent.push(copy), |counter| dropped.push((None, counter)));
+            copies(&gdp, (ingress, group), &tables, |copy| sent.push(copy), |counter| dropped.push((None, counter)));
             let sent = sent.iter().map(|copy| {
                 let payload = &gdp[Header::LEN..copy.header.frame_len()];
                 (Some(carried(copy.link, &[copy.header.as_bytes(), payload])), copy.counter)
