@@ -365,7 +365,9 @@ impl File {
         let etcd = self.etcd.map(|entry| entry.check(rib)).transpose().map_err(ParseError::Invalid)?;
         let dpdk = self.dpdk.check().map_err(ParseError::Invalid)?;
         if self.data_plane == DataPlane::Dpdk && dpdk.ports.is_empty() {
-            return invalid("data_plane: dpdk needs devices: dpdk: {ports: [{interface: gdp0, device: 0000:02:00.0}]}".into());
+            return invalid(
+                "data_plane: dpdk needs devices: dpdk: {ports: [{interface: gdp0, device: 0000:02:00.0}]}".into(),
+            );
         }
         let here = |path: PathBuf| folder.join(path);
         Ok(Config {

@@ -14,7 +14,7 @@ use gdp_wire::{Carrier, Counter, Header, LinkEntry};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::batch::{BATCH, BatchTables, Due, Expected, expect_tags, write_tags};
-use crate::carrier::{self, Carried};
+use crate::carrier::{self, Carried, Payload};
 use crate::local::{At, Local, NextHop};
 use crate::mbuf::{Burst, Mbuf, Pool};
 use crate::view::View;
@@ -285,8 +285,7 @@ fn copied(
     let front = carrier::len(&way.carrier);
     let payload = of.bytes().get(at + Header::LEN..at + header.frame_len())?;
     let mut mbuf = pool.alloc()?;
-    // A checksum is over all of the frame.
-    if gathers && payload.len() >= REFERRED && way.carrier.flags & Carrier::CHECKSUM == 0 {
+    if gathers && payload.len() >= REFERRED && !carrier::has_checksum(&way.carrier) {
         mbuf.reshape(0, front + Header::LEN).then_some(())?;
         dress(mbuf.bytes_mut()?, front, header, way, ethertype);
         let mut rest = pool.refer(of)?;
@@ -307,6 +306,7 @@ fn dress(packet: &mut [u8], front: usize, header: &Header, way: &Way, ethertype:
         place.copy_from_slice(header.as_bytes());
     }
     let traffic = Header::ip_traffic(header.flags);
+    let frame = Payload { length: header.frame_len(), bytes: frame };
     carrier::dress(before, frame, &way.carrier, way.hop.stations, traffic, ethertype);
 }
 

@@ -109,7 +109,11 @@ impl<R: Reader> Worker<R> {
                 self.out.flush();
             }
             match self.rest.after(any) {
-                Some(sleep) => std::thread::sleep(sleep),
+                Some(sleep) => {
+                    // What is gone from the tables may go from memory.
+                    drop(self.reader.enter());
+                    std::thread::sleep(sleep);
+                }
                 None if any => {}
                 None => std::hint::spin_loop(),
             }

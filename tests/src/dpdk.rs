@@ -12,9 +12,7 @@ pub fn planned(data_plane: &'static str, interfaces: &[&str]) -> (Vec<String>, &
         return (interfaces.iter().map(|interface| (*interface).to_owned()).collect(), data_plane, json!({}));
     }
     let hosts: Vec<String> = interfaces.iter().map(|interface| format!("g{interface}")).collect();
-    let port = |(i, (host, interface)): (usize, (&String, &&str))| {
-        json!({"interface": host, "device": format!("{data_plane}{i},iface={interface}")})
-    };
+    let port = |(i, (host, interface)): (usize, (&String, &&str))| json!({"interface": host, "device": format!("{data_plane}{i},iface={interface}")});
     let ports: Vec<Value> = hosts.iter().zip(interfaces).enumerate().map(port).collect();
     (hosts, "dpdk", json!({"ports": ports, "memory_mib": 128}))
 }

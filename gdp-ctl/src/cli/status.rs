@@ -74,12 +74,15 @@ fn describe(status: &Value) -> String {
         );
     }
     let counted = status["counters_by_plane"].as_object().into_iter().flatten();
+    let has_dpdk = !status["counters_by_plane"]["forwarded"]["dpdk"].is_null();
+    let first = if has_dpdk { "dpdk" } else { "kernel" };
     let counters: Vec<_> = counted
-        .filter(|(_, planes)| planes["kernel"] != 0 || planes["userspace"] != 0)
-        .map(|(name, planes)| [name.clone(), planes["kernel"].to_string(), planes["userspace"].to_string()])
+        .map(|(name, planes)| (name, planes[first].as_u64().unwrap_or(0), planes["userspace"].as_u64().unwrap_or(0)))
+        .filter(|(_, first, userspace)| *first != 0 || *userspace != 0)
+        .map(|(name, first, userspace)| [name.clone(), first.to_string(), userspace.to_string()])
         .collect();
     if !counters.is_empty() {
-        out += &format!("\n{}\n", table(["frames", "kernel", "userspace"], &counters));
+        out += &format!("\n{}\n", table(["frames", first, "userspace"], &counters));
     }
     let busiest: Vec<_> =
         items(&status["busiest"]).iter().map(|name| [short(&name["name"]), name["frames"].to_string()]).collect();

@@ -71,7 +71,11 @@ impl DpdkEntry {
         }
         let memory_mib = self.memory_mib.unwrap_or(default.memory_mib);
         if !MEMORY.contains(&memory_mib) {
-            return Err(format!("dpdk: memory_mib: {memory_mib} is not between {} and {}", MEMORY.start(), MEMORY.end()));
+            return Err(format!(
+                "dpdk: memory_mib: {memory_mib} is not between {} and {}",
+                MEMORY.start(),
+                MEMORY.end()
+            ));
         }
         let idle = self.idle_us.map_or(default.idle, |idle| Duration::from_micros(idle.into()));
         if idle > Duration::from_micros(MAX_IDLE_US.into()) {

@@ -1,10 +1,11 @@
 //! The data planes of a daemon behind one owner. The userspace plane always runs and holds the full tables; where XDP
-//! attaches, the kernel holds the same entries and forwards before the daemon sees a frame.
+//! attaches, the kernel holds the same entries and forwards before the daemon sees a frame. Instead of XDP, DPDK may be before it.
 //!
 //! Knows links and routes as `gdp-wire` has them, nothing of names' owners, certificates or the RIB. Called by the daemon
 //! (`serve`); [`kernel`] and [`fib`] also by the kernel tests and `bench forward`.
 //!
 //! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`] and [`explain`] serve it
+//! - [`dpdk`]: devices that this process drives by itself, and the loops between them
 //! - [`losses`]: what is lost after a redirect; [`kernel_types`] serves it
 //! - [`device`]: interfaces as the kernel describes them; [`xdp_features`] and [`netlink`] serve it
 //! - [`tables`]: the full tables, which threads read while they change
@@ -20,6 +21,7 @@
 //! - [`pins`]: what stays in the kernel when the daemon dies
 
 pub mod device;
+pub mod dpdk;
 pub mod explain;
 pub mod fib;
 pub mod forwarder;
@@ -50,6 +52,7 @@ use std::collections::{HashMap, HashSet};
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 
 use gdp::link::KeyedEntry;
 use gdp::name::NamePrefix;
@@ -60,6 +63,7 @@ use gdp_wire::{
 };
 
 use device::Device;
+use dpdk::{DpdkConfig, DpdkPlane, DpdkPlaneError};
 use forwarder::{Forwarder, Medium, Shared};
 use group_places::Member;
 use groups::Groups;
@@ -86,7 +90,9 @@ pub enum Wanted {
     Auto,
     /// XDP, or an error.
     Xdp,
-    /// No XDP.
+    /// DPDK, or an error.
+    Dpdk,
+    /// Neither XDP nor DPDK.
     Userspace,
 }
 
@@ -96,6 +102,8 @@ pub struct PlaneConfig {
     pub wanted: Wanted,
     /// The eBPF object, if not where [`object::find`] looks.
     pub ebpf_object: Option<PathBuf>,
+    /// For the DPDK plane.
+    pub dpdk: DpdkConfig,
     /// Names the FIB can hold.
     pub fib_capacity: u32,
     /// Of GDP frames.
@@ -118,7 +126,8 @@ impl Default for PlaneConfig {
     fn default() -> Self {
         let ethertype = gdp_wire::ETHERTYPE;
         let wanted = Wanted::Auto;
-        Self { wanted, ebpf_object: None, fib_capacity: FIB_CAPACITY, ethertype, pins: None, count_losses: true }
+        let dpdk = DpdkConfig::default();
+        Self { wanted, ebpf_object: None, dpdk, fib_capacity: FIB_CAPACITY, ethertype, pins: None, count_losses: true }
     }
 }
 
@@ -126,7 +135,7 @@ impl Default for PlaneConfig {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct InterfacePlane {
     pub interface: String,
-    /// `xdp-native`, `xdp-generic` or `userspace`.
+    /// `xdp-native`, `xdp-generic`, `dpdk` or `userspace`.
     pub kind: &'static str,
     /// For people.
     pub reason: String,
@@ -138,6 +147,8 @@ pub enum PlaneError {
     NoXdp { interface: String, reason: String },
     #[error("`data_plane: xdp` was asked for: {0}")]
     Load(#[from] LoadError),
+    #[error("`data_plane: dpdk` was asked for: {0}")]
+    Dpdk(#[from] DpdkPlaneError),
     #[error(transparent)]
     Pins(#[from] PinsError),
     #[error(transparent)]
@@ -174,6 +185,8 @@ impl PlaneRoute {
 pub struct Planes {
     config: PlaneConfig,
     kernel: Result<KernelPlane, String>,
+    /// Instead of the kernel's.
+    dpdk: Option<DpdkPlane>,
     features: Option<XdpFeatures>,
     tables: UserTables,
     shared: Arc<Shared>,
@@ -241,6 +254,7 @@ impl Planes {
     pub fn open(config: PlaneConfig) -> Result<Self, PlaneError> {
         let mut kernel = match config.wanted {
             Wanted::Userspace => Err("`data_plane: userspace` was asked for".to_owned()),
+            Wanted::Dpdk => Err("`data_plane: dpdk` was asked for, and this is none of its ports".to_owned()),
             Wanted::Xdp => Ok(load(&config)?),
             Wanted::Auto => match load(&config) {
                 // Something forwards, and it is not for this daemon to end it.
@@ -256,12 +270,18 @@ impl Planes {
         let adopted = kernel.as_ref().map_or(Ok(None), KernelPlane::adopted)?;
         let link_memory = kernel.as_ref().map_or_else(|_| LinkMemory::new(), |kernel| kernel.link_memory().clone());
         let tables = UserTables::new(link_memory.clone(), config.fib_capacity)?;
+        let shared = Arc::new(Shared::new(tables.queues().clone()));
+        let dpdk = match config.wanted {
+            Wanted::Dpdk => Some(DpdkPlane::start(&config.dpdk, config.ethertype, || tables.reader(), &shared)?),
+            _ => None,
+        };
         let mut planes = Self {
             config,
             kernel,
+            dpdk,
             // Kernels before 6.3 cannot be asked; there it is assumed that native XDP comes with redirection.
             features: XdpFeatures::open().ok(),
-            shared: Arc::new(Shared::new(tables.queues().clone())),
+            shared,
             tables,
             link_memory,
             own_bit: 0,
@@ -416,6 +436,9 @@ impl Planes {
 
     /// Why links over UDP, of IPv4 and of IPv6, are left to the userspace plane, if they are.
     pub fn udp_in_userspace(&self) -> [Option<String>; 2] {
+        if self.dpdk.is_some() {
+            return [None, None];
+        }
         match (&self.kernel, &self.routing) {
             (Err(reason), _) => [Some(reason.clone()), Some(reason.clone())],
             (_, Some(routing)) => [routing.v4.clone().err(), routing.v6.clone().err()],
@@ -425,6 +448,9 @@ impl Planes {
 
     /// Adds or replaces a link; frames of it are sent to `to`. `entry.port` is filled in here.
     pub fn set_link(&mut self, mut entry: LinkEntry, to: LinkAddr) -> Result<(), PlaneError> {
+        if let Some(dpdk) = &mut self.dpdk {
+            dpdk.follow_link(&entry);
+        }
         entry.port = self.port_for(&entry, to);
         if self.tables.link(entry.id).is_none() {
             self.link_memory.begin(entry.id);
@@ -575,9 +601,15 @@ impl Planes {
         self.groups.readers(entry.group).to_vec()
     }
 
-    /// Whether frames that leave by a link do so without the userspace plane, if they come in by XDP.
-    pub fn kernel_sends_on(&self, id: u32) -> bool {
-        self.kernel.is_ok() && self.tables.link(id).is_some_and(|link| link.port != PORT_USERSPACE)
+    /// The plane before the userspace plane: `kernel`, also where none attached, or `dpdk`.
+    pub fn first_plane(&self) -> &'static str {
+        if self.dpdk.is_some() { "dpdk" } else { "kernel" }
+    }
+
+    /// Whether frames that leave by a link do so without the userspace plane, if they come in by the plane before it.
+    pub fn first_plane_sends_on(&self, id: u32) -> bool {
+        (self.kernel.is_ok() || self.dpdk.is_some())
+            && self.tables.link(id).is_some_and(|link| link.port != PORT_USERSPACE)
     }
 
     /// For each egress bit the link toward that switch, or 0.
@@ -601,9 +633,17 @@ impl Planes {
         Ok(())
     }
 
-    /// Each counter with what the kernel and what the userspace plane counted.
+    /// Processor time that each loop of the DPDK plane has taken; none without it.
+    pub fn dpdk_processor_time(&self) -> Vec<Duration> {
+        self.dpdk.as_ref().map_or_else(Vec::new, DpdkPlane::processor_time)
+    }
+
+    /// Each counter with what [`Self::first_plane`] and what the userspace plane counted.
     pub fn counters(&self) -> Result<Vec<(Counter, u64, u64)>, PlaneError> {
-        let kernel = self.kernel.as_ref().map_or(Ok([0; Counter::COUNT]), KernelPlane::counters)?;
+        let kernel = match &self.dpdk {
+            Some(dpdk) => dpdk.counters(),
+            None => self.kernel.as_ref().map_or(Ok([0; Counter::COUNT]), KernelPlane::counters)?,
+        };
         let userspace = self.shared.counters();
         Ok(Counter::ALL.iter().zip(kernel.into_iter().zip(userspace)).map(|(c, (k, u))| (*c, k, u)).collect())
     }
@@ -631,6 +671,9 @@ impl Planes {
 
     /// Frames that were lost after a redirect, by the name of the interface they were to leave by; or why that is not known.
     pub fn losses(&self) -> Result<HashMap<String, u64>, String> {
+        if let Some(dpdk) = &self.dpdk {
+            return Ok(dpdk.losses());
+        }
         let Ok(kernel) = &self.kernel else { return Ok(HashMap::new()) };
         if let Some(error) = kernel.uncounted() {
             return Err(format!("frames that are lost after a redirect are not counted: {error}"));
@@ -677,6 +720,7 @@ impl Planes {
     /// by which interfaces links over UDP leave; and moves links, and groups of them, to the plane that can send. Cheap; for the daemon to call now and then, and after changes to interfaces, in
     /// the network namespace of these.
     pub fn refresh(&mut self) -> Result<(), PlaneError> {
+        self.follow_dpdk();
         self.follow_udp()?;
         self.follow_vlans()?;
         let sends: HashMap<u32, bool> =
@@ -706,6 +750,13 @@ impl Planes {
             stop.into_iter().try_for_each(|ifindex| kernel.clear_port(ifindex))?;
         }
         Ok(())
+    }
+
+    /// Tells the DPDK plane what it cannot see by itself.
+    fn follow_dpdk(&mut self) {
+        let Some(dpdk) = &mut self.dpdk else { return };
+        let vlans: Vec<_> = self.ports.values().filter_map(|port| Some((port.device, port.vlan?))).collect();
+        dpdk.follow(self.udp.as_ref().map(|udp| udp.bound), &vlans, self.tables.links().map(|(entry, _)| entry));
     }
 
     /// Has the kernel take what arrives at the addresses that the UDP socket has now, on the interfaces that have them.
@@ -761,6 +812,9 @@ impl Planes {
     }
 
     fn report_of(&self, interface: &str, device: u32) -> InterfacePlane {
+        if let Some(dpdk) = self.dpdk.as_ref().and_then(|dpdk| dpdk.device_of(device)) {
+            return InterfacePlane { interface: interface.to_owned(), kind: "dpdk", reason: format!("device {dpdk}") };
+        }
         let (attached, reason) =
             self.devices.get(&device).map_or((None, ""), |device| (device.attached, device.reason.as_str()));
         let kind = match attached {
@@ -849,12 +903,20 @@ impl Planes {
         let (port, sends) = match to {
             LinkAddr::Ethernet { ifindex, .. } => {
                 let device = self.ports.get(&ifindex).map_or(ifindex, |port| port.device);
-                (device, self.sends_to(device))
+                (device, self.sends_to(device) || self.is_dpdk(device))
             }
             LinkAddr::Udp(_) if entry.carrier.local_mac != [0; 3] => (self.host_pair, self.sends_to(self.host_pair)),
-            LinkAddr::Udp(_) => (PORT_ROUTED, self.kernel_routes(&entry.carrier)),
+            LinkAddr::Udp(_) => {
+                let by_dpdk = self.dpdk.as_ref().is_some_and(|dpdk| dpdk.routes(entry));
+                (PORT_ROUTED, by_dpdk || self.kernel_routes(&entry.carrier))
+            }
         };
         if sends { port } else { PORT_USERSPACE }
+    }
+
+    /// Whether an interface is the host's side of a port of the DPDK plane.
+    fn is_dpdk(&self, ifindex: u32) -> bool {
+        self.dpdk.as_ref().is_some_and(|dpdk| dpdk.device_of(ifindex).is_some())
     }
 
     /// Whether the kernel sends to an interface.

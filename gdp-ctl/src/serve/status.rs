@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use std::time::Duration;
 
 use gdp::cert::{Adjoining, LinkState};
 use gdp::control::RecordPlace;
@@ -26,7 +27,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
     let interfaces = interfaces::list().await.unwrap_or_default();
     let core = daemon.core();
     let over_udp = core.links.iter().filter(|(_, state)| matches!(state.via, crate::config::Via::Udp(_)));
-    let udp_links = over_udp.filter(|(id, _)| !core.planes.kernel_sends_on(**id)).count();
+    let udp_links = over_udp.filter(|(id, _)| !core.planes.first_plane_sends_on(**id)).count();
     let report = core.planes.report();
     let (losses, mut errors) = match core.planes.losses() {
         Ok(losses) => (losses, Vec::new()),
@@ -46,9 +47,10 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
     let (mut counters, mut by_plane) = (Map::new(), Map::new());
     match core.planes.counters() {
         Ok(counted) => {
-            for (counter, kernel, userspace) in counted {
-                counters.insert(counter.as_str().into(), (kernel + userspace).into());
-                by_plane.insert(counter.as_str().into(), json!({"kernel": kernel, "userspace": userspace}));
+            for (counter, first, userspace) in counted {
+                counters.insert(counter.as_str().into(), (first + userspace).into());
+                let planes = json!({core.planes.first_plane(): first, "userspace": userspace});
+                by_plane.insert(counter.as_str().into(), planes);
             }
         }
         Err(error) => errors.push(error.to_string()),
@@ -68,6 +70,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "data_plane": data_plane,
         "data_plane_reason": reason,
         "interfaces": used,
+        "dpdk_processor_time_us": core.planes.dpdk_processor_time().iter().map(Duration::as_micros).collect::<Vec<_>>(),
         "udp": daemon.udp.get(),
         "links": links(&core),
         "links_held": links_held(&core),
@@ -137,7 +140,7 @@ pub fn links(core: &Core) -> Vec<Value> {
                 "traces_refused": state.traces.refused(),
                 "sent": core.planes.frames_sent(link.local_id()),
                 "carrier": !core.is_dark(state.to),
-                "plane": if core.planes.kernel_sends_on(link.local_id()) { "kernel" } else { "userspace" },
+                "plane": if core.planes.first_plane_sends_on(link.local_id()) { core.planes.first_plane() } else { "userspace" },
             })
         })
         .collect()

@@ -71,12 +71,31 @@ pub fn len(carrier: &Carrier) -> usize {
     }
 }
 
+/// A frame that headers are put in front of.
+#[derive(Clone, Copy, Debug)]
+pub struct Payload<'a> {
+    /// Bytes of the frame.
+    pub length: usize,
+    /// Those that are at hand: all of them, if the carrier [`has_checksum`].
+    pub bytes: &'a [u8],
+}
+
+/// Whether the headers of this carrier have a checksum that is over the frame as well.
+#[inline]
+pub fn has_checksum(carrier: &Carrier) -> bool {
+    match carrier.kind {
+        Carrier::UDP4 => udp4::has_checksum(carrier),
+        Carrier::UDP6 => udp6::has_checksum(carrier),
+        _ => false,
+    }
+}
+
 /// Writes the headers in front of `frame`, which goes to the peer of `carrier`. `traffic`: as [`gdp_wire::Header::ip_traffic`] says;
 /// `ethertype`: of GDP frames, in host order. A `front` that has not [`len`] bytes stays as it is.
 ///
 /// The frame must be one that the link takes: over UDP no longer than 65 507 bytes, which is what the length fields of IPv4 can tell.
 #[inline]
-pub fn dress(front: &mut [u8], frame: &[u8], carrier: &Carrier, stations: Stations, traffic: u8, ethertype: u16) {
+pub fn dress(front: &mut [u8], frame: Payload<'_>, carrier: &Carrier, stations: Stations, traffic: u8, ethertype: u16) {
     match carrier.kind {
         Carrier::UDP4 => udp4::dress(front, frame, carrier, stations, traffic),
         Carrier::UDP6 => udp6::dress(front, frame, carrier, stations, traffic),

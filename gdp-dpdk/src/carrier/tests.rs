@@ -8,7 +8,7 @@ use std::net::{IpAddr, SocketAddr};
 use gdp_wire::table::{ip_of, ip_words, mac_words};
 use gdp_wire::{Carrier, LocalAddress};
 
-use super::{Carried, MAX_LEN, Ours, Stations, checksum, dress, find, len};
+use super::{Carried, MAX_LEN, Ours, Payload, Stations, checksum, dress, find, has_checksum, len};
 
 const ETHERTYPE: u16 = 0x88b5;
 const PEER: [u8; 6] = [0x02, 0, 0, 0x12, 0x34, 0xfe];
@@ -239,10 +239,25 @@ fn carriers() -> Vec<(Carrier, bool)> {
     ]
 }
 
+fn whole(frame: &[u8]) -> Payload<'_> {
+    Payload { length: frame.len(), bytes: frame }
+}
+
+/// Where the rest of a frame is elsewhere.
+#[test]
+fn without_a_checksum_the_length_of_a_frame_is_enough() {
+    let frame = [7; 300];
+    for (carrier, _) in carriers().into_iter().filter(|(carrier, _)| !has_checksum(carrier)) {
+        let mut front = vec![0xa5; len(&carrier)];
+        dress(&mut front, Payload { length: 300, bytes: &frame[..96] }, &carrier, stations(), 0, ETHERTYPE);
+        assert_eq!(front, dressed(&carrier, &frame, 0), "{carrier:?}");
+    }
+}
+
 /// The headers, which replace what was there before.
 fn dressed(carrier: &Carrier, frame: &[u8], traffic: u8) -> Vec<u8> {
     let mut front = vec![0xa5; len(carrier)];
-    dress(&mut front, frame, carrier, stations(), traffic, ETHERTYPE);
+    dress(&mut front, whole(frame), carrier, stations(), traffic, ETHERTYPE);
     front
 }
 
@@ -339,7 +354,7 @@ fn a_front_of_another_length_stays_as_it_is() {
     for (carrier, _) in carriers() {
         for length in (0..=MAX_LEN + 9).filter(|length| *length != len(&carrier)) {
             let mut front = vec![0xa5; length];
-            dress(&mut front, b"frame", &carrier, stations(), 0, ETHERTYPE);
+            dress(&mut front, whole(b"frame"), &carrier, stations(), 0, ETHERTYPE);
             assert!(front.iter().all(|byte| *byte == 0xa5), "{carrier:?}, {length}");
         }
     }

@@ -7,7 +7,7 @@ use zerocopy::network_endian::U16;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
 use super::ethernet::{self, Ethernet};
-use super::{Carried, Ours, Stations, checksum};
+use super::{Carried, Ours, Payload, Stations, checksum};
 
 /// Bytes in front of the frame.
 pub const LEN: usize = size_of::<Headers>();
@@ -58,8 +58,8 @@ const _: () = assert!(LEN == 42);
 
 /// What a UDP header says of the length, its own included. Wraps where the frame is longer than a datagram can be.
 #[inline]
-pub fn udp_length(frame: &[u8]) -> U16 {
-    ((size_of::<Udp>() + frame.len()) as u16).into()
+pub fn udp_length(frame: Payload<'_>) -> U16 {
+    ((size_of::<Udp>() + frame.length) as u16).into()
 }
 
 impl Udp {
@@ -89,11 +89,16 @@ pub fn find(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
 }
 
 #[inline]
-pub fn dress(front: &mut [u8], frame: &[u8], carrier: &Carrier, stations: Stations, traffic: u8) {
+pub fn has_checksum(carrier: &Carrier) -> bool {
+    carrier.flags & Carrier::CHECKSUM != 0
+}
+
+#[inline]
+pub fn dress(front: &mut [u8], frame: Payload<'_>, carrier: &Carrier, stations: Stations, traffic: u8) {
     let Ok(front) = Headers::mut_from_bytes(front) else { return };
     let (source, destination) = (carrier.local_ip[0], carrier.peer_ip[0]);
     let addresses = checksum::sum_of_words(&[source, destination]);
-    let length = ((size_of::<Ipv4>() + size_of::<Udp>() + frame.len()) as u16).to_be();
+    let length = ((size_of::<Ipv4>() + size_of::<Udp>() + frame.length) as u16).to_be();
     // Of values, and not of the header where it is: short writes that long reads follow at once are slow.
     let words = [
         u16::from_ne_bytes([VERSION_LENGTH, traffic]),
@@ -116,9 +121,9 @@ pub fn dress(front: &mut [u8], frame: &[u8], carrier: &Carrier, stations: Statio
         destination: destination.to_ne_bytes(),
     };
     let udp_length = udp_length(frame);
-    let udp_checksum = match carrier.flags & Carrier::CHECKSUM {
-        0 => [0; 2],
-        _ => checksum::of_datagram(carrier, addresses, udp_length, frame),
+    let udp_checksum = match has_checksum(carrier) {
+        false => [0; 2],
+        true => checksum::of_datagram(carrier, addresses, udp_length, frame.bytes),
     };
     front.udp = Udp::new(carrier, udp_length, udp_checksum);
 }

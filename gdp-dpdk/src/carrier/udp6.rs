@@ -8,7 +8,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
 use super::ethernet::{self, Ethernet};
 use super::udp4::{HOP_LIMIT, UDP, Udp, udp_length};
-use super::{Carried, Ours, Stations, checksum};
+use super::{Carried, Ours, Payload, Stations, checksum};
 
 /// Bytes in front of the frame.
 pub const LEN: usize = size_of::<Headers>();
@@ -56,14 +56,19 @@ pub fn find(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
 }
 
 #[inline]
-pub fn dress(front: &mut [u8], frame: &[u8], carrier: &Carrier, stations: Stations, traffic: u8) {
+pub fn has_checksum(carrier: &Carrier) -> bool {
+    carrier.flags & (Carrier::CHECKSUM | Carrier::ZERO_CHECKSUM) != Carrier::ZERO_CHECKSUM
+}
+
+#[inline]
+pub fn dress(front: &mut [u8], frame: Payload<'_>, carrier: &Carrier, stations: Stations, traffic: u8) {
     let Ok(front) = Headers::mut_from_bytes(front) else { return };
     let length = udp_length(frame);
-    let checksum = match carrier.flags & (Carrier::CHECKSUM | Carrier::ZERO_CHECKSUM) {
-        Carrier::ZERO_CHECKSUM => [0; 2],
-        _ => {
+    let checksum = match has_checksum(carrier) {
+        false => [0; 2],
+        true => {
             let addresses = checksum::sum_of_words(&carrier.local_ip) + checksum::sum_of_words(&carrier.peer_ip);
-            checksum::of_datagram(carrier, addresses, length, frame)
+            checksum::of_datagram(carrier, addresses, length, frame.bytes)
         }
     };
     front.ethernet.address(stations, ethernet::IPV6);

@@ -195,8 +195,7 @@ impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
     }
 
     fn can_send(&self, link: &LinkEntry) -> bool {
-        self.without_port != Some(link.port)
-            && self.switch.link(link.id).is_some_and(|link| link.port.is_some())
+        self.without_port != Some(link.port) && self.switch.link(link.id).is_some_and(|link| link.port.is_some())
     }
 
     fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool {

@@ -332,6 +332,7 @@ impl Link {
                 },
                 Some(udp) => gdp_wire::Carrier {
                     kind: if udp.peer.is_ipv4() { gdp_wire::Carrier::UDP4 } else { gdp_wire::Carrier::UDP6 },
+                    flags: if udp.routed && udp.peer.is_ipv6() { gdp_wire::Carrier::ZERO_CHECKSUM } else { 0 },
                     peer_port: udp.peer.port().to_be(),
                     local_port: udp.local.port().to_be(),
                     peer_ip: words(udp.peer.ip()),
@@ -340,6 +341,11 @@ impl Link {
                 },
             },
         }
+    }
+
+    /// The MAC addresses that packets of the link go between: the neighbour's, or the gateway's, and ours.
+    pub fn stations(&self) -> [[u8; 6]; 2] {
+        [mac(&self.peer_mac), mac(&self.local_mac)]
     }
 
     /// What a frame that leaves by the link is carried in.

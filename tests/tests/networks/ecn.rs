@@ -196,6 +196,7 @@ impl Site {
             interfaces: Some(on_ethernet.map(|(_, end)| interface(end).into()).collect()),
             udp: ends.iter().any(|(cable, _)| *cable != ETHERNET).then_some("[::]:31415".parse()?),
             data_plane: self.data_plane,
+            dpdk: Default::default(),
             rib: i == 1,
             neighbours: vec![Neighbour { place: near, cost: None, dial: false, parent: false }],
             ebpf_object: Some(Tools::beside_this_test()?.ebpf_object()?),

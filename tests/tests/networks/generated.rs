@@ -1,5 +1,5 @@
-//! A million generated frames through `decide` over plain tables, the XDP switch under `BPF_PROG_TEST_RUN` and the userspace plane:
-//! the same verdict, the same bytes, the same counters, frame by frame.
+//! A million generated frames through `decide` over plain tables, the XDP switch under `BPF_PROG_TEST_RUN`, the loops of DPDK and the
+//! userspace plane: the same verdict, the same bytes, the same counters, frame by frame.
 //!
 //! All keep what they know of links from frame to frame, so replays, late frames and counts beyond 2³² are among the cases.
 
@@ -11,8 +11,11 @@ use anyhow::{Context, Result, ensure};
 use gdp_ctl::plane::kernel::{Buffers, KernelPlane};
 use gdp_ctl::plane::link_memory::LinkMemory;
 use gdp_ctl::plane::tables::UserTables;
+use gdp_dpdk::Burst;
+use gdp_dpdk::forwarding::Counts;
 use gdp_wire::Counter;
 
+use crate::planes::dpdk::{DpdkSwitch, NOWHERE};
 use crate::planes::{Site, counted, is_for_no_data_socket, run_uncounted, run_userspace, user_tables};
 use frames::fixtures::{self, Fate, Switch, Verdict};
 use frames::generate::Generator;
@@ -64,6 +67,92 @@ fn the_userspace_plane_does_what_decide_says_with_a_million_frames() -> Result<(
         fate.copies.iter().for_each(|(_, counter)| seen[*counter as usize] += 1);
     }
     reached(seen, &[Counter::Slow, Counter::RedirectFailed, Counter::RedirectLost, Counter::PuntLimit])
+}
+
+/// In bursts of all sizes: what is done for many frames at once must be what is done for each.
+#[test]
+fn dpdk_does_what_decide_says_with_a_million_frames() -> Result<()> {
+    let switch = plain_switch();
+    let mut site = Dpdk::new(&switch)?;
+    let mut generator = Generator::new(SEED, &switch);
+    let (mut seen, mut frames) = ([0; Counter::COUNT], 0);
+    while frames < FRAMES {
+        let (burst, counts) = site.compare(&mut generator, 1 + frames * 7 % Burst::SIZE);
+        let counts = counts.with_context(|| format!("frames from {frames} on, {burst} together, of seed {SEED}"))?;
+        seen.iter_mut().zip(counts).for_each(|(seen, count)| *seen += count);
+        frames += burst;
+    }
+    // The userspace plane's; links by no device are left to it as well; rates need time.
+    reached(seen, &[Counter::Notice, Counter::RedirectFailed, Counter::RedirectLost, Counter::PuntLimit])
+}
+
+struct Dpdk {
+    plane: DpdkSwitch,
+    tables: PlainTables<true>,
+    links: Vec<u32>,
+    /// Whether copies share what they have in common: in turn.
+    gathers: bool,
+}
+
+impl Dpdk {
+    fn new(switch: &Switch) -> Result<Self> {
+        let plane = DpdkSwitch::new(switch)?;
+        begin(plane.link_memory.clone(), switch);
+        let tables = PlainTables::new(switch).with_all_copies_but_by(NOWHERE);
+        Ok(Self { plane, tables, links: ids(switch), gathers: false })
+    }
+
+    /// How many frames came together, and what was counted of them, if that and what left is what decide says of one after the other. At
+    /// most `most`, and none behind one that is answered with an error: of these a neighbour gets one at a time.
+    fn compare(&mut self, generator: &mut Generator, most: usize) -> (usize, Result<Counts>) {
+        let (mut frames, mut sent, mut passed, mut counts) = (vec![], vec![], vec![], [0; Counter::COUNT]);
+        let (mut is_over, mut fates) = (false, vec![]);
+        while frames.len() < most && !is_over {
+            let frame = generator.frame();
+            let fate = self.tables.run(&frame);
+            is_over = fate.verdict == Verdict::Send && fate.counter.is_drop();
+            counts[fate.counter as usize] += 1;
+            fates.push((fate.verdict, fate.counter, fate.copies.len()));
+            match fate.verdict {
+                Verdict::Pass => passed.push(frame.clone()),
+                _ => sent.extend(fate.frame),
+            }
+            for (copy, counter) in fate.copies {
+                counts[counter as usize] += 1;
+                sent.extend(copy);
+            }
+            frames.push(frame);
+        }
+        (frames.len(), self.expect(&frames, (sent, passed), counts).with_context(|| format!("expected {fates:?}")))
+    }
+
+    fn expect(
+        &mut self,
+        frames: &[Vec<u8>],
+        (mut sent, mut passed): (Vec<Vec<u8>>, Vec<Vec<u8>>),
+        counts: Counts,
+    ) -> Result<Counts> {
+        forgive(&self.plane.link_memory, &self.links);
+        let (mut seen, counted) = self.plane.run(frames, self.gathers)?;
+        self.gathers = !self.gathers;
+        [&mut sent, &mut passed, &mut seen.sent, &mut seen.passed].into_iter().for_each(|all| all.sort());
+        ensure!(seen.sent == sent, "other frames left: {}", differences(&seen.sent, &sent));
+        ensure!(seen.passed == passed, "other frames passed: {}", differences(&seen.passed, &passed));
+        let differ =
+            Counter::ALL.iter().zip(counted.iter().zip(&counts)).filter(|(_, (got, expected))| got != expected);
+        let differ: Vec<_> = differ.collect();
+        ensure!(differ.is_empty(), "counters, got and expected: {differ:?}");
+        Ok(counts)
+    }
+}
+
+/// The first frame that only one of the two has.
+fn differences(got: &[Vec<u8>], expected: &[Vec<u8>]) -> String {
+    let only = |all: &[Vec<u8>], others: &[Vec<u8>]| {
+        let one = all.iter().find(|frame| !others.contains(frame));
+        one.map(|frame| fixtures::hex(&frame[..frame.len().min(160)]))
+    };
+    format!("{} and not {}; {:?} instead of {:?}", got.len(), expected.len(), only(got, expected), only(expected, got))
 }
 
 struct Kernel {

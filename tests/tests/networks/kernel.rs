@@ -15,6 +15,7 @@ use gdp_tests::frames::fixtures::{self, Expected, Fixtures, Switch, Verdict};
 use gdp_tests::netns::execute;
 use gdp_wire::{Counter, FibEntry, Name, replay};
 
+use crate::planes::dpdk::DpdkSwitch;
 use crate::planes::{Site, fill, is_for_no_data_socket, run, run_userspace, user_tables, user_tables_with};
 
 #[test]
@@ -52,6 +53,31 @@ fn every_fixture_through_the_userspace_plane() -> Result<()> {
         let got = Expected::from(run_userspace(&tables, &switch, &case.frame.bytes()));
         ensure!(got == *expected, "{}:\n     got {got:?}\nexpected {expected:?}", case.name);
     }
+    Ok(())
+}
+
+/// Where the kernel leaves a frame to the userspace plane that it could not copy, DPDK copies it.
+#[test]
+fn every_fixture_through_dpdk() -> Result<()> {
+    let Fixtures { switch, cases, .. } = fixtures::read();
+    let mut beyond_the_kernel = Vec::new();
+    for (case, gathers) in cases.iter().flat_map(|case| [(case, false), (case, true)]) {
+        let mut plane = DpdkSwitch::new(&switch)?;
+        reset(&plane.link_memory, &switch);
+        let got = plane.fate(&case.frame.bytes(), gathers).map(Expected::from).with_context(|| case.name.clone())?;
+        if got == case.kernel {
+            continue;
+        }
+        let [slow, failed] = [Counter::Slow, Counter::RedirectFailed].map(Counter::as_str);
+        let is_copied = case.kernel.counter == slow && Some(&got) == case.userspace.as_ref();
+        // The kernel was promised a port that is not there; DPDK knows its own.
+        let is_left = case.kernel.counter == failed && got.counter == slow && got.verdict == Verdict::Pass;
+        ensure!(is_copied || is_left, "{}:\n     got {got:?}\nexpected {:?}", case.name, case.kernel);
+        if is_copied && gathers {
+            beyond_the_kernel.push(&case.name);
+        }
+    }
+    ensure!(beyond_the_kernel == ["one byte more than the kernel copies"], "{beyond_the_kernel:?}");
     Ok(())
 }
 

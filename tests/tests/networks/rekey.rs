@@ -81,6 +81,7 @@ impl Scene {
                 interfaces: Some(vec!["l0".into(), "r0".into()]),
                 udp: None,
                 data_plane,
+                dpdk: Default::default(),
                 rib: i == 1,
                 neighbours: vec![Neighbour { place, cost: None, dial: false, parent: false }],
                 ebpf_object: Some(tools.ebpf_object()?),

@@ -16,6 +16,7 @@ use gdp::node::{PublishOptions, SubscribeOptions};
 use gdp::seal::Encoding;
 use gdp::{NameCard, Node, NodeConfig, SigningKey};
 use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
+use gdp_ctl::plane::dpdk::{DpdkConfig, DpdkPort};
 use gdp_ctl::serve::{Running, start};
 use gdp_tests::Tools;
 use gdp_tests::netns::{End, Namespace, execute, veth};
@@ -26,12 +27,22 @@ use crate::inside::{Inside, ROOT};
 
 const SOON: Duration = Duration::from_secs(20);
 
-/// Small ones, one that is cut into many frames, and again a small one.
 #[test]
 fn messages_cross_three_carriers_without_leaving_the_kernel() -> Result<()> {
+    messages_cross_three_carriers(DataPlane::Xdp, "kernel")
+}
+
+/// DPDK has the interfaces of both switches, and the kernel what is its own: addresses, ARP, neighbour discovery and QUIC.
+#[test]
+fn messages_cross_three_carriers_in_dpdk() -> Result<()> {
+    messages_cross_three_carriers(DataPlane::Dpdk, "dpdk")
+}
+
+/// Small ones, one that is cut into many frames, and again a small one. `plane`: the one that forwards, as the status has it.
+fn messages_cross_three_carriers(data_plane: DataPlane, plane: &str) -> Result<()> {
     let site = Site::build()?;
     let folder = tempfile::tempdir()?;
-    let [edge, cloud] = site.start_switches(folder.path())?;
+    let [edge, cloud] = site.start_switches(folder.path(), data_plane)?;
     let owner = SigningKey::generate()?;
     let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None)?;
     let (robot, far) = (Identity::generate("proxy")?, Identity::generate("proxy")?);
@@ -64,12 +75,22 @@ fn messages_cross_three_carriers_without_leaving_the_kernel() -> Result<()> {
     for (switch, to) in [(&edge, "forwarded"), (&cloud, "delivered")] {
         let status = switch.status();
         let count = |plane: &str| status["counters_by_plane"][to][plane].as_u64().unwrap_or(0);
-        ensure!(count("kernel") > 200 && count("userspace") < 10, "{}", status["counters_by_plane"]);
+        ensure!(count(plane) > 200 && count("userspace") < 10, "{}", status["counters_by_plane"]);
     }
     writer.runtime.block_on(writing.close());
     reader.runtime.block_on(reading.close());
     [edge, cloud].into_iter().for_each(Switch::stop);
     Ok(())
+}
+
+/// The ports of a switch, for DPDK. Both are in one process here, where a device has one name.
+fn devices(label: &str) -> Vec<DpdkPort> {
+    let interfaces = if label == "edge" { ["l0", "r0"] } else { ["e0", "f0"] };
+    let port = |interface| DpdkPort {
+        interface: format!("g{interface}"),
+        device: format!("net_af_packet_{label}_{interface},iface={interface}"),
+    };
+    interfaces.map(port).into()
 }
 
 struct Switch {
@@ -129,8 +150,33 @@ impl Site {
         Ok(Self { robot, edge, _router: router, cloud, far })
     }
 
+    /// What the kernel had of the interfaces it has of the ports.
+    fn give_addresses_to_dpdk(&self) -> Result<()> {
+        for (side, commands) in [
+            (
+                &self.edge,
+                &["addr flush dev r0", "addr add 10.1.0.1/24 dev gr0", "route add default via 10.1.0.254"][..],
+            ),
+            (
+                &self.cloud,
+                &[
+                    "addr flush dev e0",
+                    "addr flush dev f0",
+                    "addr add 10.2.0.9/24 dev ge0",
+                    "addr add 2001:db8:3::9/64 dev gf0 nodad",
+                    "route add 10.1.0.0/24 via 10.2.0.254",
+                ],
+            ),
+        ] {
+            for command in commands {
+                side.ip(&command.split(' ').collect::<Vec<_>>())?;
+            }
+        }
+        Ok(())
+    }
+
     /// The edge and the cloud, with a link between them.
-    fn start_switches(&self, folder: &Path) -> Result<[Switch; 2]> {
+    fn start_switches(&self, folder: &Path, data_plane: DataPlane) -> Result<[Switch; 2]> {
         let ebpf_object = Some(Tools::beside_this_test()?.ebpf_object()?);
         let identity = |label: &str| folder.join(format!("{label}.pem"));
         let place = |label: &str, addr: &str| -> Result<Place> {
@@ -142,9 +188,14 @@ impl Site {
             Ok(Config {
                 identity: identity(label),
                 socket: folder.join(format!("{label}.sock")),
-                interfaces: Some(if label == "edge" { vec!["l0".into()] } else { vec![] }),
+                interfaces: Some(match (label, data_plane) {
+                    ("edge", DataPlane::Dpdk) => vec!["gl0".into()],
+                    ("edge", _) => vec!["l0".into()],
+                    _ => vec![],
+                }),
                 udp: Some(bind.parse()?),
-                data_plane: DataPlane::Xdp,
+                data_plane,
+                dpdk: DpdkConfig { ports: devices(label), ..DpdkConfig::default() },
                 rib: label == "cloud",
                 neighbours: vec![Neighbour { place: near.clone(), cost: None, dial: false, parent: false }],
                 ebpf_object: ebpf_object.clone(),
@@ -164,6 +215,9 @@ impl Site {
             switch(&self.edge, config("edge", &cloud, "0.0.0.0:31415")?)?,
             switch(&self.cloud, config("cloud", &edge, "[::]:31415")?)?,
         ];
+        if data_plane == DataPlane::Dpdk {
+            self.give_addresses_to_dpdk()?;
+        }
         wait_for("the switches to be neighbours", SOON, || {
             let linked = |switch: &Switch| switch.status()["links"].as_array().is_some_and(|links| links.len() == 1);
             Ok(switches.iter().all(linked).then_some(()))

@@ -16,12 +16,7 @@ use crate::plane::tables::Reader;
 pub struct DpdkPlane(Infallible);
 
 impl DpdkPlane {
-    pub fn start(
-        _: &DpdkConfig,
-        _: u16,
-        _: impl FnMut() -> Reader,
-        _: &Arc<Shared>,
-    ) -> Result<Self, DpdkPlaneError> {
+    pub fn start(_: &DpdkConfig, _: u16, _: impl FnMut() -> Reader, _: &Arc<Shared>) -> Result<Self, DpdkPlaneError> {
         Err(DpdkPlaneError::NotBuilt)
     }
 
@@ -33,7 +28,7 @@ impl DpdkPlane {
         match self.0 {}
     }
 
-    pub fn follow(&mut self, _: Option<SocketAddr>, _: &[(u32, u16)], _: &[KeyedEntry]) {
+    pub fn follow<'l>(&mut self, _: Option<SocketAddr>, _: &[(u32, u16)], _: impl Iterator<Item = &'l KeyedEntry>) {
         match self.0 {}
     }
 

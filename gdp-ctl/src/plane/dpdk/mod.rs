@@ -17,7 +17,7 @@ use std::time::Duration;
 #[cfg(not(feature = "dpdk"))]
 pub use absent::DpdkPlane;
 #[cfg(feature = "dpdk")]
-pub use present::DpdkPlane;
+pub use present::{DpdkPlane, LoopReader, LoopView};
 
 /// How the DPDK plane is set up.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -52,7 +52,7 @@ impl DpdkPlane {
         let eal = Eal::begin(&EalConfig { memory, pci })?;
         let idle = if config.idle.is_zero() { Idle::Busy } else { Idle::Sleep(config.idle) };
         let loops = SwitchConfig { cores: config.cores.clone(), idle, ..SwitchConfig::default() };
-        let mut switch = Switch::start(eal, &loops, || LoopReader { tables: reader(), shared: shared.clone() })?;
+        let mut switch = Switch::start(eal, &loops, || LoopReader::new(reader(), shared.clone()))?;
         switch.set_local(Local { ethertype, ..Local::default() });
         let mut ports = HashMap::new();
         for port in &config.ports {
@@ -85,7 +85,12 @@ impl DpdkPlane {
 
     /// Looks again at what is for this switch and where links over UDP leave. `bound`: where the UDP socket takes frames; `vlans`: those
     /// that GDP runs on, each with the port below it.
-    pub fn follow(&mut self, bound: Option<SocketAddr>, vlans: &[(u32, u16)], links: &[KeyedEntry]) {
+    pub fn follow<'l>(
+        &mut self,
+        bound: Option<SocketAddr>,
+        vlans: &[(u32, u16)],
+        links: impl Iterator<Item = &'l KeyedEntry>,
+    ) {
         let before = self.switch.local();
         let addresses = match (bound, udp::addresses()) {
             (None, _) => Vec::new(),
@@ -99,7 +104,7 @@ impl DpdkPlane {
                 before.addresses.clone()
             }
         };
-        let next_hops = links.iter().filter_map(|link| Some((link.id, self.next_hop(link)?))).collect();
+        let next_hops = links.filter_map(|link| Some((link.id, self.next_hop(link)?))).collect();
         let local = Local { ethertype: before.ethertype, addresses, vlans: vlans.to_vec(), next_hops };
         if local != *before {
             self.switch.set_local(local);
@@ -148,12 +153,19 @@ impl DpdkPlane {
 }
 
 /// A loop's way to the tables, and to where it counts.
-struct LoopReader {
+pub struct LoopReader {
     tables: Reader,
     shared: Arc<Shared>,
 }
 
-struct LoopView<'a> {
+impl LoopReader {
+    pub fn new(tables: Reader, shared: Arc<Shared>) -> Self {
+        Self { tables, shared }
+    }
+}
+
+/// The tables as a loop sees them during a batch.
+pub struct LoopView<'a> {
     tables: View<'a>,
     shared: &'a Shared,
 }

@@ -13,7 +13,7 @@ use gdp_dpdk::forwarding::{Counts, Forwarding, Sink};
 use gdp_dpdk::local::{Local, NextHop};
 use gdp_dpdk::view::Reader as _;
 use gdp_dpdk::{Burst, Eal, EalConfig, Mbuf, Pool};
-use gdp_tests::frames::fixtures::{Fate, Switch, Verdict};
+use gdp_tests::frames::fixtures::{Fate, Link, Switch, Verdict};
 use gdp_wire::table::{PORT_ROUTED, PORT_USERSPACE, mac_words};
 use gdp_wire::{Counter, LocalAddress};
 
@@ -37,20 +37,23 @@ pub struct DpdkSwitch {
 }
 
 impl DpdkSwitch {
-    /// `gathers`: whether ports take packets that are chains, in which copies share what they have in common.
     pub fn new(switch: &Switch) -> Result<Self> {
         let (tables, link_memory) = super::user_tables(switch);
         let reader = LoopReader::new(tables.reader(), Arc::new(Shared::new(tables.queues().clone())));
-        // As the namespace of [`super::Site`] has them.
-        let stations = Stations { peer: mac_words([2, 0, 0, 0, 0xee, 4]), local: mac_words([2, 0, 0, 0, 0xee, 1]) };
-        let routed = switch.links().filter(|link| link.port == PORT_ROUTED);
+        // The others have no route, or a neighbour that is not resolved.
+        let routes = |link: &&Link| link.port.is_some() && link.udp.as_ref().is_some_and(|udp| udp.routed);
+        let routed = switch.links.iter().filter(routes);
+        let next_hop = |link: &Link| {
+            let [peer, local] = link.stations().map(mac_words);
+            NextHop { port: PORT, stations: Stations { peer, local } }
+        };
         let ports: BTreeSet<u32> = switch.links().map(|link| link.port).collect();
         let ports = ports.into_iter().filter(|port| ![PORT_ROUTED, PORT_USERSPACE, NOWHERE].contains(port));
         let local = Local {
             ethertype: switch.ethertype,
             addresses: switch.own_addresses().iter().map(|own| LocalAddress::new(own.ip(), own.port())).collect(),
             vlans: switch.vlans().into_iter().map(|id| (PORT, id)).collect(),
-            next_hops: routed.map(|link| (link.id, NextHop { port: PORT, stations })).collect(),
+            next_hops: routed.map(|link| (link.id, next_hop(link))).collect(),
         };
         let pool = Pool::new(Eal::begin(&EalConfig::default())?, 1023, LARGEST)?;
         Ok(Self {
@@ -64,7 +67,8 @@ impl DpdkSwitch {
         })
     }
 
-    /// What becomes of frames that arrive together, each of them and what is counted in all.
+    /// What becomes of frames that arrive together, and what is counted in all. `gathers`: whether ports take packets that are chains, in
+    /// which copies share what they have in common.
     pub fn run(&mut self, frames: &[Vec<u8>], gathers: bool) -> Result<(Seen, Counts)> {
         let mut burst = Burst::new();
         for frame in frames {
