@@ -3,6 +3,7 @@
 mod churn;
 mod doctor;
 mod domains;
+mod dpdk;
 mod ecn;
 mod end_to_end;
 mod evil;

@@ -1,0 +1,199 @@
+//! DPDK in real networks: messages of ROS across its switches, alone and between others; the host behind its ports; and what it takes
+//! while nothing happens. What becomes of single frames is in `generated` and `kernel`, links over UDP are in `udp_fabric`.
+
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream, UdpSocket};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, ensure};
+use gdp_ctl::plane::dpdk::{DpdkConfig, DpdkPort};
+use gdp_ctl::plane::{PlaneConfig, PlaneError, Planes, Wanted};
+use gdp_tests::Tools;
+use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
+use gdp_tests::netns::{End, Namespace, veth};
+use gdp_tests::peers::{Conversation, Side, Traffic, Vendor};
+use serde_json::Value;
+
+#[test]
+fn messages_cross_three_switches_in_dpdk() -> Result<()> {
+    messages_cross(&["net_af_packet"])
+}
+
+#[test]
+fn messages_cross_three_switches_in_dpdk_by_af_xdp() -> Result<()> {
+    messages_cross(&["net_af_xdp"])
+}
+
+#[test]
+fn messages_cross_a_switch_of_each_plane() -> Result<()> {
+    messages_cross(&["xdp", "net_af_packet", "userspace"])
+}
+
+/// Messages of many frames, from one vendor's program to another's. Every switch forwards in the plane it was given.
+fn messages_cross(data_planes: &'static [&'static str]) -> Result<()> {
+    let mut fabric = Fabric::start(Tools::beside_this_test()?, FabricOptions { data_planes, ..Default::default() })?;
+    fabric.start_proxies()?;
+    let traffic = Traffic { count: 20, size: 100_000, ..Default::default() };
+    let talks = Side { at: fabric.chain.robot(), vendor: Vendor::Cyclone, traffic: &traffic };
+    let hears = Side { at: fabric.chain.cloud(), vendor: Vendor::FastDds, traffic: &traffic };
+    let started = Conversation::start(&fabric.tools, talks, hears, fabric.folder());
+    let mut both = started.with_context(|| fabric.report())?;
+    both.open()?;
+    let messages = both.finish(PATIENCE, PATIENCE).with_context(|| fabric.report())?;
+    let complete = messages.len() as u64 == traffic.count && messages.iter().all(|message| message.intact);
+    ensure!(complete, "{messages:?}\n{}", fabric.report());
+    for i in 0..fabric.switches.len() {
+        let status = fabric.status(i)?;
+        let (first, reported) = match data_planes[i % data_planes.len()] {
+            "userspace" => ("userspace", "userspace"),
+            "xdp" => ("kernel", "xdp-native"),
+            _ => ("dpdk", "dpdk"),
+        };
+        let sent = |plane: &str| -> u64 {
+            let of = |counter: &str| status["counters_by_plane"][counter][plane].as_u64().unwrap_or(0);
+            of("forwarded") + of("delivered")
+        };
+        ensure!(status["data_plane"] == reported, "s{}: {status:#}", i + 1);
+        // Each message is some seventy frames.
+        ensure!(sent(first) > 1000, "s{}: {:#}", i + 1, status["counters_by_plane"]);
+        ensure!(first == "userspace" || sent("userspace") == 0, "s{}: {:#}", i + 1, status["counters_by_plane"]);
+        ensure!(errors(&status).is_empty(), "s{}: {:?}", i + 1, errors(&status));
+    }
+    Ok(())
+}
+
+fn errors(status: &Value) -> Vec<String> {
+    status["errors"].as_array().into_iter().flatten().map(Value::to_string).collect()
+}
+
+/// Its addresses are on the host's side of the port: ARP, datagrams and connections are answered there, once each, and what it sends
+/// arrives; also with a driver by which the kernel sees all packets as well.
+#[test]
+fn the_host_is_reached_through_a_port() -> Result<()> {
+    for driver in gdp_tests::dpdk::DRIVERS {
+        let site = Site::build()?;
+        let _planes = site.planes(driver)?;
+        site.host.ip(&["addr", "add", "10.7.0.2/24", "dev", HOST])?;
+        let (udp, tcp) = {
+            let _inside = site.host.enter()?;
+            (UdpSocket::bind("10.7.0.2:7000")?, TcpListener::bind("10.7.0.2:7000")?)
+        };
+        let _inside = site.other.enter()?;
+        let asking = UdpSocket::bind("10.7.0.1:0")?;
+        let mut buffer = [0; 2000];
+        for i in 0..20u8 {
+            asking.send_to(&[i; 1200], "10.7.0.2:7000")?;
+            udp.set_read_timeout(Some(PATIENCE))?;
+            let (length, from) = udp.recv_from(&mut buffer).with_context(|| format!("{driver}: datagram {i}"))?;
+            ensure!(buffer[..length] == [i; 1200], "{driver}: another datagram");
+            udp.send_to(&[i], from)?;
+            asking.set_read_timeout(Some(PATIENCE))?;
+            ensure!(asking.recv(&mut buffer)? == 1 && buffer[0] == i, "{driver}: answer {i}");
+        }
+        udp.set_read_timeout(Some(Duration::from_millis(50)))?;
+        ensure!(udp.recv_from(&mut buffer).is_err(), "{driver}: a datagram came twice");
+
+        let mut near = TcpStream::connect("10.7.0.2:7000").with_context(|| format!("{driver}: no connection"))?;
+        let (mut far, _) = tcp.accept()?;
+        let sent = vec![0x5a; 300_000];
+        let writing = std::thread::spawn(move || near.write_all(&sent).map(|()| near));
+        let mut received = vec![0; 300_000];
+        far.set_read_timeout(Some(PATIENCE))?;
+        far.read_exact(&mut received).with_context(|| format!("{driver}: over TCP"))?;
+        ensure!(received.iter().all(|byte| *byte == 0x5a));
+        drop(writing.join().expect("no panic")?);
+    }
+    Ok(())
+}
+
+/// It sleeps between questions, and less than a tenth of a core is what that takes even in a test build.
+#[test]
+fn a_loop_without_traffic_leaves_its_core_to_others() -> Result<()> {
+    let site = Site::build()?;
+    let planes = site.planes("net_af_packet")?;
+    let time = || planes.dpdk_processor_time().iter().sum::<Duration>();
+    let (start, before) = (Instant::now(), time());
+    ensure!(!before.is_zero(), "there is a loop");
+    std::thread::sleep(Duration::from_secs(1));
+    let share = (time() - before).as_secs_f64() / start.elapsed().as_secs_f64();
+    ensure!(share < 0.5, "an idle loop took {:.0} % of a core", 100.0 * share);
+    Ok(())
+}
+
+/// The host's interface goes with the plane, the settings of the device's are what they were, and it can be taken again.
+#[test]
+fn a_plane_that_ends_leaves_nothing() -> Result<()> {
+    let site = Site::build()?;
+    let settings = || -> Result<Vec<String>> {
+        let _inside = site.host.enter()?;
+        let paths = ["ipv4/conf/r0/rp_filter", "ipv4/conf/r0/arp_ignore", "ipv6/conf/r0/disable_ipv6"];
+        paths.iter().map(|path| Ok(std::fs::read_to_string(format!("/proc/sys/net/{path}"))?)).collect()
+    };
+    let before = settings()?;
+    for driver in gdp_tests::dpdk::DRIVERS {
+        let planes = site.planes(driver)?;
+        ensure!(settings()? != before && site.host.ip(&["link", "show", HOST]).is_ok());
+        {
+            let _inside = site.host.enter()?;
+            drop(planes);
+        }
+        ensure!(settings()? == before, "{driver}: {:?} instead of {before:?}", settings()?);
+        ensure!(site.host.ip(&["link", "show", HOST]).is_err(), "{driver}: {HOST} is still there");
+    }
+    Ok(())
+}
+
+#[test]
+fn what_dpdk_cannot_drive_is_named() -> Result<()> {
+    let site = Site::build()?;
+    for (device, needle) in [("net_af_packet9,iface=nowhere", "net_af_packet9"), ("net_nonsense0", "net_nonsense0")] {
+        let Err(error) = site.planes_of(device) else { anyhow::bail!("{device} is driven") };
+        ensure!(error.to_string().contains(needle) && error.to_string().contains("dpdk"), "{error}");
+    }
+    let long = DpdkPort { interface: "a-name-that-is-too-long".into(), device: "net_null9".into() };
+    let _inside = site.host.enter()?;
+    let Err(error) = Planes::open(config(vec![long])) else { anyhow::bail!("such a name") };
+    ensure!(error.to_string().contains("a-name-that-is-too-long"), "{error}");
+    let Err(error) = Planes::open(config(vec![])) else { anyhow::bail!("no ports") };
+    ensure!(error.to_string().contains("dpdk.ports"), "{error}");
+    Ok(())
+}
+
+/// The host's side of its port.
+const HOST: &str = "gr0";
+
+/// ```text
+///   other:l0 ──── r0:host(:gr0)
+/// ```
+struct Site {
+    other: Namespace,
+    host: Namespace,
+}
+
+impl Site {
+    fn build() -> Result<Self> {
+        let (other, host) = (Namespace::create("other")?, Namespace::create("host")?);
+        veth(
+            &End { namespace: &other, interface: "l0", mac: [2, 0, 0, 0, 7, 1] },
+            &End { namespace: &host, interface: "r0", mac: [2, 0, 0, 0, 7, 2] },
+            1500,
+        )?;
+        other.ip(&["addr", "add", "10.7.0.1/24", "dev", "l0"])?;
+        Ok(Self { other, host })
+    }
+
+    /// The host's `r0` as a device of this driver.
+    fn planes(&self, driver: &str) -> Result<Planes> {
+        Ok(self.planes_of(&format!("{driver}0,iface=r0"))?)
+    }
+
+    fn planes_of(&self, device: &str) -> Result<Planes, PlaneError> {
+        let _inside = self.host.enter().expect("a namespace that is there");
+        Planes::open(config(vec![DpdkPort { interface: HOST.into(), device: device.into() }]))
+    }
+}
+
+fn config(ports: Vec<DpdkPort>) -> PlaneConfig {
+    let dpdk = DpdkConfig { ports, ..DpdkConfig::default() };
+    PlaneConfig { wanted: Wanted::Dpdk, dpdk, ..PlaneConfig::default() }
+}
