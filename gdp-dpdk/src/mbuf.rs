@@ -3,7 +3,7 @@
 
 use std::ffi::CString;
 use std::mem::ManuallyDrop;
-use std::ops::Deref;
+use std::ops::{Deref, DerefMut};
 use std::ptr::NonNull;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -297,6 +297,13 @@ impl Deref for Burst {
     fn deref(&self) -> &[Mbuf] {
         // SAFETY: so many live mbufs; `Mbuf` is transparent over a pointer that is not null.
         unsafe { std::slice::from_raw_parts(self.mbufs.as_ptr().cast(), self.length) }
+    }
+}
+
+impl DerefMut for Burst {
+    fn deref_mut(&mut self) -> &mut [Mbuf] {
+        // SAFETY: as above, and nobody else has them.
+        unsafe { std::slice::from_raw_parts_mut(self.mbufs.as_mut_ptr().cast(), self.length) }
     }
 }
 

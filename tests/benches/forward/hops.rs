@@ -15,7 +15,9 @@ use gdp_tests::measure::rounds::{Contender, alternate};
 
 use crate::Bench;
 use crate::path::{Kind, Path};
-use crate::series::{BARE, FORKING, IPV4, SWITCH, UNTAGGED, USERSPACE};
+use crate::series::{
+    BARE, DPDK_PACKET, DPDK_XDP, FORKING, IPV4, SWITCH, TESTPMD_PACKET, TESTPMD_XDP, UNTAGGED, USERSPACE,
+};
 use crate::traffic::Traffic;
 
 const ALONE: &str = "generator and sink alone";
@@ -31,7 +33,7 @@ const KINDS: [(&str, Kind); 6] = [
 
 /// With 64 bytes of payload.
 pub fn small_frames(bench: &Bench) -> Result<Vec<Figure>> {
-    let measures = measure(bench, &[1, 3, 5], 174)?;
+    let measures = measure(bench, &KINDS, &[1, 3, 5], 174)?;
     let hops =
         compare(Figure::new("hops", "Frames of 174 B through switches in a row", Unit::FramesPerSecond, measures));
     let costs = KINDS.iter().filter_map(|(series, _)| {
@@ -48,9 +50,26 @@ pub fn small_frames(bench: &Bench) -> Result<Vec<Figure>> {
 
 /// With 1400 bytes of payload.
 pub fn large_frames(bench: &Bench) -> Result<Vec<Figure>> {
-    let measures = measure(bench, &[1, 3], 1510)?;
+    let measures = measure(bench, &KINDS, &[1, 3], 1510)?;
     let title = "Frames of 1510 B through switches in a row";
     Ok(vec![compare(Figure::new("large", title, Unit::FramesPerSecond, measures))])
+}
+
+/// Through one switch whose interfaces DPDK has, by the drivers for interfaces of the kernel.
+pub fn dpdk(bench: &Bench) -> Result<Vec<Figure>> {
+    let kinds = [
+        (SWITCH, Kind::Xdp),
+        (DPDK_PACKET, Kind::Dpdk("net_af_packet")),
+        (TESTPMD_PACKET, Kind::Testpmd("net_af_packet")),
+        (DPDK_XDP, Kind::Dpdk("net_af_xdp")),
+        (TESTPMD_XDP, Kind::Testpmd("net_af_xdp")),
+    ];
+    let measures = measure(bench, &kinds, &[1], 174)?;
+    let figure = Figure::new("dpdk-hop", "Frames of 174 B through a switch in DPDK", Unit::FramesPerSecond, measures)
+        .compare(DPDK_PACKET, TESTPMD_PACKET, |_| Some(Aim::AtLeast(0.95)))
+        .compare(DPDK_XDP, TESTPMD_XDP, |_| Some(Aim::AtLeast(0.95)))
+        .compare(DPDK_XDP, SWITCH, |_| None);
+    Ok(vec![figure])
 }
 
 fn compare(figure: Figure) -> Figure {
@@ -68,18 +87,18 @@ fn compare(figure: Figure) -> Figure {
         .compare(SWITCH, USERSPACE, at_least([8.0; 3]))
 }
 
-fn measure(bench: &Bench, hops: &[usize], length: usize) -> Result<Vec<Measure>> {
-    let mut paths = vec![(ALONE, Path::build(Kind::Cable, 0, bench)?)];
+fn measure(bench: &Bench, kinds: &[(&'static str, Kind)], hops: &[usize], length: usize) -> Result<Vec<Measure>> {
+    let mut paths: Vec<(&str, Path)> = vec![(ALONE, Path::build(Kind::Cable, 0, bench)?)];
     for hops in hops {
-        for (series, kind) in KINDS {
-            paths.push((series, Path::build(kind, *hops, bench)?));
+        for (series, kind) in kinds {
+            paths.push((series, Path::build(*kind, *hops, bench)?));
         }
     }
     let mut contenders = Vec::new();
     for (series, path) in &paths {
         let mut traffic = Traffic::new(path.chain(), path.frames(length), bench)?;
         let case = hops_text(path.chain().switches().len());
-        contenders.push(Contender::new(series, case, move || traffic.rate(bench.duration())));
+        contenders.push(Contender::new(series, case, move || path.while_it_runs(|| traffic.rate(bench.duration()))));
     }
     let measures = alternate(bench.rounds, contenders)?;
     paths.iter().try_for_each(|(_, path)| path.check(None))?;

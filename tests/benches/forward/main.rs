@@ -3,6 +3,7 @@
 //! One file a row of the figures, each a function from [`Bench`] to [`Figure`]s:
 //!
 //! - [`cost`]: nanoseconds of one frame in the switch, by test runs
+//! - [`dpdk`]: the same in a loop of DPDK, beside [`testpmd`]
 //! - [`fib`]: lookups in a FIB of a million names (programs and tables: [`lookups`]), and changes of it
 //! - [`hops`]: frames per second through chains of switches
 //! - [`crossings`]: frames per second between links of several kinds
@@ -18,6 +19,7 @@
 
 mod cost;
 mod crossings;
+mod dpdk;
 mod fib;
 mod flood;
 mod hops;
@@ -31,6 +33,7 @@ mod series;
 #[path = "../../tests/networks/star/mod.rs"]
 mod star;
 mod switch;
+mod testpmd;
 mod traffic;
 mod updates;
 
@@ -86,8 +89,10 @@ impl Bench {
     }
 }
 
-const ROWS: [(&str, Row<Bench>); 9] = [
+const ROWS: [(&str, Row<Bench>); 11] = [
     ("cost", cost::run),
+    ("dpdk", dpdk::run),
+    ("dpdk-hop", hops::dpdk),
     ("fib", fib::run),
     ("hops", hops::small_frames),
     ("large", hops::large_frames),

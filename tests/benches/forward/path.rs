@@ -1,5 +1,7 @@
 //! A chain of switches of one kind, ready to carry frames from the robot's end to the cloud's.
 
+use std::cell::RefCell;
+
 use anyhow::{Context, Result};
 use aya::maps::{DevMap, MapData};
 use gdp::port::Interface;
@@ -12,6 +14,7 @@ use gdp_wire::{Counter, Header, LinkEntry};
 
 use crate::Bench;
 use crate::switch::{LEFT, Medium, Position, Switch, TOPIC, key, know_neighbour, link_ip, link_socket, mac};
+use crate::testpmd::Testpmd;
 use crate::traffic::{Frames, Programs, Spread};
 
 /// What forwards.
@@ -30,6 +33,10 @@ pub enum Kind {
     Ip,
     /// The userspace plane, on packet sockets.
     Userspace,
+    /// The DPDK plane, by this driver.
+    Dpdk(&'static str),
+    /// DPDK's own forwarder, by this driver.
+    Testpmd(&'static str),
 }
 
 pub struct Path {
@@ -38,6 +45,7 @@ pub struct Path {
     /// What carries frames from the robot.
     carrier: Carrier,
     switches: Vec<Switch>,
+    testpmd: RefCell<Option<Testpmd>>,
     _redirects: Vec<Redirect>,
 }
 
@@ -62,7 +70,7 @@ impl Path {
         for node in chain.nodes() {
             refresh_gro(node)?;
         }
-        let (mut switches, mut redirects) = (Vec::new(), Vec::new());
+        let (mut switches, mut redirects, mut testpmd) = (Vec::new(), Vec::new(), None);
         for (index, namespace) in chain.switches().iter().enumerate() {
             let (wanted, object) = match kind {
                 Kind::Cable | Kind::Ip => continue,
@@ -73,8 +81,15 @@ impl Path {
                 Kind::Untagged => (Wanted::Xdp, &bench.untagged_object),
                 Kind::Xdp | Kind::Forking => (Wanted::Xdp, &bench.ebpf_object),
                 Kind::Userspace => (Wanted::Userspace, &bench.ebpf_object),
+                Kind::Dpdk(_) => (Wanted::Dpdk, &bench.ebpf_object),
+                Kind::Testpmd(driver) => {
+                    let devices = [("0", "l0"), ("1", "r0")].map(|(i, name)| format!("{driver}{i},iface={name}"));
+                    testpmd = Some(Testpmd::start(namespace.command("dpdk-testpmd")?, &devices)?);
+                    continue;
+                }
             };
-            let mut switch = Switch::start(namespace, wanted, object, Position { index, hops, media })?;
+            let driver = if let Kind::Dpdk(driver) = kind { Some(driver) } else { None };
+            let mut switch = Switch::start(namespace, wanted, (object, driver), Position { index, hops, media })?;
             if kind == Kind::Forking {
                 switch.copy_another_name(&namespace.enter()?)?;
             }
@@ -91,7 +106,16 @@ impl Path {
             (_, Medium::Ethernet) => Carrier::Ethernet,
             (_, medium) => udp(medium, link_socket(medium, 0, 2)),
         };
-        Ok(Self { kind, chain, carrier, switches, _redirects: redirects })
+        let testpmd = RefCell::new(testpmd);
+        Ok(Self { kind, chain, carrier, switches, testpmd, _redirects: redirects })
+    }
+
+    /// Has what forwards run that never rests by itself.
+    pub fn while_it_runs<T>(&self, measure: impl FnOnce() -> T) -> T {
+        match &mut *self.testpmd.borrow_mut() {
+            Some(testpmd) => testpmd.during(measure),
+            None => measure(),
+        }
     }
 
     pub fn chain(&self) -> &Chain {

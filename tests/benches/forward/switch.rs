@@ -2,11 +2,13 @@
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::Path;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
 use gdp::link::LinkIds;
 use gdp::port::{LinkAddr, Port, PortConfig};
+use gdp_ctl::plane::dpdk::{DpdkConfig, DpdkPort};
 use gdp_ctl::plane::{PlaneConfig, PlaneRoute, Planes, Wanted};
 use gdp_tests::netns::{Entered, Namespace};
 use gdp_wire::table::ip_words;
@@ -45,13 +47,20 @@ pub struct Position {
 
 impl Switch {
     /// Forwards frames for [`TOPIC`] from the left to the right.
-    pub fn start(at: &Namespace, wanted: Wanted, ebpf_object: &Path, position: Position) -> Result<Self> {
+    /// `driver`: of DPDK's, if it is to have the interfaces.
+    pub fn start(
+        at: &Namespace,
+        wanted: Wanted,
+        (ebpf_object, driver): (&Path, Option<&str>),
+        position: Position,
+    ) -> Result<Self> {
         let Position { index: i, hops, media } = position;
         let inside = at.enter()?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let within = runtime.enter();
         let ebpf_object = Some(ebpf_object.into());
-        let config = PlaneConfig { wanted, ebpf_object, count_losses: false, ..Default::default() };
+        let dpdk = DpdkConfig { ports: driver.map_or_else(Vec::new, ports), ..DpdkConfig::default() };
+        let config = PlaneConfig { wanted, ebpf_object, dpdk, count_losses: false, ..Default::default() };
         let planes = Planes::open(config)?;
         drop(within);
         let mut switch = Self { planes, ports: Vec::new(), runtime };
@@ -62,7 +71,8 @@ impl Switch {
         let right = LinkEntry { id: RIGHT, reach: beyond, ..link(last, i + 1, (2, 1), media[1]) };
         switch.planes.set_own_bit(own_bit)?;
         let mut addresses = Vec::new();
-        for ((interface, medium), (link, peer, own)) in ["l0", "r0"].iter().zip(media).zip([(i, 1, 2), (i + 1, 2, 1)]) {
+        let interfaces = if driver.is_some() { ["gl0", "gr0"] } else { ["l0", "r0"] };
+        for ((interface, medium), (link, peer, own)) in interfaces.iter().zip(media).zip([(i, 1, 2), (i + 1, 2, 1)]) {
             addresses.push(match medium {
                 Medium::Ethernet => {
                     LinkAddr::Ethernet { ifindex: switch.attach(&inside, interface)?, mac: mac(link, peer) }
@@ -132,6 +142,16 @@ impl Switch {
         }
         Ok(())
     }
+}
+
+/// The interfaces as ports for DPDK. All switches are in one process, where a device has one name.
+fn ports(driver: &str) -> Vec<DpdkPort> {
+    static NUMBER: AtomicU32 = AtomicU32::new(0);
+    let port = |interface: &str| DpdkPort {
+        interface: format!("g{interface}"),
+        device: format!("{driver}{},iface={interface}", NUMBER.fetch_add(1, Ordering::Relaxed)),
+    };
+    ["l0", "r0"].map(port).into()
 }
 
 /// A link with one key for both directions; the neighbour calls it LEFT, because frames go to the right. `link`: its place in the

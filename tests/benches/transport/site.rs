@@ -67,6 +67,7 @@ impl Site {
             interfaces: Some(vec!["l0".into(), "r0".into()]),
             udp: Some((Ipv4Addr::UNSPECIFIED, PORT).into()),
             data_plane: DataPlane::Xdp,
+            dpdk: Default::default(),
             rib: true,
             neighbours: Vec::new(),
             ebpf_object: Some(bench.ebpf_object.clone()),

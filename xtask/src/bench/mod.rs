@@ -85,7 +85,7 @@ fn target(name: &str) -> Result<Command> {
     if !workspace::is_root() {
         bail!("network namespaces need root");
     }
-    setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces])?;
+    setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces, Part::Dpdk])?;
     build::ebpf()?;
     let mut command = shell::cargo();
     command.args(["bench", "--profile", Profile::Release.name(), "--workspace", "--bench", name, "--"]);

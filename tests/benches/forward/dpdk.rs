@@ -1,0 +1,238 @@
+//! Nanoseconds that a frame takes in a loop of DPDK: what `gdp-dpdk` does with a burst, between a device that makes packets from
+//! nothing and takes them back, so that no driver and no other core is measured. Beside it DPDK's `testpmd`, which swaps two addresses.
+//!
+//! `net_null` gives packets of whatever is in memory. So each gets a frame of its own before the loop sees it: made beforehand, with a
+//! count and a tag as its neighbour would send it. What that takes is measured by itself ([`FED`] beside [`EMPTY`]) and taken off.
+
+use std::cell::RefCell;
+use std::process::Command;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, ensure};
+use gdp::port::LinkAddr;
+use gdp_ctl::plane::dpdk::LoopReader;
+use gdp_ctl::plane::forwarder::Shared;
+use gdp_ctl::plane::link_memory::LinkMemory;
+use gdp_ctl::plane::tables::UserTables;
+use gdp_dpdk::forwarding::{Counts, Forwarding, Sink};
+use gdp_dpdk::local::Local;
+use gdp_dpdk::port::{Receive, Send};
+use gdp_dpdk::view::Reader as _;
+use gdp_dpdk::{Burst, Eal, EalConfig, Mbuf, Pool, Port, PortConfig};
+use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
+use gdp_tests::measure::rounds::{Contender, Sample, alternate};
+use gdp_wire::{Carrier, Counter, FibEntry, Header, LinkEntry, LinkRole, Name, forward};
+use zerocopy::IntoBytes;
+
+use crate::Bench;
+use crate::lookups;
+use crate::testpmd::Testpmd;
+
+const NAMES: u32 = 1 << 20;
+
+/// Frames made beforehand; then they come again. For the random names as many as there are names, so that their places in the table are
+/// in no cache.
+const FRAMES: [usize; 2] = [1 << 14, 1 << 20];
+
+/// Bytes of a packet: 64 of payload.
+const LENGTH: usize = ETHERNET + Header::LEN + 64;
+const ETHERNET: usize = 14;
+
+const EMPTY: &str = "device alone";
+const FED: &str = "device, and frames written";
+const DPDK: &str = "device, frames written, DPDK switch";
+const OWN: &str = "DPDK switch";
+const TESTPMD: &str = "testpmd macswap";
+
+const HOT: &str = "a million names, one hot";
+const RANDOM: &str = "a million names at random";
+
+const IN: u32 = 1;
+const OUT: u32 = 2;
+const KEY: [u64; 2] = [7, 11];
+const WRITER: Name = Name::from_bytes([0x50; 32]);
+const EGRESS: u32 = 5;
+const PORT: u32 = 1;
+
+pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
+    let site = RefCell::new(Site::new()?);
+    let device = format!("net_null7,size={LENGTH}");
+    let mut testpmd = Testpmd::start(Command::new("dpdk-testpmd"), &[device])?;
+    let duration = bench.duration();
+    let mut contenders = vec![Contender::new(TESTPMD, HOT, move || {
+        Ok(Sample { value: 1e9 / testpmd.rate(duration)?, ..Sample::default() })
+    })];
+    for (case, frames) in [HOT, RANDOM].into_iter().zip(FRAMES) {
+        let frames = Arc::new(made(frames));
+        for series in [EMPTY, FED, DPDK] {
+            let (site, frames) = (&site, frames.clone());
+            let time =
+                move || Ok(Sample { value: site.borrow_mut().time(series, &frames, duration)?, ..Sample::default() });
+            contenders.push(Contender::new(series, case, time));
+        }
+    }
+    let mut measures = alternate(bench.rounds, contenders)?;
+    site.borrow().check()?;
+    for case in [HOT, RANDOM] {
+        let of = |series: &str| {
+            let found = measures.iter().find(|measure| measure.series == series && measure.case == case);
+            found.map(|measure| measure.rounds.clone()).context("it was measured")
+        };
+        let (empty, fed, all) = (of(EMPTY)?, of(FED)?, of(DPDK)?);
+        let own = all.iter().zip(fed.iter().zip(&empty)).map(|(all, (fed, empty))| all - (fed - empty)).collect();
+        measures.push(Measure::new(OWN, case, own));
+    }
+    let title = "One frame in a loop of DPDK between devices that do nothing, devices included";
+    let figure = Figure::new("dpdk", title, Unit::Nanoseconds, measures)
+        // 0.6 times as many a second.
+        .compare(OWN, TESTPMD, |case| (case == HOT).then_some(Aim::AtMost(1.0 / 0.6)))
+        .aim(OWN, RANDOM, Aim::AtMost(150.0));
+    Ok(vec![figure])
+}
+
+/// Headers of frames to a name each, as the neighbour on [`IN`] sends them; if they are few, all to the same.
+fn made(frames: usize) -> Vec<Header> {
+    let link = LinkEntry { id: IN, peer_id: IN, tx_keys: [KEY; 2], ..LinkEntry::default() };
+    let mut random = 0x9e37_79b9_7f4a_7c15_u64;
+    let header = |i: usize| {
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        let name = if frames < NAMES as usize { 0 } else { random >> 32 & u64::from(NAMES - 1) };
+        let mut header = Header::data(lookups::name(name), WRITER, (LENGTH - ETHERNET - Header::LEN) as u16);
+        forward::stamp(&mut header, &link, i as u64 + 1);
+        header
+    };
+    (0..frames).map(header).collect()
+}
+
+/// A switch between two links on one device.
+struct Site {
+    receive: Vec<Receive>,
+    send: Vec<Send>,
+    _port: Port,
+    forwarding: Forwarding,
+    reader: LoopReader,
+    local: Local,
+    link_memory: LinkMemory,
+    counts: Counts,
+    frames: u64,
+    _tables: UserTables,
+}
+
+impl Site {
+    fn new() -> Result<Self> {
+        let link_memory = LinkMemory::new();
+        let mut tables = UserTables::new(link_memory.clone(), NAMES)?;
+        let link = LinkEntry {
+            peer_id: IN,
+            rx_keys: [KEY; 2],
+            tx_keys: [KEY; 2],
+            mtu: 1500,
+            port: PORT,
+            carrier: Carrier::ethernet([2; 6], [4; 6]),
+            ..LinkEntry::default()
+        };
+        let to = LinkAddr::Ethernet { ifindex: PORT, mac: [2; 6] };
+        tables.set_link(LinkEntry { id: IN, role: LinkRole::Endpoint as u32, peer: WRITER, ..link }, to);
+        tables.set_link(LinkEntry { id: OUT, role: LinkRole::Switch as u32, reach: 1 << EGRESS, ..link }, to);
+        let entry = FibEntry { egress_bits: 1 << EGRESS, writer_link: IN, ..FibEntry::default() };
+        for i in 0..NAMES.into() {
+            tables.set_route(lookups::name(i), entry, &[])?;
+        }
+        let mut next_hops = [0; 64];
+        next_hops[EGRESS as usize] = OUT;
+        tables.set_next_hops(&next_hops);
+        tables.set_own_bit(1);
+        let eal = Eal::begin(&EalConfig::default())?;
+        let pool = Pool::new(eal, 8191, 2048)?;
+        let device = format!("net_null0,size={LENGTH}");
+        let (port, receive, send) = Port::open(eal, &PortConfig { device, receive_queues: 1, send_queues: 1 }, &pool)?;
+        Ok(Self {
+            receive,
+            send,
+            _port: port,
+            forwarding: Forwarding::new(pool),
+            reader: LoopReader::new(tables.reader(), Arc::new(Shared::new(tables.queues().clone()))),
+            local: Local { ethertype: gdp_wire::ETHERTYPE, ..Local::default() },
+            link_memory,
+            counts: [0; Counter::COUNT],
+            frames: 0,
+            _tables: tables,
+        })
+    }
+
+    /// Nanoseconds a frame.
+    fn time(&mut self, series: &str, frames: &[Header], duration: Duration) -> Result<f64> {
+        // As loops are: with caches of its own for what it allocates.
+        let _registered = Eal::begin(&EalConfig::default())?.register()?;
+        self.begin_again();
+        let (mut burst, mut back) = (Burst::new(), Back::default());
+        let (mut next, mut done, start) = (0, 0u64, Instant::now());
+        while done % (1 << 14) != 0 || start.elapsed() < duration {
+            let received = self.receive[0].receive(&mut burst);
+            ensure!(received == Burst::SIZE, "{received} packets of a device that makes them");
+            if series != EMPTY {
+                write(&mut burst, &frames[next..next + received])?;
+                next = (next + received) % frames.len();
+            }
+            if series == DPDK {
+                let view = self.reader.enter();
+                let at = (PORT, &[PORT][..]);
+                self.forwarding.run(at, &mut burst, (&view, &self.local), &mut back, &mut self.counts);
+                drop(view);
+                self.frames += received as u64;
+                self.send[0].send(&mut back.burst);
+                if next == 0 {
+                    self.begin_again();
+                }
+            } else {
+                self.send[0].send(&mut burst);
+            }
+            done += received as u64;
+        }
+        Ok(start.elapsed().as_nanos() as f64 / done as f64)
+    }
+
+    /// Nothing has come in yet: the same counts may come again.
+    fn begin_again(&self) {
+        self.link_memory.begin(IN);
+    }
+
+    /// Every frame took the way that was to be measured.
+    fn check(&self) -> Result<()> {
+        let forwarded = self.counts[Counter::Forwarded as usize];
+        let others = self.counts.iter().sum::<u64>() - forwarded;
+        ensure!(forwarded == self.frames && others == 0, "{} frames, counted {:?}", self.frames, self.counts);
+        Ok(())
+    }
+}
+
+/// Makes packets of a device these frames.
+fn write(burst: &mut Burst, headers: &[Header]) -> Result<()> {
+    for (mbuf, header) in burst.iter_mut().zip(headers) {
+        let packet = mbuf.bytes_mut().context("a packet of its own")?;
+        let room = packet.get_mut(..ETHERNET + Header::LEN).context("room for a frame")?;
+        room[12..ETHERNET].copy_from_slice(&gdp_wire::ETHERTYPE.to_be_bytes());
+        room[ETHERNET..].copy_from_slice(header.as_bytes());
+    }
+    Ok(())
+}
+
+/// What leaves.
+#[derive(Default)]
+struct Back {
+    burst: Burst,
+}
+
+impl Sink for Back {
+    fn send(&mut self, _: u32, mbuf: Mbuf) {
+        // As many leave as came.
+        let _ = self.burst.push(mbuf);
+    }
+
+    fn pass(&mut self, _: Mbuf) {}
+
+    fn gathers(&self, _: u32) -> bool {
+        false
+    }
+}

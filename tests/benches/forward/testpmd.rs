@@ -1,0 +1,87 @@
+//! DPDK's own forwarder, to compare with: it swaps the MAC addresses of what arrives and sends it on, and looks at nothing else.
+
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+
+/// How long it may take to begin, or to answer.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Runs while somebody measures it, and is stopped in between: it never rests by itself.
+pub struct Testpmd {
+    child: Child,
+    input: ChildStdin,
+    output: BufReader<ChildStdout>,
+}
+
+impl Testpmd {
+    /// `command`: `dpdk-testpmd`, where it is to run. Forwards between these devices, or each by itself if there is one.
+    pub fn start(mut command: Command, devices: &[String]) -> Result<Self> {
+        command.args(["-l", "0,1", "--no-huge", "-m", "256", "--no-pci", "--no-telemetry"]);
+        command.arg(format!("--file-prefix=gdp-testpmd-{}-{}", std::process::id(), devices.join("-").len()));
+        devices.iter().for_each(|device| _ = command.arg(format!("--vdev={device}")));
+        command.args(["--", "-i", "--forward-mode=macswap", "--nb-cores=1", "--total-num-mbufs=16384"]);
+        command.arg(if devices.len() == 1 { "--port-topology=loop" } else { "--port-topology=paired" });
+        let piped = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
+        let mut child = piped.spawn().context("cannot start dpdk-testpmd")?;
+        let (Some(input), Some(output)) = (child.stdin.take(), child.stdout.take()) else { bail!("no pipes") };
+        let mut this = Self { child, input, output: BufReader::new(output) };
+        this.say("start")?;
+        this.frames().context("dpdk-testpmd does not forward")?;
+        this.pause(true);
+        Ok(this)
+    }
+
+    /// Frames per second that it forwards while `what` runs, by its own count.
+    pub fn rate(&mut self, duration: Duration) -> Result<f64> {
+        self.pause(false);
+        let (start, before) = (Instant::now(), self.frames()?);
+        std::thread::sleep(duration);
+        let frames = self.frames()? - before;
+        let rate = frames as f64 / start.elapsed().as_secs_f64();
+        self.pause(true);
+        Ok(rate)
+    }
+
+    /// Has it forward while this runs.
+    pub fn during<T>(&mut self, run: impl FnOnce() -> T) -> T {
+        self.pause(false);
+        let result = run();
+        self.pause(true);
+        result
+    }
+
+    /// What its first port has received.
+    fn frames(&mut self) -> Result<u64> {
+        self.say("show port stats 0")?;
+        let (deadline, mut line) = (Instant::now() + PATIENCE, String::new());
+        while Instant::now() < deadline {
+            line.clear();
+            if self.output.read_line(&mut line)? == 0 {
+                bail!("dpdk-testpmd has ended");
+            }
+            if let Some((_, rest)) = line.split_once("RX-packets:") {
+                return rest.split_whitespace().next().context("no number")?.parse().context("a number");
+            }
+        }
+        bail!("dpdk-testpmd does not answer")
+    }
+
+    fn say(&mut self, what: &str) -> Result<()> {
+        writeln!(self.input, "{what}").context("dpdk-testpmd does not listen")
+    }
+
+    fn pause(&self, pause: bool) {
+        // SAFETY: a signal to a child that has not been waited for.
+        unsafe { libc::kill(self.child.id() as i32, if pause { libc::SIGSTOP } else { libc::SIGCONT }) };
+    }
+}
+
+impl Drop for Testpmd {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
