@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::link::KeyedEntry;
-use gdp::port::interface_index;
+use gdp::port::{Interface, interface_index};
 use gdp_dpdk::carrier::Stations;
 use gdp_dpdk::local::{Local, NextHop};
 use gdp_dpdk::{Eal, EalConfig, Idle, Memory, Switch, SwitchConfig};
@@ -19,6 +19,9 @@ use super::{DpdkConfig, DpdkPlaneError};
 use crate::plane::forwarder::Shared;
 use crate::plane::tables::{Reader, View};
 use crate::plane::udp;
+
+/// Bytes of a packet that are not in the MTU: an Ethernet header with two tags, and a checksum.
+const AROUND: usize = 26;
 
 /// Ports and loops. Dropping it lets go of the devices.
 pub struct DpdkPlane {
@@ -51,7 +54,10 @@ impl DpdkPlane {
         let memory = if config.huge_pages { Memory::HugePages } else { Memory::Ordinary { mib: config.memory_mib } };
         let eal = Eal::begin(&EalConfig { memory, pci })?;
         let idle = if config.idle.is_zero() { Idle::Busy } else { Idle::Sleep(config.idle) };
-        let loops = SwitchConfig { cores: config.cores.clone(), idle, ..SwitchConfig::default() };
+        let default = SwitchConfig::default();
+        let mtu = config.ports.iter().filter_map(|port| Some(Interface::find(port.carrier()?).ok()?.mtu as usize)).max();
+        let largest = default.largest.max(mtu.unwrap_or(0) + AROUND);
+        let loops = SwitchConfig { cores: config.cores.clone(), idle, largest, ..default };
         let mut switch = Switch::start(eal, &loops, || LoopReader::new(reader(), shared.clone()))?;
         switch.set_local(Local { ethertype, ..Local::default() });
         let mut ports = HashMap::new();
