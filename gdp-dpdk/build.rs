@@ -7,12 +7,12 @@ use std::path::PathBuf;
 const LIBRARIES: [&str; 5] = ["rte_eal", "rte_ethdev", "rte_mbuf", "rte_mempool", "rte_ring"];
 
 /// The releases whose stable ABI is 23: see docs/dpdk.md.
-const MAJORS: [&str; 2] = ["22.11", "23."];
+const MAJORS: [&str; 3] = ["22.11", "23.03", "23.07"];
 
 const FUNCTIONS: &str = "rte_(eal_init|eal_cleanup|strerror|thread_register|thread_unregister|dev_probe|dev_remove|\
     pktmbuf_pool_create|mempool_free|mempool_in_use_count|\
     eth_dev_(get_port_by_name|info_get|configure|start|stop|close|get_mtu|socket_id|adjust_nb_rx_tx_desc)|\
-    eth_(rx_queue_setup|tx_queue_setup|promiscuous_enable|macaddr_get|link_get_nowait|stats_get))";
+    eth_(rx_queue_setup|tx_queue_setup|promiscuous_enable|macaddr_get|stats_get))";
 
 fn main() {
     println!("cargo::rerun-if-changed=shim/shim.c");
@@ -44,7 +44,7 @@ fn main() {
         .clang_args(&flags)
         .allowlist_function(FUNCTIONS)
         .allowlist_function("gdp_.*")
-        .allowlist_type("rte_eth_(conf|dev_info|stats|link)")
+        .allowlist_type("rte_eth_(conf|dev_info|stats)")
         .allowlist_var("GDP_.*|RTE_PKTMBUF_HEADROOM")
         .opaque_type("rte_(mempool|mbuf|device|eth_rxconf|eth_txconf)")
         .layout_tests(false)

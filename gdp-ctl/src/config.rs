@@ -559,6 +559,12 @@ mod tests {
             ("{memory_mib: 1}", "memory_mib"),
             ("{idle_us: 1000000}", "idle_us"),
             ("{cores: [-1]}", "cores"),
+            ("{cores: [1, 1]}", "cores"),
+            ("{cores: [5000]}", "cores"),
+            ("{ports: [{interface: a, device: '02:00.0'}]}", "lspci -D"),
+            ("{ports: [{interface: a, device: '0000:02:00.0'}]}", "huge_pages"),
+            ("{ports: [{interface: a, device: 'net_x0,iface=b'}, {interface: c, device: 'net_x0,iface=d'}]}", "net_x0"),
+            ("{ports: [{interface: a, device: 'net_x0,iface=b'}, {interface: c, device: 'net_x1,iface=b'}]}", "twice"),
         ] {
             let error = parse(&format!("dpdk: {section}")).expect_err(section);
             assert!(error.contains(needle), "{section}: {error}");

@@ -14,7 +14,8 @@
 /* Macros that bindgen does not see through. */
 static const uint64_t GDP_GATHERS = RTE_ETH_TX_OFFLOAD_MULTI_SEGS;
 static const uint64_t GDP_SPREAD_BY = RTE_ETH_RSS_IP | RTE_ETH_RSS_UDP;
-static const uint64_t GDP_INDIRECT = RTE_MBUF_F_INDIRECT;
+/* The bytes of such an mbuf are not in its own memory. */
+static const uint64_t GDP_ELSEWHERE = RTE_MBUF_F_INDIRECT | RTE_MBUF_F_EXTERNAL;
 
 /* The error of the last call that failed on this thread. */
 int gdp_errno(void);

@@ -13,9 +13,6 @@ use crate::local::{Local, NextHop};
 use crate::siphash::siphash24_many;
 use crate::view::View;
 
-/// Frames of a batch, at most.
-pub const BATCH: usize = crate::Burst::SIZE;
-
 /// The tables that a batch is decided by.
 pub struct BatchTables<'b, V> {
     view: &'b V,
@@ -42,6 +39,7 @@ impl<'b, V: View> BatchTables<'b, V> {
 
     /// The tag that the next frame to be decided about must have.
     pub fn expect(&self, expected: Expected) {
+        self.due.set(None);
         self.expected.set((expected.key, expected.count, expected.tag));
     }
 
@@ -68,33 +66,47 @@ pub struct Expected {
     tag: u64,
 }
 
-/// Computes what the tags of these frames must be. Frames of no link get one that does not matter.
-pub fn expect_tags(headers: &[Header], tables: &impl Tables, expected: &mut [Expected; BATCH]) {
-    let (mut keys, mut words, mut tags) = ([[0; 2]; BATCH], [[0; 11]; BATCH], [0; BATCH]);
-    for (i, header) in headers.iter().enumerate().take(BATCH) {
-        let keyed = tables.link(header.link_id()).and_then(|link| {
-            let window = tables.window(link)?;
-            Some(forward::keyed(header, link, &window))
-        });
-        let (key, count) = keyed.unwrap_or_default();
-        (keys[i], words[i]) = (key, header.tagged_words(count));
-        expected[i] = Expected { key, count, tag: 0 };
-    }
-    let frames = headers.len().min(BATCH);
-    siphash24_many(&keys[..frames], &words[..frames], &mut tags[..frames]);
-    expected.iter_mut().zip(tags).take(frames).for_each(|(expected, tag)| expected.tag = tag);
+/// Hop tags of a batch, computed together.
+#[derive(Default)]
+pub struct Tags {
+    keys: Vec<[u64; 2]>,
+    words: Vec<[u64; 11]>,
+    tags: Vec<u64>,
 }
 
-/// Writes the tags of headers that are to leave.
-pub fn write_tags(headers: &mut [Header], dues: &[Due]) {
-    let (mut keys, mut words, mut tags) = ([[0; 2]; BATCH], [[0; 11]; BATCH], [0; BATCH]);
-    for (headers, dues) in headers.chunks_mut(BATCH).zip(dues.chunks(BATCH)) {
-        for (i, (header, due)) in headers.iter().zip(dues).enumerate() {
-            (keys[i], words[i]) = (due.key, header.tagged_words(due.count));
+impl Tags {
+    /// Computes what the tags of these frames must be. Frames of no link get one that does not matter.
+    pub fn expect(&mut self, headers: &[Header], tables: &impl Tables, expected: &mut Vec<Expected>) {
+        for header in headers {
+            let keyed = tables.link(header.link_id()).and_then(|link| {
+                let window = tables.window(link)?;
+                Some(forward::keyed(header, link, &window))
+            });
+            let (key, count) = keyed.unwrap_or_default();
+            self.add(header, Due { key, count });
+            expected.push(Expected { key, count, tag: 0 });
         }
-        let frames = headers.len().min(dues.len());
-        siphash24_many(&keys[..frames], &words[..frames], &mut tags[..frames]);
-        headers.iter_mut().zip(tags).for_each(|(header, tag)| header.set_tag(tag));
+        self.compute();
+        expected.iter_mut().zip(&self.tags).for_each(|(expected, tag)| expected.tag = *tag);
+    }
+
+    /// Writes the tags of those headers that leave: their places, and what the tags are made from.
+    pub fn write(&mut self, headers: &mut [Header], leaving: impl Iterator<Item = (usize, Due)> + Clone) {
+        leaving.clone().for_each(|(place, due)| self.add(&headers[place], due));
+        self.compute();
+        leaving.zip(&self.tags).for_each(|((place, _), tag)| headers[place].set_tag(*tag));
+    }
+
+    fn add(&mut self, header: &Header, Due { key, count }: Due) {
+        self.keys.push(key);
+        self.words.push(header.tagged_words(count));
+    }
+
+    fn compute(&mut self) {
+        self.tags.resize(self.keys.len(), 0);
+        siphash24_many(&self.keys, &self.words, &mut self.tags);
+        self.keys.clear();
+        self.words.clear();
     }
 }
 

@@ -102,8 +102,8 @@ fn arguments(config: &EalConfig) -> Result<Vec<CString>, EalError> {
     let core = first_core();
     let mut arguments = vec![
         "gdp".to_owned(),
-        "-l".to_owned(),
-        core.to_string(),
+        "--lcores".to_owned(),
+        format!("0@{core}"),
         "--no-telemetry".to_owned(),
         format!("--file-prefix=gdp-{}", std::process::id()),
         // Warnings and worse; the rest is noise in a daemon's log.
@@ -111,7 +111,10 @@ fn arguments(config: &EalConfig) -> Result<Vec<CString>, EalError> {
     ];
     match config.memory {
         Memory::HugePages => arguments.push("--in-memory".to_owned()),
-        Memory::Ordinary { mib } => arguments.extend(["--no-huge".to_owned(), "-m".to_owned(), mib.to_string()]),
+        // Without files that nobody else reads.
+        Memory::Ordinary { mib } => {
+            arguments.extend(["--no-huge", "--no-shconf", "-m", &mib.to_string()].map(str::to_owned));
+        }
     }
     match &config.pci[..] {
         [] => arguments.push("--no-pci".to_owned()),

@@ -6,14 +6,15 @@
 //! 3. Each frame is decided about. What leaves is noted with the header it leaves with, or the headers if there are copies.
 //! 4. The tags of what leaves are made, again for all at once, and each frame is dressed for its link and handed over.
 
+use gdp_wire::counter::is_sampled;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
 use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::table::Tables as _;
 
 use gdp_wire::{Carrier, Counter, Header, LinkEntry};
-use zerocopy::{FromBytes, IntoBytes};
+use zerocopy::IntoBytes;
 
-use crate::batch::{BATCH, BatchTables, Due, Expected, expect_tags, write_tags};
+use crate::batch::{BatchTables, Due, Expected, Tags};
 use crate::carrier::{self, Carried, Payload};
 use crate::local::{At, Local, NextHop};
 use crate::mbuf::{Burst, Mbuf, Pool};
@@ -44,10 +45,12 @@ pub struct Forwarding {
     /// Where copies are made.
     pool: Pool,
     frames: Vec<Frame>,
-    /// Those of the frames.
+    /// Those of the frames, and behind them those of copies. They stay where they are until they leave: what has just been written byte by
+    /// byte is slow to read as a whole.
     headers: Vec<Header>,
-    expected: Box<[Expected; BATCH]>,
-    leaving: Leaving,
+    expected: Vec<Expected>,
+    tags: Tags,
+    leaving: Vec<Way>,
 }
 
 /// A packet with a frame that has a header.
@@ -57,31 +60,43 @@ struct Frame {
     carried: Carried,
 }
 
-/// What leaves: the headers, what their tags are made from, and the rest, each at the same place.
-#[derive(Default)]
-struct Leaving {
-    headers: Vec<Header>,
-    dues: Vec<Due>,
-    ways: Vec<Way>,
-}
-
 /// Which frame leaves, and how.
 struct Way {
     frame: usize,
+    /// The place of its header: the frame's, unless it is a copy.
+    header: usize,
+    due: Due,
     hop: NextHop,
     carrier: Carrier,
     counter: Counter,
-    is_copy: bool,
+}
+
+impl Way {
+    /// Of a frame that was decided to leave by a link; by which it can, and with a tag, or nothing would have been decided so.
+    fn by<V: View>(
+        link: &LinkEntry,
+        (frame, header): (usize, usize),
+        counter: Counter,
+        tables: &BatchTables<'_, V>,
+    ) -> Option<Self> {
+        let (hop, due) = (tables.next_hop_of(link)?, tables.take_due()?);
+        Some(Self { frame, header, due, hop, carrier: link.carrier, counter })
+    }
+
+    fn is_copy(&self) -> bool {
+        self.frame != self.header
+    }
 }
 
 impl Forwarding {
     pub fn new(pool: Pool) -> Self {
         Self {
             pool,
-            frames: Vec::with_capacity(BATCH),
-            headers: Vec::with_capacity(BATCH),
-            expected: Box::new([Expected::default(); BATCH]),
-            leaving: Leaving::default(),
+            frames: Vec::with_capacity(Burst::SIZE),
+            headers: Vec::with_capacity(Burst::SIZE),
+            expected: Vec::with_capacity(Burst::SIZE),
+            tags: Tags::default(),
+            leaving: Vec::with_capacity(Burst::SIZE),
         }
     }
 
@@ -95,9 +110,9 @@ impl Forwarding {
         counts: &mut Counts,
     ) {
         self.find(&At { local, port }, burst, view, sink, counts);
-        expect_tags(&self.headers, view.tables(), &mut self.expected);
+        self.tags.expect(&self.headers, view.tables(), &mut self.expected);
         self.decide(&BatchTables::new(view, local, ports), view, sink, counts);
-        write_tags(&mut self.leaving.headers, &self.leaving.dues);
+        self.tags.write(&mut self.headers, self.leaving.iter().map(|way| (way.header, way.due)));
         self.leave(local.ethertype, sink, counts);
     }
 
@@ -105,10 +120,18 @@ impl Forwarding {
     fn find<V: View>(&mut self, at: &At<'_>, burst: &mut Burst, view: &V, sink: &mut impl Sink, counts: &mut Counts) {
         for mbuf in burst.drain() {
             match locate(&mbuf, at) {
-                Located::Frame(carried, header) => {
-                    view.prefetch(&header.destination);
-                    self.headers.push(header);
-                    self.frames.push(Frame { mbuf: Some(mbuf), carried });
+                Located::Frame(carried) => {
+                    match mbuf.bytes().get(carried.at..).and_then(|frame| frame.get(..Header::LEN)) {
+                        Some(bytes) => {
+                            // A copy, because a frame may lie anywhere.
+                            self.headers.push(Header::default());
+                            let header = &mut self.headers[self.frames.len()];
+                            header.as_mut_bytes().copy_from_slice(bytes);
+                            view.prefetch(&header.destination);
+                            self.frames.push(Frame { mbuf: Some(mbuf), carried });
+                        }
+                        None => counts[Counter::Truncated as usize] += 1,
+                    }
                 }
                 Located::Host(counter) => {
                     counts[counter as usize] += 1;
@@ -121,25 +144,29 @@ impl Forwarding {
 
     /// Phase 3.
     fn decide<V: View>(&mut self, tables: &BatchTables<'_, V>, view: &V, sink: &mut impl Sink, counts: &mut Counts) {
-        let Self { frames, headers, expected, leaving, .. } = self;
-        for (i, ((frame, header), expected)) in frames.iter_mut().zip(headers).zip(expected.iter()).enumerate() {
+        let mut arrivals = Arrivals::default();
+        for i in 0..self.frames.len() {
+            let (header, frame) = (&mut self.headers[i], &mut self.frames[i]);
             let (ingress, tag) = (header.link_id(), header.tag());
-            let Carried { available, traffic, .. } = frame.carried;
-            tables.expect(*expected);
+            tables.expect(self.expected[i]);
             // What is sent is counted when it leaves.
-            let counter = match forward::decide(header, available, traffic, tables) {
+            let counter = match forward::decide(header, frame.carried.available, frame.carried.traffic, tables) {
                 Verdict::Send(link, counter) => {
-                    view.sample(tag, &header.destination);
-                    leaving.add(header, (i, false), link, counter, tables);
+                    if is_sampled(tag) {
+                        view.sample(&header.destination);
+                    }
+                    self.leaving.extend(Way::by(link, (i, i), counter, tables));
                     counter
                 }
                 Verdict::Answer(link, counter) => {
-                    leaving.add(header, (i, false), link, counter, tables);
+                    self.leaving.extend(Way::by(link, (i, i), counter, tables));
                     counter
                 }
                 Verdict::Copies(group) => {
-                    view.sample(tag, &header.destination);
-                    copies(i, header, (ingress, group), view, tables, leaving, counts);
+                    if is_sampled(tag) {
+                        view.sample(&header.destination);
+                    }
+                    self.copy(i, (ingress, group), view, tables, counts);
                     counted(counts, Counter::Replicated)
                 }
                 // Another plane's: that is behind this host's interface.
@@ -149,16 +176,41 @@ impl Forwarding {
                 }
                 Verdict::Drop(counter) => counted(counts, counter),
             };
-            view.count_arrival(ingress, counter);
+            arrivals.count(view, ingress, counter);
+        }
+        arrivals.tell(view);
+    }
+
+    /// Notes the copies of a frame that leave.
+    fn copy<V: View>(
+        &mut self,
+        frame: usize,
+        (ingress, group): (u32, u32),
+        view: &V,
+        tables: &BatchTables<'_, V>,
+        counts: &mut Counts,
+    ) {
+        let (links, original) = (view.tables(), self.headers[frame]);
+        let Some(ingress) = links.link(ingress) else { return };
+        for link in view.members(group).filter_map(|id| links.link(id)) {
+            let mut header = original;
+            match forward::copy(&mut header, original.frame_len(), link, ingress, tables) {
+                Copy::Send(counter) => {
+                    self.leaving.extend(Way::by(link, (frame, self.headers.len()), counter, tables));
+                    self.headers.push(header);
+                }
+                Copy::Drop(counter) => counts[counter as usize] += 1,
+                Copy::None => {}
+            }
         }
     }
 
     /// Phase 4.
     fn leave(&mut self, ethertype: u16, sink: &mut impl Sink, counts: &mut Counts) {
         let Self { pool, frames, headers, leaving, .. } = self;
-        for (header, way) in leaving.headers.iter().zip(&leaving.ways) {
-            let frame = &mut frames[way.frame];
-            let ready = if way.is_copy {
+        for way in &*leaving {
+            let (header, frame) = (&headers[way.header], &mut frames[way.frame]);
+            let ready = if way.is_copy() {
                 let gathers = sink.gathers(way.hop.port);
                 frame
                     .mbuf
@@ -178,37 +230,38 @@ impl Forwarding {
         frames.clear();
         headers.clear();
         leaving.clear();
+        self.expected.clear();
     }
 }
 
-impl Leaving {
-    /// A frame that leaves by a link, as its header is now.
-    fn add<V: View>(
-        &mut self,
-        header: &Header,
-        (frame, is_copy): (usize, bool),
-        link: &LinkEntry,
-        counter: Counter,
-        tables: &BatchTables<'_, V>,
-    ) {
-        // Both are there: nothing is decided to leave by a link that this plane cannot send by, or without a tag.
-        if let (Some(hop), Some(due)) = (tables.next_hop_of(link), tables.take_due()) {
-            self.headers.push(*header);
-            self.dues.push(due);
-            self.ways.push(Way { frame, hop, carrier: link.carrier, counter, is_copy });
+/// What became of frames that arrived by one link one after the other, to be told of together.
+#[derive(Default)]
+struct Arrivals {
+    link: u32,
+    counter: Option<Counter>,
+    frames: u64,
+}
+
+impl Arrivals {
+    fn count<V: View>(&mut self, view: &V, link: u32, counter: Counter) {
+        if (self.link, self.counter) != (link, Some(counter)) {
+            self.tell(view);
+            (self.link, self.counter, self.frames) = (link, Some(counter), 0);
         }
+        self.frames += 1;
     }
 
-    fn clear(&mut self) {
-        self.headers.clear();
-        self.dues.clear();
-        self.ways.clear();
+    fn tell<V: View>(&self, view: &V) {
+        if let Some(counter) = self.counter {
+            view.count_arrivals(self.link, counter, self.frames);
+        }
     }
 }
 
 /// What a packet is, before anything is decided about it.
 enum Located {
-    Frame(Carried, Header),
+    /// It has a header, if it is long enough.
+    Frame(Carried),
     /// This host's.
     Host(Counter),
     Drop(Counter),
@@ -229,35 +282,9 @@ fn locate(mbuf: &Mbuf, at: &At<'_>) -> Located {
         return Located::Host(Counter::Control);
     }
     match forward::classify(*first) {
-        // A copy, because a frame may lie anywhere.
-        Kind::Headed => match Header::read_from_prefix(frame) {
-            Ok((header, _)) => Located::Frame(carried, header),
-            Err(_) => Located::Drop(Counter::Truncated),
-        },
+        Kind::Headed => Located::Frame(carried),
         Kind::Control => Located::Host(Counter::Control),
         Kind::Unknown => Located::Drop(Counter::Unknown),
-    }
-}
-
-/// Notes the copies of a frame that leave.
-fn copies<V: View>(
-    frame: usize,
-    header: &Header,
-    (ingress, group): (u32, u32),
-    view: &V,
-    tables: &BatchTables<'_, V>,
-    leaving: &mut Leaving,
-    counts: &mut Counts,
-) {
-    let links = view.tables();
-    let Some(ingress) = links.link(ingress) else { return };
-    for link in view.members(group).filter_map(|id| links.link(id)) {
-        let mut copy = *header;
-        match forward::copy(&mut copy, header.frame_len(), link, ingress, tables) {
-            Copy::Send(counter) => leaving.add(&copy, (frame, true), link, counter, tables),
-            Copy::Drop(counter) => counts[counter as usize] += 1,
-            Copy::None => {}
-        }
     }
 }
 

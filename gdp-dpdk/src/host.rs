@@ -13,24 +13,36 @@ use crate::tap::Tap;
 use crate::worker::Lane;
 
 /// Packets that wait for the kernel, at most.
-const WAITING: usize = 1024;
+pub const WAITING: usize = 1024;
 
-/// The way to the kernel. The thread ends with the last clone.
+/// The way to the kernel.
 #[derive(Clone)]
 pub struct ToHost(SyncSender<Told>);
+
+/// The thread of [`ToHost`]. Dropping it waits until the last clone of that is gone, and all that waited with it.
+pub struct Giver(Option<JoinHandle<()>>);
+
+impl Drop for Giver {
+    fn drop(&mut self) {
+        if let Some(thread) = self.0.take() {
+            let _ = thread.join();
+        }
+    }
+}
 
 /// What the thread is given.
 enum Told {
     Packet(u32, Mbuf),
     Come(u32, Arc<Tap>),
-    Gone(u32),
+    /// With whom to tell that it is.
+    Gone(u32, SyncSender<()>),
 }
 
 impl ToHost {
-    pub fn start() -> io::Result<Self> {
+    pub fn start() -> io::Result<(Self, Giver)> {
         let (sender, told) = mpsc::sync_channel(WAITING);
-        std::thread::Builder::new().name("gdp-to-host".into()).spawn(move || give_all(told))?;
-        Ok(Self(sender))
+        let thread = std::thread::Builder::new().name("gdp-to-host".into()).spawn(move || give_all(told))?;
+        Ok((Self(sender), Giver(Some(thread))))
     }
 
     /// Gives the kernel a packet that arrived at a port; `false` if too many wait already, and this one is gone.
@@ -44,9 +56,13 @@ fn give_all(told: Receiver<Told>) {
     for told in told {
         match told {
             Told::Come(port, tap) => _ = taps.insert(port, tap),
-            Told::Gone(port) => _ = taps.remove(&port),
+            Told::Gone(port, answer) => {
+                taps.remove(&port);
+                let _ = answer.send(());
+            }
             Told::Packet(port, mbuf) => {
-                let Some(tap) = taps.get(&port) else { continue };
+                // Our devices give packets in one piece.
+                let Some(tap) = taps.get(&port).filter(|_| mbuf.is_linear()) else { continue };
                 // As with any interface: the kernel counts what it does not take, of one that is down for instance.
                 if let Err(error) = tap.write(mbuf.bytes()) {
                     tracing::debug!(interface = tap.name(), %error, "the kernel did not take a packet");
@@ -56,7 +72,7 @@ fn give_all(told: Receiver<Told>) {
     }
 }
 
-/// The host's side of a port. Dropping it ends the thread, and with the last that has it the interface goes.
+/// The host's side of a port. Dropping it ends the thread, and with it the interface.
 pub struct Host {
     stop: OwnedFd,
     to_host: ToHost,
@@ -78,7 +94,10 @@ impl Host {
 
 impl Drop for Host {
     fn drop(&mut self) {
-        let _ = self.to_host.0.send(Told::Gone(self.port));
+        let (answer, answered) = mpsc::sync_channel(1);
+        if self.to_host.0.send(Told::Gone(self.port, answer)).is_ok() {
+            let _ = answered.recv();
+        }
         let one = 1u64;
         // SAFETY: eight bytes, to a descriptor that is open.
         unsafe { libc::write(self.stop.as_raw_fd(), (&raw const one).cast(), 8) };

@@ -6,7 +6,7 @@ use std::mem::ManuallyDrop;
 use std::ops::{Deref, DerefMut};
 use std::ptr::NonNull;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU16, AtomicU32, Ordering};
 
 use crate::sys;
 use crate::{DpdkError, Eal};
@@ -17,8 +17,9 @@ pub const LARGEST: usize = 9216;
 /// Bytes in front of a packet that arrives: what frames are dressed in on their way out takes less.
 const HEADROOM: u16 = sys::RTE_PKTMBUF_HEADROOM as u16;
 
-/// Mbufs that each thread keeps at hand.
+/// Mbufs that each thread keeps at hand, unless the pool is small; and half as many more for a moment.
 const CACHE: u32 = 256;
+pub(crate) const KEPT: usize = CACHE as usize * 3 / 2;
 
 /// The first fields of DPDK's `rte_mbuf`; the shim asserts that they are here.
 #[repr(C)]
@@ -26,7 +27,7 @@ pub(crate) struct Raw {
     buffer: *mut u8,
     _iova: u64,
     data_offset: u16,
-    references: u16,
+    references: AtomicU16,
     segments: u16,
     port: u16,
     offload_flags: u64,
@@ -112,7 +113,13 @@ impl Pool {
 
 impl Drop for PoolInner {
     fn drop(&mut self) {
-        // SAFETY: this was the last that had the pool; ports and the threads of switches have a clone as long as they have mbufs of it.
+        // SAFETY: a live pool.
+        let out = unsafe { sys::rte_mempool_in_use_count(self.pool.as_ptr()) };
+        if out > 0 {
+            // Somebody still has them, and their memory.
+            return tracing::warn!(packets = out, "the memory of packets that are still in use is not given back");
+        }
+        // SAFETY: this was the last that had the pool, and none of its mbufs is out.
         unsafe { sys::rte_mempool_free(self.pool.as_ptr()) };
     }
 }
@@ -132,10 +139,10 @@ impl Mbuf {
         unsafe { std::slice::from_raw_parts(raw.buffer.add(raw.data_offset.into()), raw.data_length.into()) }
     }
 
-    /// As [`Self::bytes`]; `None` if others refer to them.
+    /// As [`Self::bytes`]; `None` if they are others' as well.
     pub fn bytes_mut(&mut self) -> Option<&mut [u8]> {
         let raw = self.raw();
-        if raw.references != 1 {
+        if raw.references.load(Ordering::Relaxed) != 1 || raw.offload_flags & sys::GDP_ELSEWHERE != 0 {
             return None;
         }
         // SAFETY: as above, and nobody else has them.
@@ -184,7 +191,7 @@ impl Mbuf {
         raw.data_length = length as u16;
         raw.packet_length = length as u32;
         // What a driver found out about the packet before is not true of it now.
-        raw.offload_flags &= sys::GDP_INDIRECT;
+        raw.offload_flags &= sys::GDP_ELSEWHERE;
         true
     }
 

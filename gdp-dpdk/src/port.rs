@@ -1,8 +1,8 @@
 //! Ports: devices that DPDK drives, and the queues that packets come and go by.
 
+use std::collections::BTreeSet;
 use std::ffi::{CString, c_void};
-use std::mem::MaybeUninit;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::mbuf::{Burst, Pool};
 use crate::sys;
@@ -10,6 +10,9 @@ use crate::{DpdkError, Eal};
 
 /// Places in each queue, unless the device wants others.
 const DESCRIPTORS: u16 = 1024;
+
+/// Packets that a queue may hold: `net_af_xdp` has rings of so many, whatever it is asked for.
+pub(crate) const HELD: usize = 2048;
 
 /// Seen by the hash that spreads packets over queues: what UDP frames differ in. Frames on Ethernet have no such thing, and all come by
 /// the first queue.
@@ -45,6 +48,7 @@ pub struct Send {
 struct Device {
     id: u16,
     name: String,
+    _claim: Claim,
     mac: [u8; 6],
     mtu: u16,
     /// Takes packets that are chains.
@@ -54,6 +58,24 @@ struct Device {
     /// What arrives comes from here.
     _pool: Pool,
     _eal: Eal,
+}
+
+/// That nobody else in this process has the device.
+struct Claim(String);
+
+static CLAIMED: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+
+impl Claim {
+    fn of(name: &str) -> Option<Self> {
+        let is_new = CLAIMED.lock().unwrap_or_else(PoisonError::into_inner).insert(name.to_owned());
+        is_new.then(|| Self(name.to_owned()))
+    }
+}
+
+impl Drop for Claim {
+    fn drop(&mut self) {
+        CLAIMED.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.0);
+    }
 }
 
 // SAFETY: what is behind the pointer belongs to DPDK, which is asked for the device once more: when the last one lets go of it.
@@ -79,9 +101,11 @@ impl Port {
         let what = |doing: &str| format!("device {}: {doing}", config.device);
         let fail = |doing: &'static str| move |code: i32| DpdkError::check(code, || what(doing));
         let text = CString::new(config.device.as_str()).map_err(|_| DpdkError::new(what("its name"), libc::EINVAL))?;
+        let name = config.device.split(',').next().unwrap_or_default().to_owned();
+        // DPDK would give the same device again.
+        let claim = Claim::of(&name).ok_or_else(|| DpdkError::new(what("its name is taken"), libc::EEXIST))?;
         // SAFETY: a string that lives during the call.
         fail("no driver takes it")(unsafe { sys::rte_dev_probe(text.as_ptr()) })?;
-        let name = config.device.split(',').next().unwrap_or_default().to_owned();
         let short = CString::new(name.as_str()).map_err(|_| DpdkError::new(what("its name"), libc::EINVAL))?;
         let mut id = 0;
         // SAFETY: a string that lives during the call, and a place for the answer.
@@ -90,6 +114,7 @@ impl Port {
         let mut device = Device {
             id,
             name,
+            _claim: claim,
             mac: [0; 6],
             mtu: 0,
             gathers: info.tx_offload_capa & sys::GDP_GATHERS != 0,
@@ -144,17 +169,6 @@ impl Port {
     /// Bytes of the largest packet behind its Ethernet header.
     pub fn mtu(&self) -> u16 {
         self.0.mtu
-    }
-
-    /// Whether there is a cable, with somebody at its other end.
-    pub fn is_up(&self) -> bool {
-        let mut link = MaybeUninit::<sys::rte_eth_link>::zeroed();
-        // SAFETY: a port that is there, and a place for the answer, of which every value is one.
-        let link = unsafe {
-            sys::rte_eth_link_get_nowait(self.0.id, link.as_mut_ptr());
-            link.assume_init()
-        };
-        link.link_status() != 0
     }
 
     pub fn counters(&self) -> PortCounters {

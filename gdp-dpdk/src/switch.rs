@@ -14,11 +14,11 @@ use arc_swap::ArcSwap;
 use gdp_wire::Counter;
 
 use crate::forwarding::Counts;
-use crate::host::{Host, ToHost};
+use crate::host::{Giver, Host, ToHost, WAITING};
 use crate::idle::Idle;
 use crate::local::Local;
-use crate::mbuf::Pool;
-use crate::port::{Port, PortConfig, PortCounters, Receive, Send};
+use crate::mbuf::{Burst, KEPT, Pool};
+use crate::port::{HELD, Port, PortConfig, Receive, Send};
 use crate::tap::Tap;
 use crate::view::Reader;
 use crate::worker::{Command, Lane, LoopPort, Worker};
@@ -30,15 +30,15 @@ pub struct SwitchConfig {
     /// The core of each loop; none: one loop, on whichever core it finds itself.
     pub cores: Vec<usize>,
     pub idle: Idle,
-    /// Packets there is memory for. They wait in the queues of all ports together, and cost their size each.
-    pub packets: u32,
+    /// Ports there will be: as much memory there is for packets.
+    pub ports: usize,
     /// Bytes of the largest packet.
     pub largest: usize,
 }
 
 impl Default for SwitchConfig {
     fn default() -> Self {
-        Self { cores: Vec::new(), idle: Idle::default(), packets: 16384, largest: 2048 }
+        Self { cores: Vec::new(), idle: Idle::default(), ports: 2, largest: 2048 }
     }
 }
 
@@ -62,6 +62,7 @@ pub struct Switch {
     loops: Vec<Loop>,
     local: Arc<ArcSwap<Local>>,
     host: ToHost,
+    _giver: Giver,
     pool: Pool,
     eal: Eal,
 }
@@ -69,7 +70,7 @@ pub struct Switch {
 /// A port as it is held here.
 struct Served {
     _host: Host,
-    port: Port,
+    _port: Port,
     lost: Arc<AtomicU64>,
 }
 
@@ -89,8 +90,10 @@ impl Switch {
         config: &SwitchConfig,
         mut reader: impl FnMut() -> R,
     ) -> Result<Self, SwitchError> {
-        let pool = Pool::new(eal, config.packets, config.largest)?;
-        let (local, host) = (Arc::new(ArcSwap::default()), ToHost::start().map_err(SwitchError::Thread)?);
+        let loops = config.cores.len().max(1);
+        let pool = Pool::new(eal, packets(config.ports, loops), config.largest)?;
+        let local: Arc<ArcSwap<Local>> = Arc::default();
+        let (host, giver) = ToHost::start().map_err(SwitchError::Thread)?;
         let cores: Vec<Option<usize>> = match &config.cores[..] {
             [] => vec![None],
             cores => cores.iter().copied().map(Some).collect(),
@@ -116,7 +119,7 @@ impl Switch {
             let thread = Some(thread.map_err(SwitchError::Thread)?);
             loops.push(Loop { commands: Some(commands), counters, thread, clock });
         }
-        Ok(Self { ports: HashMap::new(), loops, local, host, pool, eal })
+        Ok(Self { ports: HashMap::new(), loops, local, host, _giver: giver, pool, eal })
     }
 
     /// Takes a device (see [`PortConfig::device`]) over, with `interface` as the host's side of it, made in the network namespace of the
@@ -144,7 +147,9 @@ impl Switch {
             .map_err(SwitchError::Thread)?;
         let mut shares: Vec<Vec<Receive>> = self.loops.iter().map(|_| Vec::new()).collect();
         let count = shares.len();
-        receives.into_iter().enumerate().for_each(|(i, receive)| shares[i % count].push(receive));
+        // Ports with a queue each do not all go to the first loop.
+        let first = self.ports.len();
+        receives.into_iter().enumerate().for_each(|(i, receive)| shares[(first + i) % count].push(receive));
         let mut answers = Vec::new();
         for (i, (one, receive)) in self.loops.iter().zip(shares).enumerate() {
             let (answer, answered) = mpsc::sync_channel(1);
@@ -152,7 +157,7 @@ impl Switch {
             answers.push(answered);
         }
         let mac = port.mac();
-        self.ports.insert(number, Served { _host: host, port, lost });
+        self.ports.insert(number, Served { _host: host, _port: port, lost });
         wait(answers)?;
         Ok((number, mac))
     }
@@ -180,10 +185,6 @@ impl Switch {
         self.local.load_full()
     }
 
-    pub fn has_port(&self, number: u32) -> bool {
-        self.ports.contains_key(&number)
-    }
-
     /// In the order of [`Counter::ALL`].
     pub fn counters(&self) -> Counts {
         let mut all = [0; Counter::COUNT];
@@ -197,11 +198,6 @@ impl Switch {
     /// Packets that were handed to a port's device, or its host's side, and did not leave.
     pub fn losses(&self) -> impl Iterator<Item = (u32, u64)> {
         self.ports.iter().map(|(number, served)| (*number, served.lost.load(Ordering::Relaxed)))
-    }
-
-    /// What the device of a port has counted.
-    pub fn port_counters(&self, number: u32) -> Option<PortCounters> {
-        self.ports.get(&number).map(|served| served.port.counters())
     }
 
     /// Processor time that each loop has taken.
@@ -236,6 +232,15 @@ impl Drop for Loop {
 /// Waits until all loops have done what they were told.
 fn wait(answers: Vec<Receiver<()>>) -> Result<(), SwitchError> {
     answers.into_iter().try_for_each(|answered| answered.recv().map_err(|_| SwitchError::Ended))
+}
+
+/// Packets that may be in the queues of all ports, on their way through the loops, and waiting for the host: with fewer, queues of sent
+/// ones could leave none to receive by.
+fn packets(ports: usize, loops: usize) -> u32 {
+    let queues = ports * (loops + loops + 1) * HELD;
+    let under_way = loops * (KEPT + Burst::SIZE * (ports + 2));
+    // A pool is fastest with one less than a power of two.
+    ((queues + under_way + WAITING).next_power_of_two() - 1) as u32
 }
 
 /// The calling thread's clock of processor time, for others to read.

@@ -47,7 +47,9 @@ impl Tap {
         control(socket.as_fd(), libc::SIOCSIFHWADDR, &mut request)?;
         request.ifr_ifru.ifru_mtu = mtu.into();
         control(socket.as_fd(), libc::SIOCSIFMTU, &mut request)?;
-        request.ifr_ifru.ifru_flags = libc::IFF_UP as c_short;
+        control(socket.as_fd(), libc::SIOCGIFFLAGS, &mut request)?;
+        // SAFETY: what the kernel has just written. The others stay: without multicast DDS would not use it.
+        request.ifr_ifru.ifru_flags = unsafe { request.ifr_ifru.ifru_flags } | libc::IFF_UP as c_short;
         control(socket.as_fd(), libc::SIOCSIFFLAGS, &mut request)
     }
 

@@ -15,11 +15,11 @@ pub trait View {
     /// Has the CPU fetch where the name's route begins, while others are decided about.
     fn prefetch(&self, name: &Name);
 
-    /// Counts a frame that came in on a link.
-    fn count_arrival(&self, link: u32, counter: Counter);
+    /// Counts frames that came in on a link.
+    fn count_arrivals(&self, link: u32, counter: Counter, frames: u64);
 
-    /// Counts the name of a frame that leaves and arrived with this hop tag, if it is one of those that are looked at.
-    fn sample(&self, tag: u64, name: &Name);
+    /// Counts the name of a frame that leaves, of those that are sampled ([`gdp_wire::counter::is_sampled`]).
+    fn sample(&self, name: &Name);
 }
 
 /// A loop's own way to the tables.

@@ -16,6 +16,9 @@ use crate::mbuf::{Burst, Mbuf, Pool};
 use crate::port::{Receive, Send};
 use crate::view::Reader;
 
+/// Rounds in vain after which a loop looks at the tables all the same.
+const LOOK: u32 = 512;
+
 /// What a loop is told.
 pub enum Command {
     Add(Box<LoopPort>, SyncSender<()>),
@@ -81,7 +84,7 @@ impl<R: Reader> Worker<R> {
             Ok(registered) => registered,
             Err(error) => return tracing::error!(%error, "a loop of the DPDK data plane does not start"),
         };
-        let mut burst = Burst::new();
+        let (mut burst, mut vain) = (Burst::new(), 0u32);
         let mut local = arc_swap::Cache::new(self.local.clone());
         loop {
             match self.told.try_recv() {
@@ -108,12 +111,14 @@ impl<R: Reader> Worker<R> {
             if any {
                 self.out.flush();
             }
+            vain = if any { 0 } else { vain.wrapping_add(1) };
+            if vain % LOOK == LOOK - 1 {
+                // What is gone from the tables may go from memory.
+                drop(self.reader.enter());
+                local.load();
+            }
             match self.rest.after(any) {
-                Some(sleep) => {
-                    // What is gone from the tables may go from memory.
-                    drop(self.reader.enter());
-                    std::thread::sleep(sleep);
-                }
+                Some(sleep) => std::thread::sleep(sleep),
                 None if any => {}
                 None => std::hint::spin_loop(),
             }

@@ -77,6 +77,32 @@ fn nothing_is_lost_in_a_ring_or_with_a_port_that_goes() {
     }
 }
 
+/// A second port would be the first one, and close it.
+#[test]
+fn a_device_is_opened_once() {
+    let (eal, _turn) = begin();
+    let pool = Pool::new(eal, 1023, 2048).unwrap();
+    let opened = Port::open(eal, &device("net_null1,size=64"), &pool).unwrap();
+    let again = Port::open(eal, &device("net_null1,size=128"), &pool).err().unwrap().to_string();
+    assert!(again.contains("taken"), "{again}");
+    drop(opened);
+    let (_port, mut receives, _) = Port::open(eal, &device("net_null1,size=128"), &pool).unwrap();
+    let mut burst = Burst::new();
+    assert!(receives[0].receive(&mut burst) > 0 && burst[0].len() == 128);
+}
+
+/// Their memory is theirs, though nobody has the pool any more.
+#[test]
+fn packets_outlive_their_pool() {
+    let (eal, _turn) = begin();
+    let pool = Pool::new(eal, 63, 2048).unwrap();
+    let mut mbuf = pool.alloc().unwrap();
+    drop(pool);
+    assert!(mbuf.reshape(0, 100));
+    mbuf.bytes_mut().unwrap().fill(7);
+    assert_eq!(mbuf.to_vec(), [7; 100]);
+}
+
 #[test]
 fn nothing_is_lost_with_a_device_that_makes_packets() {
     let (eal, _turn) = begin();

@@ -11,6 +11,10 @@ const MAX_PORTS: usize = 32;
 /// Bytes of an interface's name.
 const MAX_INTERFACE: usize = 15;
 
+/// As the kernel's sets of cores have room for; and DPDK has for threads, with some to spare.
+const MAX_CORE: usize = libc::CPU_SETSIZE as usize;
+const MAX_LOOPS: usize = 64;
+
 /// MiB of memory.
 const MEMORY: std::ops::RangeInclusive<u32> = 64..=65536;
 
@@ -61,8 +65,18 @@ impl DpdkEntry {
                     port.interface, port.interface
                 ));
             }
-            if ports.iter().any(|other| other.interface == port.interface || other.device == port.device) {
-                return Err(format!("dpdk: {} or {} is listed twice", port.interface, port.device));
+            let is_same = |other: &DpdkPort| {
+                let same_carrier = port.carrier().is_some() && other.carrier() == port.carrier();
+                other.interface == port.interface || other.name() == port.name() || same_carrier
+            };
+            if ports.iter().any(is_same) {
+                return Err(format!("dpdk: {} or {} is listed twice", port.interface, port.name()));
+            }
+            if port.name().contains(':') && port.pci().is_none() {
+                return Err(format!("dpdk: {} is no PCI address as `lspci -D` has them: 0000:02:00.0", port.name()));
+            }
+            if port.pci().is_some() && !self.huge_pages {
+                return Err(format!("dpdk: {} is a network card, which needs huge_pages: true", port.name()));
             }
             ports.push(port);
         }
@@ -80,6 +94,15 @@ impl DpdkEntry {
         let idle = self.idle_us.map_or(default.idle, |idle| Duration::from_micros(idle.into()));
         if idle > Duration::from_micros(MAX_IDLE_US.into()) {
             return Err(format!("dpdk: idle_us: loops sleep {MAX_IDLE_US} µs at most; 0 is not at all"));
+        }
+        let mut cores = self.cores.clone();
+        cores.sort_unstable();
+        cores.dedup();
+        if cores.len() != self.cores.len()
+            || cores.last().is_some_and(|core| *core >= MAX_CORE)
+            || cores.len() > MAX_LOOPS
+        {
+            return Err(format!("dpdk: cores: at most {MAX_LOOPS} different ones below {MAX_CORE}"));
         }
         Ok(DpdkConfig { ports, huge_pages: self.huge_pages, memory_mib, cores: self.cores, idle })
     }

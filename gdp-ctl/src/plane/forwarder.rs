@@ -9,6 +9,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use gdp::port::{BATCH, DataSocket, InFrame, LinkAddr, OutFrame, RecvBatch};
+use gdp_wire::counter::is_sampled;
 use gdp_wire::{Counter, Header};
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -219,11 +220,12 @@ impl Worker {
                 counts[counter as usize] += 1;
             }
             if let Some((link, tag)) = arrived {
-                self.shared.tally.count_arrival(link, counter);
+                self.shared.tally.count_arrivals(link, counter, 1);
                 if let Ok((header, _)) = Header::read_from_prefix(frame)
                     && counter.is_onward()
+                    && is_sampled(tag)
                 {
-                    self.shared.tally.sample(tag, &header.destination);
+                    self.shared.tally.sample(&header.destination);
                 }
             }
         }

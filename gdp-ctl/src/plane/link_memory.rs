@@ -63,6 +63,7 @@ impl LinkMemory {
     }
 
     /// The count for the next frame on link `id`: 1 for the first of a link.
+    #[inline]
     pub fn next_count(&self, id: u32) -> u64 {
         self.count(id).fetch_add(1, Ordering::Relaxed).wrapping_add(1)
     }
@@ -78,6 +79,7 @@ impl LinkMemory {
     }
 
     /// What has arrived on link `id`.
+    #[inline]
     pub fn window(&self, id: u32) -> &Window {
         let (windows, _) = self.windows.words().as_chunks();
         &windows[link_index(id) as usize]
@@ -117,6 +119,7 @@ impl LinkMemory {
         &self.punts.words()[link_index(id) as usize]
     }
 
+    #[inline]
     fn count(&self, id: u32) -> &AtomicU64 {
         &self.counts.words()[link_index(id) as usize]
     }
@@ -151,6 +154,7 @@ impl Memory {
         Self::Own((0..words).map(|_| AtomicU64::new(0)).collect())
     }
 
+    #[inline]
     fn words(&self) -> &[AtomicU64] {
         match self {
             Self::Own(words) => words,

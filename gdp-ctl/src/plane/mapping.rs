@@ -38,6 +38,7 @@ impl Mapping {
 }
 
 impl AsRef<[AtomicU64]> for Mapping {
+    #[inline]
     fn as_ref(&self) -> &[AtomicU64] {
         // SAFETY: `map` mapped so many words here, aligned to a page; they stay until `drop`.
         unsafe { std::slice::from_raw_parts(self.start.as_ptr(), self.words) }

@@ -363,6 +363,7 @@ impl Planes {
             self.leave_device(port.device);
         }
         self.detach_udp();
+        self.dpdk = None;
         self.left = None;
         if let Ok(kernel) = &mut self.kernel
             && let Err(error) = kernel.unpin()

@@ -3,6 +3,7 @@
 
 use std::io;
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Of a netlink message, before what its family puts there.
 const HEADER: usize = 16;
@@ -32,7 +33,11 @@ impl Netlink {
         message.extend(0u32.to_ne_bytes()); // length, below
         message.extend(kind.to_ne_bytes());
         message.extend((libc::NLM_F_REQUEST as u16).to_ne_bytes());
-        message.extend([0; 8]); // sequence and port
+        // An answer that nobody waited for is another question's.
+        static QUESTIONS: AtomicU32 = AtomicU32::new(0);
+        let question = QUESTIONS.fetch_add(1, Ordering::Relaxed).to_ne_bytes();
+        message.extend(question);
+        message.extend([0; 4]); // port
         message.extend(family_header);
         for (attribute, value) in attributes {
             message.extend((4 + value.len() as u16).to_ne_bytes());
@@ -49,9 +54,15 @@ impl Netlink {
             return Err(io::Error::last_os_error());
         }
         let mut answer = vec![0; LONGEST];
-        // SAFETY: pointer and length are those of `answer`.
-        let received = unsafe { libc::recv(self.0.as_raw_fd(), answer.as_mut_ptr().cast(), answer.len(), 0) };
-        answer.truncate(usize::try_from(received).map_err(|_| io::Error::last_os_error())?);
+        loop {
+            answer.resize(LONGEST, 0);
+            // SAFETY: pointer and length are those of `answer`.
+            let received = unsafe { libc::recv(self.0.as_raw_fd(), answer.as_mut_ptr().cast(), answer.len(), 0) };
+            answer.truncate(usize::try_from(received).map_err(|_| io::Error::last_os_error())?);
+            if answer.get(8..12).is_none_or(|answered| answered == question) {
+                break;
+            }
+        }
 
         let kind = answer.get(4..6).map(|b| u16::from_ne_bytes([b[0], b[1]]));
         if kind == Some(libc::NLMSG_ERROR as u16) {

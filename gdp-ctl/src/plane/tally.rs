@@ -1,13 +1,13 @@
 //! What became of the frames of each link, and which names are the busiest, in both planes. [`Tally`] is the userspace
 //! plane's own; [`KernelTally`] reads the maps of `gdp-ebpf/src/tally.rs`, which say how names are sampled.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use aya::maps::{MapData, MapError, PerCpuArray, PerCpuHashMap, PerCpuValues};
 use aya::util::nr_cpus;
-use gdp_wire::counter::{BUSIEST_NAMES, SAMPLING, is_sampled};
+use gdp_wire::counter::{BUSIEST_NAMES, SAMPLING};
 use gdp_wire::table::{MAX_LINKS, link_index};
 use gdp_wire::{Counter, Name};
 
@@ -17,8 +17,14 @@ pub type Row = [u64; Counter::COUNT];
 /// Written by the threads of the userspace plane.
 pub struct Tally {
     links: Box<[[AtomicU64; Counter::COUNT]]>,
-    /// Samples of each name.
-    busiest: Mutex<HashMap<Name, u64>>,
+    busiest: Mutex<Busiest>,
+}
+
+/// Samples of each name, and the names by these.
+#[derive(Default)]
+struct Busiest {
+    samples: HashMap<Name, u64>,
+    least_first: BTreeSet<(u64, Name)>,
 }
 
 impl Default for Tally {
@@ -31,29 +37,18 @@ impl Default for Tally {
 }
 
 impl Tally {
-    /// Counts a frame that came in on a link. Nothing is counted for ids that no link has.
-    pub fn count_arrival(&self, link: u32, counter: Counter) {
+    /// Counts frames that came in on a link. Nothing is counted for ids that no link has.
+    #[inline]
+    pub fn count_arrivals(&self, link: u32, counter: Counter, frames: u64) {
         if !counter.is_before_link() {
-            self.links[link_index(link) as usize][counter as usize].fetch_add(1, Ordering::Relaxed);
+            self.links[link_index(link) as usize][counter as usize].fetch_add(frames, Ordering::Relaxed);
         }
     }
 
-    /// Counts the name of a frame that leaves, if it is one of those that are looked at. When there are too many names, the
-    /// least busy one makes room, and leaves its count: a name that is busy cannot be pushed out by many that are not.
-    pub fn sample(&self, tag: u64, name: &Name) {
-        if !is_sampled(tag) {
-            return;
-        }
-        let mut busiest = self.busiest.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut inherited = 0;
-        if busiest.len() >= BUSIEST_NAMES as usize
-            && !busiest.contains_key(name)
-            && let Some((least, count)) = busiest.iter().min_by_key(|(_, count)| **count).map(|(n, c)| (*n, *c))
-        {
-            busiest.remove(&least);
-            inherited = count;
-        }
-        *busiest.entry(*name).or_insert(inherited) += 1;
+    /// Counts the name of a frame that leaves, of those that are sampled. When there are too many names, the least busy one makes room,
+    /// and leaves its count: a name that is busy cannot be pushed out by many that are not.
+    pub fn sample(&self, name: &Name) {
+        self.busiest.lock().unwrap_or_else(PoisonError::into_inner).add(name);
     }
 
     /// Forgets the link that had the index before.
@@ -69,7 +64,26 @@ impl Tally {
     /// About how many frames left for each name.
     pub fn busiest(&self) -> HashMap<Name, u64> {
         let busiest = self.busiest.lock().unwrap_or_else(PoisonError::into_inner);
-        busiest.iter().map(|(name, samples)| (*name, samples * SAMPLING)).collect()
+        busiest.samples.iter().map(|(name, samples)| (*name, samples * SAMPLING)).collect()
+    }
+}
+
+impl Busiest {
+    fn add(&mut self, name: &Name) {
+        let before = match self.samples.get(name) {
+            Some(samples) => {
+                self.least_first.remove(&(*samples, *name));
+                *samples
+            }
+            None if self.samples.len() < BUSIEST_NAMES as usize => 0,
+            None => {
+                let least = self.least_first.pop_first();
+                least.iter().for_each(|(_, name)| _ = self.samples.remove(name));
+                least.map_or(0, |(samples, _)| samples)
+            }
+        };
+        self.samples.insert(*name, before + 1);
+        self.least_first.insert((before + 1, *name));
     }
 }
 
@@ -116,10 +130,10 @@ mod tests {
     fn links_are_told_apart_and_a_new_one_begins_with_nothing() {
         let tally = Tally::default();
         let (a, b) = (0x1401, 0x1402);
-        tally.count_arrival(a, Counter::Forwarded);
-        tally.count_arrival(a, Counter::BadTag);
-        tally.count_arrival(b, Counter::NoLink);
-        assert_eq!((tally.of(a)[Counter::Forwarded as usize], tally.of(a)[Counter::BadTag as usize]), (1, 1));
+        tally.count_arrivals(a, Counter::Forwarded, 3);
+        tally.count_arrivals(a, Counter::BadTag, 1);
+        tally.count_arrivals(b, Counter::NoLink, 1);
+        assert_eq!((tally.of(a)[Counter::Forwarded as usize], tally.of(a)[Counter::BadTag as usize]), (3, 1));
         assert_eq!(tally.of(b), [0; Counter::COUNT], "nobody has this id");
         tally.begin(a ^ 0x2000_0000);
         assert_eq!(tally.of(a), [0; Counter::COUNT]);
@@ -130,9 +144,8 @@ mod tests {
         let tally = Tally::default();
         let name = |i: u32| Name::from_bytes(std::array::from_fn(|at| i.to_be_bytes()[at % 4]));
         for i in 0..4 * BUSIEST_NAMES {
-            tally.sample(1, &name(i));
-            tally.sample(1, &name(7));
-            tally.sample(2, &name(8));
+            tally.sample(&name(i));
+            tally.sample(&name(7));
         }
         let busiest = tally.busiest();
         assert_eq!(busiest.len(), BUSIEST_NAMES as usize);

@@ -58,7 +58,7 @@ const PORT: u32 = 1;
 pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     let site = RefCell::new(Site::new()?);
     let device = format!("net_null7,size={LENGTH}");
-    let mut testpmd = Testpmd::start(Command::new("dpdk-testpmd"), &[device])?;
+    let mut testpmd = Testpmd::start(|program| Ok(Command::new(program)), &[device])?;
     let duration = bench.duration();
     let mut contenders = vec![Contender::new(TESTPMD, HOT, move || {
         Ok(Sample { value: 1e9 / testpmd.rate(duration)?, ..Sample::default() })

@@ -84,7 +84,7 @@ impl Path {
                 Kind::Dpdk(_) => (Wanted::Dpdk, &bench.ebpf_object),
                 Kind::Testpmd(driver) => {
                     let devices = [("0", "l0"), ("1", "r0")].map(|(i, name)| format!("{driver}{i},iface={name}"));
-                    testpmd = Some(Testpmd::start(namespace.command("dpdk-testpmd")?, &devices)?);
+                    testpmd = Some(Testpmd::start(|program| namespace.command(program), &devices)?);
                     continue;
                 }
             };

@@ -17,8 +17,11 @@ pub struct Testpmd {
 }
 
 impl Testpmd {
-    /// `command`: `dpdk-testpmd`, where it is to run. Forwards between these devices, or each by itself if there is one.
-    pub fn start(mut command: Command, devices: &[String]) -> Result<Self> {
+    /// `at`: makes a command where it is to run. Forwards between these devices, or what comes from one to itself.
+    pub fn start(at: impl FnOnce(&str) -> Result<Command>, devices: &[String]) -> Result<Self> {
+        // Line by line: otherwise answers would wait for more of them.
+        let mut command = at("stdbuf")?;
+        command.args(["-oL", "dpdk-testpmd"]);
         command.args(["-l", "0,1", "--no-huge", "-m", "256", "--no-pci", "--no-telemetry"]);
         command.arg(format!("--file-prefix=gdp-testpmd-{}-{}", std::process::id(), devices.join("-").len()));
         devices.iter().for_each(|device| _ = command.arg(format!("--vdev={device}")));

@@ -74,6 +74,7 @@ fn the_host_is_reached_through_a_port() -> Result<()> {
         let site = Site::build()?;
         let _planes = site.planes(driver)?;
         site.host.ip(&["addr", "add", "10.7.0.2/24", "dev", HOST])?;
+        ensure!(site.host.ip(&["link", "show", HOST])?.contains("MULTICAST,UP"), "DDS looks for it");
         let (udp, tcp) = {
             let _inside = site.host.enter()?;
             (UdpSocket::bind("10.7.0.2:7000")?, TcpListener::bind("10.7.0.2:7000")?)
@@ -106,7 +107,33 @@ fn the_host_is_reached_through_a_port() -> Result<()> {
     Ok(())
 }
 
-/// It sleeps between questions, and less than a tenth of a core is what that takes even in a test build.
+/// Each has a queue of the device; by which a datagram comes its flow says.
+#[test]
+fn loops_share_a_port() -> Result<()> {
+    let site = Site::build()?;
+    let planes = site.planes_on("net_af_packet0,iface=r0,qpairs=2", vec![0, 1])?;
+    ensure!(planes.dpdk_processor_time().len() == 2, "a loop for each core");
+    site.host.ip(&["addr", "add", "10.7.0.2/24", "dev", HOST])?;
+    let hears = {
+        let _inside = site.host.enter()?;
+        UdpSocket::bind("10.7.0.2:7000")?
+    };
+    hears.set_read_timeout(Some(PATIENCE))?;
+    let _inside = site.other.enter()?;
+    let mut buffer = [0; 2000];
+    for flow in 0..40u8 {
+        let asks = UdpSocket::bind("10.7.0.1:0")?;
+        asks.set_read_timeout(Some(PATIENCE))?;
+        asks.send_to(&[flow], "10.7.0.2:7000")?;
+        let (length, from) = hears.recv_from(&mut buffer).with_context(|| format!("flow {flow}"))?;
+        ensure!(buffer[..length] == [flow], "another datagram");
+        hears.send_to(&[flow], from)?;
+        ensure!(asks.recv(&mut buffer)? == 1 && buffer[0] == flow, "answer {flow}");
+    }
+    Ok(())
+}
+
+/// It sleeps between questions, which takes little even in a test build.
 #[test]
 fn a_loop_without_traffic_leaves_its_core_to_others() -> Result<()> {
     let site = Site::build()?;
@@ -188,8 +215,14 @@ impl Site {
     }
 
     fn planes_of(&self, device: &str) -> Result<Planes, PlaneError> {
+        self.planes_on(device, Vec::new())
+    }
+
+    fn planes_on(&self, device: &str, cores: Vec<usize>) -> Result<Planes, PlaneError> {
         let _inside = self.host.enter().expect("a namespace that is there");
-        Planes::open(config(vec![DpdkPort { interface: HOST.into(), device: device.into() }]))
+        let mut config = config(vec![DpdkPort { interface: HOST.into(), device: device.into() }]);
+        config.dpdk.cores = cores;
+        Planes::open(config)
     }
 }
 

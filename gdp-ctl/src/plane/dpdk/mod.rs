@@ -55,11 +55,16 @@ pub struct DpdkPort {
 }
 
 impl DpdkPort {
-    /// The address of a network card.
+    /// The device without its arguments.
+    pub fn name(&self) -> &str {
+        self.device.split(',').next().unwrap_or_default()
+    }
+
+    /// The device, with its arguments, if it is a network card.
     pub fn pci(&self) -> Option<&str> {
-        let address = self.device.split(',').next().unwrap_or_default();
-        let is_pci = address.matches(':').count() > 0 && address.contains('.') && !address.contains('=');
-        is_pci.then_some(address)
+        // 0000:02:00.0
+        let is_at = |at: usize, c: u8| self.name().as_bytes().get(at) == Some(&c);
+        (self.name().len() == 12 && is_at(4, b':') && is_at(7, b':') && is_at(10, b'.')).then_some(&self.device)
     }
 
     /// The interface of the kernel that the device is, if it is one.
@@ -92,7 +97,8 @@ mod tests {
         let port = |device: &str| DpdkPort { interface: "gdp0".into(), device: device.into() };
         for (device, pci, carrier) in [
             ("0000:02:00.0", Some("0000:02:00.0"), None),
-            ("02:00.1,arg=1", Some("02:00.1"), None),
+            ("0000:02:00.1,arg=1", Some("0000:02:00.1,arg=1"), None),
+            ("02:00.1", None, None),
             ("net_af_packet0,iface=eth0,qpairs=1", None, Some("eth0")),
             ("net_af_xdp3,iface=a:b.c", None, Some("a:b.c")),
             ("net_null0", None, None),

@@ -1,12 +1,12 @@
 //! The plane itself, in a build that has it.
 
 use std::collections::HashMap;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
 use gdp::link::KeyedEntry;
-use gdp::port::{Interface, interface_index};
+use gdp::port::interface_index;
 use gdp_dpdk::carrier::Stations;
 use gdp_dpdk::local::{Local, NextHop};
 use gdp_dpdk::{Eal, EalConfig, Idle, Memory, Switch, SwitchConfig};
@@ -19,9 +19,6 @@ use super::{DpdkConfig, DpdkPlaneError};
 use crate::plane::forwarder::Shared;
 use crate::plane::tables::{Reader, View};
 use crate::plane::udp;
-
-/// Bytes of a packet that are not in the MTU: an Ethernet header with two tags, and a checksum.
-const AROUND: usize = 26;
 
 /// Ports and loops. Dropping it lets go of the devices.
 pub struct DpdkPlane {
@@ -54,13 +51,12 @@ impl DpdkPlane {
         let memory = if config.huge_pages { Memory::HugePages } else { Memory::Ordinary { mib: config.memory_mib } };
         let eal = Eal::begin(&EalConfig { memory, pci })?;
         let idle = if config.idle.is_zero() { Idle::Busy } else { Idle::Sleep(config.idle) };
-        let default = SwitchConfig::default();
-        let mtu = config.ports.iter().filter_map(|port| Some(Interface::find(port.carrier()?).ok()?.mtu as usize)).max();
-        let largest = default.largest.max(mtu.unwrap_or(0) + AROUND);
-        let loops = SwitchConfig { cores: config.cores.clone(), idle, largest, ..default };
+        let (cores, count) = (config.cores.clone(), config.ports.len());
+        let loops = SwitchConfig { cores, idle, ports: count, ..SwitchConfig::default() };
+        // Before the switch, so that it goes after it.
+        let mut ports = HashMap::new();
         let mut switch = Switch::start(eal, &loops, || LoopReader::new(reader(), shared.clone()))?;
         switch.set_local(Local { ethertype, ..Local::default() });
-        let mut ports = HashMap::new();
         for port in &config.ports {
             let quiet = port.carrier().map(Quiet::keep);
             let (number, mac) = switch.add_port(&port.device, &port.interface, interface_index)?;
@@ -136,6 +132,10 @@ impl DpdkPlane {
             return None;
         }
         let (from, to) = (ip_of(carrier.kind, carrier.local_ip), ip_of(carrier.kind, carrier.peer_ip));
+        // There is one on every interface.
+        if matches!(to, IpAddr::V6(to) if to.is_unicast_link_local()) {
+            return None;
+        }
         let leaves = self.routes.as_ref()?.lookup(from, to)?;
         let local = self.ports.get(&leaves.interface)?.mac;
         let stations = Stations { peer: mac_words(leaves.mac), local };
@@ -179,6 +179,7 @@ pub struct LoopView<'a> {
 impl gdp_dpdk::view::Reader for LoopReader {
     type View<'a> = LoopView<'a>;
 
+    #[inline]
     fn enter(&mut self) -> LoopView<'_> {
         LoopView { tables: self.tables.enter(), shared: &self.shared }
     }
@@ -187,23 +188,27 @@ impl gdp_dpdk::view::Reader for LoopReader {
 impl<'a> gdp_dpdk::view::View for LoopView<'a> {
     type Tables = View<'a>;
 
+    #[inline]
     fn tables(&self) -> &View<'a> {
         &self.tables
     }
 
+    #[inline]
     fn members(&self, group: u32) -> impl Iterator<Item = u32> {
         self.tables.members(group)
     }
 
+    #[inline]
     fn prefetch(&self, name: &Name) {
         self.tables.prefetch(name);
     }
 
-    fn count_arrival(&self, link: u32, counter: Counter) {
-        self.shared.tally.count_arrival(link, counter);
+    #[inline]
+    fn count_arrivals(&self, link: u32, counter: Counter, frames: u64) {
+        self.shared.tally.count_arrivals(link, counter, frames);
     }
 
-    fn sample(&self, tag: u64, name: &Name) {
-        self.shared.tally.sample(tag, name);
+    fn sample(&self, name: &Name) {
+        self.shared.tally.sample(name);
     }
 }

@@ -295,6 +295,7 @@ impl UserTables {
 
 impl Reader {
     /// Once for each batch of frames, and now and then while there are none.
+    #[inline]
     pub fn enter(&mut self) -> View<'_> {
         View { now: self.current.load(), common: &self.common, guard: self.common.groups.guard() }
     }
@@ -307,11 +308,13 @@ impl View<'_> {
     }
 
     /// The links of a group.
+    #[inline]
     pub fn members(&self, group: u32) -> impl Iterator<Item = u32> {
         self.now.members(self.common.groups.get(&group, &self.guard))
     }
 
     /// Brings what a lookup of the name begins with into the caches, without waiting for it.
+    #[inline]
     pub fn prefetch(&self, name: &Name) {
         flat::prefetch(self.now.names.as_ref(), name);
     }
@@ -320,18 +323,22 @@ impl View<'_> {
 impl Tables for View<'_> {
     const LAST: bool = true;
 
+    #[inline]
     fn link(&self, id: u32) -> Option<&LinkEntry> {
         self.now.link(id)
     }
 
+    #[inline]
     fn route(&self, name: &Name) -> Option<FibEntry> {
         flat::lookup(&self.now.names.as_ref(), name)
     }
 
+    #[inline]
     fn next_hop(&self, bit: u32) -> u32 {
         self.now.next_hop(bit)
     }
 
+    #[inline]
     fn own_bit(&self) -> u64 {
         self.now.own_bit
     }
@@ -340,10 +347,12 @@ impl Tables for View<'_> {
         self.common.permits.contains(permit, &self.guard)
     }
 
+    #[inline]
     fn window(&self, link: &LinkEntry) -> Option<impl Words> {
         Some(self.common.link_memory.window(link.id))
     }
 
+    #[inline]
     fn next_count(&self, link: &LinkEntry) -> u64 {
         self.common.link_memory.next_count(link.id)
     }
@@ -378,10 +387,12 @@ impl Tables for View<'_> {
 }
 
 impl Snapshot {
+    #[inline]
     fn at_index_of(&self, id: u32) -> Option<&Link> {
         self.links[link_index(id) as usize].as_deref()
     }
 
+    #[inline]
     fn link(&self, id: u32) -> Option<&LinkEntry> {
         let (entry, _) = self.at_index_of(id)?;
         (entry.id == id && id != 0).then_some(entry)
@@ -395,10 +406,12 @@ impl Snapshot {
         self.at_index_of(id).map(|(_, to)| *to)
     }
 
+    #[inline]
     fn next_hop(&self, bit: u32) -> u32 {
         self.next_hops.get(bit as usize).copied().unwrap_or(0)
     }
 
+    #[inline]
     fn members<'t>(&'t self, group: Option<&'t Group>) -> impl Iterator<Item = u32> + use<'t> {
         group.into_iter().flat_map(|group| &group.readers).chain(&self.neighbours).copied()
     }

@@ -67,6 +67,7 @@ impl Memory {
 }
 
 impl AsRef<[AtomicU64]> for Memory {
+    #[inline]
     fn as_ref(&self) -> &[AtomicU64] {
         (*self.0).as_ref()
     }

@@ -13,7 +13,7 @@ use gdp_dpdk::forwarding::{Counts, Forwarding, Sink};
 use gdp_dpdk::local::{Local, NextHop};
 use gdp_dpdk::view::Reader as _;
 use gdp_dpdk::{Burst, Eal, EalConfig, Mbuf, Pool};
-use gdp_tests::frames::fixtures::{Fate, Link, Switch, Verdict};
+use gdp_tests::frames::fixtures::{Fate, Link, Switch, Verdict, hex};
 use gdp_wire::table::{PORT_ROUTED, PORT_USERSPACE, mac_words};
 use gdp_wire::{Counter, LocalAddress};
 
@@ -32,6 +32,8 @@ pub struct DpdkSwitch {
     reader: LoopReader,
     local: Local,
     ports: Vec<u32>,
+    /// The ports by which packets leave between two stations: the neighbour's address, then ours.
+    ways: BTreeSet<([u8; 12], u32)>,
     _tables: UserTables,
     pub link_memory: LinkMemory,
 }
@@ -55,6 +57,10 @@ impl DpdkSwitch {
             vlans: switch.vlans().into_iter().map(|id| (PORT, id)).collect(),
             next_hops: routed.map(|link| (link.id, next_hop(link))).collect(),
         };
+        let way = |link: &Link| {
+            let port = if link.udp.as_ref().is_some_and(|udp| udp.routed) { Some(PORT) } else { link.port };
+            Some((<[u8; 12]>::try_from(link.stations().concat()).ok()?, port?))
+        };
         let pool = Pool::new(Eal::begin(&EalConfig::default())?, 1023, LARGEST)?;
         Ok(Self {
             forwarding: Forwarding::new(pool.clone()),
@@ -62,6 +68,7 @@ impl DpdkSwitch {
             reader,
             local,
             ports: ports.chain([PORT]).collect(),
+            ways: switch.links.iter().filter_map(way).collect(),
             _tables: tables,
             link_memory,
         })
@@ -82,6 +89,10 @@ impl DpdkSwitch {
         self.forwarding.run((PORT, &self.ports), &mut burst, (&view, &self.local), &mut seen, &mut counts);
         drop(view);
         ensure!(self.pool.in_use() == 0, "{} packets are lost", self.pool.in_use());
+        for (frame, port) in seen.sent.iter().zip(&seen.ports) {
+            let stations = *frame.first_chunk().context("a packet with addresses")?;
+            ensure!(self.ways.contains(&(stations, *port)), "left by port {port}: {}", hex(&frame[..12]));
+        }
         Ok((seen, counts))
     }
 
@@ -137,12 +148,15 @@ fn has_bits(packet: &[u8]) -> bool {
 pub struct Seen {
     gathers: bool,
     pub sent: Vec<Vec<u8>>,
+    /// The ports that these were sent by.
+    pub ports: Vec<u32>,
     pub passed: Vec<Vec<u8>>,
 }
 
 impl Sink for Seen {
-    fn send(&mut self, _: u32, mbuf: Mbuf) {
+    fn send(&mut self, port: u32, mbuf: Mbuf) {
         self.sent.push(mbuf.to_vec());
+        self.ports.push(port);
     }
 
     fn pass(&mut self, mbuf: Mbuf) {
