@@ -558,7 +558,7 @@ mod tests {
             ("{ports: [{interface: a, device: b}, {interface: a, device: c}]}", "listed twice"),
             ("{memory_mib: 1}", "memory_mib"),
             ("{idle_us: 1000000}", "idle_us"),
-            ("{cores: [-1]}", "cores"),
+            ("{cores: [-1]}", "invalid u64"),
             ("{cores: [1, 1]}", "cores"),
             ("{cores: [5000]}", "cores"),
             ("{ports: [{interface: a, device: '02:00.0'}]}", "lspci -D"),
