@@ -167,7 +167,7 @@ const STEPS: &[Step] = &[
         why: "the DPDK data plane is linked with it, bindgen reads its headers with libclang, and `bench forward` compares with testpmd",
         present: dpdk_present,
         debian: &["apt-get install -y --no-install-recommends dpdk libdpdk-dev pkg-config libclang-22-dev"],
-        elsewhere: "install DPDK 22.11 or 23.x (headers, libraries, drivers, testpmd), pkg-config and libclang",
+        elsewhere: "install DPDK 22.11, 23.03 or 23.07 (headers, libraries, drivers, testpmd), pkg-config and libclang",
     },
     Step {
         part: Part::Etcd,

@@ -113,7 +113,7 @@ impl Path {
     /// Has what forwards run that never rests by itself.
     pub fn while_it_runs<T>(&self, measure: impl FnOnce() -> T) -> T {
         match &mut *self.testpmd.borrow_mut() {
-            Some(testpmd) => testpmd.during(measure),
+            Some(testpmd) => testpmd.during(|_| measure()),
             None => measure(),
         }
     }

@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
@@ -23,7 +24,9 @@ impl Testpmd {
         let mut command = at("stdbuf")?;
         command.args(["-oL", "dpdk-testpmd"]);
         command.args(["-l", "0,1", "--no-huge", "-m", "256", "--no-pci", "--no-telemetry"]);
-        command.arg(format!("--file-prefix=gdp-testpmd-{}-{}", std::process::id(), devices.join("-").len()));
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        command.arg(format!("--file-prefix=gdp-testpmd-{}-{number}", std::process::id()));
         devices.iter().for_each(|device| _ = command.arg(format!("--vdev={device}")));
         command.args(["--", "-i", "--forward-mode=macswap", "--nb-cores=1", "--total-num-mbufs=16384"]);
         command.arg(if devices.len() == 1 { "--port-topology=loop" } else { "--port-topology=paired" });
@@ -37,21 +40,19 @@ impl Testpmd {
         Ok(this)
     }
 
-    /// Frames per second that it forwards while `what` runs, by its own count.
+    /// Frames per second that it forwards, by its own count.
     pub fn rate(&mut self, duration: Duration) -> Result<f64> {
-        self.pause(false);
-        let (start, before) = (Instant::now(), self.frames()?);
-        std::thread::sleep(duration);
-        let frames = self.frames()? - before;
-        let rate = frames as f64 / start.elapsed().as_secs_f64();
-        self.pause(true);
-        Ok(rate)
+        self.during(|this| {
+            let (start, before) = (Instant::now(), this.frames()?);
+            std::thread::sleep(duration);
+            Ok((this.frames()? - before) as f64 / start.elapsed().as_secs_f64())
+        })
     }
 
     /// Has it forward while this runs.
-    pub fn during<T>(&mut self, run: impl FnOnce() -> T) -> T {
+    pub fn during<T>(&mut self, run: impl FnOnce(&mut Self) -> T) -> T {
         self.pause(false);
-        let result = run();
+        let result = run(self);
         self.pause(true);
         result
     }
