@@ -1,6 +1,7 @@
 //! Two participants in one process, over loopback: no root, no fabric, no other vendor (those are in the workspace's
 //! `tests`). RustDDS finds participants of the same host by unicast to 127.0.0.1, so loopback multicast is not needed.
 
+use std::collections::HashSet;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -123,6 +124,29 @@ async fn a_best_effort_reader_is_served_by_a_reliable_writer() {
     let reader = there.reader(&topic, &kind(), &best_effort).unwrap();
     let received = within("a message crosses", until_received(&mut writer, &reader)).await;
     assert_eq!(received, sample([0, 1, 0, 0], 64));
+    here.leave().await;
+    there.leave().await;
+}
+
+/// Its writer asks the thread that sends to take it up, and at once to send: each in a queue of its own.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_written_as_soon_as_there_is_a_writer_is_sent() {
+    let (here, there) = (join(), join());
+    let topic = topic("at_once");
+    let reader = there.reader(&topic, &kind(), &Offer { depth: 200, ..LATCHED }).unwrap();
+    let mut writers = Vec::new();
+    for i in 0..200 {
+        let mut writer = here.writer(&topic, &kind(), &LATCHED).unwrap();
+        writer.write(sample([0, 1, 0, 0], 4 * i), 0).await.unwrap();
+        writers.push(writer);
+    }
+    let mut missing = (0..200).map(|i| sample([0, 1, 0, 0], 4 * i).bytes).collect::<HashSet<_>>();
+    within("all are heard", async {
+        while !missing.is_empty() {
+            missing.remove(&reader.recv().await.unwrap().sample.bytes);
+        }
+    })
+    .await;
     here.leave().await;
     there.leave().await;
 }

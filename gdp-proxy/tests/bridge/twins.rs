@@ -42,7 +42,7 @@ async fn of_two_proxies_in_one_graph_one_carries_and_the_other_takes_over() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_proxy_that_can_make_no_counterpart_leaves_the_topic_to_one_that_can() {
     let site = Site::start().await;
-    let graph = domain(site.domain_id() + 13);
+    let graph = domain(site.domain_id() + 5);
     let topics = [site.topic("/chatter", "")];
     let mut labels = ["a", "b"];
     labels.sort_by_key(|label| site.identity(label).name());

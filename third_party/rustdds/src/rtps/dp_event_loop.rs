@@ -426,6 +426,10 @@ impl DPEventLoop {
       }
     }
 
+    // GDP patch: asked for before the endpoints to add are, so that whatever has rung is known by
+    // then. One that was made and rang in between was taken for unknown, and its sample never left.
+    let readers_ready = self.reader_ready.drain_unique();
+    let writers_ready = self.writer_ready.drain_unique();
     self.handle_reader_action(readers_to_remove);
     self.handle_writer_action(writers_to_remove);
     self.handle_writer_acknack_action();
@@ -461,14 +465,13 @@ impl DPEventLoop {
 
     // Adds have been applied. Ready ids for those endpoints can be handled now,
     // still before the deferred removals.
-    for eid in self.reader_ready.drain_unique() {
+    for eid in readers_ready {
       self.message_receiver.reader_mut(eid).map_or_else(
         || debug!("Command event for unknown reader {eid:?}"),
         Reader::process_command,
       );
     }
-    let writer_ids = self.writer_ready.drain_unique();
-    for eid in writer_ids {
+    for eid in writers_ready {
       let (blocked, local_readers) = match self.writers.get_mut(&eid) {
         None => {
           debug!("Command event for unknown writer {eid:?}");
