@@ -4,20 +4,21 @@
 //! 1. Each packet's frame is found and its header copied out; its route is prefetched.
 //! 2. What the hop tags must be is computed for all of them at once.
 //! 3. Each frame is decided about. What leaves is noted with the header it leaves with, or the headers if there are copies.
-//! 4. The tags of what leaves are made, again for all at once, and each frame is dressed for its link and handed over.
+//! 4. What leaves is stamped for its link: those that leave by one are counted at once, and the tags are made together.
+//! 5. Each frame is dressed for its link and handed over.
 
 use gdp_wire::counter::is_sampled;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
 use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::table::Tables as _;
-
-use gdp_wire::{Carrier, Counter, Header, LinkEntry};
+use gdp_wire::{Counter, Header, LinkEntry};
 use zerocopy::IntoBytes;
 
-use crate::batch::{BatchTables, Due, Expected, Tags};
-use crate::carrier::{self, Carried, Payload};
-use crate::local::{At, Local, NextHop};
+use crate::batch::{self, BatchTables};
+use crate::carrier::{self, Carried, Payload, Stations};
+use crate::local::{At, Local};
 use crate::mbuf::{Burst, Mbuf, Pool};
+use crate::siphash::Tags;
 use crate::view::View;
 
 /// Where packets go.
@@ -44,12 +45,18 @@ const ETHERNET_HEADER: usize = 14;
 pub struct Forwarding {
     /// Where copies are made.
     pool: Pool,
+    batch: Batch,
+    /// Those that frames must have, and those of frames that leave.
+    arriving: Tags,
+    departing: Tags,
+}
+
+/// What is there of the packets that arrived together.
+struct Batch {
     frames: Vec<Frame>,
     /// Those of the frames, and behind them those of copies. They stay where they are until they leave: what has just been written byte by
     /// byte is slow to read as a whole.
     headers: Vec<Header>,
-    expected: Vec<Expected>,
-    tags: Tags,
     leaving: Vec<Way>,
 }
 
@@ -60,29 +67,16 @@ struct Frame {
     carried: Carried,
 }
 
-/// Which frame leaves, and how.
+/// Which frame leaves, and by which link.
 struct Way {
-    frame: usize,
+    frame: u32,
     /// The place of its header: the frame's, unless it is a copy.
-    header: usize,
-    due: Due,
-    hop: NextHop,
-    carrier: Carrier,
+    header: u32,
+    link: u32,
     counter: Counter,
 }
 
 impl Way {
-    /// Of a frame that was decided to leave by a link; by which it can, and with a tag, or nothing would have been decided so.
-    fn by<V: View>(
-        link: &LinkEntry,
-        (frame, header): (usize, usize),
-        counter: Counter,
-        tables: &BatchTables<'_, V>,
-    ) -> Option<Self> {
-        let (hop, due) = (tables.next_hop_of(link)?, tables.take_due()?);
-        Some(Self { frame, header, due, hop, carrier: link.carrier, counter })
-    }
-
     fn is_copy(&self) -> bool {
         self.frame != self.header
     }
@@ -90,14 +84,12 @@ impl Way {
 
 impl Forwarding {
     pub fn new(pool: Pool) -> Self {
-        Self {
-            pool,
+        let batch = Batch {
             frames: Vec::with_capacity(Burst::SIZE),
             headers: Vec::with_capacity(Burst::SIZE),
-            expected: Vec::with_capacity(Burst::SIZE),
-            tags: Tags::default(),
             leaving: Vec::with_capacity(Burst::SIZE),
-        }
+        };
+        Self { pool, batch, arriving: Tags::new(), departing: Tags::new() }
     }
 
     /// Forwards what arrived at `port`. `ports`: all that this plane drives.
@@ -109,14 +101,24 @@ impl Forwarding {
         sink: &mut impl Sink,
         counts: &mut Counts,
     ) {
-        self.find(&At { local, port }, burst, view, sink, counts);
-        self.tags.expect(&self.headers, view.tables(), &mut self.expected);
-        self.decide(&BatchTables::new(view, local, ports), view, sink, counts);
-        self.tags.write(&mut self.headers, self.leaving.iter().map(|way| (way.header, way.due)));
-        self.leave(local.ethertype, sink, counts);
+        let Self { pool, batch, arriving, departing } = self;
+        batch.find(&At { local, port }, burst, view, sink, counts);
+        batch::expect(arriving, &batch.headers, view.tables());
+        let tables = BatchTables::new(view, local, ports, arriving);
+        batch.decide(&tables, view, sink, counts);
+        for ways in batch.leaving.chunks(Tags::SIZE) {
+            stamp(ways, &mut batch.headers, departing, view);
+            for (way, tag) in ways.iter().zip(departing.tags()) {
+                leave((way, *tag), &batch.headers, &mut batch.frames, pool, &tables, (local.ethertype, sink, counts));
+            }
+        }
+        batch.clear();
     }
+}
 
+impl Batch {
     /// Phase 1.
+    #[inline(always)]
     fn find<V: View>(&mut self, at: &At<'_>, burst: &mut Burst, view: &V, sink: &mut impl Sink, counts: &mut Counts) {
         for mbuf in burst.drain() {
             match locate(&mbuf, at) {
@@ -143,23 +145,24 @@ impl Forwarding {
     }
 
     /// Phase 3.
+    #[inline(always)]
     fn decide<V: View>(&mut self, tables: &BatchTables<'_, V>, view: &V, sink: &mut impl Sink, counts: &mut Counts) {
         let mut arrivals = Arrivals::default();
         for i in 0..self.frames.len() {
             let (header, frame) = (&mut self.headers[i], &mut self.frames[i]);
             let (ingress, tag) = (header.link_id(), header.tag());
-            tables.expect(self.expected[i]);
+            tables.turn_to(i);
             // What is sent is counted when it leaves.
             let counter = match forward::decide(header, frame.carried.available, frame.carried.traffic, tables) {
                 Verdict::Send(link, counter) => {
                     if is_sampled(tag) {
                         view.sample(&header.destination);
                     }
-                    self.leaving.extend(Way::by(link, (i, i), counter, tables));
+                    self.leaving.push(Way { frame: i as u32, header: i as u32, link: link.id, counter });
                     counter
                 }
                 Verdict::Answer(link, counter) => {
-                    self.leaving.extend(Way::by(link, (i, i), counter, tables));
+                    self.leaving.push(Way { frame: i as u32, header: i as u32, link: link.id, counter });
                     counter
                 }
                 Verdict::Copies(group) => {
@@ -196,7 +199,8 @@ impl Forwarding {
             let mut header = original;
             match forward::copy(&mut header, original.frame_len(), link, ingress, tables) {
                 Copy::Send(counter) => {
-                    self.leaving.extend(Way::by(link, (frame, self.headers.len()), counter, tables));
+                    let (frame, place) = (frame as u32, self.headers.len() as u32);
+                    self.leaving.push(Way { frame, header: place, link: link.id, counter });
                     self.headers.push(header);
                 }
                 Copy::Drop(counter) => counts[counter as usize] += 1,
@@ -205,33 +209,52 @@ impl Forwarding {
         }
     }
 
-    /// Phase 4.
-    fn leave(&mut self, ethertype: u16, sink: &mut impl Sink, counts: &mut Counts) {
-        let Self { pool, frames, headers, leaving, .. } = self;
-        for way in &*leaving {
-            let (header, frame) = (&headers[way.header], &mut frames[way.frame]);
-            let ready = if way.is_copy() {
-                let gathers = sink.gathers(way.hop.port);
-                frame
-                    .mbuf
-                    .as_ref()
-                    .and_then(|mbuf| copied(pool, mbuf, frame.carried.at, header, gathers, way, ethertype))
-            } else {
-                frame.mbuf.take().and_then(|mbuf| changed(mbuf, frame.carried.at, header, way, ethertype))
-            };
-            match ready {
-                Some(mbuf) => {
-                    counts[way.counter as usize] += 1;
-                    sink.send(way.hop.port, mbuf);
-                }
-                None => counts[Counter::RedirectFailed as usize] += 1,
-            }
-        }
-        frames.clear();
-        headers.clear();
-        leaving.clear();
-        self.expected.clear();
+    fn clear(&mut self) {
+        self.frames.clear();
+        self.headers.clear();
+        self.leaving.clear();
     }
+}
+
+/// Phase 4, of at most as many as there are tags of at once.
+#[inline(always)]
+fn stamp<V: View>(ways: &[Way], headers: &mut [Header], tags: &mut Tags, view: &V) {
+    tags.clear();
+    for ways in ways.chunk_by(|a, b| a.link == b.link) {
+        let link = view.tables().link(ways[0].link);
+        let first = link.map_or(0, |link| view.next_counts(link, ways.len() as u64));
+        for (count, way) in (first..).zip(ways) {
+            let header = &mut headers[way.header as usize];
+            tags.add(way.header, link.map_or([0; 2], |link| forward::direct(header, link, count)), count);
+        }
+    }
+    tags.make(headers);
+}
+
+/// Phase 5.
+#[inline(always)]
+fn leave<V: View>(
+    (way, tag): (&Way, u64),
+    headers: &[Header],
+    frames: &mut [Frame],
+    pool: &Pool,
+    tables: &BatchTables<'_, V>,
+    (ethertype, sink, counts): (u16, &mut impl Sink, &mut Counts),
+) {
+    let (header, frame) = (&headers[way.header as usize], &mut frames[way.frame as usize]);
+    let sent = tables.link(way.link).and_then(|link| {
+        let (port, stations) = tables.next_hop_of(link)?;
+        let dress = Dress { header, tag, link, stations, ethertype };
+        let at = frame.carried.at;
+        let mbuf = if way.is_copy() {
+            copied(pool, frame.mbuf.as_ref()?, at, sink.gathers(port), &dress)
+        } else {
+            changed(frame.mbuf.take()?, at, &dress)
+        };
+        sink.send(port, mbuf?);
+        Some(())
+    });
+    counts[if sent.is_some() { way.counter } else { Counter::RedirectFailed } as usize] += 1;
 }
 
 /// What became of frames that arrived by one link one after the other, to be told of together.
@@ -267,6 +290,7 @@ enum Located {
     Drop(Counter),
 }
 
+#[inline(always)]
 fn locate(mbuf: &Mbuf, at: &At<'_>) -> Located {
     let packet = mbuf.bytes();
     if packet.len() < ETHERNET_HEADER {
@@ -288,53 +312,64 @@ fn locate(mbuf: &Mbuf, at: &At<'_>) -> Located {
     }
 }
 
+/// What is in front of a payload that leaves.
+struct Dress<'a> {
+    header: &'a Header,
+    /// The header's hop tag, which is not in it: a header that was just written to is slow to copy.
+    tag: u64,
+    link: &'a LinkEntry,
+    stations: Stations<'a>,
+    ethertype: u16,
+}
+
+impl Dress<'_> {
+    /// Bytes in front of the frame.
+    fn front(&self) -> usize {
+        carrier::len(&self.link.carrier)
+    }
+
+    /// Writes it: `front` bytes of headers, and the frame's own.
+    #[inline]
+    fn put_on(&self, packet: &mut [u8], front: usize) {
+        let Some((before, frame)) = packet.split_at_mut_checked(front) else { return };
+        if let Some(place) = frame.get_mut(..Header::LEN) {
+            place.copy_from_slice(self.header.as_bytes());
+            place[Header::TAG].copy_from_slice(&self.tag.to_be_bytes());
+        }
+        let traffic = Header::ip_traffic(self.header.flags);
+        let frame = Payload { length: self.header.frame_len(), bytes: frame };
+        carrier::dress(before, frame, &self.link.carrier, self.stations, traffic, self.ethertype);
+    }
+}
+
 /// A packet whose frame lay `at`, as it leaves.
-fn changed(mut mbuf: Mbuf, at: usize, header: &Header, way: &Way, ethertype: u16) -> Option<Mbuf> {
-    let front = carrier::len(&way.carrier);
-    let length = front + header.frame_len();
-    if !mbuf.reshape(front as isize - at as isize, length) {
+#[inline]
+fn changed(mut mbuf: Mbuf, at: usize, dress: &Dress<'_>) -> Option<Mbuf> {
+    let front = dress.front();
+    if !mbuf.reshape(front as isize - at as isize, front + dress.header.frame_len()) {
         return None;
     }
-    dress(mbuf.bytes_mut()?, front, header, way, ethertype);
+    dress.put_on(mbuf.bytes_mut()?, front);
     Some(mbuf)
 }
 
 /// A packet of its own with the frame that lies `at` in another.
-fn copied(
-    pool: &Pool,
-    of: &Mbuf,
-    at: usize,
-    header: &Header,
-    gathers: bool,
-    way: &Way,
-    ethertype: u16,
-) -> Option<Mbuf> {
-    let front = carrier::len(&way.carrier);
-    let payload = of.bytes().get(at + Header::LEN..at + header.frame_len())?;
+fn copied(pool: &Pool, of: &Mbuf, at: usize, gathers: bool, dress: &Dress<'_>) -> Option<Mbuf> {
+    let (front, length) = (dress.front(), dress.header.frame_len());
+    let payload = of.bytes().get(at + Header::LEN..at + length)?;
     let mut mbuf = pool.alloc()?;
-    if gathers && payload.len() >= REFERRED && !carrier::has_checksum(&way.carrier) {
+    if gathers && payload.len() >= REFERRED && !carrier::has_checksum(&dress.link.carrier) {
         mbuf.reshape(0, front + Header::LEN).then_some(())?;
-        dress(mbuf.bytes_mut()?, front, header, way, ethertype);
+        dress.put_on(mbuf.bytes_mut()?, front);
         let mut rest = pool.refer(of)?;
         rest.reshape(-((at + Header::LEN) as isize), payload.len()).then_some(())?;
         return mbuf.chain(rest).then_some(mbuf);
     }
-    mbuf.reshape(0, front + header.frame_len()).then_some(())?;
+    mbuf.reshape(0, front + length).then_some(())?;
     let bytes = mbuf.bytes_mut()?;
     bytes.get_mut(front + Header::LEN..)?.copy_from_slice(payload);
-    dress(bytes, front, header, way, ethertype);
+    dress.put_on(bytes, front);
     Some(mbuf)
-}
-
-/// Writes what is in front of the payload: `front` bytes of headers, and the frame's own.
-fn dress(packet: &mut [u8], front: usize, header: &Header, way: &Way, ethertype: u16) {
-    let Some((before, frame)) = packet.split_at_mut_checked(front) else { return };
-    if let Some(place) = frame.get_mut(..Header::LEN) {
-        place.copy_from_slice(header.as_bytes());
-    }
-    let traffic = Header::ip_traffic(header.flags);
-    let frame = Payload { length: header.frame_len(), bytes: frame };
-    carrier::dress(before, frame, &way.carrier, way.hop.stations, traffic, ethertype);
 }
 
 fn counted(counts: &mut Counts, counter: Counter) -> Counter {

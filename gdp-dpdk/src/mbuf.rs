@@ -133,6 +133,7 @@ unsafe impl Send for Mbuf {}
 
 impl Mbuf {
     /// The bytes of its first segment.
+    #[inline]
     pub fn bytes(&self) -> &[u8] {
         let raw = self.raw();
         // SAFETY: so many bytes of the buffer are the packet's, from there on.
@@ -140,6 +141,7 @@ impl Mbuf {
     }
 
     /// As [`Self::bytes`]; `None` if they are others' as well.
+    #[inline]
     pub fn bytes_mut(&mut self) -> Option<&mut [u8]> {
         let raw = self.raw();
         if raw.references.load(Ordering::Relaxed) != 1 || raw.offload_flags & sys::GDP_ELSEWHERE != 0 {
@@ -181,6 +183,7 @@ impl Mbuf {
 
     /// Has the first segment begin `front` bytes earlier, or later if that is negative, and be `length` bytes long. For mbufs in one
     /// piece; `false`, and nothing is changed, if there is no room.
+    #[inline]
     pub fn reshape(&mut self, front: isize, length: usize) -> bool {
         let raw = self.raw_mut();
         let Some(offset) = (raw.data_offset as isize).checked_sub(front) else { return false };
@@ -205,11 +208,13 @@ impl Mbuf {
         result == 0
     }
 
+    #[inline]
     fn raw(&self) -> &Raw {
         // SAFETY: a live mbuf, whose fields only its owner changes.
         unsafe { self.0.as_ref() }
     }
 
+    #[inline]
     fn raw_mut(&mut self) -> &mut Raw {
         // SAFETY: as above.
         unsafe { self.0.as_mut() }
@@ -217,6 +222,7 @@ impl Mbuf {
 }
 
 impl Drop for Mbuf {
+    #[inline]
     fn drop(&mut self) {
         let mut raw = self.0.as_ptr();
         // SAFETY: one mbuf, with all that is chained to it, whose owner gives it back.
@@ -241,11 +247,13 @@ impl Burst {
         Self { mbufs: [std::ptr::null_mut(); Self::SIZE], length: 0 }
     }
 
+    #[inline]
     pub fn is_full(&self) -> bool {
         self.length == Self::SIZE
     }
 
     /// Gives the mbuf back if there is no room for it.
+    #[inline]
     pub fn push(&mut self, mbuf: Mbuf) -> Result<(), Mbuf> {
         if self.is_full() {
             return Err(mbuf);
@@ -256,6 +264,7 @@ impl Burst {
     }
 
     /// All of them, which then belong to the caller.
+    #[inline]
     pub fn drain(&mut self) -> impl ExactSizeIterator<Item = Mbuf> {
         let length = std::mem::take(&mut self.length);
         Drain { mbufs: &self.mbufs[..length] }
@@ -327,6 +336,7 @@ struct Drain<'a> {
 impl Iterator for Drain<'_> {
     type Item = Mbuf;
 
+    #[inline]
     fn next(&mut self) -> Option<Mbuf> {
         let (first, rest) = self.mbufs.split_first()?;
         self.mbufs = rest;

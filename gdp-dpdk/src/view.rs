@@ -1,7 +1,7 @@
 //! What a loop is given to decide by.
 
 use gdp_wire::table::Tables;
-use gdp_wire::{Counter, Name};
+use gdp_wire::{Counter, LinkEntry, Name};
 
 /// The tables of a switch as they are during a batch, and where what became of its frames is counted. Nothing may block or allocate.
 pub trait View {
@@ -11,6 +11,9 @@ pub trait View {
 
     /// The links of a group, by their ids.
     fn members(&self, group: u32) -> impl Iterator<Item = u32>;
+
+    /// The count for the first of so many frames that leave by the link one after the other: 1 for its very first.
+    fn next_counts(&self, link: &LinkEntry, frames: u64) -> u64;
 
     /// Has the CPU fetch where the name's route begins, while others are decided about.
     fn prefetch(&self, name: &Name);

@@ -122,6 +122,8 @@ pub struct Header {
 impl Header {
     /// Bytes of the header on the wire.
     pub const LEN: usize = 96;
+    /// The bytes of it that are the hop tag.
+    pub const TAG: core::ops::Range<usize> = 16..24;
 
     /// Flag: which of the two link keys that are valid at a time made the tag.
     pub const KEY_PHASE: u8 = 0x80;

@@ -127,10 +127,12 @@ pub const fn empty() -> Window {
 
 #[cfg(target_has_atomic = "64")]
 impl Words for Window {
+    #[inline(always)]
     fn load(&self, index: usize) -> u64 {
         self[index].load(Ordering::Relaxed)
     }
 
+    #[inline(always)]
     fn compare_exchange(&self, index: usize, current: u64, new: u64) -> u64 {
         let result = self[index].compare_exchange(current, new, Ordering::Relaxed, Ordering::Relaxed);
         result.unwrap_or_else(|found| found)

@@ -4,7 +4,7 @@
 use core::fmt;
 use core::net::IpAddr;
 
-use crate::{Header, Name, replay};
+use crate::{Header, Name, forward, replay};
 
 /// The version of everything a data plane keeps in memory that outlives a daemon: the maps, and what their entries mean. To
 /// be raised with every change of meaning; of sizes as well, though a daemon compares those itself.
@@ -216,8 +216,8 @@ pub struct Vlan {
 }
 
 /// A MAC address as words that have the same bytes in memory.
-pub fn mac_words(mac: [u8; 6]) -> [u16; 3] {
-    [[mac[0], mac[1]], [mac[2], mac[3]], [mac[4], mac[5]]].map(u16::from_ne_bytes)
+pub const fn mac_words([a, b, c, d, e, f]: [u8; 6]) -> [u16; 3] {
+    [u16::from_ne_bytes([a, b]), u16::from_ne_bytes([c, d]), u16::from_ne_bytes([e, f])]
 }
 
 /// The bytes of a MAC address.
@@ -331,11 +331,11 @@ pub trait Tables {
         header.tag_for(key, count) == header.tag()
     }
 
-    /// Writes the hop tag into a header that has all else, or sees to it that this is done before the frame leaves. For planes that
-    /// make the tags of many frames at once.
+    /// Writes what belongs to `link` into the header of the next frame that leaves by it, or sees to it that this is done before the
+    /// frame leaves. For planes that make the tags of many frames at once.
     #[inline(always)]
-    fn write_tag(&self, header: &mut Header, key: [u64; 2], count: u64) {
-        header.set_tag(header.tag_for(key, count));
+    fn stamp(&self, header: &mut Header, link: &LinkEntry) {
+        forward::stamp(header, link, self.next_count(link));
     }
 
     /// Whether this plane can send by the link now. Asked only of a plane that is not the last.

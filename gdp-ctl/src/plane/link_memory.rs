@@ -65,7 +65,13 @@ impl LinkMemory {
     /// The count for the next frame on link `id`: 1 for the first of a link.
     #[inline]
     pub fn next_count(&self, id: u32) -> u64 {
-        self.count(id).fetch_add(1, Ordering::Relaxed).wrapping_add(1)
+        self.next_counts(id, 1)
+    }
+
+    /// The count for the first of so many frames on link `id` that leave one after the other.
+    #[inline]
+    pub fn next_counts(&self, id: u32, frames: u64) -> u64 {
+        self.count(id).fetch_add(frames, Ordering::Relaxed).wrapping_add(1)
     }
 
     /// How many frames have left by the link.

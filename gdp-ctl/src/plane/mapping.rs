@@ -20,9 +20,13 @@ impl Mapping {
         Self::map(map.fd().as_fd().as_raw_fd(), libc::MAP_SHARED | libc::MAP_POPULATE, words)
     }
 
-    /// Words that are zero, and use no memory before they are written to.
+    /// Words that are zero, and use no memory before they are written to. In huge pages where the kernel has some: in a table of a
+    /// million names each look-up would have to find its page otherwise.
     pub fn own(words: usize) -> io::Result<Self> {
-        Self::map(-1, libc::MAP_PRIVATE | libc::MAP_ANONYMOUS, words)
+        let mapping = Self::map(-1, libc::MAP_PRIVATE | libc::MAP_ANONYMOUS, words)?;
+        // SAFETY: advice about this mapping, which changes nothing that is in it. A kernel without huge pages refuses it.
+        unsafe { libc::madvise(mapping.start.as_ptr().cast(), words * size_of::<AtomicU64>(), libc::MADV_HUGEPAGE) };
+        Ok(mapping)
     }
 
     fn map(fd: RawFd, flags: i32, words: usize) -> io::Result<Self> {

@@ -37,22 +37,22 @@ const _: () = assert!(LEN == 14 && TAGGED_LEN == 18);
 impl Ethernet {
     /// Makes it one from us to the peer. `ethertype`: in host order.
     #[inline]
-    pub fn address(&mut self, stations: Stations, ethertype: u16) {
+    pub fn address(&mut self, stations: Stations<'_>, ethertype: u16) {
         // In place: a header made elsewhere is copied with reads that span the writes before them, which is slow.
-        self.destination = transmute!(stations.peer);
-        self.source = transmute!(stations.local);
+        self.destination = transmute!(*stations.peer);
+        self.source = transmute!(*stations.local);
         self.ethertype = ethertype.into();
     }
 }
 
 /// In host order; `None` if there is no whole header.
-#[inline]
+#[inline(always)]
 pub fn ethertype(packet: &[u8]) -> Option<u16> {
     Ethernet::ref_from_prefix(packet).ok().map(|(header, _)| header.ethertype.get())
 }
 
 /// In a packet that has a whole header.
-#[inline]
+#[inline(always)]
 pub fn find(packet: &[u8]) -> Carried {
     Carried { at: LEN, available: packet.len().saturating_sub(LEN), over_udp: false, traffic: 0 }
 }
@@ -66,7 +66,7 @@ pub fn find_tagged(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
 }
 
 #[inline]
-pub fn dress(front: &mut [u8], stations: Stations, ethertype: u16) {
+pub fn dress(front: &mut [u8], stations: Stations<'_>, ethertype: u16) {
     if let Ok(front) = Ethernet::mut_from_bytes(front) {
         front.address(stations, ethertype);
     }
@@ -74,7 +74,7 @@ pub fn dress(front: &mut [u8], stations: Stations, ethertype: u16) {
 
 /// The priority is the traffic class: the high three bits of `traffic`.
 #[inline]
-pub fn dress_tagged(front: &mut [u8], vlan: u16, stations: Stations, traffic: u8, ethertype: u16) {
+pub fn dress_tagged(front: &mut [u8], vlan: u16, stations: Stations<'_>, traffic: u8, ethertype: u16) {
     if let Ok(front) = Tagged::mut_from_bytes(front) {
         front.ethernet.address(stations, VLAN);
         front.control = (vlan & 0xfff | u16::from(traffic >> 5) << 13).into();

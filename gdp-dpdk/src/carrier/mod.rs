@@ -40,13 +40,13 @@ pub trait Ours {
 
 /// The MAC addresses that a packet goes between, as [`Carrier`] has them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Stations {
-    pub peer: [u16; 3],
-    pub local: [u16; 3],
+pub struct Stations<'a> {
+    pub peer: &'a [u16; 3],
+    pub local: &'a [u16; 3],
 }
 
 /// The frame in a whole packet, from its Ethernet header on; `None` if it is none of ours.
-#[inline]
+#[inline(always)]
 pub fn find(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
     let found = ethernet::ethertype(packet)?;
     if found == ours.ethertype() {
@@ -61,7 +61,7 @@ pub fn find(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
 }
 
 /// Bytes in front of a frame that this carries: 14, 18, 42 or 62.
-#[inline]
+#[inline(always)]
 pub fn len(carrier: &Carrier) -> usize {
     match carrier.kind {
         Carrier::UDP4 => udp4::LEN,
@@ -95,7 +95,14 @@ pub fn has_checksum(carrier: &Carrier) -> bool {
 ///
 /// The frame must be one that the link takes: over UDP no longer than 65 507 bytes, which is what the length fields of IPv4 can tell.
 #[inline]
-pub fn dress(front: &mut [u8], frame: Payload<'_>, carrier: &Carrier, stations: Stations, traffic: u8, ethertype: u16) {
+pub fn dress(
+    front: &mut [u8],
+    frame: Payload<'_>,
+    carrier: &Carrier,
+    stations: Stations<'_>,
+    traffic: u8,
+    ethertype: u16,
+) {
     match carrier.kind {
         Carrier::UDP4 => udp4::dress(front, frame, carrier, stations, traffic),
         Carrier::UDP6 => udp6::dress(front, frame, carrier, stations, traffic),

@@ -15,8 +15,8 @@ const PEER: [u8; 6] = [0x02, 0, 0, 0x12, 0x34, 0xfe];
 const LOCAL: [u8; 6] = [0x06, 0, 0, 0xab, 0xcd, 0x01];
 const VLANS: [u16; 2] = [5, 0xfff];
 
-fn stations() -> Stations {
-    Stations { peer: mac_words(PEER), local: mac_words(LOCAL) }
+fn stations() -> Stations<'static> {
+    Stations { peer: const { &mac_words(PEER) }, local: const { &mac_words(LOCAL) } }
 }
 
 fn address(text: &str) -> SocketAddr {

@@ -61,7 +61,7 @@ pub fn has_checksum(carrier: &Carrier) -> bool {
 }
 
 #[inline]
-pub fn dress(front: &mut [u8], frame: Payload<'_>, carrier: &Carrier, stations: Stations, traffic: u8) {
+pub fn dress(front: &mut [u8], frame: Payload<'_>, carrier: &Carrier, stations: Stations<'_>, traffic: u8) {
     let Ok(front) = Headers::mut_from_bytes(front) else { return };
     let length = udp_length(frame);
     let checksum = match has_checksum(carrier) {

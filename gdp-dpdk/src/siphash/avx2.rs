@@ -2,6 +2,10 @@
 
 use core::arch::x86_64::*;
 
+use gdp_wire::Header;
+
+use super::Tags;
+
 const LANES: usize = 4;
 
 type Vector = __m256i;
@@ -39,55 +43,41 @@ fn rotate_half(a: Vector) -> Vector {
     _mm256_shuffle_epi32::<0b10_11_00_01>(a)
 }
 
+/// Of at least so many words.
 #[target_feature(enable = "avx2")]
 #[inline]
-fn load(words: &[u64; LANES]) -> Vector {
+fn load(words: &[u64]) -> Vector {
+    let words = &words[..LANES];
     // SAFETY: 32 bytes to read, of any alignment.
     unsafe { _mm256_loadu_si256(words.as_ptr().cast()) }
 }
 
+/// To at least so many words.
 #[target_feature(enable = "avx2")]
 #[inline]
-fn store(a: Vector) -> [u64; LANES] {
-    let mut words = [0; LANES];
+fn store(a: Vector, words: &mut [u64]) {
+    let words = &mut words[..LANES];
     // SAFETY: 32 bytes to write, of any alignment.
     unsafe { _mm256_storeu_si256(words.as_mut_ptr().cast(), a) };
-    words
 }
 
-/// The first words of all keys, and the second ones.
+/// The first words of all headers, the second ones, and so on, without their tags.
 #[target_feature(enable = "avx2")]
 #[inline]
-fn load_keys([a, b, c, d]: [&[u64; 2]; LANES]) -> [Vector; 2] {
-    let [ac, bd] = [load_both(a, c), load_both(b, d)];
-    [_mm256_unpacklo_epi64(ac, bd), _mm256_unpackhi_epi64(ac, bd)]
+fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; 11] {
+    let [w0, w1, _, w3] = columns::<0>(headers);
+    let [w4, w5, w6, w7] = columns::<4>(headers);
+    let [w8, w9, w10, w11] = columns::<8>(headers);
+    [w0, w1, w3, w4, w5, w6, w7, w8, w9, w10, w11]
 }
 
+/// The words from `FROM` (0 … 8) on of all headers, transposed: row `i` is what were the words at place `i` of the rows.
 #[target_feature(enable = "avx2")]
 #[inline]
-fn load_both(low: &[u64; 2], high: &[u64; 2]) -> Vector {
-    // SAFETY: 16 bytes each to read, of any alignment.
-    unsafe { _mm256_loadu2_m128i(high.as_ptr().cast(), low.as_ptr().cast()) }
-}
-
-/// The first words of all lanes, the second ones, and so on.
-#[target_feature(enable = "avx2")]
-#[inline]
-fn load_words(words: [&[u64; 11]; LANES]) -> [Vector; 11] {
-    let [w0, w1, w2, w3] = columns::<0>(words);
-    let [w4, w5, w6, w7] = columns::<4>(words);
-    let [_, w8, w9, w10] = columns::<7>(words);
-    [w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10]
-}
-
-/// The words from `FROM` (0 … 7) on of all lanes, transposed: row `i` is what were the words at place `i` of the rows.
-#[target_feature(enable = "avx2")]
-#[inline]
-fn columns<const FROM: usize>(words: [&[u64; 11]; LANES]) -> [Vector; 4] {
+fn columns<const FROM: usize>(headers: [&[u64; 12]; LANES]) -> [Vector; 4] {
     let mut rows = [splat(0); LANES];
-    for (row, words) in rows.iter_mut().zip(words) {
-        let (chunks, _) = words[FROM..].as_chunks();
-        *row = load(&chunks[0]);
+    for (row, header) in rows.iter_mut().zip(headers) {
+        *row = load(&header[FROM..]);
     }
     let [a, b, c, d] = rows;
     // Of two rows each: the words at places 0 and 2, and at 1 and 3.

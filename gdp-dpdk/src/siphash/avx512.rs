@@ -2,6 +2,10 @@
 
 use core::arch::x86_64::*;
 
+use gdp_wire::Header;
+
+use super::Tags;
+
 const LANES: usize = 8;
 
 type Vector = __m512i;
@@ -38,61 +42,40 @@ fn rotate_half(a: Vector) -> Vector {
     rotate::<32>(a)
 }
 
+/// Of at least so many words.
 #[target_feature(enable = "avx512f")]
 #[inline]
-fn load(words: &[u64; LANES]) -> Vector {
+fn load(words: &[u64]) -> Vector {
+    let words = &words[..LANES];
     // SAFETY: 64 bytes to read, of any alignment.
     unsafe { _mm512_loadu_si512(words.as_ptr().cast()) }
 }
 
+/// To at least so many words.
 #[target_feature(enable = "avx512f")]
 #[inline]
-fn store(a: Vector) -> [u64; LANES] {
-    let mut words = [0; LANES];
+fn store(a: Vector, words: &mut [u64]) {
+    let words = &mut words[..LANES];
     // SAFETY: 64 bytes to write, of any alignment.
     unsafe { _mm512_storeu_si512(words.as_mut_ptr().cast(), a) };
-    words
 }
 
-/// The first words of all keys, and the second ones.
+/// The first words of all headers, the second ones, and so on, without their tags.
 #[target_feature(enable = "avx512f")]
 #[inline]
-fn load_keys([a, b, c, d, e, f, g, h]: [&[u64; 2]; LANES]) -> [Vector; 2] {
-    let [aceg, bdfh] = [load_four(a, c, e, g), load_four(b, d, f, h)];
-    [_mm512_unpacklo_epi64(aceg, bdfh), _mm512_unpackhi_epi64(aceg, bdfh)]
+fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; 11] {
+    let [w0, w1, _, w3, w4, w5, w6, w7] = columns::<0>(headers);
+    let [.., w8, w9, w10, w11] = columns::<4>(headers);
+    [w0, w1, w3, w4, w5, w6, w7, w8, w9, w10, w11]
 }
 
+/// The words from `FROM` (0 … 4) on of all headers, transposed.
 #[target_feature(enable = "avx512f")]
 #[inline]
-fn load_four(a: &[u64; 2], b: &[u64; 2], c: &[u64; 2], d: &[u64; 2]) -> Vector {
-    let ab = _mm512_inserti32x4::<1>(_mm512_castsi128_si512(load_key(a)), load_key(b));
-    _mm512_inserti32x4::<3>(_mm512_inserti32x4::<2>(ab, load_key(c)), load_key(d))
-}
-
-#[target_feature(enable = "avx512f")]
-#[inline]
-fn load_key(key: &[u64; 2]) -> __m128i {
-    // SAFETY: 16 bytes to read, of any alignment.
-    unsafe { _mm_loadu_si128(key.as_ptr().cast()) }
-}
-
-/// The first words of all lanes, the second ones, and so on.
-#[target_feature(enable = "avx512f")]
-#[inline]
-fn load_words(words: [&[u64; 11]; LANES]) -> [Vector; 11] {
-    let [w0, w1, w2, w3, w4, w5, w6, w7] = columns::<0>(words);
-    let [.., w8, w9, w10] = columns::<3>(words);
-    [w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10]
-}
-
-/// The words from `FROM` (0 … 3) on of all lanes, transposed.
-#[target_feature(enable = "avx512f")]
-#[inline]
-fn columns<const FROM: usize>(words: [&[u64; 11]; LANES]) -> [Vector; 8] {
+fn columns<const FROM: usize>(headers: [&[u64; 12]; LANES]) -> [Vector; 8] {
     let mut rows = [splat(0); LANES];
-    for (row, words) in rows.iter_mut().zip(words) {
-        let (chunks, _) = words[FROM..].as_chunks();
-        *row = load(&chunks[0]);
+    for (row, header) in rows.iter_mut().zip(headers) {
+        *row = load(&header[FROM..]);
     }
     transpose(rows)
 }

@@ -1,22 +1,22 @@
 //! Each path that the CPU has, against the function for one.
 
-use gdp_wire::siphash::siphash24;
+use zerocopy::IntoBytes;
 
 use super::*;
 
-type Path = fn(&[[u64; 2]], &[[u64; 11]], &mut [u64]);
+type Path = fn(&mut Tags, &[Header]);
 
 fn paths() -> Vec<(&'static str, Path)> {
-    let mut paths: Vec<(_, Path)> = vec![("the best", siphash24_many), ("any CPU", one_by_one)];
+    let mut paths: Vec<(_, Path)> = vec![("the best", Tags::make), ("any CPU", Tags::make_each)];
     #[cfg(target_arch = "x86_64")]
     {
         if is_x86_feature_detected!("avx2") {
             // SAFETY: the CPU has the feature.
-            paths.push(("AVX2", |keys, words, tags| unsafe { avx2::siphash24_many(keys, words, tags) }));
+            paths.push(("AVX2", |tags, headers| unsafe { avx2::make(tags, headers) }));
         }
         if is_x86_feature_detected!("avx512f") {
             // SAFETY: the CPU has the feature.
-            paths.push(("AVX-512", |keys, words, tags| unsafe { avx512::siphash24_many(keys, words, tags) }));
+            paths.push(("AVX-512", |tags, headers| unsafe { avx512::make(tags, headers) }));
         }
     }
     paths
@@ -33,36 +33,49 @@ fn random(state: &mut u64) -> u64 {
 #[test]
 fn agrees_with_the_function_for_one() {
     let mut state = 1;
-    for (path, many) in paths() {
-        for count in (0..=40).chain([63, 64, 65, 257]) {
-            for _ in 0..50 {
-                let keys: Vec<[u64; 2]> = (0..count).map(|_| [(); 2].map(|()| random(&mut state))).collect();
-                let words: Vec<[u64; 11]> = (0..count).map(|_| [(); 11].map(|()| random(&mut state))).collect();
-                let expected: Vec<u64> = keys.iter().zip(&words).map(|(key, words)| siphash24(*key, words)).collect();
-                let mut tags = vec![0; count];
-                many(&keys, &words, &mut tags);
-                assert_eq!(tags, expected, "{path}, {count}");
+    let mut tags = Tags::new();
+    for (path, make) in paths() {
+        for count in 0..=Tags::SIZE {
+            for _ in 0..20 {
+                let mut headers = vec![Header::default(); count * 2];
+                headers.iter_mut().for_each(|header| header.as_mut_bytes().fill_with(|| random(&mut state) as u8));
+                tags.clear();
+                let mut expected = Vec::new();
+                for _ in 0..count {
+                    let place = random(&mut state) as usize % headers.len();
+                    let (key, number) = ([(); 2].map(|()| random(&mut state)), random(&mut state) >> 12);
+                    tags.add(place as u32, key, number);
+                    expected.push(headers[place].tag_for(key, number));
+                }
+                make(&mut tags, &headers);
+                assert_eq!(tags.tags(), expected, "{path}, {count}");
             }
         }
     }
 }
 
 #[test]
-fn each_word_counts_in_its_lane_alone() {
+fn what_changes_in_one_lane_counts_there_alone() {
     const COUNT: usize = 27;
-    for (path, many) in paths() {
+    for (path, make) in paths() {
         for lane in 0..COUNT {
-            for place in 0..13 {
-                let (mut keys, mut words) = ([[0; 2]; COUNT], [[0; 11]; COUNT]);
-                match place {
-                    0..11 => words[lane][place] = 1 << (place * 5),
-                    _ => keys[lane][place - 11] = 1 << 63,
+            for byte in 0..Header::LEN + 3 {
+                let (mut headers, mut keys, mut counts) = ([Header::default(); COUNT], [[0; 2]; COUNT], [0; COUNT]);
+                match byte.checked_sub(Header::LEN) {
+                    None => headers[lane].as_mut_bytes()[byte] = 1 << (byte % 8),
+                    Some(half @ ..2) => keys[lane][half] = 1 << 63,
+                    Some(_) => counts[lane] = 1 << 40,
                 }
-                let mut tags = [0; COUNT];
-                many(&keys, &words, &mut tags);
-                for (i, tag) in tags.into_iter().enumerate() {
-                    let is_same = tag == siphash24([0; 2], &[0; 11]);
-                    assert_eq!(is_same, i != lane, "{path}: word {place} of lane {lane} in lane {i}");
+                let mut tags = Tags::new();
+                (0..COUNT).for_each(|i| tags.add(i as u32, keys[i], counts[i]));
+                make(&mut tags, &headers);
+                for (i, tag) in tags.tags().iter().enumerate() {
+                    let is_same = *tag == Header::default().tag_for([0; 2], 0);
+                    assert_eq!(
+                        is_same,
+                        i != lane || Header::TAG.contains(&byte),
+                        "{path}: byte {byte} of lane {lane} in lane {i}"
+                    );
                 }
             }
         }
@@ -70,17 +83,12 @@ fn each_word_counts_in_its_lane_alone() {
 }
 
 #[test]
-#[cfg(not(debug_assertions))]
-fn the_shortest_slice_counts() {
-    for (path, many) in paths() {
-        let (keys, words) = (vec![[1; 2]; 21], vec![[2; 11]; 19]);
-        let mut tags = [7; 30];
-        many(&keys, &words, &mut tags);
-        assert!(tags[..19].iter().all(|tag| *tag == siphash24([1; 2], &[2; 11])), "{path}");
-        assert!(tags[19..].iter().all(|tag| *tag == 7), "{path}");
-        many(&keys, &words, &mut tags[..3]);
-        many(&keys[..0], &words, &mut tags);
-        many(&keys[..2], &words, &mut tags[20..]);
-        assert_eq!(tags[20..23], [siphash24([1; 2], &[2; 11]), siphash24([1; 2], &[2; 11]), 7], "{path}");
+fn a_tag_is_given_out_only_for_what_it_was_made_from() {
+    let mut tags = Tags::new();
+    tags.add(0, [1, 2], 3);
+    tags.make(&[Header::default()]);
+    assert_eq!(tags.made_from(0, [1, 2], 3), Some(Header::default().tag_for([1, 2], 3)));
+    for (key, count) in [([0, 2], 3), ([1, 0], 3), ([1, 2], 4)] {
+        assert_eq!(tags.made_from(0, key, count), None);
     }
 }

@@ -1,7 +1,7 @@
 //! Frames that go back to the neighbour they came from: errors and the answers to echoes.
 
+use super::Verdict;
 use super::route::Refusal;
-use super::{Verdict, stamp_by};
 use crate::table::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole};
 
@@ -9,7 +9,7 @@ use crate::{Counter, Header, LinkEntry, LinkRole};
 #[inline(always)]
 pub fn echo<'t, T: Tables>(header: &mut Header, ingress: &'t LinkEntry, tables: &T) -> Verdict<'t> {
     header.become_answer();
-    stamp_by(header, ingress, tables);
+    tables.stamp(header, ingress);
     Verdict::Answer(ingress, Counter::Echoed)
 }
 
@@ -34,6 +34,6 @@ pub fn complain<'t, T: Tables>(
     let Some(code) = refusal.code else { return Verdict::Drop(refusal.counter) };
     tables.complain(ingress);
     header.become_error(code, refusal.mtu);
-    stamp_by(header, ingress, tables);
+    tables.stamp(header, ingress);
     Verdict::Answer(ingress, refusal.counter)
 }

@@ -1,6 +1,6 @@
 //! What becomes of a frame at each link of a group.
 
-use super::{is_foreign, stamp_by, wait};
+use super::{is_foreign, wait};
 use crate::table::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole};
 
@@ -37,6 +37,6 @@ pub fn copy<T: Tables>(header: &mut Header, length: usize, link: &LinkEntry, ing
     }
     header.set_egress_bits(if link.role == LinkRole::Switch as u32 { bits } else { 0 });
     wait(header, link, tables);
-    stamp_by(header, link, tables);
+    tables.stamp(header, link);
     Copy::Send(counter)
 }

@@ -84,7 +84,7 @@ pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, traffic: u8,
             }
             travel(header, ingress, fate.bits, fate.set);
             wait(header, fate.link, tables);
-            stamp_by(header, fate.link, tables);
+            tables.stamp(header, fate.link);
             Verdict::Send(fate.link, fate.counter)
         }
         What::Copy => {
@@ -180,17 +180,9 @@ pub fn stamp(header: &mut Header, link: &LinkEntry, count: u64) {
     header.set_tag(header.tag_for(key, count));
 }
 
-/// As [`stamp`], for the next frame of the link, as the plane has it done.
+/// As [`stamp`], but for the hop tag; the key of that.
 #[inline(always)]
-fn stamp_by<T: Tables>(header: &mut Header, link: &LinkEntry, tables: &T) {
-    let count = tables.next_count(link);
-    let key = direct(header, link, count);
-    tables.write_tag(header, key, count);
-}
-
-/// Writes the fields that belong to `link`, but for the hop tag; the key of that.
-#[inline(always)]
-fn direct(header: &mut Header, link: &LinkEntry, count: u64) -> [u64; 2] {
+pub fn direct(header: &mut Header, link: &LinkEntry, count: u64) -> [u64; 2] {
     // Once, although user space may change it meanwhile: flag and key must be of the same phase.
     // SAFETY: a field of a live entry.
     let second = unsafe { (&raw const link.tx_phase).read_volatile() } & 1 != 0;

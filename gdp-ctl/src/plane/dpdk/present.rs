@@ -7,7 +7,6 @@ use std::time::Duration;
 
 use gdp::link::KeyedEntry;
 use gdp::port::interface_index;
-use gdp_dpdk::carrier::Stations;
 use gdp_dpdk::local::{Local, NextHop};
 use gdp_dpdk::{Eal, EalConfig, Idle, Memory, Switch, SwitchConfig};
 use gdp_wire::table::{ip_of, mac_words};
@@ -82,7 +81,7 @@ impl DpdkPlane {
 
     /// Whether this plane can send the datagrams of a link now.
     pub fn routes(&self, link: &LinkEntry) -> bool {
-        self.switch.local().next_hops.contains_key(&link.id)
+        self.switch.local().next_hops.get(link.id).is_some()
     }
 
     /// Looks again at what is for this switch and where links over UDP leave. `bound`: where the UDP socket takes frames; `vlans`: those
@@ -116,12 +115,9 @@ impl DpdkPlane {
     /// Looks where a link leaves, if it is one over UDP.
     pub fn follow_link(&mut self, link: &LinkEntry) {
         let (before, hop) = (self.switch.local(), self.next_hop(link));
-        if before.next_hops.get(&link.id) != hop.as_ref() {
+        if before.next_hops.get(link.id) != hop.as_ref() {
             let mut local = Local::clone(&before);
-            match hop {
-                Some(hop) => local.next_hops.insert(link.id, hop),
-                None => local.next_hops.remove(&link.id),
-            };
+            local.next_hops.set(link.id, hop);
             self.switch.set_local(local);
         }
     }
@@ -138,8 +134,7 @@ impl DpdkPlane {
         }
         let leaves = self.routes.as_ref()?.lookup(from, to)?;
         let local = self.ports.get(&leaves.interface)?.mac;
-        let stations = Stations { peer: mac_words(leaves.mac), local };
-        Some(NextHop { port: leaves.interface, stations })
+        Some(NextHop { port: leaves.interface, peer: mac_words(leaves.mac), local })
     }
 
     pub fn counters(&self) -> [u64; Counter::COUNT] {
@@ -196,6 +191,11 @@ impl<'a> gdp_dpdk::view::View for LoopView<'a> {
     #[inline]
     fn members(&self, group: u32) -> impl Iterator<Item = u32> {
         self.tables.members(group)
+    }
+
+    #[inline]
+    fn next_counts(&self, link: &LinkEntry, frames: u64) -> u64 {
+        self.tables.next_counts(link.id, frames)
     }
 
     #[inline]

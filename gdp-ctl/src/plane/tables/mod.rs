@@ -313,6 +313,12 @@ impl View<'_> {
         self.now.members(self.common.groups.get(&group, &self.guard))
     }
 
+    /// The count for the first of so many frames that leave by the link one after the other.
+    #[inline]
+    pub fn next_counts(&self, id: u32, frames: u64) -> u64 {
+        self.common.link_memory.next_counts(id, frames)
+    }
+
     /// Brings what a lookup of the name begins with into the caches, without waiting for it.
     #[inline]
     pub fn prefetch(&self, name: &Name) {
@@ -323,22 +329,22 @@ impl View<'_> {
 impl Tables for View<'_> {
     const LAST: bool = true;
 
-    #[inline]
+    #[inline(always)]
     fn link(&self, id: u32) -> Option<&LinkEntry> {
         self.now.link(id)
     }
 
-    #[inline]
+    #[inline(always)]
     fn route(&self, name: &Name) -> Option<FibEntry> {
         flat::lookup(&self.now.names.as_ref(), name)
     }
 
-    #[inline]
+    #[inline(always)]
     fn next_hop(&self, bit: u32) -> u32 {
         self.now.next_hop(bit)
     }
 
-    #[inline]
+    #[inline(always)]
     fn own_bit(&self) -> u64 {
         self.now.own_bit
     }
@@ -347,7 +353,7 @@ impl Tables for View<'_> {
         self.common.permits.contains(permit, &self.guard)
     }
 
-    #[inline]
+    #[inline(always)]
     fn window(&self, link: &LinkEntry) -> Option<impl Words> {
         Some(self.common.link_memory.window(link.id))
     }

@@ -8,7 +8,6 @@ use gdp_ctl::plane::dpdk::{LoopReader, LoopView};
 use gdp_ctl::plane::forwarder::Shared;
 use gdp_ctl::plane::link_memory::LinkMemory;
 use gdp_ctl::plane::tables::UserTables;
-use gdp_dpdk::carrier::Stations;
 use gdp_dpdk::forwarding::{Counts, Forwarding, Sink};
 use gdp_dpdk::local::{Local, NextHop};
 use gdp_dpdk::view::Reader as _;
@@ -47,7 +46,7 @@ impl DpdkSwitch {
         let routed = switch.links.iter().filter(routes);
         let next_hop = |link: &Link| {
             let [peer, local] = link.stations().map(mac_words);
-            NextHop { port: PORT, stations: Stations { peer, local } }
+            NextHop { port: PORT, peer, local }
         };
         let ports: BTreeSet<u32> = switch.links().map(|link| link.port).collect();
         let ports = ports.into_iter().filter(|port| ![PORT_ROUTED, PORT_USERSPACE, NOWHERE].contains(port));
