@@ -5,6 +5,7 @@
 //! count and a tag as its neighbour would send it. What that takes is measured by itself ([`FED`] beside [`EMPTY`]) and taken off.
 
 use std::cell::RefCell;
+use std::hint::black_box;
 use std::process::Command;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -18,6 +19,7 @@ use gdp_ctl::plane::tables::UserTables;
 use gdp_dpdk::forwarding::{Counts, Forwarding, Sink};
 use gdp_dpdk::local::Local;
 use gdp_dpdk::port::{Receive, Send};
+use gdp_dpdk::siphash::Tags;
 use gdp_dpdk::view::Reader as _;
 use gdp_dpdk::{Burst, Eal, EalConfig, Mbuf, Pool, Port, PortConfig};
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
@@ -41,8 +43,10 @@ const ETHERNET: usize = 14;
 
 const EMPTY: &str = "device alone";
 const FED: &str = "device, and frames written";
+const TAGS: &str = "device, frames written, two hop tags";
 const DPDK: &str = "device, frames written, DPDK switch";
 const OWN: &str = "DPDK switch";
+const OWN_TAGS: &str = "two hop tags alone";
 const TESTPMD: &str = "testpmd macswap";
 
 const HOT: &str = "a million names, one hot";
@@ -65,7 +69,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     })];
     for (case, frames) in [HOT, RANDOM].into_iter().zip(FRAMES) {
         let frames = Arc::new(made(frames));
-        for series in [EMPTY, FED, DPDK] {
+        for series in [EMPTY, FED, TAGS, DPDK] {
             let (site, frames) = (&site, frames.clone());
             let time =
                 move || Ok(Sample { value: site.borrow_mut().time(series, &frames, duration)?, ..Sample::default() });
@@ -79,9 +83,11 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
             let found = measures.iter().find(|measure| measure.series == series && measure.case == case);
             found.map(|measure| measure.rounds.clone()).context("it was measured")
         };
-        let (empty, fed, all) = (of(EMPTY)?, of(FED)?, of(DPDK)?);
+        let (empty, fed, tags, all) = (of(EMPTY)?, of(FED)?, of(TAGS)?, of(DPDK)?);
         let own = all.iter().zip(fed.iter().zip(&empty)).map(|(all, (fed, empty))| all - (fed - empty)).collect();
         measures.push(Measure::new(OWN, case, own));
+        let tags = tags.iter().zip(&fed).map(|(tags, fed)| tags - fed).collect();
+        measures.push(Measure::new(OWN_TAGS, case, tags));
     }
     let title = "One frame in a loop of DPDK between devices that do nothing, devices included";
     let figure = Figure::new("dpdk", title, Unit::Nanoseconds, measures)
@@ -166,7 +172,7 @@ impl Site {
         // As loops are: with caches of its own for what it allocates.
         let _registered = Eal::begin(&EalConfig::default())?.register()?;
         self.begin_again();
-        let (mut burst, mut back) = (Burst::new(), Back::default());
+        let (mut burst, mut back, mut tags) = (Burst::new(), Back::default(), Tags::new());
         let (mut next, mut done, start) = (0, 0u64, Instant::now());
         while done % (1 << 14) != 0 || start.elapsed() < duration {
             let received = self.receive[0].receive(&mut burst);
@@ -174,6 +180,9 @@ impl Site {
             if series != EMPTY {
                 write(&mut burst, &frames[next..next + received])?;
                 next = (next + received) % frames.len();
+            }
+            if series == TAGS {
+                make_tags(&mut tags, &frames[next..next + received]);
             }
             if series == DPDK {
                 let view = self.reader.enter();
@@ -204,6 +213,16 @@ impl Site {
         let others = self.counts.iter().sum::<u64>() - forwarded;
         ensure!(forwarded == self.frames && others == 0, "{} frames, counted {:?}", self.frames, self.counts);
         Ok(())
+    }
+}
+
+/// What no switch can leave out: the tag that each frame must have, and the one that it leaves with.
+fn make_tags(tags: &mut Tags, headers: &[Header]) {
+    for _ in 0..2 {
+        tags.clear();
+        (0..).zip(headers).for_each(|(place, _)| tags.add(place, KEY, place.into()));
+        tags.make(headers);
+        black_box(tags.tags());
     }
 }
 

@@ -3,7 +3,7 @@
 //! One file a row of the figures, each a function from [`Bench`] to [`Figure`]s:
 //!
 //! - [`cost`]: nanoseconds of one frame in the switch, by test runs
-//! - [`dpdk`]: the same in a loop of DPDK, beside [`testpmd`]
+//! - [`dpdk`]: the same in a loop of DPDK, beside [`testpmd`]; [`dpdk_idle`]: what the loop takes while nothing arrives
 //! - [`fib`]: lookups in a FIB of a million names (programs and tables: [`lookups`]), and changes of it
 //! - [`hops`]: frames per second through chains of switches
 //! - [`crossings`]: frames per second between links of several kinds
@@ -20,6 +20,7 @@
 mod cost;
 mod crossings;
 mod dpdk;
+mod dpdk_idle;
 mod fib;
 mod flood;
 mod hops;
@@ -89,10 +90,11 @@ impl Bench {
     }
 }
 
-const ROWS: [(&str, Row<Bench>); 11] = [
+const ROWS: [(&str, Row<Bench>); 12] = [
     ("cost", cost::run),
     ("dpdk", dpdk::run),
     ("dpdk-hop", hops::dpdk),
+    ("dpdk-idle", dpdk_idle::run),
     ("fib", fib::run),
     ("hops", hops::small_frames),
     ("large", hops::large_frames),
