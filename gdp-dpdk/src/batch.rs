@@ -54,11 +54,14 @@ impl<'b, V: View> BatchTables<'b, V> {
 #[inline]
 pub fn expect(tags: &mut Tags, headers: &[Header], tables: &impl Tables) {
     tags.clear();
+    // Most frames come by the link of the one before.
+    let (mut last, mut known) = (0, None);
     for (place, header) in (0..).zip(headers) {
-        let keyed = tables.link(header.link_id()).and_then(|link| {
-            let window = tables.window(link)?;
-            Some(forward::keyed(header, link, &window))
-        });
+        if header.link_id() != last {
+            last = header.link_id();
+            known = tables.link(last).and_then(|link| Some((link, tables.window(link)?)));
+        }
+        let keyed = known.as_ref().map(|(link, window)| forward::keyed(header, link, window));
         let (key, count) = keyed.unwrap_or_default();
         tags.add(place, key, count);
     }

@@ -12,7 +12,7 @@ use gdp_wire::forward::{self, Copy, Kind, Verdict};
 use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::table::Tables as _;
 use gdp_wire::{Counter, Header, LinkEntry};
-use zerocopy::IntoBytes;
+use zerocopy::{FromBytes, IntoBytes};
 
 use crate::batch::{self, BatchTables};
 use crate::carrier::{self, Carried, Payload, Stations};
@@ -80,6 +80,10 @@ impl Way {
     fn is_copy(&self) -> bool {
         self.frame != self.header
     }
+
+    fn has_link_of(&self, other: &Self) -> bool {
+        self.link == other.link
+    }
 }
 
 impl Forwarding {
@@ -108,8 +112,14 @@ impl Forwarding {
         batch.decide(&tables, view, sink, counts);
         for ways in batch.leaving.chunks(Tags::SIZE) {
             stamp(ways, &mut batch.headers, departing, view);
-            for (way, tag) in ways.iter().zip(departing.tags()) {
-                leave((way, *tag), &batch.headers, &mut batch.frames, pool, &tables, (local.ethertype, sink, counts));
+            let mut tags = departing.tags().iter();
+            for ways in ways.chunk_by(Way::has_link_of) {
+                let by = By::find(ways[0].link, &tables, local.ethertype);
+                for (way, tag) in ways.iter().zip(&mut tags) {
+                    let left =
+                        by.as_ref().and_then(|by| by.leave((way, *tag), &batch.headers, &mut batch.frames, pool, sink));
+                    counts[if left.is_some() { way.counter } else { Counter::RedirectFailed } as usize] += 1;
+                }
             }
         }
         batch.clear();
@@ -123,16 +133,15 @@ impl Batch {
         for mbuf in burst.drain() {
             match locate(&mbuf, at) {
                 Located::Frame(carried) => {
-                    match mbuf.bytes().get(carried.at..).and_then(|frame| frame.get(..Header::LEN)) {
-                        Some(bytes) => {
-                            // A copy, because a frame may lie anywhere.
-                            self.headers.push(Header::default());
-                            let header = &mut self.headers[self.frames.len()];
-                            header.as_mut_bytes().copy_from_slice(bytes);
+                    let frame = mbuf.bytes().get(carried.at..).unwrap_or_default();
+                    // A copy, because a frame may lie anywhere.
+                    match Header::read_from_prefix(frame) {
+                        Ok((header, _)) => {
                             view.prefetch(&header.destination);
+                            self.headers.push(header);
                             self.frames.push(Frame { mbuf: Some(mbuf), carried });
                         }
-                        None => counts[Counter::Truncated as usize] += 1,
+                        Err(_) => counts[Counter::Truncated as usize] += 1,
                     }
                 }
                 Located::Host(counter) => {
@@ -220,7 +229,7 @@ impl Batch {
 #[inline(always)]
 fn stamp<V: View>(ways: &[Way], headers: &mut [Header], tags: &mut Tags, view: &V) {
     tags.clear();
-    for ways in ways.chunk_by(|a, b| a.link == b.link) {
+    for ways in ways.chunk_by(Way::has_link_of) {
         let link = view.tables().link(ways[0].link);
         let first = link.map_or(0, |link| view.next_counts(link, ways.len() as u64));
         for (count, way) in (first..).zip(ways) {
@@ -231,30 +240,87 @@ fn stamp<V: View>(ways: &[Way], headers: &mut [Header], tags: &mut Tags, view: &
     tags.make(headers);
 }
 
-/// Phase 5.
-#[inline(always)]
-fn leave<V: View>(
-    (way, tag): (&Way, u64),
-    headers: &[Header],
-    frames: &mut [Frame],
-    pool: &Pool,
-    tables: &BatchTables<'_, V>,
-    (ethertype, sink, counts): (u16, &mut impl Sink, &mut Counts),
-) {
-    let (header, frame) = (&headers[way.header as usize], &mut frames[way.frame as usize]);
-    let sent = tables.link(way.link).and_then(|link| {
+/// By what frames leave.
+struct By<'a> {
+    link: &'a LinkEntry,
+    port: u32,
+    stations: Stations<'a>,
+    /// Of GDP frames, in host order.
+    ethertype: u16,
+    /// Bytes in front of a frame.
+    front: usize,
+}
+
+impl<'a> By<'a> {
+    fn find<V: View>(link: u32, tables: &'a BatchTables<'_, V>, ethertype: u16) -> Option<Self> {
+        let link = tables.link(link)?;
         let (port, stations) = tables.next_hop_of(link)?;
-        let dress = Dress { header, tag, link, stations, ethertype };
+        Some(Self { link, port, stations, ethertype, front: carrier::len(&link.carrier) })
+    }
+
+    /// Phase 5, of one frame; `None` if it cannot leave.
+    #[inline(always)]
+    fn leave(
+        &self,
+        (way, tag): (&Way, u64),
+        headers: &[Header],
+        frames: &mut [Frame],
+        pool: &Pool,
+        sink: &mut impl Sink,
+    ) -> Option<()> {
+        let (header, frame) = ((&headers[way.header as usize], tag), &mut frames[way.frame as usize]);
         let at = frame.carried.at;
         let mbuf = if way.is_copy() {
-            copied(pool, frame.mbuf.as_ref()?, at, sink.gathers(port), &dress)
+            self.copied(pool, frame.mbuf.as_ref()?, at, sink.gathers(self.port), header)
         } else {
-            changed(frame.mbuf.take()?, at, &dress)
+            self.changed(frame.mbuf.take()?, at, header)
         };
-        sink.send(port, mbuf?);
+        sink.send(self.port, mbuf?);
         Some(())
-    });
-    counts[if sent.is_some() { way.counter } else { Counter::RedirectFailed } as usize] += 1;
+    }
+
+    /// A packet whose frame lay `at`, as it leaves.
+    #[inline]
+    fn changed(&self, mut mbuf: Mbuf, at: usize, header: (&Header, u64)) -> Option<Mbuf> {
+        if !mbuf.reshape(self.front as isize - at as isize, self.front + header.0.frame_len()) {
+            return None;
+        }
+        self.dress(mbuf.bytes_mut()?, header);
+        Some(mbuf)
+    }
+
+    /// A packet of its own with the frame that lies `at` in another.
+    fn copied(&self, pool: &Pool, of: &Mbuf, at: usize, gathers: bool, header: (&Header, u64)) -> Option<Mbuf> {
+        let (front, length) = (self.front, header.0.frame_len());
+        let payload = of.bytes().get(at + Header::LEN..at + length)?;
+        let mut mbuf = pool.alloc()?;
+        if gathers && payload.len() >= REFERRED && !carrier::has_checksum(&self.link.carrier) {
+            mbuf.reshape(0, front + Header::LEN).then_some(())?;
+            self.dress(mbuf.bytes_mut()?, header);
+            let mut rest = pool.refer(of)?;
+            rest.reshape(-((at + Header::LEN) as isize), payload.len()).then_some(())?;
+            return mbuf.chain(rest).then_some(mbuf);
+        }
+        mbuf.reshape(0, front + length).then_some(())?;
+        let bytes = mbuf.bytes_mut()?;
+        bytes.get_mut(front + Header::LEN..)?.copy_from_slice(payload);
+        self.dress(bytes, header);
+        Some(mbuf)
+    }
+
+    /// Writes what is in front of the payload: headers, and the frame's own with its tag. That is not in it yet: a header that was
+    /// just written to is slow to copy.
+    #[inline]
+    fn dress(&self, packet: &mut [u8], (header, tag): (&Header, u64)) {
+        let Some((before, frame)) = packet.split_at_mut_checked(self.front) else { return };
+        if let Some(place) = frame.get_mut(..Header::LEN) {
+            place.copy_from_slice(header.as_bytes());
+            place[Header::TAG].copy_from_slice(&tag.to_be_bytes());
+        }
+        let traffic = Header::ip_traffic(header.flags);
+        let frame = Payload { length: header.frame_len(), bytes: frame };
+        carrier::dress(before, frame, &self.link.carrier, self.stations, traffic, self.ethertype);
+    }
 }
 
 /// What became of frames that arrived by one link one after the other, to be told of together.
@@ -310,66 +376,6 @@ fn locate(mbuf: &Mbuf, at: &At<'_>) -> Located {
         Kind::Control => Located::Host(Counter::Control),
         Kind::Unknown => Located::Drop(Counter::Unknown),
     }
-}
-
-/// What is in front of a payload that leaves.
-struct Dress<'a> {
-    header: &'a Header,
-    /// The header's hop tag, which is not in it: a header that was just written to is slow to copy.
-    tag: u64,
-    link: &'a LinkEntry,
-    stations: Stations<'a>,
-    ethertype: u16,
-}
-
-impl Dress<'_> {
-    /// Bytes in front of the frame.
-    fn front(&self) -> usize {
-        carrier::len(&self.link.carrier)
-    }
-
-    /// Writes it: `front` bytes of headers, and the frame's own.
-    #[inline]
-    fn put_on(&self, packet: &mut [u8], front: usize) {
-        let Some((before, frame)) = packet.split_at_mut_checked(front) else { return };
-        if let Some(place) = frame.get_mut(..Header::LEN) {
-            place.copy_from_slice(self.header.as_bytes());
-            place[Header::TAG].copy_from_slice(&self.tag.to_be_bytes());
-        }
-        let traffic = Header::ip_traffic(self.header.flags);
-        let frame = Payload { length: self.header.frame_len(), bytes: frame };
-        carrier::dress(before, frame, &self.link.carrier, self.stations, traffic, self.ethertype);
-    }
-}
-
-/// A packet whose frame lay `at`, as it leaves.
-#[inline]
-fn changed(mut mbuf: Mbuf, at: usize, dress: &Dress<'_>) -> Option<Mbuf> {
-    let front = dress.front();
-    if !mbuf.reshape(front as isize - at as isize, front + dress.header.frame_len()) {
-        return None;
-    }
-    dress.put_on(mbuf.bytes_mut()?, front);
-    Some(mbuf)
-}
-
-/// A packet of its own with the frame that lies `at` in another.
-fn copied(pool: &Pool, of: &Mbuf, at: usize, gathers: bool, dress: &Dress<'_>) -> Option<Mbuf> {
-    let (front, length) = (dress.front(), dress.header.frame_len());
-    let payload = of.bytes().get(at + Header::LEN..at + length)?;
-    let mut mbuf = pool.alloc()?;
-    if gathers && payload.len() >= REFERRED && !carrier::has_checksum(&dress.link.carrier) {
-        mbuf.reshape(0, front + Header::LEN).then_some(())?;
-        dress.put_on(mbuf.bytes_mut()?, front);
-        let mut rest = pool.refer(of)?;
-        rest.reshape(-((at + Header::LEN) as isize), payload.len()).then_some(())?;
-        return mbuf.chain(rest).then_some(mbuf);
-    }
-    mbuf.reshape(0, front + length).then_some(())?;
-    let bytes = mbuf.bytes_mut()?;
-    bytes.get_mut(front + Header::LEN..)?.copy_from_slice(payload);
-    dress.put_on(bytes, front);
-    Some(mbuf)
 }
 
 fn counted(counts: &mut Counts, counter: Counter) -> Counter {
