@@ -3,7 +3,8 @@
 //!
 //! 1. Each packet's frame is found and its header copied out; its route is prefetched.
 //! 2. What the hop tags must be is computed for all of them at once.
-//! 3. Each frame is decided about. What leaves is noted with the header it leaves with, or the headers if there are copies.
+//! 3. Each frame is decided about. What leaves is noted with the header it leaves with, or the headers if there are copies; if there are
+//!    many, these leave before the next frame is decided about.
 //! 4. What leaves is stamped for its link: those that leave by one are counted at once, and the tags are made together.
 //! 5. Each frame is dressed for its link and handed over.
 
@@ -38,6 +39,9 @@ pub type Counts = [u64; Counter::COUNT];
 
 /// Payloads of copies from this size on are not copied but referred to, where the port takes that. Two mbufs more cost about as much.
 const REFERRED: usize = 512;
+
+/// Frames and copies that wait for others before they leave: more than a burst, unless there are copies.
+const ENOUGH: usize = 4 * Burst::SIZE;
 
 const ETHERNET_HEADER: usize = 14;
 
@@ -109,20 +113,26 @@ impl Forwarding {
         batch.find(&At { local, port }, burst, view, sink, counts);
         batch::expect(arriving, &batch.headers, view.tables());
         let tables = BatchTables::new(view, local, ports, arriving);
-        batch.decide(&tables, view, sink, counts);
-        for ways in batch.leaving.chunks(Tags::SIZE) {
-            stamp(ways, &mut batch.headers, departing, view);
-            let mut tags = departing.tags().iter();
-            for ways in ways.chunk_by(Way::has_link_of) {
-                let by = By::find(ways[0].link, &tables, local.ethertype);
-                for (way, tag) in ways.iter().zip(&mut tags) {
-                    let left =
-                        by.as_ref().and_then(|by| by.leave((way, *tag), &batch.headers, &mut batch.frames, pool, sink));
-                    counts[if left.is_some() { way.counter } else { Counter::RedirectFailed } as usize] += 1;
+        let mut decided = 0;
+        while decided < batch.frames.len() {
+            decided = batch.decide(decided, &tables, view, sink, counts);
+            for ways in batch.leaving.chunks(Tags::SIZE) {
+                stamp(ways, &mut batch.headers, departing, view);
+                let mut tags = departing.tags().iter();
+                for ways in ways.chunk_by(Way::has_link_of) {
+                    let by = By::find(ways[0].link, &tables, local.ethertype);
+                    for (way, tag) in ways.iter().zip(&mut tags) {
+                        let leave = |by: &By<'_>| by.leave((way, *tag), &batch.headers, &mut batch.frames, pool, sink);
+                        let left = by.as_ref().and_then(leave);
+                        counts[if left.is_some() { way.counter } else { Counter::RedirectFailed } as usize] += 1;
+                    }
                 }
             }
+            batch.leaving.clear();
+            batch.headers.truncate(batch.frames.len());
         }
-        batch.clear();
+        batch.frames.clear();
+        batch.headers.clear();
     }
 }
 
@@ -153,11 +163,18 @@ impl Batch {
         }
     }
 
-    /// Phase 3.
+    /// Phase 3, from a frame on, until so much leaves that it should before there is more. Says where it stopped.
     #[inline(always)]
-    fn decide<V: View>(&mut self, tables: &BatchTables<'_, V>, view: &V, sink: &mut impl Sink, counts: &mut Counts) {
-        let mut arrivals = Arrivals::default();
-        for i in 0..self.frames.len() {
+    fn decide<V: View>(
+        &mut self,
+        from: usize,
+        tables: &BatchTables<'_, V>,
+        view: &V,
+        sink: &mut impl Sink,
+        counts: &mut Counts,
+    ) -> usize {
+        let (mut arrivals, mut i) = (Arrivals::default(), from);
+        while i < self.frames.len() && self.leaving.len() < ENOUGH {
             let (header, frame) = (&mut self.headers[i], &mut self.frames[i]);
             let (ingress, tag) = (header.link_id(), header.tag());
             tables.turn_to(i);
@@ -189,8 +206,10 @@ impl Batch {
                 Verdict::Drop(counter) => counted(counts, counter),
             };
             arrivals.count(view, ingress, counter);
+            i += 1;
         }
         arrivals.tell(view);
+        i
     }
 
     /// Notes the copies of a frame that leave.
@@ -216,12 +235,6 @@ impl Batch {
                 Copy::None => {}
             }
         }
-    }
-
-    fn clear(&mut self) {
-        self.frames.clear();
-        self.headers.clear();
-        self.leaving.clear();
     }
 }
 
