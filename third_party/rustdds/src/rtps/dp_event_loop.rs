@@ -426,12 +426,17 @@ impl DPEventLoop {
       }
     }
 
-    // GDP patch: asked for before the endpoints to add are, so that whatever has rung is known by
-    // then. One that was made and rang in between was taken for unknown, and its sample never left.
+    // GDP patch: in the opposite order to what happens to an endpoint. So whatever is to be removed has
+    // rung before, and whatever has rung was added before. One that was made and rang in between was
+    // taken for unknown, and its sample never left.
+    let removed = || self.remove_reader_receiver.receiver.try_recv().ok();
+    readers_to_remove.extend(std::iter::from_fn(removed));
+    let removed = || self.remove_writer_receiver.receiver.try_recv().ok();
+    writers_to_remove.extend(std::iter::from_fn(removed));
     let readers_ready = self.reader_ready.drain_unique();
     let writers_ready = self.writer_ready.drain_unique();
-    self.handle_reader_action(readers_to_remove);
-    self.handle_writer_action(writers_to_remove);
+    self.handle_reader_action();
+    self.handle_writer_action();
     self.handle_writer_acknack_action();
 
     while let Ok(dnt) = self.discovery_update_notification_receiver.try_recv() {
@@ -662,30 +667,20 @@ impl DPEventLoop {
       .unwrap_or_else(|e| error!("Cannot report participant status: {e:?}"));
   }
 
-  fn handle_reader_action(&mut self, pending_removals: &mut Vec<GUID>) {
+  fn handle_reader_action(&mut self) {
     while let Ok(new_reader_ing) = self.add_reader_receiver.receiver.try_recv() {
       trace!("add reader {:?}", new_reader_ing.guid);
       let guid = new_reader_ing.guid;
       self.add_local_reader(new_reader_ing);
       self.inform_discovery_about_new_local_endpoint(guid);
     }
-    // Only collect removals. A command for this reader may already be in the
-    // ready queue of this same wake. Removing immediately would turn that into
-    // an "unknown reader" miss. The caller applies these after ready-queue
-    // dispatch.
-    while let Ok(old_reader_guid) = self.remove_reader_receiver.receiver.try_recv() {
-      pending_removals.push(old_reader_guid);
-    }
   }
 
-  fn handle_writer_action(&mut self, pending_removals: &mut Vec<GUID>) {
+  fn handle_writer_action(&mut self) {
     while let Ok(new_writer_ingredients) = self.add_writer_receiver.receiver.try_recv() {
       let guid = new_writer_ingredients.guid;
       self.add_local_writer(new_writer_ingredients);
       self.inform_discovery_about_new_local_endpoint(guid);
-    }
-    while let Ok(writer_guid) = self.remove_writer_receiver.receiver.try_recv() {
-      pending_removals.push(writer_guid);
     }
   }
 
