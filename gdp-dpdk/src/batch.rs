@@ -1,5 +1,5 @@
-//! Tables for the frames of one batch: hop tags are checked and made for all of them together, eight and more at a time, and what this
-//! plane cannot do itself is left to the one behind it.
+//! Tables for the frames of one batch: their hop tags were computed for all of them together, what leaves is stamped later, together as
+//! well, and what this plane cannot do itself is left to the one behind it.
 
 use std::cell::Cell;
 

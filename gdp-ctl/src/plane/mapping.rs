@@ -20,7 +20,7 @@ impl Mapping {
         Self::map(map.fd().as_fd().as_raw_fd(), libc::MAP_SHARED | libc::MAP_POPULATE, words)
     }
 
-    /// Words that are zero, and use no memory before they are written to. In huge pages where the kernel has some: in a table of a
+    /// Words that are zero; pages of them use no memory before they are written to. Huge pages where the kernel has some: in a table of a
     /// million names each look-up would have to find its page otherwise.
     pub fn own(words: usize) -> io::Result<Self> {
         let mapping = Self::map(-1, libc::MAP_PRIVATE | libc::MAP_ANONYMOUS, words)?;

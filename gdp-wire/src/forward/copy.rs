@@ -7,7 +7,7 @@ use crate::{Counter, Header, LinkEntry, LinkRole};
 /// What a link of a group gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Copy {
-    /// The frame, with its header as it is now.
+    /// The frame, with its header as it is now and what [`Tables::stamp`] has left for later.
     Send(Counter),
     /// Nothing: it is none of the frame's links.
     None,

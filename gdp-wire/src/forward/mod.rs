@@ -25,7 +25,7 @@ use route::{Egress, Refusal, is_foreign, route};
 /// What a data plane must do with a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict<'t> {
-    /// Send it by this link; the header has been rewritten for it.
+    /// Send it by this link; the header has been rewritten for it, but for what [`Tables::stamp`] has left for later.
     Send(&'t LinkEntry, Counter),
     /// For each link of this group that [`copy()`] says so, send what that makes of it; count it as
     /// [`Counter::Replicated`].
