@@ -10,7 +10,7 @@ const LIBRARIES: [&str; 5] = ["rte_eal", "rte_ethdev", "rte_mbuf", "rte_mempool"
 const MAJORS: [&str; 3] = ["22.11", "23.03", "23.07"];
 
 const FUNCTIONS: &str = "rte_(eal_init|strerror|thread_register|thread_unregister|dev_probe|dev_remove|\
-    pktmbuf_pool_create|mempool_free|mempool_in_use_count|\
+    mempool_free|mempool_in_use_count|\
     eth_dev_(get_port_by_name|info_get|configure|start|stop|close|get_mtu|socket_id|adjust_nb_rx_tx_desc)|\
     eth_(rx_queue_setup|tx_queue_setup|promiscuous_enable|macaddr_get|stats_get))";
 

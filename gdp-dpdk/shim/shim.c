@@ -32,6 +32,33 @@ uint16_t gdp_tx_burst(uint16_t port, uint16_t queue, struct rte_mbuf **mbufs, ui
 	return rte_eth_tx_burst(port, queue, mbufs, count);
 }
 
+/* As rte_pktmbuf_pool_create, but without gaps. In ordinary memory that one puts no mbuf across the end of a page, where net_af_xdp
+ * takes all to lie one behind the other: it would lose every packet in an mbuf that lies behind where that should end. Only devices that
+ * read memory by themselves need whole pages, and these need huge ones. */
+struct rte_mempool *gdp_pool_create(const char *name, unsigned int count, unsigned int cache, uint16_t room)
+{
+	struct rte_pktmbuf_pool_private private = { .mbuf_data_room_size = room };
+	unsigned int flags = rte_eal_has_hugepages() ? 0 : RTE_MEMPOOL_F_NO_IOVA_CONTIG;
+	struct rte_mempool *pool = rte_mempool_create_empty(name, count, sizeof(struct rte_mbuf) + room, cache,
+							    sizeof(private), SOCKET_ID_ANY, flags);
+	int result;
+
+	if (pool == NULL)
+		return NULL;
+	result = rte_mempool_set_ops_byname(pool, rte_mbuf_best_mempool_ops(), NULL);
+	if (result == 0) {
+		rte_pktmbuf_pool_init(pool, &private);
+		result = rte_mempool_populate_default(pool);
+	}
+	if (result < 0) {
+		rte_mempool_free(pool);
+		rte_errno = -result;
+		return NULL;
+	}
+	rte_mempool_obj_iter(pool, rte_pktmbuf_init, NULL);
+	return pool;
+}
+
 int gdp_alloc(struct rte_mempool *pool, struct rte_mbuf **mbufs, unsigned int count)
 {
 	return rte_pktmbuf_alloc_bulk(pool, mbufs, count);

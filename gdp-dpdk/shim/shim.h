@@ -9,6 +9,7 @@
 #include <rte_lcore.h>
 #include <rte_log.h>
 #include <rte_mbuf.h>
+#include <rte_mbuf_pool_ops.h>
 #include <rte_mempool.h>
 
 /* Macros that bindgen does not see through. */
@@ -22,6 +23,9 @@ int gdp_errno(void);
 
 uint16_t gdp_rx_burst(uint16_t port, uint16_t queue, struct rte_mbuf **mbufs, uint16_t count);
 uint16_t gdp_tx_burst(uint16_t port, uint16_t queue, struct rte_mbuf **mbufs, uint16_t count);
+
+/* A pool of so many mbufs with `room` for a packet and its headroom; null if there is no memory. */
+struct rte_mempool *gdp_pool_create(const char *name, unsigned int count, unsigned int cache, uint16_t room);
 
 /* Each of one segment, with the usual headroom; 0, or a negative error if there are not so many. */
 int gdp_alloc(struct rte_mempool *pool, struct rte_mbuf **mbufs, unsigned int count);

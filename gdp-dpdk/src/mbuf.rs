@@ -67,8 +67,8 @@ impl Pool {
         let name = CString::new(name).map_err(|_| DpdkError::new(what(), libc::EINVAL))?;
         let room = HEADROOM + largest as u16;
         let cache = CACHE.min(size / 4);
-        // SAFETY: a name that lives during the call; any socket.
-        let pool = unsafe { sys::rte_pktmbuf_pool_create(name.as_ptr(), size, cache, 0, room, -1) };
+        // SAFETY: a name that lives during the call.
+        let pool = unsafe { sys::gdp_pool_create(name.as_ptr(), size, cache, room) };
         let pool = NonNull::new(pool).ok_or_else(|| {
             DpdkError::last(what()).with_remedy("; give DPDK more memory (`dpdk.memory_mib`, or huge pages)")
         })?;
