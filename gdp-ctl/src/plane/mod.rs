@@ -104,6 +104,8 @@ pub struct PlaneConfig {
     pub ebpf_object: Option<PathBuf>,
     /// For the DPDK plane.
     pub dpdk: DpdkConfig,
+    /// The file in which DPDK's settings of interfaces outlive a daemon that is killed, if they are to.
+    pub dpdk_settings: Option<PathBuf>,
     /// Names the FIB can hold.
     pub fib_capacity: u32,
     /// Of GDP frames.
@@ -127,7 +129,16 @@ impl Default for PlaneConfig {
         let ethertype = gdp_wire::ETHERTYPE;
         let wanted = Wanted::Auto;
         let dpdk = DpdkConfig::default();
-        Self { wanted, ebpf_object: None, dpdk, fib_capacity: FIB_CAPACITY, ethertype, pins: None, count_losses: true }
+        Self {
+            wanted,
+            ebpf_object: None,
+            dpdk,
+            dpdk_settings: None,
+            fib_capacity: FIB_CAPACITY,
+            ethertype,
+            pins: None,
+            count_losses: true,
+        }
     }
 }
 
@@ -272,7 +283,10 @@ impl Planes {
         let tables = UserTables::new(link_memory.clone(), config.fib_capacity)?;
         let shared = Arc::new(Shared::new(tables.queues().clone()));
         let dpdk = match config.wanted {
-            Wanted::Dpdk => Some(DpdkPlane::start(&config.dpdk, config.ethertype, || tables.reader(), &shared)?),
+            Wanted::Dpdk => {
+                let kept = config.dpdk_settings.clone();
+                Some(DpdkPlane::start(&config.dpdk, kept, config.ethertype, || tables.reader(), &shared)?)
+            }
             _ => None,
         };
         let mut planes = Self {

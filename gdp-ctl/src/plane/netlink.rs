@@ -1,5 +1,5 @@
-//! One question to the kernel over netlink and its one answer, for those that cannot wait asynchronously. Whoever wants lists or
-//! changes uses `rtnetlink`. Serves [`super::xdp_features`] and [`super::device`].
+//! One question to the kernel over netlink and its one answer, or one change, for those that cannot wait asynchronously. Whoever wants
+//! lists uses `rtnetlink`. Serves [`super::xdp_features`], [`super::device`] and [`super::dpdk`].
 
 use std::io;
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
@@ -29,10 +29,26 @@ impl Netlink {
 
     /// Sends a message of this kind: the family's own header, then attributes. The answer without the netlink header.
     pub fn ask(&self, kind: u16, family_header: &[u8], attributes: &[(u16, &[u8])]) -> io::Result<Vec<u8>> {
+        self.exchange(kind, 0, family_header, attributes)
+    }
+
+    /// As [`Self::ask`], of a message that changes something: it is done, or an error.
+    #[cfg(feature = "dpdk")]
+    pub fn change(&self, kind: u16, family_header: &[u8], attributes: &[(u16, &[u8])]) -> io::Result<()> {
+        self.exchange(kind, libc::NLM_F_ACK, family_header, attributes).map(drop)
+    }
+
+    fn exchange(
+        &self,
+        kind: u16,
+        flags: libc::c_int,
+        family_header: &[u8],
+        attributes: &[(u16, &[u8])],
+    ) -> io::Result<Vec<u8>> {
         let mut message = Vec::with_capacity(64);
         message.extend(0u32.to_ne_bytes()); // length, below
         message.extend(kind.to_ne_bytes());
-        message.extend((libc::NLM_F_REQUEST as u16).to_ne_bytes());
+        message.extend(((libc::NLM_F_REQUEST | flags) as u16).to_ne_bytes());
         // An answer that nobody waited for is another question's.
         static QUESTIONS: AtomicU32 = AtomicU32::new(0);
         let question = QUESTIONS.fetch_add(1, Ordering::Relaxed).to_ne_bytes();
@@ -67,7 +83,8 @@ impl Netlink {
         let kind = answer.get(4..6).map(|b| u16::from_ne_bytes([b[0], b[1]]));
         if kind == Some(libc::NLMSG_ERROR as u16) {
             let code = answer.get(16..20).and_then(|b| Some(i32::from_ne_bytes(*b.first_chunk()?))).unwrap_or(0);
-            return Err(io::Error::from_raw_os_error(-code));
+            // 0: what was asked for is done, and there is nothing to say.
+            return if code == 0 { Ok(Vec::new()) } else { Err(io::Error::from_raw_os_error(-code)) };
         }
         if answer.len() < HEADER { Err(io::ErrorKind::InvalidData.into()) } else { Ok(answer.split_off(HEADER)) }
     }

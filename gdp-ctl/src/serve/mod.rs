@@ -142,6 +142,8 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         ebpf_object: config.ebpf_object.clone(),
         fib_capacity: config.fib_capacity,
         dpdk: config.dpdk.clone(),
+        // Like the settings themselves, it is gone when the machine starts anew.
+        dpdk_settings: Some(config.socket.with_extension("settings")),
         pins: config.bpffs.clone().map(|bpffs| PinPlace { bpffs, switch: identity.name() }),
         ..PlaneConfig::default()
     })?;

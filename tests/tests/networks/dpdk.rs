@@ -94,29 +94,36 @@ fn the_host_is_reached_through_a_port() -> Result<()> {
         udp.set_read_timeout(Some(Duration::from_millis(50)))?;
         ensure!(udp.recv_from(&mut buffer).is_err(), "{driver}: a datagram came twice");
 
-        let mut near = TcpStream::connect("10.7.0.2:7000").with_context(|| format!("{driver}: no connection"))?;
-        let (mut far, _) = tcp.accept()?;
-        let sent = vec![0x5a; 300_000];
-        let writing = std::thread::spawn(move || near.write_all(&sent).map(|()| near));
-        let mut received = vec![0; 300_000];
-        far.set_read_timeout(Some(PATIENCE))?;
-        far.read_exact(&mut received).with_context(|| format!("{driver}: over TCP"))?;
-        ensure!(received.iter().all(|byte| *byte == 0x5a));
-        drop(writing.join().expect("no panic")?);
+        stream(&tcp).with_context(|| format!("{driver}: over TCP"))?;
+        ensure!(site.truncated()? == 0, "{driver}: packets arrived joined, and were cut off");
     }
     Ok(())
 }
 
-/// Each has a queue of the device; by which a datagram comes its flow says.
+/// Some megabytes over TCP to the host, from the namespace of the calling thread. In next to no time, unless segments are lost.
+fn stream(to: &TcpListener) -> Result<()> {
+    let mut near = TcpStream::connect("10.7.0.2:7000").context("no connection")?;
+    let (mut far, _) = to.accept()?;
+    let sent = vec![0x5a; 3_000_000];
+    let writing = std::thread::spawn(move || near.write_all(&sent).map(|()| near));
+    let mut received = vec![0; 3_000_000];
+    far.set_read_timeout(Some(PATIENCE))?;
+    far.read_exact(&mut received)?;
+    ensure!(received.iter().all(|byte| *byte == 0x5a), "other bytes");
+    drop(writing.join().expect("no panic")?);
+    Ok(())
+}
+
+/// Each has a queue of the device; by which a datagram comes its flow says. Connections lose nothing either.
 #[test]
 fn loops_share_a_port() -> Result<()> {
     let site = Site::build()?;
     let planes = site.planes_on("net_af_packet0,iface=r0,qpairs=2", vec![0, 1])?;
     ensure!(planes.dpdk_processor_time().len() == 2, "a loop for each core");
     site.host.ip(&["addr", "add", "10.7.0.2/24", "dev", HOST])?;
-    let hears = {
+    let (hears, tcp) = {
         let _inside = site.host.enter()?;
-        UdpSocket::bind("10.7.0.2:7000")?
+        (UdpSocket::bind("10.7.0.2:7000")?, TcpListener::bind("10.7.0.2:7000")?)
     };
     hears.set_read_timeout(Some(PATIENCE))?;
     let _inside = site.other.enter()?;
@@ -130,6 +137,10 @@ fn loops_share_a_port() -> Result<()> {
         hears.send_to(&[flow], from)?;
         ensure!(asks.recv(&mut buffer)? == 1 && buffer[0] == flow, "answer {flow}");
     }
+    for connection in 0..8 {
+        stream(&tcp).with_context(|| format!("connection {connection}"))?;
+    }
+    ensure!(site.truncated()? == 0, "packets arrived joined, and were cut off");
     Ok(())
 }
 
@@ -154,7 +165,8 @@ fn a_plane_that_ends_leaves_nothing() -> Result<()> {
     let settings = || -> Result<Vec<String>> {
         let _inside = site.host.enter()?;
         let paths = ["ipv4/conf/r0/rp_filter", "ipv4/conf/r0/arp_ignore", "ipv6/conf/r0/disable_ipv6"];
-        paths.iter().map(|path| Ok(std::fs::read_to_string(format!("/proc/sys/net/{path}"))?)).collect()
+        let all = paths.iter().map(|path| Ok(std::fs::read_to_string(format!("/proc/sys/net/{path}"))?));
+        all.chain([gro(&site)]).collect()
     };
     let before = settings()?;
     for driver in gdp_tests::dpdk::DRIVERS {
@@ -167,6 +179,40 @@ fn a_plane_that_ends_leaves_nothing() -> Result<()> {
         ensure!(settings()? == before, "{driver}: {:?} instead of {before:?}", settings()?);
         ensure!(site.host.ip(&["link", "show", HOST]).is_err(), "{driver}: {HOST} is still there");
     }
+    Ok(())
+}
+
+/// What packets of the host's `r0` are joined up to, as `ip` has it.
+fn gro(site: &Site) -> Result<String> {
+    let told = site.host.ip(&["-d", "link", "show", "r0"])?;
+    let words = told.split_whitespace().skip_while(|word| *word != "gro_max_size");
+    Ok(words.take(2).collect::<Vec<_>>().join(" "))
+}
+
+/// What a daemon that was killed has not put back is in a file; the next one does, but not what somebody else has set since.
+#[test]
+fn settings_outlive_a_daemon_that_is_killed() -> Result<()> {
+    let site = Site::build()?;
+    let folder = tempfile::tempdir()?;
+    let file = folder.path().join("run/ctl.settings");
+    std::fs::create_dir(folder.path().join("run"))?;
+    std::fs::write(&file, "r0 ipv4/rp_filter 2 1\nr0 ipv4/arp_ignore 3 8\nr0 gro_max_size 9000 1\ngone mtu 1 2\n")?;
+    site.host.ip(&["link", "set", "r0", "gro_max_size", "1"])?;
+    let _inside = site.host.enter()?;
+    let setting = |name: &str| std::fs::read_to_string(format!("/proc/sys/net/ipv4/conf/r0/{name}"));
+    std::fs::write("/proc/sys/net/ipv4/conf/r0/rp_filter", "1")?;
+    std::fs::write("/proc/sys/net/ipv4/conf/r0/arp_ignore", "5")?;
+    let open = || {
+        let ports = vec![DpdkPort { interface: HOST.into(), device: "net_af_packet0,iface=r0".into() }];
+        Planes::open(PlaneConfig { dpdk_settings: Some(file.clone()), ..config(ports) })
+    };
+    let planes = open()?;
+    let kept = std::fs::read_to_string(&file)?;
+    ensure!(kept.contains("r0 ipv4/rp_filter 2 1\n") && kept.contains("r0 ipv4/arp_ignore 5 8\n"), "{kept}");
+    drop(planes);
+    ensure!(!file.exists(), "the file stays");
+    ensure!((setting("rp_filter")?.trim(), setting("arp_ignore")?.trim()) == ("2", "5"));
+    ensure!(gro(&site)? == "gro_max_size 9000", "{}", gro(&site)?);
     Ok(())
 }
 
@@ -216,6 +262,16 @@ impl Site {
 
     fn planes_of(&self, device: &str) -> Result<Planes, PlaneError> {
         self.planes_on(device, Vec::new())
+    }
+
+    /// Packets that the host got shorter than they say they are.
+    fn truncated(&self) -> Result<u64> {
+        let _inside = self.host.enter()?;
+        let text = std::fs::read_to_string("/proc/thread-self/net/netstat")?;
+        let mut lines = text.lines().filter(|line| line.starts_with("IpExt:")).map(str::split_whitespace);
+        let (names, values) = lines.next().zip(lines.next()).context("no counters of IP")?;
+        let found = names.zip(values).find(|(name, _)| *name == "InTruncatedPkts");
+        Ok(found.context("no such counter")?.1.parse()?)
     }
 
     fn planes_on(&self, device: &str, cores: Vec<usize>) -> Result<Planes, PlaneError> {

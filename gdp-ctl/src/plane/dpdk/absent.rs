@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::convert::Infallible;
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -16,7 +17,13 @@ use crate::plane::tables::Reader;
 pub struct DpdkPlane(Infallible);
 
 impl DpdkPlane {
-    pub fn start(_: &DpdkConfig, _: u16, _: impl FnMut() -> Reader, _: &Arc<Shared>) -> Result<Self, DpdkPlaneError> {
+    pub fn start(
+        _: &DpdkConfig,
+        _: Option<PathBuf>,
+        _: u16,
+        _: impl FnMut() -> Reader,
+        _: &Arc<Shared>,
+    ) -> Result<Self, DpdkPlaneError> {
         Err(DpdkPlaneError::NotBuilt)
     }
 

@@ -8,9 +8,9 @@ mod absent;
 #[cfg(feature = "dpdk")]
 mod present;
 #[cfg(feature = "dpdk")]
-mod quiet;
-#[cfg(feature = "dpdk")]
 mod routes;
+#[cfg(feature = "dpdk")]
+mod settings;
 
 use std::time::Duration;
 
@@ -65,6 +65,11 @@ impl DpdkPort {
         // 0000:02:00.0
         let is_at = |at: usize, c: u8| self.name().as_bytes().get(at) == Some(&c);
         (self.name().len() == 12 && is_at(4, b':') && is_at(7, b':') && is_at(10, b'.')).then_some(&self.device)
+    }
+
+    /// Whether it is `net_af_packet`, by which the kernel handles packets before DPDK gets them.
+    pub fn is_af_packet(&self) -> bool {
+        self.name().starts_with("net_af_packet")
     }
 
     /// The interface of the kernel that the device is, if it is one.

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -12,8 +13,8 @@ use gdp_dpdk::{Eal, EalConfig, Idle, Memory, Switch, SwitchConfig};
 use gdp_wire::table::{ip_of, mac_words};
 use gdp_wire::{Counter, LinkEntry, Name};
 
-use super::quiet::Quiet;
 use super::routes::Routes;
+use super::settings::Settings;
 use super::{DpdkConfig, DpdkPlaneError};
 use crate::plane::forwarder::Shared;
 use crate::plane::tables::{Reader, View};
@@ -25,6 +26,8 @@ pub struct DpdkPlane {
     /// By the number of a port, which is the index of the host's interface.
     ports: HashMap<u32, Held>,
     routes: Option<Routes>,
+    /// Goes after the devices are given back.
+    _settings: Settings,
 }
 
 /// A port as it is held here.
@@ -32,13 +35,14 @@ struct Held {
     interface: String,
     device: String,
     mac: [u16; 3],
-    _quiet: Option<Quiet>,
 }
 
 impl DpdkPlane {
-    /// Takes all devices over, in the network namespace of the calling thread. `reader`: makes each loop its way to the tables.
+    /// Takes all devices over, in the network namespace of the calling thread. `kept`: the file for what their interfaces' settings were.
+    /// `reader`: makes each loop its way to the tables.
     pub fn start(
         config: &DpdkConfig,
+        kept: Option<PathBuf>,
         ethertype: u16,
         mut reader: impl FnMut() -> Reader,
         shared: &Arc<Shared>,
@@ -52,26 +56,27 @@ impl DpdkPlane {
         let idle = if config.idle.is_zero() { Idle::Busy } else { Idle::Sleep(config.idle) };
         let (cores, count) = (config.cores.clone(), config.ports.len());
         let loops = SwitchConfig { cores, idle, ports: count, ..SwitchConfig::default() };
-        // Before the switch, so that it goes after it.
+        // Before the switch, so that they are put back after it.
+        let mut settings = Settings::open(kept);
         let mut ports = HashMap::new();
         let mut switch = Switch::start(eal, &loops, || LoopReader::new(reader(), shared.clone()))?;
         switch.set_local(Local { ethertype, ..Local::default() });
         for port in &config.ports {
-            let quiet = port.carrier().map(Quiet::keep);
+            if let Some(carrier) = port.carrier() {
+                settings.quieten(carrier);
+                if port.is_af_packet() {
+                    settings.keep_whole(carrier);
+                }
+            }
             let (number, mac) = switch.add_port(&port.device, &port.interface, interface_index)?;
             tracing::info!("{}: DPDK device {}", port.interface, port.device);
-            let held = Held {
-                interface: port.interface.clone(),
-                device: port.device.clone(),
-                mac: mac_words(mac),
-                _quiet: quiet,
-            };
+            let held = Held { interface: port.interface.clone(), device: port.device.clone(), mac: mac_words(mac) };
             ports.insert(number, held);
         }
         let routes = Routes::open().inspect_err(|error| {
             tracing::warn!(%error, "the kernel's routes cannot be asked for; links over UDP are sent on by the userspace plane");
         });
-        Ok(Self { switch, ports, routes: routes.ok() })
+        Ok(Self { switch, ports, routes: routes.ok(), _settings: settings })
     }
 
     /// The device behind an interface, if this plane has it.
