@@ -1,8 +1,9 @@
 //! DPDK's own forwarder, to compare with: it swaps the MAC addresses of what arrives and sends it on, and looks at nothing else.
 
 use std::io::{BufRead, BufReader, Write};
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
@@ -14,7 +15,8 @@ const PATIENCE: Duration = Duration::from_secs(30);
 pub struct Testpmd {
     child: Child,
     input: ChildStdin,
-    output: BufReader<ChildStdout>,
+    /// What it says, line by line; who reads it may have to wait without end.
+    lines: Receiver<String>,
 }
 
 impl Testpmd {
@@ -33,7 +35,11 @@ impl Testpmd {
         let piped = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
         let mut child = piped.spawn().context("cannot start dpdk-testpmd")?;
         let (Some(input), Some(output)) = (child.stdin.take(), child.stdout.take()) else { bail!("no pipes") };
-        let mut this = Self { child, input, output: BufReader::new(output) };
+        let (sender, lines) = mpsc::channel();
+        // Ends with the child, or with whoever listens.
+        let read = move || BufReader::new(output).lines().map_while(Result::ok).try_for_each(|line| sender.send(line));
+        std::thread::spawn(read);
+        let mut this = Self { child, input, lines };
         this.say("start")?;
         this.frames().context("dpdk-testpmd does not forward")?;
         this.pause(true);
@@ -60,17 +66,17 @@ impl Testpmd {
     /// What its first port has received.
     fn frames(&mut self) -> Result<u64> {
         self.say("show port stats 0")?;
-        let (deadline, mut line) = (Instant::now() + PATIENCE, String::new());
-        while Instant::now() < deadline {
-            line.clear();
-            if self.output.read_line(&mut line)? == 0 {
-                bail!("dpdk-testpmd has ended");
-            }
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let line = match self.lines.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+                Ok(line) => line,
+                Err(RecvTimeoutError::Timeout) => bail!("dpdk-testpmd does not answer"),
+                Err(RecvTimeoutError::Disconnected) => bail!("dpdk-testpmd has ended"),
+            };
             if let Some((_, rest)) = line.split_once("RX-packets:") {
                 return rest.split_whitespace().next().context("no number")?.parse().context("a number");
             }
         }
-        bail!("dpdk-testpmd does not answer")
     }
 
     fn say(&mut self, what: &str) -> Result<()> {
