@@ -11,6 +11,8 @@ use crate::plane::xdp_features::Features;
 pub struct Facts {
     pub clock: Clock,
     pub wanted: Wanted,
+    /// If that is DPDK.
+    pub dpdk: Option<Dpdk>,
     pub kernel: KernelVersion,
     /// Capabilities the daemon needs and this process has not.
     pub missing_capabilities: Vec<&'static str>,
@@ -30,8 +32,41 @@ pub struct Facts {
 #[derive(Clone, Copy, Debug)]
 pub enum Wanted {
     Xdp,
+    Dpdk,
     /// And why.
     Userspace(&'static str),
+}
+
+/// What DPDK is to find, if it is wanted.
+#[derive(Clone, Debug)]
+pub struct Dpdk {
+    /// Whether this program can use it.
+    pub built: bool,
+    pub root: bool,
+    /// Those that are free, if huge pages are wanted.
+    pub huge_pages: Option<u64>,
+    pub ports: Vec<DpdkPort>,
+}
+
+/// A port of the configuration.
+#[derive(Clone, Debug)]
+pub struct DpdkPort {
+    /// On the host's side.
+    pub interface: String,
+    /// As the configuration has it.
+    pub device: String,
+    pub state: DpdkDevice,
+}
+
+/// What can be told of a device without taking it over.
+#[derive(Clone, Debug)]
+pub enum DpdkDevice {
+    /// An interface of the kernel's, if it is there.
+    Interface { name: String, found: Option<Device> },
+    /// A network card, if it is there, with the driver it is bound to.
+    Card(Option<Option<String>>),
+    /// Neither.
+    Other,
 }
 
 #[derive(Clone, Copy, Debug)]

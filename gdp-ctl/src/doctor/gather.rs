@@ -8,16 +8,19 @@ use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 
-use super::facts::{Bpffs, Clock, Facts, Interface, LeftOver, Loaded, Owner, PortState, Udp, Wanted};
+use super::facts::{
+    Bpffs, Clock, Dpdk, DpdkDevice, DpdkPort, Facts, Interface, LeftOver, Loaded, Owner, PortState, Udp, Wanted,
+};
 use crate::config::{Config, DataPlane};
 use crate::folders;
 use crate::plane::device::Device;
+use crate::plane::dpdk::DpdkConfig;
 use crate::plane::host_pair;
 use crate::plane::kernel::KernelPlane;
 use crate::plane::kernel_version::KernelVersion;
 use crate::plane::pins::{self, Pins, PinsError};
 use crate::plane::xdp_features::XdpFeatures;
-use crate::plane::{losses, object};
+use crate::plane::{self, losses, object};
 use crate::unix_time::unix_now;
 
 /// What a daemon with this configuration would find, in this network namespace.
@@ -26,12 +29,14 @@ pub fn facts(config: &Config) -> Facts {
     Facts {
         clock: clock(),
         wanted,
+        dpdk: matches!(wanted, Wanted::Dpdk).then(|| dpdk(&config.dpdk)),
         kernel: KernelVersion::running(),
         missing_capabilities: missing_capabilities(),
         losses: losses::net_devices().map(drop).map_err(|error| error.to_string()),
         bpffs: config.bpffs.as_deref().map(bpffs),
         object: match wanted {
             Wanted::Xdp => load(config),
+            Wanted::Dpdk => Err("DPDK does without XDP".into()),
             Wanted::Userspace(why) => Err(why.into()),
         },
         left_over: config.bpffs.as_deref().map(left_over).unwrap_or_default(),
@@ -46,9 +51,44 @@ fn wanted(config: &Config) -> Wanted {
         DataPlane::Auto if !folders::is_root() && config.interfaces.is_none() => {
             Wanted::Userspace("this is not root and no `interfaces` are configured")
         }
-        DataPlane::Dpdk => Wanted::Userspace("`data_plane: dpdk` is configured, which does without XDP"),
+        DataPlane::Dpdk => Wanted::Dpdk,
         DataPlane::Auto | DataPlane::Xdp => Wanted::Xdp,
     }
+}
+
+fn dpdk(config: &DpdkConfig) -> Dpdk {
+    let all = Device::list().unwrap_or_default();
+    let port = |port: &plane::dpdk::DpdkPort| DpdkPort {
+        interface: port.interface.clone(),
+        device: port.device.clone(),
+        state: match (port.carrier(), port.pci()) {
+            (Some(name), _) => {
+                let found = all.iter().find(|device| device.name == name).cloned();
+                DpdkDevice::Interface { name: name.to_owned(), found }
+            }
+            (None, Some(_)) => DpdkDevice::Card(card(port.name())),
+            (None, None) => DpdkDevice::Other,
+        },
+    };
+    Dpdk {
+        built: cfg!(feature = "dpdk"),
+        root: folders::is_root(),
+        huge_pages: config.huge_pages.then(free_huge_pages),
+        ports: config.ports.iter().map(port).collect(),
+    }
+}
+
+/// The driver of the network card at this address; none if it is not there.
+fn card(address: &str) -> Option<Option<String>> {
+    let folder = Path::new("/sys/bus/pci/devices").join(address);
+    let driver = || Some(std::fs::read_link(folder.join("driver")).ok()?.file_name()?.to_string_lossy().into_owned());
+    folder.exists().then(driver)
+}
+
+fn free_huge_pages() -> u64 {
+    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let free = text.lines().find_map(|line| line.strip_prefix("HugePages_Free:"));
+    free.and_then(|number| number.trim().parse().ok()).unwrap_or(0)
 }
 
 fn clock() -> Clock {
@@ -178,15 +218,19 @@ fn zero_checksum() -> io::Result<()> {
     }
 }
 
-/// Those configured; otherwise all Ethernet interfaces that are up, as the daemon does.
+/// Those configured; otherwise all Ethernet interfaces that are up, as the daemon does. With DPDK those of its ports, which are there only
+/// while a daemon runs.
 fn interfaces(config: &Config) -> io::Result<Vec<Result<Interface, String>>> {
     let all = Device::list()?;
     let features = XdpFeatures::open().ok();
+    let is_dpdk = config.data_plane == DataPlane::Dpdk;
+    let is_port = |name: &str| is_dpdk && config.dpdk.ports.iter().any(|port| port.interface == name);
     let wanted: Vec<Result<&Device, String>> = match &config.interfaces {
         Some(names) => {
             let find = |name: &String| all.iter().find(|device| device.name == *name).ok_or_else(|| name.clone());
-            names.iter().map(find).collect()
+            names.iter().map(find).filter(|found| !found.as_ref().is_err_and(|name| is_port(name))).collect()
         }
+        None if is_dpdk => all.iter().filter(|device| is_port(&device.name)).map(Ok).collect(),
         None if folders::is_root() => all
             .iter()
             .filter(|device| device.ethernet && device.up && !host_pair::is_end(&device.name))

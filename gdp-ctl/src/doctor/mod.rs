@@ -12,7 +12,9 @@ use serde::Serialize;
 
 use crate::plane::kernel::FLOOR;
 use crate::plane::kernel_version::KernelVersion;
-use facts::{Bpffs, Clock, Facts, Interface, LeftOver, Loaded, Owner, PortState, Udp, Wanted};
+use facts::{
+    Bpffs, Clock, Dpdk, DpdkDevice, DpdkPort, Facts, Interface, LeftOver, Loaded, Owner, PortState, Udp, Wanted,
+};
 
 /// The first kernel whose XDP takes packets in several buffers.
 const FRAGS: KernelVersion = KernelVersion(5, 18);
@@ -67,6 +69,7 @@ pub fn examine(facts: &Facts) -> Vec<Finding> {
         Wanted::Userspace(why) => {
             findings.push(ok("data plane", format!("in user space, because {why}: XDP is not looked at")))
         }
+        Wanted::Dpdk => findings.extend(facts.dpdk.iter().flat_map(dpdk)),
         Wanted::Xdp => findings.extend(kernel(facts)),
     }
     findings.extend(facts.left_over.iter().map(left_over));
@@ -91,6 +94,63 @@ pub fn examine(facts: &Facts) -> Vec<Finding> {
         }
     }
     findings
+}
+
+fn dpdk(dpdk: &Dpdk) -> Vec<Finding> {
+    let mut findings = vec![match (dpdk.built, dpdk.root) {
+        (false, _) => failed(
+            "data plane",
+            "`data_plane: dpdk` is configured, and this gdp-ctl was built without the feature `dpdk`".into(),
+            "`cargo build -p gdp-ctl --features dpdk`, or set `data_plane: auto`",
+        ),
+        (_, false) => failed("data plane", "DPDK, and this is not root".into(), "run the daemon as root"),
+        _ => ok("data plane", "DPDK, on the devices below: XDP is not looked at".into()),
+    }];
+    findings.extend(dpdk.huge_pages.map(|free| match free {
+        0 => failed("huge pages", "none is free".into(), "`sysctl vm.nr_hugepages=256`"),
+        free => ok("huge pages", format!("{free} are free")),
+    }));
+    findings.extend(dpdk.ports.iter().map(dpdk_port));
+    findings
+}
+
+fn dpdk_port(port: &DpdkPort) -> Finding {
+    let name = port.device.split(',').next().unwrap_or_default();
+    let finding = match &port.state {
+        DpdkDevice::Interface { name: of, found: None } => failed(
+            "device",
+            format!("{name}: there is no interface {of}"),
+            "`ip link` names them; correct `iface=` in `dpdk.ports`",
+        ),
+        DpdkDevice::Interface { name: of, found: Some(device) } => match (device.up, device.running) {
+            (false, _) => failed("device", format!("{name}: {of} is down"), format!("`ip link set dev {of} up`")),
+            (_, false) => warning(
+                "device",
+                format!("{name}: {of} is up, without a carrier"),
+                "plug it in, or bring its other end up",
+            ),
+            _ => ok("device", format!("{name}: {of} is up")),
+        },
+        DpdkDevice::Card(None) => failed(
+            "device",
+            format!("{name}: there is no such card"),
+            "`lspci -D` names them; correct `device` in `dpdk.ports`",
+        ),
+        DpdkDevice::Card(Some(driver)) if driver.as_deref() == Some("vfio-pci") => {
+            ok("device", format!("{name} is bound to vfio-pci"))
+        }
+        // Some drivers of DPDK's take it so.
+        DpdkDevice::Card(Some(driver)) => warning(
+            "device",
+            format!(
+                "{name} is bound to {}, and most drivers of DPDK's want vfio-pci",
+                driver.as_deref().unwrap_or("nothing")
+            ),
+            format!("`dpdk-devbind.py --bind=vfio-pci {name}`, if nothing else uses it"),
+        ),
+        DpdkDevice::Other => ok("device", format!("{name}: whether DPDK has it shows when the daemon starts")),
+    };
+    Finding { interface: Some(port.interface.clone()), ..finding }
 }
 
 fn kernel(facts: &Facts) -> Vec<Finding> {

@@ -179,6 +179,43 @@ fn redirects_matter_only_beside_native_xdp() {
     assert_eq!(warned, 1);
 }
 
+#[test]
+fn dpdk_is_told_of_its_devices() {
+    let mut facts = healthy();
+    let device = interface(&mut facts).device.clone();
+    let port = |state| DpdkPort { interface: "gdp0".into(), device: "net_x0,iface=eth0".into(), state };
+    let with = |found| port(DpdkDevice::Interface { name: "eth0".into(), found });
+    let good = Dpdk { built: true, root: true, huge_pages: Some(2), ports: vec![with(Some(device.clone()))] };
+    let mut judged = |dpdk: Dpdk| {
+        (facts.wanted, facts.dpdk) = (Wanted::Dpdk, Some(dpdk));
+        examine(&facts)
+    };
+    let findings = judged(good.clone());
+    assert!(findings.iter().all(|finding| finding.level == Level::Ok), "{findings:#?}");
+    assert!(!findings.iter().any(|finding| finding.check == "ebpf object"), "{findings:#?}");
+    let (down, dark) = (Device { up: false, ..device.clone() }, Device { running: false, ..device });
+    let of = |state| Dpdk { ports: vec![port(state)], ..good.clone() };
+    for (dpdk, check, level, fact, remedy) in [
+        (Dpdk { built: false, ..good.clone() }, "data plane", Level::Failed, "without the feature", "cargo build"),
+        (Dpdk { root: false, ..good.clone() }, "data plane", Level::Failed, "not root", "root"),
+        (Dpdk { huge_pages: Some(0), ..good.clone() }, "huge pages", Level::Failed, "none", "nr_hugepages"),
+        (Dpdk { ports: vec![with(None)], ..good.clone() }, "device", Level::Failed, "no interface eth0", "iface="),
+        (Dpdk { ports: vec![with(Some(down))], ..good.clone() }, "device", Level::Failed, "eth0 is down", "eth0 up"),
+        (Dpdk { ports: vec![with(Some(dark))], ..good.clone() }, "device", Level::Warning, "carrier", "plug it in"),
+        (of(DpdkDevice::Card(None)), "device", Level::Failed, "no such card", "lspci -D"),
+        (of(DpdkDevice::Card(Some(None))), "device", Level::Warning, "bound to nothing", "--bind=vfio-pci net_x0"),
+        (of(DpdkDevice::Card(Some(Some("igc".into())))), "device", Level::Warning, "bound to igc", "vfio-pci"),
+        (of(DpdkDevice::Card(Some(Some("vfio-pci".into())))), "device", Level::Ok, "bound to vfio-pci", ""),
+        (of(DpdkDevice::Other), "device", Level::Ok, "when the daemon starts", ""),
+    ] {
+        let findings = judged(dpdk);
+        let found = findings.iter().find(|finding| finding.check == check && finding.fact.contains(fact));
+        let found = found.unwrap_or_else(|| panic!("{fact}: {findings:#?}"));
+        assert_eq!(found.level, level, "{found:?}");
+        assert!(found.remedy.as_deref().unwrap_or_default().contains(remedy), "{found:?}");
+    }
+}
+
 fn healthy() -> Facts {
     let device = Device {
         name: "eth0".into(),
@@ -195,6 +232,7 @@ fn healthy() -> Facts {
     Facts {
         clock: Clock { unix: SANE.start + 1, synchronised: true },
         wanted: Wanted::Xdp,
+        dpdk: None,
         kernel: KernelVersion(6, 18),
         missing_capabilities: Vec::new(),
         losses: Ok(()),
