@@ -540,7 +540,7 @@ mod tests {
         let config = parse("").unwrap();
         assert_eq!((config.data_plane, config.dpdk), (DataPlane::Auto, DpdkConfig::default()));
         let text = "data_plane: dpdk\ndpdk: {huge_pages: true, memory_mib: 512, cores: [2, 3], idle_us: 0, ports: [\
-                    {interface: gdp0, device: '0000:02:00.0'}, {interface: gdp1, device: 'net_af_xdp0,iface=eth1'}]}";
+                    {interface: gdp0, device: '0000:02:00.0', mtu: 1600}, {interface: gdp1, device: 'net_af_xdp0,iface=eth1'}]}";
         let config = parse(text).unwrap();
         assert_eq!(config.data_plane, DataPlane::Dpdk);
         let DpdkConfig { ports, huge_pages, memory_mib, cores, idle } = config.dpdk;
@@ -548,6 +548,12 @@ mod tests {
         assert_eq!((memory_mib, &cores[..]), (512, &[2, 3][..]));
         let devices: Vec<_> = ports.iter().map(|port| (&port.interface[..], port.pci(), port.carrier())).collect();
         assert_eq!(devices, [("gdp0", Some("0000:02:00.0"), None), ("gdp1", None, Some("eth1"))]);
+        assert_eq!(
+            ports.iter().map(|port| (port.mtu, port.mtu())).collect::<Vec<_>>(),
+            [(Some(1600), 1600), (None, 1500)]
+        );
+        let jumbo = "{ports: [{interface: a, mtu: 9000, device: 'net_af_packet0,iface=b,framesz=9216,blocksz=36864'}]}";
+        assert_eq!(parse(&format!("dpdk: {jumbo}")).unwrap().dpdk.room(), 9216);
 
         for (section, needle) in [
             ("{port: []}", "port"),
@@ -564,6 +570,30 @@ mod tests {
             ("{ports: [{interface: a, device: '02:00.0'}]}", "lspci -D"),
             ("{ports: [{interface: a, device: '0000:02:00.0'}]}", "huge_pages"),
             ("{ports: [{interface: a, device: 'net_x0,iface=b'}, {interface: c, device: 'net_x0,iface=d'}]}", "net_x0"),
+            (
+                "{ports: [{interface: a, device: net_null0, mtu: 1000}]}",
+                "a: an mtu of 1000 is not between 1280 and 9190",
+            ),
+            ("{ports: [{interface: a, device: net_null0, mtu: 9191}]}", "9190"),
+            ("{ports: [{interface: a, device: net_null0, mtu: 70000}]}", "70000"),
+            (
+                "{ports: [{interface: a, device: 'net_af_packet0,iface=b', mtu: 4000}]}",
+                "needs framesz=4096,blocksz=4096",
+            ),
+            (
+                "{ports: [{interface: a, device: 'net_af_packet0,iface=b,framesz=8192', mtu: 4000}]}",
+                "blocksz=4096 is no multiple of framesz=8192",
+            ),
+            ("{ports: [{interface: a, device: 'net_af_packet0,iface=b,framesz=65536'}]}", "framesz=9216"),
+            (
+                "{ports: [{interface: a, device: 'net_af_packet0,iface=b,framesz=9216', mtu: 9190}]}",
+                "an mtu of 9136 at most",
+            ),
+            ("{ports: [{interface: a, device: 'net_af_xdp0,iface=b', mtu: 4000}]}", "no port has an mtu above 2790"),
+            (
+                "{ports: [{interface: a, device: net_null0, mtu: 4000}, {interface: b, device: 'net_af_xdp0,iface=c'}]}",
+                "a page",
+            ),
             ("{ports: [{interface: a, device: 'net_x0,iface=b'}, {interface: c, device: 'net_x1,iface=b'}]}", "twice"),
         ] {
             let error = parse(&format!("dpdk: {section}")).expect_err(section);

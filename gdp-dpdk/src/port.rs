@@ -1,7 +1,7 @@
 //! Ports: devices that DPDK drives, and the queues that packets come and go by.
 
 use std::collections::BTreeSet;
-use std::ffi::{CString, c_void};
+use std::ffi::{CStr, CString, c_void};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::mbuf::{Burst, Pool};
@@ -13,6 +13,12 @@ const DESCRIPTORS: u16 = 1024;
 
 /// Packets that a queue may hold: `net_af_xdp` has rings of so many, whatever it is asked for.
 pub(crate) const HELD: usize = 2048;
+
+/// Of a device that is told no other.
+const DEFAULT_MTU: u16 = 1500;
+
+/// Bytes of an Ethernet header and of the checksum at the end.
+const ETHERNET: u32 = 14 + 4;
 
 /// Seen by the hash that spreads packets over queues: what UDP frames differ in. Frames on Ethernet have no such thing, and all come by
 /// the first queue.
@@ -28,6 +34,8 @@ pub struct PortConfig {
     pub receive_queues: u16,
     /// By which packets leave, at most.
     pub send_queues: u16,
+    /// Bytes of the largest packet behind its Ethernet header.
+    pub mtu: u16,
 }
 
 /// A device that packets arrive at and leave by. It stays in use until its queues are gone as well.
@@ -116,7 +124,7 @@ impl Port {
             name,
             _claim: claim,
             mac: [0; 6],
-            mtu: 0,
+            mtu: config.mtu,
             gathers: info.tx_offload_capa & sys::GDP_GATHERS != 0,
             // SAFETY: a port that is there.
             numa: unsafe { sys::rte_eth_dev_socket_id(id) },
@@ -127,7 +135,11 @@ impl Port {
         // From here on, dropping it lets go of the device.
         let receives = config.receive_queues.clamp(1, info.max_rx_queues.max(1));
         let sends = config.send_queues.clamp(1, info.max_tx_queues.max(1));
-        fail("it takes no such queues")(configure(id, &info, receives, sends))?;
+        let mtu = told(&info, config.mtu).map_err(|most| {
+            let what = what(&format!("it takes no MTU of {}, but one from {} to {most}", config.mtu, info.min_mtu));
+            DpdkError::new(what, libc::EINVAL).with_remedy("; choose another `mtu` for it")
+        })?;
+        fail("it takes no such queues")(configure(id, &info, (receives, sends), mtu))?;
         let (mut arriving, mut leaving) = (DESCRIPTORS, DESCRIPTORS);
         // SAFETY: a port that is there, and places for two numbers.
         fail("it takes no such queues")(unsafe {
@@ -149,8 +161,6 @@ impl Port {
         // SAFETY: a port that is there. What cannot do it receives what is sent to its own address, which will do.
         unsafe { sys::rte_eth_promiscuous_enable(id) };
         device.mac = mac(id).map_err(|code| DpdkError::new(what("it has no address"), code))?;
-        // SAFETY: a port that is there, and a place for a number.
-        fail("it has no MTU")(unsafe { sys::rte_eth_dev_get_mtu(id, &raw mut device.mtu) })?;
         let device = Arc::new(device);
         let receives = (0..receives).map(|queue| Receive { device: device.clone(), queue }).collect();
         let sends = (0..sends).map(|queue| Send { device: device.clone(), queue }).collect();
@@ -238,8 +248,26 @@ fn mac(port: u16) -> Result<[u8; 6], i32> {
     }
 }
 
-fn configure(port: u16, info: &sys::rte_eth_dev_info, receives: u16, sends: u16) -> i32 {
+/// The MTU that a device is told, if it can have this one; otherwise the largest it can have.
+fn told(info: &sys::rte_eth_dev_info, mtu: u16) -> Result<u16, u16> {
+    // SAFETY: the name of a driver that is loaded.
+    let driver = unsafe { CStr::from_ptr(info.driver_name) };
+    // It says that it takes 1518 bytes, whatever fits into its frames, and does not look at its MTU.
+    if driver == c"net_af_packet" {
+        return Ok(mtu.min(DEFAULT_MTU));
+    }
+    // As DPDK computes it: with the checksum, unless the device tells how much there is beside its MTU.
+    let beside = match info.max_rx_pktlen.checked_sub(info.max_mtu.into()) {
+        Some(beside) if info.max_mtu != u16::MAX && beside > 0 => beside,
+        _ => ETHERNET,
+    };
+    let most = info.max_rx_pktlen.saturating_sub(beside).min(info.max_mtu.into()) as u16;
+    if (info.min_mtu..=most).contains(&mtu) { Ok(mtu) } else { Err(most) }
+}
+
+fn configure(port: u16, info: &sys::rte_eth_dev_info, (receives, sends): (u16, u16), mtu: u16) -> i32 {
     let mut conf = sys::rte_eth_conf::default();
+    conf.rxmode.mtu = mtu.into();
     let spread = info.flow_type_rss_offloads & SPREAD_BY;
     if receives > 1 && spread != 0 {
         conf.rxmode.mq_mode = sys::rte_eth_rx_mq_mode_RTE_ETH_MQ_RX_RSS;

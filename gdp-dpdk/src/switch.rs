@@ -123,17 +123,17 @@ impl Switch {
     }
 
     /// Takes a device (see [`PortConfig::device`]) over, with `interface` as the host's side of it, made in the network namespace of the
-    /// calling thread. `number`: tells the number of the port, by which links and tables know it, once the interface is there. That, and the
+    /// calling thread; both with this MTU. `number`: tells the number of the port, by which links and tables know it, once the interface is there. That, and the
     /// address of the device.
     pub fn add_port(
         &mut self,
         device: &str,
-        interface: &str,
+        (interface, mtu): (&str, u16),
         number: impl FnOnce(&str) -> std::io::Result<u32>,
     ) -> Result<(u32, [u8; 6]), SwitchError> {
         let wanted = self.loops.len() as u16;
         // One to send by for each loop, and one for the host.
-        let config = PortConfig { device: device.to_owned(), receive_queues: wanted, send_queues: wanted + 1 };
+        let config = PortConfig { device: device.to_owned(), receive_queues: wanted, send_queues: wanted + 1, mtu };
         let (port, receives, sends) = Port::open(self.eal, &config, &self.pool)?;
         let fail = |source| SwitchError::Tap { interface: interface.to_owned(), device: config.device.clone(), source };
         let tap = Tap::create(interface, port.mac(), port.mtu()).map_err(fail)?;

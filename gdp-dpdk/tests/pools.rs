@@ -13,7 +13,7 @@ fn begin() -> (Eal, MutexGuard<'static, ()>) {
 }
 
 fn device(name: &str) -> PortConfig {
-    PortConfig { device: name.into(), receive_queues: 1, send_queues: 1 }
+    PortConfig { device: name.into(), receive_queues: 1, send_queues: 1, mtu: 1500 }
 }
 
 #[test]

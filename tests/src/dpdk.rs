@@ -5,14 +5,18 @@ use serde_json::{Value, json};
 /// Drivers for interfaces of the kernel.
 pub const DRIVERS: [&str; 2] = ["net_af_packet", "net_af_xdp"];
 
-/// What a configuration needs for a data plane, or driver of DPDK's, on these interfaces: the interfaces to run on, `data_plane` and
-/// `dpdk`. DPDK's are the host's sides of its ports, which begin with a `g`.
-pub fn planned(data_plane: &'static str, interfaces: &[&str]) -> (Vec<String>, &'static str, Value) {
+/// With them, `net_af_packet` takes packets of an MTU of up to 4016.
+const LARGE_FRAMES: &str = ",framesz=4096,blocksz=4096";
+
+/// What a configuration needs for a data plane, or driver of DPDK's, on these interfaces with this MTU: the interfaces to run on,
+/// `data_plane` and `dpdk`. DPDK's are the host's sides of its ports, which begin with a `g`.
+pub fn planned(data_plane: &'static str, interfaces: &[&str], mtu: u32) -> (Vec<String>, &'static str, Value) {
     if !DRIVERS.contains(&data_plane) {
         return (interfaces.iter().map(|interface| (*interface).to_owned()).collect(), data_plane, json!({}));
     }
     let hosts: Vec<String> = interfaces.iter().map(|interface| format!("g{interface}")).collect();
-    let port = |(i, (host, interface)): (usize, (&String, &&str))| json!({"interface": host, "device": format!("{data_plane}{i},iface={interface}")});
+    let more = if data_plane == "net_af_packet" && mtu > 1500 { LARGE_FRAMES } else { "" };
+    let port = |(i, (host, interface)): (usize, (&String, &&str))| json!({"interface": host, "device": format!("{data_plane}{i},iface={interface}{more}"), "mtu": mtu});
     let ports: Vec<Value> = hosts.iter().zip(interfaces).enumerate().map(port).collect();
     (hosts, "dpdk", json!({"ports": ports, "memory_mib": 128}))
 }

@@ -314,7 +314,7 @@ fn start_switch(
     let label = format!("s{}", i + 1);
     let last = names.len() - 1;
     let data_plane = options.data_planes[i % options.data_planes.len()];
-    let (interfaces, data_plane, dpdk) = dpdk::planned(data_plane, &["l0", "r0"]);
+    let (interfaces, data_plane, dpdk) = dpdk::planned(data_plane, &["l0", "r0"], options.chain.mtu);
     let left = (i > 0).then(|| json!({"interface": interfaces[0], "switch": names[i - 1]}));
     let right = (i < last).then(|| json!({"interface": interfaces[1], "switch": names[i + 1]}));
     let mut config = json!({

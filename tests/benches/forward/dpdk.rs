@@ -152,7 +152,8 @@ impl Site {
         let eal = Eal::begin(&EalConfig::default())?;
         let pool = Pool::new(eal, 8191, 2048)?;
         let device = format!("net_null0,size={LENGTH}");
-        let (port, receive, send) = Port::open(eal, &PortConfig { device, receive_queues: 1, send_queues: 1 }, &pool)?;
+        let (port, receive, send) =
+            Port::open(eal, &PortConfig { device, receive_queues: 1, send_queues: 1, mtu: 1500 }, &pool)?;
         Ok(Self {
             receive,
             send,

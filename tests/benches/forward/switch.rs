@@ -150,6 +150,7 @@ fn ports(driver: &str) -> Vec<DpdkPort> {
     let port = |interface: &str| DpdkPort {
         interface: format!("g{interface}"),
         device: format!("{driver}{},iface={interface}", NUMBER.fetch_add(1, Ordering::Relaxed)),
+        mtu: None,
     };
     ["l0", "r0"].map(port).into()
 }

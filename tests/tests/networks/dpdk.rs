@@ -9,6 +9,7 @@ use anyhow::{Context, Result, ensure};
 use gdp_ctl::plane::dpdk::{DpdkConfig, DpdkPort};
 use gdp_ctl::plane::{PlaneConfig, PlaneError, Planes, Wanted};
 use gdp_tests::Tools;
+use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
 use gdp_tests::netns::{End, Namespace, veth};
 use gdp_tests::peers::{Conversation, Side, Traffic, Vendor};
@@ -16,22 +17,29 @@ use serde_json::Value;
 
 #[test]
 fn messages_cross_three_switches_in_dpdk() -> Result<()> {
-    messages_cross(&["net_af_packet"])
+    messages_cross(&["net_af_packet"], 1500)
+}
+
+#[test]
+fn messages_cross_three_switches_in_dpdk_in_large_frames() -> Result<()> {
+    messages_cross(&["net_af_packet"], 4016)
 }
 
 #[test]
 fn messages_cross_three_switches_in_dpdk_by_af_xdp() -> Result<()> {
-    messages_cross(&["net_af_xdp"])
+    messages_cross(&["net_af_xdp"], 1500)
 }
 
 #[test]
 fn messages_cross_a_switch_of_each_plane() -> Result<()> {
-    messages_cross(&["xdp", "net_af_packet", "userspace"])
+    messages_cross(&["xdp", "net_af_packet", "userspace"], 1500)
 }
 
-/// Messages of many frames, from one vendor's program to another's. Every switch forwards in the plane it was given.
-fn messages_cross(data_planes: &'static [&'static str]) -> Result<()> {
-    let mut fabric = Fabric::start(Tools::beside_this_test()?, FabricOptions { data_planes, ..Default::default() })?;
+/// Messages of many frames as large as the MTU, from one vendor's program to another's. Every switch forwards in the plane it was given.
+fn messages_cross(data_planes: &'static [&'static str], mtu: u32) -> Result<()> {
+    let chain = ChainOptions { mtu, ..Default::default() };
+    let options = FabricOptions { chain, data_planes, ..Default::default() };
+    let mut fabric = Fabric::start(Tools::beside_this_test()?, options)?;
     fabric.start_proxies()?;
     let traffic = Traffic { count: 20, size: 100_000, ..Default::default() };
     let talks = Side { at: fabric.chain.robot(), vendor: Vendor::Cyclone, traffic: &traffic };
@@ -42,6 +50,8 @@ fn messages_cross(data_planes: &'static [&'static str]) -> Result<()> {
     let messages = both.finish(PATIENCE, PATIENCE).with_context(|| fabric.report())?;
     let complete = messages.len() as u64 == traffic.count && messages.iter().all(|message| message.intact);
     ensure!(complete, "{messages:?}\n{}", fabric.report());
+    // A few per cent of a frame are headers, and there are other frames.
+    let frames = traffic.count * traffic.size as u64 / u64::from(mtu);
     for i in 0..fabric.switches.len() {
         let status = fabric.status(i)?;
         let (first, reported) = match data_planes[i % data_planes.len()] {
@@ -54,8 +64,7 @@ fn messages_cross(data_planes: &'static [&'static str]) -> Result<()> {
             of("forwarded") + of("delivered")
         };
         ensure!(status["data_plane"] == reported, "s{}: {status:#}", i + 1);
-        // Each message is some seventy frames.
-        ensure!(sent(first) > 1000, "s{}: {:#}", i + 1, status["counters_by_plane"]);
+        ensure!(sent(first) > frames && sent(first) < 2 * frames, "s{}: {:#}", i + 1, status["counters_by_plane"]);
         ensure!(first == "userspace" || sent("userspace") == 0, "s{}: {:#}", i + 1, status["counters_by_plane"]);
         ensure!(errors(&status).is_empty(), "s{}: {:?}", i + 1, errors(&status));
     }
@@ -203,7 +212,7 @@ fn settings_outlive_a_daemon_that_is_killed() -> Result<()> {
     std::fs::write("/proc/sys/net/ipv4/conf/r0/rp_filter", "1")?;
     std::fs::write("/proc/sys/net/ipv4/conf/r0/arp_ignore", "5")?;
     let open = || {
-        let ports = vec![DpdkPort { interface: HOST.into(), device: "net_af_packet0,iface=r0".into() }];
+        let ports = vec![port("net_af_packet0,iface=r0", None)];
         Planes::open(PlaneConfig { dpdk_settings: Some(file.clone()), ..config(ports) })
     };
     let planes = open()?;
@@ -223,8 +232,14 @@ fn what_dpdk_cannot_drive_is_named() -> Result<()> {
         let Err(error) = site.planes_of(device) else { anyhow::bail!("{device} is driven") };
         ensure!(error.to_string().contains(needle) && error.to_string().contains("dpdk"), "{error}");
     }
-    let long = DpdkPort { interface: "a-name-that-is-too-long".into(), device: "net_null9".into() };
+    let long = DpdkPort { interface: "a-name-that-is-too-long".into(), ..port("net_null9", None) };
     let _inside = site.host.enter()?;
+    for (device, mtu, needle) in
+        [("net_af_xdp9,iface=r0", 9000, "net_af_xdp9"), ("net_af_packet9,iface=nowhere", 1600, "nowhere")]
+    {
+        let Err(error) = Planes::open(config(vec![port(device, Some(mtu))])) else { anyhow::bail!("{device}: {mtu}") };
+        ensure!(error.to_string().contains(needle) && error.to_string().contains(&format!("MTU of {mtu}")), "{error}");
+    }
     let Err(error) = Planes::open(config(vec![long])) else { anyhow::bail!("such a name") };
     ensure!(error.to_string().contains("a-name-that-is-too-long"), "{error}");
     let Err(error) = Planes::open(config(vec![])) else { anyhow::bail!("no ports") };
@@ -276,10 +291,14 @@ impl Site {
 
     fn planes_on(&self, device: &str, cores: Vec<usize>) -> Result<Planes, PlaneError> {
         let _inside = self.host.enter().expect("a namespace that is there");
-        let mut config = config(vec![DpdkPort { interface: HOST.into(), device: device.into() }]);
+        let mut config = config(vec![port(device, None)]);
         config.dpdk.cores = cores;
         Planes::open(config)
     }
+}
+
+fn port(device: &str, mtu: Option<u16>) -> DpdkPort {
+    DpdkPort { interface: HOST.into(), device: device.into(), mtu }
 }
 
 fn config(ports: Vec<DpdkPort>) -> PlaneConfig {

@@ -89,6 +89,7 @@ fn devices(label: &str) -> Vec<DpdkPort> {
     let port = |interface| DpdkPort {
         interface: format!("g{interface}"),
         device: format!("net_af_packet_{label}_{interface},iface={interface}"),
+        mtu: None,
     };
     interfaces.map(port).into()
 }

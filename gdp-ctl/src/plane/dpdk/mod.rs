@@ -19,6 +19,20 @@ pub use absent::DpdkPlane;
 #[cfg(feature = "dpdk")]
 pub use present::{DpdkPlane, LoopReader, LoopView};
 
+/// MTU of a port that is given none.
+pub const DEFAULT_MTU: u16 = 1500;
+
+/// Room for packets comes in KiB, as some network cards count it. From 2 to 9 of them: a jumbo frame.
+const ROOM_UNIT: usize = 1024;
+const SMALLEST_ROOM: usize = 2 * ROOM_UNIT;
+pub const LARGEST_ROOM: usize = 9 * ROOM_UNIT;
+
+/// Bytes beside a packet that count where network cards compare with the room for it: its Ethernet header, two VLANs, and the checksum.
+pub const BESIDE: usize = 14 + 4 + 4 + 4;
+
+/// What the kernel keeps free in front of a packet for `net_af_xdp`.
+pub const BEFORE_XDP: usize = 256;
+
 /// How the DPDK plane is set up.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DpdkConfig {
@@ -52,9 +66,36 @@ pub struct DpdkPort {
     pub interface: String,
     /// As DPDK writes devices: a PCI address, or a driver with its arguments, as `net_af_packet0,iface=eth0`.
     pub device: String,
+    /// Bytes of the largest packet behind its Ethernet header; none: [`DEFAULT_MTU`], and an interface that is the device keeps what it has.
+    pub mtu: Option<u16>,
+}
+
+impl DpdkConfig {
+    /// Room for a packet that all ports can share.
+    pub fn room(&self) -> usize {
+        let most = self.ports.iter().map(DpdkPort::room).max().unwrap_or(0);
+        most.next_multiple_of(ROOM_UNIT).max(SMALLEST_ROOM)
+    }
 }
 
 impl DpdkPort {
+    pub fn mtu(&self) -> u16 {
+        self.mtu.unwrap_or(DEFAULT_MTU)
+    }
+
+    /// Room that a packet of this port needs. `net_af_packet` wants as much as its frames have.
+    fn room(&self) -> usize {
+        let before = if self.is_af_xdp() { BEFORE_XDP } else { 0 };
+        let frame = if self.is_af_packet() { self.argument("framesz").unwrap_or(0) } else { 0 };
+        (usize::from(self.mtu()) + BESIDE + before).max(frame)
+    }
+
+    /// A number among the device's arguments.
+    pub fn argument(&self, name: &str) -> Option<usize> {
+        let value = |argument: &'_ str| argument.strip_prefix(name)?.strip_prefix('=')?.parse().ok();
+        self.device.split(',').find_map(value)
+    }
+
     /// The device without its arguments.
     pub fn name(&self) -> &str {
         self.device.split(',').next().unwrap_or_default()
@@ -72,6 +113,10 @@ impl DpdkPort {
         self.name().starts_with("net_af_packet")
     }
 
+    pub fn is_af_xdp(&self) -> bool {
+        self.name().starts_with("net_af_xdp")
+    }
+
     /// The interface of the kernel that the device is, if it is one.
     pub fn carrier(&self) -> Option<&str> {
         self.device.split(',').find_map(|argument| argument.strip_prefix("iface="))
@@ -86,6 +131,9 @@ pub enum DpdkPlaneError {
     #[error("there is no `dpdk.ports` in the configuration: each takes an interface's name and a device")]
     NoPorts,
     #[cfg(feature = "dpdk")]
+    #[error("{device}: its interface {interface} takes no MTU of {mtu}: {source}; choose a smaller `mtu`")]
+    Mtu { device: String, interface: String, mtu: u16, source: std::io::Error },
+    #[cfg(feature = "dpdk")]
     #[error(transparent)]
     Eal(#[from] gdp_dpdk::EalError),
     #[cfg(feature = "dpdk")]
@@ -98,8 +146,24 @@ mod tests {
     use super::*;
 
     #[test]
+    fn there_is_room_for_the_packets_of_all_ports() {
+        let room = |ports: &[(&str, Option<u16>)]| {
+            let port =
+                |(device, mtu): &(&str, _)| DpdkPort { interface: "gdp0".into(), device: (*device).into(), mtu: *mtu };
+            DpdkConfig { ports: ports.iter().map(port).collect(), ..DpdkConfig::default() }.room()
+        };
+        assert_eq!(room(&[]), 2048);
+        assert_eq!(room(&[("net_null0", None), ("net_af_xdp0,iface=a", None)]), 2048);
+        assert_eq!(room(&[("net_null0", Some(2022))]), 2048);
+        assert_eq!(room(&[("net_null0", Some(2023))]), 3072);
+        assert_eq!(room(&[("net_af_xdp0,iface=a", Some(1800))]), 3072);
+        assert_eq!(room(&[("net_af_packet0,iface=a,framesz=8192,blocksz=8192", Some(4000))]), 8192);
+        assert_eq!(room(&[("net_null0", None), ("net_null1", Some(9190))]), LARGEST_ROOM);
+    }
+
+    #[test]
     fn devices_say_what_they_are() {
-        let port = |device: &str| DpdkPort { interface: "gdp0".into(), device: device.into() };
+        let port = |device: &str| DpdkPort { interface: "gdp0".into(), device: device.into(), mtu: None };
         for (device, pci, carrier) in [
             ("0000:02:00.0", Some("0000:02:00.0"), None),
             ("0000:02:00.1,arg=1", Some("0000:02:00.1,arg=1"), None),

@@ -55,7 +55,7 @@ impl DpdkPlane {
         let eal = Eal::begin(&EalConfig { memory, pci })?;
         let idle = if config.idle.is_zero() { Idle::Busy } else { Idle::Sleep(config.idle) };
         let (cores, count) = (config.cores.clone(), config.ports.len());
-        let loops = SwitchConfig { cores, idle, ports: count, ..SwitchConfig::default() };
+        let loops = SwitchConfig { cores, idle, ports: count, largest: config.room() };
         // Before the switch, so that they are put back after it.
         let mut settings = Settings::open(kept);
         let mut ports = HashMap::new();
@@ -67,8 +67,14 @@ impl DpdkPlane {
                 if port.is_af_packet() {
                     settings.keep_whole(carrier);
                 }
+                if let Some(mtu) = port.mtu {
+                    settings.set_mtu(carrier, mtu).map_err(|source| {
+                        let (device, interface) = (port.name().to_owned(), carrier.to_owned());
+                        DpdkPlaneError::Mtu { device, interface, mtu, source }
+                    })?;
+                }
             }
-            let (number, mac) = switch.add_port(&port.device, &port.interface, interface_index)?;
+            let (number, mac) = switch.add_port(&port.device, (&port.interface, port.mtu()), interface_index)?;
             tracing::info!("{}: DPDK device {}", port.interface, port.device);
             let held = Held { interface: port.interface.clone(), device: port.device.clone(), mac: mac_words(mac) };
             ports.insert(number, held);

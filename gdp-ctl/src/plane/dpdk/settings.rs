@@ -25,7 +25,8 @@ const GRO_IPV4: &str = "gro_ipv4_max_size";
 const NONE_JOINED: u32 = 1;
 
 /// What netlink calls them; `linux/if_link.h`.
-const LINK: [(&str, u16); 2] = [(GRO, 58), (GRO_IPV4, 64)];
+const LINK: [(&str, u16); 3] = [(MTU, 4), (GRO, 58), (GRO_IPV4, 64)];
+const MTU: &str = "mtu";
 
 const IFINFOMSG: usize = 16;
 
@@ -77,6 +78,11 @@ impl Settings {
         for name in [GRO_IPV4, GRO] {
             self.set_if_there(interface, name, NONE_JOINED, otherwise);
         }
+    }
+
+    pub fn set_mtu(&mut self, interface: &str, mtu: u16) -> io::Result<()> {
+        let before = read(interface, MTU)?;
+        self.set(interface, MTU, before, mtu.into())
     }
 
     /// `otherwise`: what happens if it cannot be set. What is not there needs no setting: IPv6 may be missing as a whole.
