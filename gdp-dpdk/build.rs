@@ -11,8 +11,8 @@ const MAJORS: [&str; 3] = ["22.11", "23.03", "23.07"];
 
 const FUNCTIONS: &str = "rte_(eal_init|strerror|thread_register|thread_unregister|dev_probe|dev_remove|\
     mempool_free|mempool_in_use_count|\
-    eth_dev_(get_port_by_name|info_get|configure|start|stop|close|get_mtu|socket_id|adjust_nb_rx_tx_desc)|\
-    eth_(rx_queue_setup|tx_queue_setup|promiscuous_enable|macaddr_get|stats_get))";
+    eth_dev_(get_port_by_name|info_get|configure|start|stop|close|socket_id|adjust_nb_rx_tx_desc)|\
+    eth_(rx_queue_setup|tx_queue_setup|promiscuous_enable|macaddr_get|stats_get|link_get_nowait))";
 
 fn main() {
     println!("cargo::rerun-if-changed=shim/shim.c");
@@ -44,7 +44,7 @@ fn main() {
         .clang_args(&flags)
         .allowlist_function(FUNCTIONS)
         .allowlist_function("gdp_.*")
-        .allowlist_type("rte_eth_(conf|dev_info|stats)")
+        .allowlist_type("rte_eth_(conf|dev_info|stats|link)")
         .allowlist_var("GDP_.*|RTE_PKTMBUF_HEADROOM")
         .opaque_type("rte_(mempool|mbuf|device|eth_rxconf|eth_txconf)")
         .layout_tests(false)

@@ -96,7 +96,7 @@ unsafe impl Sync for Device {}
 pub struct PortCounters {
     pub received: u64,
     pub sent: u64,
-    /// Arrived, and were lost because nobody took them in time or there was no mbuf for them.
+    /// Arrived, and were lost because nobody took them in time, there was no mbuf for them, or they were broken.
     pub missed: u64,
     /// Handed over, and did not leave.
     pub failed: u64,
@@ -181,6 +181,14 @@ impl Port {
         self.0.mtu
     }
 
+    /// Whether the cable, or the other end, is there, as far as the driver knows.
+    pub fn has_carrier(&self) -> bool {
+        let mut link = sys::rte_eth_link::default();
+        // SAFETY: a port that is there, and a place for the answer.
+        let code = unsafe { sys::rte_eth_link_get_nowait(self.0.id, &raw mut link) };
+        code < 0 || link.link_status() != 0
+    }
+
     pub fn counters(&self) -> PortCounters {
         let mut stats = sys::rte_eth_stats::default();
         // SAFETY: a port that is there, and a place for the answer.
@@ -188,7 +196,7 @@ impl Port {
         PortCounters {
             received: stats.ipackets,
             sent: stats.opackets,
-            missed: stats.imissed + stats.rx_nombuf,
+            missed: stats.imissed + stats.ierrors + stats.rx_nombuf,
             failed: stats.oerrors,
         }
     }

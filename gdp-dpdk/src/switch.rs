@@ -18,7 +18,7 @@ use crate::host::{Giver, Host, ToHost, WAITING};
 use crate::idle::Idle;
 use crate::local::Local;
 use crate::mbuf::{Burst, KEPT, Pool};
-use crate::port::{HELD, Port, PortConfig, Receive, Send};
+use crate::port::{HELD, Port, PortConfig, PortCounters, Receive, Send};
 use crate::tap::Tap;
 use crate::view::Reader;
 use crate::worker::{Command, Lane, LoopPort, Worker};
@@ -70,7 +70,10 @@ pub struct Switch {
 /// A port as it is held here.
 struct Served {
     _host: Host,
-    _port: Port,
+    tap: Arc<Tap>,
+    /// Whether the host's interface has a carrier.
+    has_carrier: bool,
+    port: Port,
     lost: Arc<AtomicU64>,
 }
 
@@ -143,7 +146,7 @@ impl Switch {
         let sends: Vec<_> = sends.into_iter().map(|send| Arc::new(Mutex::new(send))).collect();
         let lost = Arc::new(AtomicU64::new(0));
         let lane = |i: usize| Lane::new(sends[i % sends.len()].clone(), gathers, lost.clone());
-        let host = Host::start(tap, (self.host.clone(), number), self.pool.clone(), lane(self.loops.len()))
+        let host = Host::start(tap.clone(), (self.host.clone(), number), self.pool.clone(), lane(self.loops.len()))
             .map_err(SwitchError::Thread)?;
         let mut shares: Vec<Vec<Receive>> = self.loops.iter().map(|_| Vec::new()).collect();
         let count = shares.len();
@@ -157,7 +160,7 @@ impl Switch {
             answers.push(answered);
         }
         let mac = port.mac();
-        self.ports.insert(number, Served { _host: host, _port: port, lost });
+        self.ports.insert(number, Served { _host: host, tap, has_carrier: true, port, lost });
         wait(answers)?;
         Ok((number, mac))
     }
@@ -198,6 +201,28 @@ impl Switch {
     /// Packets that were handed to a port's device, or its host's side, and did not leave.
     pub fn losses(&self) -> impl Iterator<Item = (u32, u64)> {
         self.ports.iter().map(|(number, served)| (*number, served.lost.load(Ordering::Relaxed)))
+    }
+
+    /// What the devices have counted.
+    pub fn port_counters(&self) -> impl Iterator<Item = (u32, PortCounters)> {
+        self.ports.iter().map(|(number, served)| (*number, served.port.counters()))
+    }
+
+    /// Has the hosts' interfaces have a carrier where their devices have one. `beside`: whether a port has one as far as others know; not
+    /// all drivers can tell.
+    pub fn follow_carriers(&mut self, beside: impl Fn(u32) -> bool) {
+        for (number, served) in &mut self.ports {
+            let has = served.port.has_carrier() && beside(*number);
+            if has == served.has_carrier {
+                continue;
+            }
+            served.has_carrier = has;
+            let interface = served.tap.name();
+            match served.tap.set_carrier(has) {
+                Ok(()) => tracing::info!("{interface}: {}", if has { "the link is there again" } else { "no link" }),
+                Err(error) => tracing::warn!(interface, %error, "the interface does not follow its device's carrier"),
+            }
+        }
     }
 
     /// Processor time that each loop has taken.

@@ -1,7 +1,7 @@
 //! The host's side of a port: a TAP interface. What the kernel sends there leaves by the port, and what arrives at the port and is not
 //! for this plane comes to the kernel from there, so that addresses, ARP, routes and sockets are as with any interface.
 
-use std::ffi::{c_char, c_short};
+use std::ffi::{c_char, c_int, c_short};
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
@@ -51,6 +51,14 @@ impl Tap {
         // SAFETY: what the kernel has just written. The others stay: without multicast DDS would not use it.
         request.ifr_ifru.ifru_flags = unsafe { request.ifr_ifru.ifru_flags } | libc::IFF_UP as c_short;
         control(socket.as_fd(), libc::SIOCSIFFLAGS, &mut request)
+    }
+
+    /// Says whether the cable is there, as the kernel is to see it; at first it is.
+    pub fn set_carrier(&self, has: bool) -> io::Result<()> {
+        let has = c_int::from(has);
+        // SAFETY: the operation reads one such number.
+        let result = unsafe { libc::ioctl(self.file.as_raw_fd(), libc::TUNSETCARRIER, &raw const has) };
+        if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
     }
 
     /// Gives a packet to the kernel; an error if it does not take it.

@@ -95,6 +95,14 @@ fn describe(status: &Value) -> String {
             "{lost} frames lost that {name} did not take; `gdp-ctl doctor --interface {name}` looks for the cause\n"
         );
     }
+    for interface in items(&status["interfaces"]) {
+        let (device, name) = (&interface["device"], text(&interface["interface"]));
+        for (counter, what) in [("missed", "arrived and were lost in"), ("failed", "were not sent by")] {
+            if let Some(count) = device[counter].as_u64().filter(|count| *count > 0) {
+                out += &format!("{count} packets {what} the device of {name}\n");
+            }
+        }
+    }
     for warning in items(&status["warnings"]) {
         out += &describe_warning(&warning);
     }

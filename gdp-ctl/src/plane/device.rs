@@ -66,11 +66,14 @@ pub struct Offloads {
 impl Device {
     /// In the calling thread's network namespace.
     pub fn find(ifindex: u32) -> io::Result<Self> {
-        let mut header = [0; HEADER];
-        header[4..8].copy_from_slice(&ifindex.to_ne_bytes());
-        let skip = (IFLA_EXT_MASK, &RTEXT_FILTER_SKIP_STATS.to_ne_bytes()[..]);
-        let answer = Netlink::open(libc::NETLINK_ROUTE)?.ask(libc::RTM_GETLINK, &header, &[skip])?;
-        parse(&answer).ok_or_else(|| io::ErrorKind::InvalidData.into())
+        parse(&ask(ifindex)?).ok_or_else(|| io::ErrorKind::InvalidData.into())
+    }
+
+    /// [`Self::running`], without a look at anything else.
+    #[cfg(feature = "dpdk")]
+    pub fn is_running(ifindex: u32) -> io::Result<bool> {
+        let flags = flags(&ask(ifindex)?).ok_or(io::ErrorKind::InvalidData)?;
+        Ok(flags & libc::IFF_RUNNING as u32 != 0)
     }
 
     /// All there are, in the order of their indices.
@@ -184,10 +187,21 @@ fn ethtool(socket: &OwnedFd, interface: &str, mut value: [u32; 2]) -> Option<u32
     (result == 0).then_some(value[1])
 }
 
+fn ask(ifindex: u32) -> io::Result<Vec<u8>> {
+    let mut header = [0; HEADER];
+    header[4..8].copy_from_slice(&ifindex.to_ne_bytes());
+    let skip = (IFLA_EXT_MASK, &RTEXT_FILTER_SKIP_STATS.to_ne_bytes()[..]);
+    Netlink::open(libc::NETLINK_ROUTE)?.ask(libc::RTM_GETLINK, &header, &[skip])
+}
+
+fn flags(answer: &[u8]) -> Option<u32> {
+    Some(u32::from_ne_bytes(*answer.get(8..)?.first_chunk()?))
+}
+
 fn parse(answer: &[u8]) -> Option<Device> {
     let kind = u16::from_ne_bytes(*answer.get(2..)?.first_chunk()?);
     let index = u32::from_ne_bytes(*answer.get(4..)?.first_chunk()?);
-    let flags = u32::from_ne_bytes(*answer.get(8..)?.first_chunk()?);
+    let flags = flags(answer)?;
     let has = |flag: libc::c_int| flags & flag as u32 != 0;
     let attributes = answer.get(HEADER..)?;
     let text = |value: &[u8]| String::from_utf8_lossy(value.split(|b| *b == 0).next().unwrap_or_default()).into_owned();

@@ -63,7 +63,7 @@ use gdp_wire::{
 };
 
 use device::Device;
-use dpdk::{DpdkConfig, DpdkPlane, DpdkPlaneError};
+use dpdk::{DeviceCounters, DpdkConfig, DpdkPlane, DpdkPlaneError};
 use forwarder::{Forwarder, Medium, Shared};
 use group_places::Member;
 use groups::Groups;
@@ -646,6 +646,11 @@ impl Planes {
         }
         self.set_all_kernel_groups();
         Ok(())
+    }
+
+    /// What the devices of the DPDK plane have counted, by the name of the interface on the host's side.
+    pub fn dpdk_devices(&self) -> HashMap<String, DeviceCounters> {
+        self.dpdk.as_ref().map_or_else(HashMap::new, DpdkPlane::devices)
     }
 
     /// Processor time that each loop of the DPDK plane has taken; none without it.

@@ -33,13 +33,20 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         Ok(losses) => (losses, Vec::new()),
         Err(reason) => (Default::default(), vec![reason]),
     };
+    let devices = core.planes.dpdk_devices();
     let used: Vec<Value> = report
         .iter()
         .map(|plane| {
             let info = interfaces.iter().find(|i| i.name == plane.interface);
+            let device = devices.get(&plane.interface).map(|counted| {
+                json!({
+                    "received": counted.received, "sent": counted.sent,
+                    "missed": counted.missed, "failed": counted.failed,
+                })
+            });
             json!({
                 "interface": plane.interface, "data_plane": plane.kind, "reason": plane.reason,
-                "redirect_lost": losses.get(&plane.interface).copied().unwrap_or(0),
+                "redirect_lost": losses.get(&plane.interface).copied().unwrap_or(0), "device": device,
                 "mtu": info.map(|i| i.mtu), "addresses": info.map(|i| &i.addresses), "stations": info.map(|i| &i.stations),
             })
         })

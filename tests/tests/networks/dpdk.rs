@@ -153,6 +153,84 @@ fn loops_share_a_port() -> Result<()> {
     Ok(())
 }
 
+/// Packets of the host's as large as the MTU, each way; also the largest that the device's frames have room for. The MTU of the device's
+/// interface is what it was afterwards.
+#[test]
+fn large_packets_reach_the_host() -> Result<()> {
+    let site = Site::build()?;
+    site.other.ip(&["link", "set", "l0", "mtu", "4016"])?;
+    let mtu =
+        |interface: &str| -> Result<bool> { Ok(site.host.ip(&["link", "show", interface])?.contains("mtu 4016 ")) };
+    let planes = {
+        let _inside = site.host.enter()?;
+        Planes::open(config(vec![port("net_af_packet0,iface=r0,framesz=4096,blocksz=4096", Some(4016))]))?
+    };
+    ensure!(mtu("r0")? && mtu(HOST)?);
+    site.host.ip(&["addr", "add", "10.7.0.2/24", "dev", HOST])?;
+    let hears = {
+        let _inside = site.host.enter()?;
+        UdpSocket::bind("10.7.0.2:7000")?
+    };
+    {
+        let _inside = site.other.enter()?;
+        let asks = UdpSocket::bind("10.7.0.1:0")?;
+        let mut buffer = [0; 5000];
+        for length in [3000, 4016 - 28] {
+            asks.send_to(&vec![7; length], "10.7.0.2:7000")?;
+            hears.set_read_timeout(Some(PATIENCE))?;
+            let (received, from) = hears.recv_from(&mut buffer).with_context(|| format!("{length} B"))?;
+            ensure!(buffer[..received] == vec![7; length], "another datagram of {received} B");
+            hears.send_to(&buffer[..received], from)?;
+            asks.set_read_timeout(Some(PATIENCE))?;
+            ensure!(asks.recv(&mut buffer)? == length, "an answer of {length} B");
+        }
+    }
+    let _inside = site.host.enter()?;
+    drop(planes);
+    ensure!(!mtu("r0")?, "the MTU stays");
+    Ok(())
+}
+
+/// When the other end of the device's link is gone, the host's interface has no carrier, and one again when it is back.
+#[test]
+fn the_host_sees_a_cable_that_is_pulled() -> Result<()> {
+    for driver in gdp_tests::dpdk::DRIVERS {
+        let site = Site::build()?;
+        let mut planes = site.planes(driver)?;
+        let carrier = || -> Result<bool> { Ok(site.host.ip(&["link", "show", HOST])?.contains("LOWER_UP")) };
+        ensure!(carrier()?, "{driver}: at first");
+        for up in [false, true, false] {
+            site.other.ip(&["link", "set", "l0", if up { "up" } else { "down" }])?;
+            let _inside = site.host.enter()?;
+            planes.refresh()?;
+            ensure!(carrier()? == up, "{driver}: the link is {}", if up { "up" } else { "down" });
+        }
+        let _inside = site.host.enter()?;
+        drop(planes);
+    }
+    Ok(())
+}
+
+/// What devices count is told by the interfaces on the host's side.
+#[test]
+fn devices_tell_what_they_counted() -> Result<()> {
+    let site = Site::build()?;
+    let planes = site.planes("net_af_packet")?;
+    let _inside = site.other.enter()?;
+    let sends = UdpSocket::bind("10.7.0.1:0")?;
+    // Nobody answers for the address, so ARP is all there is.
+    sends.send_to(&[0], "10.7.0.2:7000")?;
+    let start = Instant::now();
+    let received = || planes.dpdk_devices().get(HOST).map(|device| device.received);
+    while received() == Some(0) && start.elapsed() < PATIENCE {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let devices = planes.dpdk_devices();
+    let device = devices.get(HOST).context("no device")?;
+    ensure!(device.received > 0 && (device.missed, device.failed) == (0, 0), "{devices:?}");
+    Ok(())
+}
+
 /// It sleeps between questions, which takes little even in a test build.
 #[test]
 fn a_loop_without_traffic_leaves_its_core_to_others() -> Result<()> {

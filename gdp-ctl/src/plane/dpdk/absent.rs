@@ -10,7 +10,7 @@ use std::time::Duration;
 use gdp::link::KeyedEntry;
 use gdp_wire::{Counter, LinkEntry};
 
-use super::{DpdkConfig, DpdkPlaneError};
+use super::{DeviceCounters, DpdkConfig, DpdkPlaneError};
 use crate::plane::forwarder::Shared;
 use crate::plane::tables::Reader;
 
@@ -48,6 +48,10 @@ impl DpdkPlane {
     }
 
     pub fn losses(&self) -> HashMap<String, u64> {
+        match self.0 {}
+    }
+
+    pub fn devices(&self) -> HashMap<String, DeviceCounters> {
         match self.0 {}
     }
 

@@ -141,6 +141,17 @@ pub enum DpdkPlaneError {
     Switch(#[from] gdp_dpdk::SwitchError),
 }
 
+/// What is said of a port's device, where the plane runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DeviceCounters {
+    pub received: u64,
+    pub sent: u64,
+    /// Arrived, and were lost in the device.
+    pub missed: u64,
+    /// Handed to it, and did not leave.
+    pub failed: u64,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

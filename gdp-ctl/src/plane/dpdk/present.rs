@@ -9,13 +9,14 @@ use std::time::Duration;
 use gdp::link::KeyedEntry;
 use gdp::port::interface_index;
 use gdp_dpdk::local::{Local, NextHop};
-use gdp_dpdk::{Eal, EalConfig, Idle, Memory, Switch, SwitchConfig};
+use gdp_dpdk::{Eal, EalConfig, Idle, Memory, PortCounters, Switch, SwitchConfig};
 use gdp_wire::table::{ip_of, mac_words};
 use gdp_wire::{Counter, LinkEntry, Name};
 
 use super::routes::Routes;
 use super::settings::Settings;
-use super::{DpdkConfig, DpdkPlaneError};
+use super::{DeviceCounters, DpdkConfig, DpdkPlaneError};
+use crate::plane::device::Device;
 use crate::plane::forwarder::Shared;
 use crate::plane::tables::{Reader, View};
 use crate::plane::udp;
@@ -35,6 +36,8 @@ struct Held {
     interface: String,
     device: String,
     mac: [u16; 3],
+    /// The index of the kernel's interface that the device is, if it is one.
+    carrier: Option<u32>,
 }
 
 impl DpdkPlane {
@@ -76,7 +79,9 @@ impl DpdkPlane {
             }
             let (number, mac) = switch.add_port(&port.device, (&port.interface, port.mtu()), interface_index)?;
             tracing::info!("{}: DPDK device {}", port.interface, port.device);
-            let held = Held { interface: port.interface.clone(), device: port.device.clone(), mac: mac_words(mac) };
+            let carrier = port.carrier().and_then(|carrier| interface_index(carrier).ok());
+            let (interface, device) = (port.interface.clone(), port.device.clone());
+            let held = Held { interface, device, mac: mac_words(mac), carrier };
             ports.insert(number, held);
         }
         let routes = Routes::open().inspect_err(|error| {
@@ -95,7 +100,7 @@ impl DpdkPlane {
         self.switch.local().next_hops.get(link.id).is_some()
     }
 
-    /// Looks again at what is for this switch and where links over UDP leave. `bound`: where the UDP socket takes frames; `vlans`: those
+    /// Looks again at what is for this switch, where links over UDP leave, and which devices have a carrier. `bound`: where the UDP socket takes frames; `vlans`: those
     /// that GDP runs on, each with the port below it.
     pub fn follow<'l>(
         &mut self,
@@ -103,6 +108,7 @@ impl DpdkPlane {
         vlans: &[(u32, u16)],
         links: impl Iterator<Item = &'l KeyedEntry>,
     ) {
+        self.switch.follow_carriers(|port| self.ports.get(&port).is_none_or(Held::is_running));
         let before = self.switch.local();
         let addresses = match (bound, udp::addresses()) {
             (None, _) => Vec::new(),
@@ -158,9 +164,27 @@ impl DpdkPlane {
         self.switch.losses().filter_map(named).collect()
     }
 
+    /// What devices have counted, by the name of the interface on the host's side.
+    pub fn devices(&self) -> HashMap<String, DeviceCounters> {
+        let named = |(port, counted): (u32, PortCounters)| {
+            let PortCounters { received, sent, missed, failed } = counted;
+            Some((self.ports.get(&port)?.interface.clone(), DeviceCounters { received, sent, missed, failed }))
+        };
+        self.switch.port_counters().filter_map(named).collect()
+    }
+
     /// What each loop has taken.
     pub fn processor_time(&self) -> Vec<Duration> {
         self.switch.processor_time()
+    }
+}
+
+impl Held {
+    /// Whether the device's cable is there, as far as the kernel knows: `net_af_packet` and `net_af_xdp` do not ask it.
+    fn is_running(&self) -> bool {
+        let Some(carrier) = self.carrier else { return true };
+        // It may have been deleted. Otherwise nothing is known.
+        Device::is_running(carrier).unwrap_or_else(|error| error.raw_os_error() != Some(libc::ENODEV))
     }
 }
 
