@@ -50,7 +50,7 @@ fn taken(idle: Idle, duration: Duration) -> Result<Sample> {
     let config = SwitchConfig { idle, ports: 1, ..SwitchConfig::default() };
     let eal = Eal::begin(&EalConfig::default())?;
     let mut switch = Switch::start(eal, &config, || LoopReader::new(tables.reader(), shared.clone()))?;
-    switch.add_port(DEVICE, HOST, interface_index)?;
+    switch.add_port(DEVICE, (HOST, 1500), interface_index)?;
     std::thread::sleep(SETTLED);
     let time = || switch.processor_time().into_iter().sum::<Duration>();
     let (start, before) = (Instant::now(), time());
