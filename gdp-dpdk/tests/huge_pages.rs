@@ -1,0 +1,60 @@
+//! DPDK in huge pages; needs root, to reserve some for as long as it runs. A process of its own, because DPDK begins once in each.
+
+use std::fs;
+
+use gdp_dpdk::{Burst, Eal, EalConfig, Memory, Pool, Port, PortConfig};
+
+const RESERVED: &str = "/proc/sys/vm/nr_hugepages";
+
+/// Those that DPDK is to have.
+const WANTED: u64 = 48;
+
+/// Huge pages that were reserved beside what was there before.
+struct Pages {
+    before: u64,
+}
+
+impl Pages {
+    fn reserve() -> Self {
+        let before = count("HugePages_Total:");
+        fs::write(RESERVED, (before + WANTED).to_string()).expect("root reserves huge pages");
+        let pages = Self { before };
+        assert!(count("HugePages_Free:") >= WANTED, "this machine has no memory left for {WANTED} huge pages");
+        pages
+    }
+}
+
+impl Drop for Pages {
+    fn drop(&mut self) {
+        // What DPDK has is given back when this process ends.
+        fs::write(RESERVED, self.before.to_string()).expect("root gives huge pages back");
+    }
+}
+
+/// What the kernel says of its memory.
+fn count(of: &str) -> u64 {
+    let all = fs::read_to_string("/proc/meminfo").unwrap();
+    let line = all.lines().find_map(|line| line.strip_prefix(of));
+    line.and_then(|rest| rest.split_whitespace().next()).and_then(|number| number.parse().ok()).unwrap()
+}
+
+#[test]
+fn packets_lie_in_huge_pages_and_none_is_lost() {
+    let _pages = Pages::reserve();
+    let free = count("HugePages_Free:");
+    let eal = Eal::begin(&EalConfig { memory: Memory::HugePages, pci: Vec::new() }).expect("DPDK begins");
+    let pool = Pool::new(eal, 16383, 2048).unwrap();
+    // Its packets alone take more.
+    assert!(free - count("HugePages_Free:") >= 16, "{} of {free} are free", count("HugePages_Free:"));
+
+    let device = PortConfig { device: "net_null0,size=200".into(), receive_queues: 1, send_queues: 1, mtu: 1500 };
+    let (port, mut receives, mut sends) = Port::open(eal, &device, &pool).unwrap();
+    for _ in 0..1000 {
+        let mut burst = Burst::new();
+        assert_eq!(receives[0].receive(&mut burst), Burst::SIZE);
+        assert!(burst.iter_mut().all(|mbuf| mbuf.bytes_mut().is_some_and(|bytes| bytes.len() == 200)));
+        assert_eq!(sends[0].send(&mut burst), 0);
+    }
+    drop((port, receives, sends));
+    assert_eq!(pool.in_use(), 0);
+}
