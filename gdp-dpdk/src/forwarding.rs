@@ -40,8 +40,8 @@ pub type Counts = [u64; Counter::COUNT];
 /// Payloads of copies from this size on are not copied but referred to, where the port takes that. Two mbufs more cost about as much.
 const REFERRED: usize = 512;
 
-/// Frames and copies that wait for others before they leave: more than a burst, unless there are copies.
-const ENOUGH: usize = 4 * Burst::SIZE;
+/// Frames and copies that are enough to leave together: a burst, if there are no copies.
+const ENOUGH: usize = Burst::SIZE;
 
 const ETHERNET_HEADER: usize = 14;
 

@@ -28,6 +28,8 @@ const FRAMES: usize = 1_000_000;
 /// Reading the kernel's counters costs as much as twenty frames, so they are read after so many.
 const CHUNK: usize = 2000;
 
+const BURSTS_OF_COPIES: usize = 500;
+
 /// Of each counter that a plane can reach, at least.
 const OF_EACH: u64 = 100;
 
@@ -77,13 +79,36 @@ fn dpdk_does_what_decide_says_with_a_million_frames() -> Result<()> {
     let mut generator = Generator::new(SEED, &switch);
     let (mut seen, mut frames) = ([0; Counter::COUNT], 0);
     while frames < FRAMES {
-        let (burst, counts) = site.compare(&mut generator, 1 + frames * 7 % Burst::SIZE);
+        let (burst, counts) = site.compare(|| generator.frame(), 1 + frames * 7 % Burst::SIZE);
         let counts = counts.with_context(|| format!("frames from {frames} on, {burst} together, of seed {SEED}"))?;
         seen.iter_mut().zip(counts).for_each(|(seen, count)| *seen += count);
         frames += burst;
     }
     // The userspace plane's; links by no device are left to it as well; rates need time.
     reached(seen, &[Counter::Notice, Counter::RedirectFailed, Counter::RedirectLost, Counter::PuntLimit])
+}
+
+/// More copies than wait for each other: some of a burst leave before the rest is decided about.
+#[test]
+fn dpdk_makes_the_copies_that_decide_says_of_bursts_with_many() -> Result<()> {
+    let switch = plain_switch();
+    let mut site = Dpdk::new(&switch)?;
+    let mut generator = Generator::new(SEED, &switch);
+    let scout = PlainTables::<true>::new(&switch).with_all_copies_but_by(NOWHERE);
+    let mut copied = || loop {
+        let frame = generator.frame();
+        if scout.run(&frame).copies.len() > 1 {
+            return frame;
+        }
+    };
+    let mut most = 0;
+    for burst in 0..BURSTS_OF_COPIES {
+        let (frames, counts) = site.compare(&mut copied, Burst::SIZE);
+        let counts = counts.with_context(|| format!("burst {burst} of {frames} frames of seed {SEED}"))?;
+        most = most.max(counts[Counter::Forwarded as usize] + counts[Counter::Delivered as usize]);
+    }
+    ensure!(most > 2 * Burst::SIZE as u64, "{most} copies at most left together");
+    Ok(())
 }
 
 struct Dpdk {
@@ -104,11 +129,11 @@ impl Dpdk {
 
     /// How many frames came together, and what was counted of them, if that and what left is what decide says of one after the other. At
     /// most `most`, and none behind one that is answered with an error: of these a neighbour gets one at a time.
-    fn compare(&mut self, generator: &mut Generator, most: usize) -> (usize, Result<Counts>) {
+    fn compare(&mut self, mut next: impl FnMut() -> Vec<u8>, most: usize) -> (usize, Result<Counts>) {
         let (mut frames, mut sent, mut passed, mut counts) = (vec![], vec![], vec![], [0; Counter::COUNT]);
         let (mut is_over, mut fates) = (false, vec![]);
         while frames.len() < most && !is_over {
-            let frame = generator.frame();
+            let frame = next();
             let fate = self.tables.run(&frame);
             is_over = fate.verdict == Verdict::Send && fate.counter.is_drop();
             counts[fate.counter as usize] += 1;
