@@ -126,8 +126,8 @@ impl Switch {
     }
 
     /// Takes a device (see [`PortConfig::device`]) over, with `interface` as the host's side of it, made in the network namespace of the
-    /// calling thread; both with this MTU. `number`: tells the number of the port, by which links and tables know it, once the interface is there. That, and the
-    /// address of the device.
+    /// calling thread; both with this MTU. `number`: tells the number of the port, by which links and tables know it, once the interface
+    /// is there. That, and the address of the device.
     pub fn add_port(
         &mut self,
         device: &str,

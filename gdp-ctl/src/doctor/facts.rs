@@ -53,8 +53,8 @@ pub struct Dpdk {
 pub struct DpdkPort {
     /// On the host's side.
     pub interface: String,
-    /// As the configuration has it.
-    pub device: String,
+    /// The device, without its arguments.
+    pub name: String,
     pub state: DpdkDevice,
 }
 

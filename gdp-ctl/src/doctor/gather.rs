@@ -60,7 +60,7 @@ fn dpdk(config: &DpdkConfig) -> Dpdk {
     let all = Device::list().unwrap_or_default();
     let port = |port: &plane::dpdk::DpdkPort| DpdkPort {
         interface: port.interface.clone(),
-        device: port.device.clone(),
+        name: port.name().to_owned(),
         state: match (port.carrier(), port.pci()) {
             (Some(name), _) => {
                 let found = all.iter().find(|device| device.name == name).cloned();

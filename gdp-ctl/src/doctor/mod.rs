@@ -115,7 +115,7 @@ fn dpdk(dpdk: &Dpdk) -> Vec<Finding> {
 }
 
 fn dpdk_port(port: &DpdkPort) -> Finding {
-    let name = port.device.split(',').next().unwrap_or_default();
+    let name = &port.name;
     let finding = match &port.state {
         DpdkDevice::Interface { name: of, found: None } => failed(
             "device",

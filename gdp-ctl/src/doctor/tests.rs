@@ -183,7 +183,7 @@ fn redirects_matter_only_beside_native_xdp() {
 fn dpdk_is_told_of_its_devices() {
     let mut facts = healthy();
     let device = interface(&mut facts).device.clone();
-    let port = |state| DpdkPort { interface: "gdp0".into(), device: "net_x0,iface=eth0".into(), state };
+    let port = |state| DpdkPort { interface: "gdp0".into(), name: "net_x0".into(), state };
     let with = |found| port(DpdkDevice::Interface { name: "eth0".into(), found });
     let good = Dpdk { built: true, root: true, huge_pages: Some(2), ports: vec![with(Some(device.clone()))] };
     let mut judged = |dpdk: Dpdk| {

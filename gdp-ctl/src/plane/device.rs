@@ -12,7 +12,7 @@ use super::kernel::Mode;
 use super::netlink::{Netlink, attribute, number};
 
 /// Of an `ifinfomsg`.
-const HEADER: usize = 16;
+pub(super) const HEADER: usize = 16;
 const RTEXT_FILTER_SKIP_STATS: u32 = 1 << 3;
 const IFLA_IFNAME: u16 = 3;
 const IFLA_MTU: u16 = 4;
@@ -187,11 +187,17 @@ fn ethtool(socket: &OwnedFd, interface: &str, mut value: [u32; 2]) -> Option<u32
     (result == 0).then_some(value[1])
 }
 
-fn ask(ifindex: u32) -> io::Result<Vec<u8>> {
+/// What the kernel says of an interface: an `ifinfomsg`, then attributes.
+pub(super) fn ask(ifindex: u32) -> io::Result<Vec<u8>> {
+    let skip = (IFLA_EXT_MASK, &RTEXT_FILTER_SKIP_STATS.to_ne_bytes()[..]);
+    Netlink::open(libc::NETLINK_ROUTE)?.ask(libc::RTM_GETLINK, &header(ifindex), &[skip])
+}
+
+/// The `ifinfomsg` of a question about an interface, or of a change of it.
+pub(super) fn header(ifindex: u32) -> [u8; HEADER] {
     let mut header = [0; HEADER];
     header[4..8].copy_from_slice(&ifindex.to_ne_bytes());
-    let skip = (IFLA_EXT_MASK, &RTEXT_FILTER_SKIP_STATS.to_ne_bytes()[..]);
-    Netlink::open(libc::NETLINK_ROUTE)?.ask(libc::RTM_GETLINK, &header, &[skip])
+    header
 }
 
 fn flags(answer: &[u8]) -> Option<u32> {

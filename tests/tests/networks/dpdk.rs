@@ -13,6 +13,7 @@ use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
 use gdp_tests::netns::{End, Namespace, veth};
 use gdp_tests::peers::{Conversation, Side, Traffic, Vendor};
+use gdp_tests::wait::wait_for;
 use serde_json::Value;
 
 #[test]
@@ -220,14 +221,11 @@ fn devices_tell_what_they_counted() -> Result<()> {
     let sends = UdpSocket::bind("10.7.0.1:0")?;
     // Nobody answers for the address, so ARP is all there is.
     sends.send_to(&[0], "10.7.0.2:7000")?;
-    let start = Instant::now();
-    let received = || planes.dpdk_devices().get(HOST).map(|device| device.received);
-    while received() == Some(0) && start.elapsed() < PATIENCE {
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    let devices = planes.dpdk_devices();
-    let device = devices.get(HOST).context("no device")?;
-    ensure!(device.received > 0 && (device.missed, device.failed) == (0, 0), "{devices:?}");
+    let device = wait_for("a packet at the device", PATIENCE, || {
+        let device = *planes.dpdk_devices().get(HOST).context("no device")?;
+        Ok((device.received > 0).then_some(device))
+    })?;
+    ensure!((device.missed, device.failed) == (0, 0), "{device:?}");
     Ok(())
 }
 

@@ -15,11 +15,13 @@ use gdp_wire::{Counter, LinkEntry, Name};
 
 use super::routes::Routes;
 use super::settings::Settings;
-use super::{DeviceCounters, DpdkConfig, DpdkPlaneError};
+use super::{DeviceCounters, DpdkConfig, DpdkPlaneError, LARGEST_ROOM};
 use crate::plane::device::Device;
 use crate::plane::forwarder::Shared;
 use crate::plane::tables::{Reader, View};
 use crate::plane::udp;
+
+const _: () = assert!(LARGEST_ROOM == gdp_dpdk::mbuf::LARGEST);
 
 /// Ports and loops. Dropping it lets go of the devices.
 pub struct DpdkPlane {
@@ -100,8 +102,8 @@ impl DpdkPlane {
         self.switch.local().next_hops.get(link.id).is_some()
     }
 
-    /// Looks again at what is for this switch, where links over UDP leave, and which devices have a carrier. `bound`: where the UDP socket takes frames; `vlans`: those
-    /// that GDP runs on, each with the port below it.
+    /// Looks again at what is for this switch, where links over UDP leave, and which devices have a carrier. `bound`: where the UDP
+    /// socket takes frames; `vlans`: those that GDP runs on, each with the port below it.
     pub fn follow<'l>(
         &mut self,
         bound: Option<SocketAddr>,

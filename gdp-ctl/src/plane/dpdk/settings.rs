@@ -11,7 +11,8 @@ use std::path::PathBuf;
 
 use gdp::port::interface_index;
 
-use super::super::netlink::{Netlink, number};
+use crate::plane::device;
+use crate::plane::netlink::{Netlink, number};
 
 /// What is set for every device: a packet whose sender is not reached by the interface is not for this host, no address is answered for,
 /// and IPv6 is off.
@@ -27,8 +28,6 @@ const NONE_JOINED: u32 = 1;
 /// What netlink calls them; `linux/if_link.h`.
 const LINK: [(&str, u16); 3] = [(MTU, 4), (GRO, 58), (GRO_IPV4, 64)];
 const MTU: &str = "mtu";
-
-const IFINFOMSG: usize = 16;
 
 /// Settings that were changed. When dropped, all is as it was.
 pub struct Settings {
@@ -164,8 +163,8 @@ fn put_back(all: &[Changed]) {
 fn read(interface: &str, name: &str) -> io::Result<u32> {
     match by_netlink(name) {
         Some(attribute) => {
-            let answer = Netlink::open(libc::NETLINK_ROUTE)?.ask(libc::RTM_GETLINK, &header(interface)?, &[])?;
-            number(answer.get(IFINFOMSG..).unwrap_or_default(), attribute).ok_or(io::ErrorKind::Unsupported.into())
+            let answer = device::ask(interface_index(interface)?)?;
+            number(answer.get(device::HEADER..).unwrap_or_default(), attribute).ok_or(io::ErrorKind::Unsupported.into())
         }
         None => {
             fs::read_to_string(file(interface, name)?)?.trim().parse().map_err(|_| io::ErrorKind::InvalidData.into())
@@ -177,7 +176,8 @@ fn write(interface: &str, name: &str, value: u32) -> io::Result<()> {
     match by_netlink(name) {
         Some(attribute) => {
             let attributes = [(attribute, &value.to_ne_bytes()[..])];
-            Netlink::open(libc::NETLINK_ROUTE)?.change(libc::RTM_SETLINK, &header(interface)?, &attributes)
+            let header = device::header(interface_index(interface)?);
+            Netlink::open(libc::NETLINK_ROUTE)?.change(libc::RTM_SETLINK, &header, &attributes)
         }
         None => fs::write(file(interface, name)?, value.to_string()),
     }
@@ -185,12 +185,6 @@ fn write(interface: &str, name: &str, value: u32) -> io::Result<()> {
 
 fn by_netlink(name: &str) -> Option<u16> {
     LINK.iter().find(|(known, _)| *known == name).map(|(_, attribute)| *attribute)
-}
-
-fn header(interface: &str) -> io::Result<[u8; IFINFOMSG]> {
-    let mut header = [0; IFINFOMSG];
-    header[4..8].copy_from_slice(&interface_index(interface)?.to_ne_bytes());
-    Ok(header)
 }
 
 /// Of this network namespace.
