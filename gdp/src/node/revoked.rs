@@ -23,7 +23,8 @@ const MAX_FILE: usize = 16 << 20;
 /// What is kept, and where; without a folder, only as long as the node runs.
 #[derive(Default)]
 pub struct Revoked {
-    file: Option<RevocationFile>,
+    /// Locked while it is written.
+    file: Option<Mutex<RevocationFile>>,
     /// Those heard of last come last.
     kept: Mutex<Vec<(Kept, Revocation)>>,
     unsaved: AtomicBool,
@@ -40,7 +41,7 @@ impl Revoked {
         let file = RevocationFile::of_entity(folder, entity, MAX_FILE);
         let mut kept = file.load()?;
         kept.reverse();
-        Ok(Self { file: Some(file), kept: Mutex::new(kept), ..Self::default() })
+        Ok(Self { file: Some(Mutex::new(file)), kept: Mutex::new(kept), ..Self::default() })
     }
 
     pub fn of(&self, name: &Name) -> Option<(Signed<Revocation>, Revocation)> {
@@ -64,9 +65,10 @@ impl Revoked {
         self.unsaved.store(true, Ordering::Relaxed);
     }
 
-    /// Writes what is new to the file; if it cannot, that is still to be done. Blocks.
+    /// Writes what is new to the file; if it cannot, that is still to be done. Blocks, also until somebody else has written it.
     pub fn save(&self) {
         let Some(file) = &self.file else { return };
+        let file = lock(file);
         if !self.unsaved.swap(false, Ordering::Relaxed) {
             return;
         }
@@ -117,6 +119,27 @@ mod tests {
         assert!(!revoked.is_unsaved());
         let again = Revoked::open(Some(&folder), entity).unwrap();
         assert_eq!(again.of(&claims.name).unwrap().1, claims);
+    }
+
+    #[test]
+    fn whoever_saves_finds_it_saved_afterwards() {
+        let owner = SigningKey::generate().unwrap();
+        let proof = NameProof { owner_key: owner.public(), digest: [1; 32] };
+        let claims = Revocation { name: proof.name().unwrap(), number: 1, floor: 0, revoked: vec![1] };
+        for _ in 0..20 {
+            let folder = tempfile::tempdir().unwrap();
+            let revoked = Revoked::open(Some(folder.path()), Name::default()).unwrap();
+            revoked.keep(proof, issue(&owner, &claims).unwrap(), claims.clone());
+            std::thread::scope(|threads| {
+                threads.spawn(|| revoked.save());
+                while revoked.is_unsaved() {
+                    std::thread::yield_now();
+                }
+                // The other one is at it now.
+                revoked.save();
+                assert!(Revoked::open(Some(folder.path()), Name::default()).unwrap().of(&claims.name).is_some());
+            });
+        }
     }
 
     #[test]
