@@ -529,7 +529,8 @@ impl Publication {
 
     /// When there may be boxes, in Unix nanoseconds.
     pub fn boxes_at(&self) -> u64 {
-        lock(&self.sealing).ring.wake_at()
+        let sealing = lock(&self.sealing);
+        sealing.unstored.as_ref().map_or_else(|| sealing.ring.wake_at(), |unstored| unstored.at)
     }
 
     /// What became of messages and frames so far, also once it is closed.
