@@ -269,7 +269,7 @@ impl Daemon {
     }
 
     /// Returns once what is known of the domain by now is in its files; to be called before it is said to be done.
-    async fn keep_domain(self: &Arc<Self>) -> Result<(), Refusal> {
+    pub(super) async fn keep_domain(self: &Arc<Self>) -> Result<(), Refusal> {
         let Some(KeptDomain { revocations, invitations, keeper }) = &self.domain else { return Ok(()) };
         let changes = self.core().domain.as_ref().map_or(0, |domain| domain.changes);
         let collect = || {

@@ -27,14 +27,14 @@ const BETWEEN: Duration = Duration::from_millis(250);
 /// How far something that counts its changes is written.
 pub struct Keeper {
     saved: AtomicU64,
-    /// Held by who writes: when that is allowed again.
-    next: Mutex<Instant>,
+    /// Held while a file is written, also by who waits for that no more: when the next one may be.
+    next: Arc<Mutex<Instant>>,
 }
 
 impl Keeper {
     /// So many changes are in the file.
     pub fn new(saved: u64) -> Self {
-        Self { saved: saved.into(), next: Mutex::new(Instant::now()) }
+        Self { saved: saved.into(), next: Arc::new(Mutex::new(Instant::now())) }
     }
 
     /// Returns once so many changes are in the file. `collect`: all there is to write, and how many changes that is; `write` blocks.
@@ -49,15 +49,19 @@ impl Keeper {
         if is_saved() {
             return Ok(());
         }
-        let mut next = self.next.lock().await;
+        let mut next = self.next.clone().lock_owned().await;
         // Who wrote meanwhile may have written this as well.
         if is_saved() {
             return Ok(());
         }
         sleep_until(*next).await;
         let Some((collected, all)) = collect() else { return Ok(()) };
-        let written = tokio::task::spawn_blocking(move || write(all)).await;
-        *next = Instant::now() + BETWEEN;
+        let writing = move || {
+            let written = write(all);
+            *next = Instant::now() + BETWEEN;
+            written
+        };
+        let written = tokio::task::spawn_blocking(writing).await;
         let failed = match written {
             Ok(Ok(())) => {
                 self.saved.store(collected, Ordering::Release);

@@ -263,6 +263,9 @@ impl Running {
         // First, so that nobody opens again what is closed here.
         let mut tasks = std::mem::take(&mut *lock(&self.daemon.tasks));
         tasks.shutdown().await;
+        // What they were to keep. If it cannot be kept, that is in the log.
+        let _ = self.daemon.keep_domain().await;
+        let _ = self.daemon.keep_revocations().await;
         let mut ports: Vec<_> = std::mem::take(&mut *self.daemon.ports()).into_values().collect();
         ports.extend(self.udp);
         futures::future::join_all(ports.iter().map(|port| port.close("shutting down"))).await;
