@@ -1848,10 +1848,16 @@ impl Discovery {
 
     // Send the ReaderUpdated notification on any existing readers on the writer's
     // topic This will result in matching the endpoints if possible
-    let existing_readers = db.readers_on_topic(writer_data.publication_topic_data.topic_name());
-    for reader in existing_readers {
+    let existing_readers: Vec<_> = db
+      .readers_on_topic(writer_data.publication_topic_data.topic_name())
+      .into_iter()
+      .cloned()
+      .collect();
+    // GDP patch: whoever takes notifications may be waiting for the database, behind somebody who wants to write to it.
+    drop(db);
+    for discovered_reader_data in existing_readers {
       self.send_discovery_notification(DiscoveryNotificationType::ReaderUpdated {
-        discovered_reader_data: reader.clone(),
+        discovered_reader_data,
       });
     }
   }
@@ -1872,10 +1878,16 @@ impl Discovery {
 
     // Send the WriterUpdated notification on any existing writers on the readers's
     // topic This will result in matching the endpoints if possible
-    let existing_writers = db.writers_on_topic(reader_data.subscription_topic_data.topic_name());
-    for writer in existing_writers {
+    let existing_writers: Vec<_> = db
+      .writers_on_topic(reader_data.subscription_topic_data.topic_name())
+      .into_iter()
+      .cloned()
+      .collect();
+    // GDP patch: as above.
+    drop(db);
+    for discovered_writer_data in existing_writers {
       self.send_discovery_notification(DiscoveryNotificationType::WriterUpdated {
-        discovered_writer_data: writer.clone(),
+        discovered_writer_data,
       });
     }
   }
