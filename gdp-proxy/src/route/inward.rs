@@ -3,6 +3,7 @@
 use std::convert::Infallible;
 use std::time::{Duration, Instant};
 
+use futures::FutureExt;
 use gdp::Name;
 use gdp::cert::Reading;
 use gdp::node::{NodeError, Subscription};
@@ -26,6 +27,9 @@ const NOT_SAID: &str = "its writer does not say of what it is";
 
 /// How often it is looked whether subscribers have found a new writer.
 const LOOK_FOR_SUBSCRIBERS: Duration = Duration::from_millis(20);
+
+/// Messages that are taken at a time before anybody is missed.
+const WAITING: usize = 256;
 
 /// The publishers elsewhere, as far as they are known.
 struct In<'a> {
@@ -84,6 +88,11 @@ impl Route {
                 }
                 _ = ticks.tick() => {
                     self.standing.renew(right, async |new| subscription.renew(new).await).await;
+                    // Whose rosters wait here has not fallen silent: it is this proxy that was late.
+                    for _ in 0..WAITING {
+                        let Some(Some(message)) = subscription.recv().now_or_never() else { break };
+                        self.take(to, message).await;
+                    }
                     let (changes, forgotten) = to.incoming.poll(Instant::now());
                     self.change(to, changes).await;
                     self.drop_all(Drop::Unannounced, forgotten as u64, NOT_SAID);
