@@ -3,6 +3,7 @@
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use gdp::identity::Identity;
@@ -10,6 +11,7 @@ use gdp::link::LinkIds;
 use gdp::port::{LinkAddr, Port, PortConfig};
 use gdp_ctl::plane::dpdk::{DpdkConfig, DpdkPort};
 use gdp_ctl::plane::{PlaneConfig, PlaneRoute, Planes, Wanted};
+use gdp_tests::measure::cpu;
 use gdp_tests::netns::{Entered, Namespace};
 use gdp_wire::table::ip_words;
 use gdp_wire::{Carrier, Counter, LinkEntry, LinkRole, Name, UDP_PORT};
@@ -59,7 +61,9 @@ impl Switch {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let within = runtime.enter();
         let ebpf_object = Some(ebpf_object.into());
-        let dpdk = DpdkConfig { ports: driver.map_or_else(Vec::new, ports), ..DpdkConfig::default() };
+        // The loop is where testpmd's is, and leaves the CPU to others while it is not measured.
+        let (cores, idle) = (vec![cpu::OTHER], Duration::from_millis(10));
+        let dpdk = DpdkConfig { ports: driver.map_or_else(Vec::new, ports), cores, idle, ..DpdkConfig::default() };
         let config = PlaneConfig { wanted, ebpf_object, dpdk, count_losses: false, ..Default::default() };
         let planes = Planes::open(config)?;
         drop(within);
