@@ -1129,7 +1129,8 @@ impl InnerSubscriber {
     // incoming data notification channel from Reader to DataReader
     let (send, rec) = crate::mio_source::notification_channel(4);
     // status change channel from Reader to DataReader
-    let (status_sender, status_receiver) = sync_status_channel::<DataReaderStatus>(4)?;
+    // GDP patch: as of writers.
+    let (status_sender, status_receiver) = sync_status_channel::<DataReaderStatus>(64)?;
 
     // reader command channel from Datareader to Reader.
     // Capacity 0 is a rendezvous, matching the previous mio-extras channel: the
