@@ -1,6 +1,7 @@
 //! DPDK in huge pages; needs root, to reserve some for as long as it runs. A process of its own, because DPDK begins once in each.
 
 use std::fs;
+use std::time::Duration;
 
 use gdp_dpdk::{Burst, Eal, EalConfig, Memory, Pool, Port, PortConfig};
 
@@ -17,10 +18,18 @@ struct Pages {
 impl Pages {
     fn reserve() -> Self {
         let before = count("HugePages_Total:");
-        fs::write(RESERVED, (before + WANTED).to_string()).expect("root reserves huge pages");
         let pages = Self { before };
-        assert!(count("HugePages_Free:") >= WANTED, "this machine has no memory left for {WANTED} huge pages");
-        pages
+        // Memory that was in use may be in small pieces.
+        for _ in 0..10 {
+            fs::write(RESERVED, (before + WANTED).to_string()).expect("root reserves huge pages");
+            if count("HugePages_Free:") >= WANTED {
+                return pages;
+            }
+            fs::write("/proc/sys/vm/drop_caches", "3").expect("root empties caches");
+            fs::write("/proc/sys/vm/compact_memory", "1").expect("root compacts memory");
+            std::thread::sleep(Duration::from_secs(1));
+        }
+        panic!("this machine has no memory left for {WANTED} huge pages");
     }
 }
 

@@ -127,7 +127,7 @@ fn it_waits_for_a_switch_and_ends_at_sigterm() {
     let files = Files::new();
     let mut child = files.command(&["--stats", files.path("stats").to_str().unwrap()]).spawn().unwrap();
     // SIGTERM before the handler is there would kill it; that it listens shows in /proc.
-    let deadline = Instant::now() + Duration::from_secs(20);
+    let deadline = Instant::now() + Duration::from_secs(60);
     while !catches_sigterm(child.id()) && child.try_wait().unwrap().is_none() && Instant::now() < deadline {
         std::thread::yield_now();
     }

@@ -199,7 +199,7 @@ async fn until_received(writer: &mut RawWriter, reader: &RawReader) -> RawSample
 }
 
 async fn within<T>(what: &str, future: impl Future<Output = T>) -> T {
-    tokio::time::timeout(Duration::from_secs(20), future).await.unwrap_or_else(|_| panic!("not in 20 s: {what}"))
+    tokio::time::timeout(Duration::from_secs(60), future).await.unwrap_or_else(|_| panic!("not in time: {what}"))
 }
 
 /// An encapsulation header and a body of `size` bytes.

@@ -18,7 +18,7 @@ use crate::tools::Tools;
 use crate::wait::wait_for;
 
 /// How long anything in a healthy fabric may take.
-pub const PATIENCE: Duration = Duration::from_secs(20);
+pub const PATIENCE: Duration = Duration::from_secs(60);
 
 #[derive(Clone, Debug)]
 pub struct FabricOptions {

@@ -34,7 +34,7 @@ use crate::tools::Tools;
 use crate::wait::wait_for;
 
 /// How long anything here may take while all is well: several RIBs have to hear of each other first.
-pub const PATIENCE: Duration = Duration::from_secs(30);
+pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The switches that the robot may meet, as it lists them: the enterprise's, and the university's two.
 pub const ROBOT_LINKS: [&str; 3] = ["udp://10.1.0.2:31415", "udp://10.2.1.2:31415", "udp://10.2.2.2:31415"];

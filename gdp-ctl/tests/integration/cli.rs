@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use crate::user::User;
 
-const PATIENCE: Duration = Duration::from_secs(20);
+const PATIENCE: Duration = Duration::from_secs(60);
 
 #[test]
 fn keys_cards_and_certificates_are_made_without_a_daemon() {

@@ -135,7 +135,7 @@ async fn links_end_with_what_they_rest_on_unless_it_is_renewed() {
     // At the moment.
     let ends = until(&link) as i64;
     wait("the link to be closed", async || link_to(&hub_running, &spoke).await.is_none()).await;
-    assert!((0..=2).contains(&(now() - ends)), "{} after its end", now() - ends);
+    assert!((0..=10).contains(&(now() - ends)), "{} after its end", now() - ends);
     let why = format!("serial {}", spoke.serial());
     wait("both to say why", async || {
         log.lines().iter().filter(|line| line.contains(&why) && line.contains("expired at Unix time")).count() >= 2
@@ -397,7 +397,7 @@ fn until(link: &Value) -> u64 {
 
 async fn attach(identity: &Identity, papers: Option<Papers>, to: SocketAddr) -> Result<Node, NodeError> {
     let target: LinkTarget = format!("udp://{to}").parse().unwrap();
-    let connect_timeout = Duration::from_secs(2);
+    let connect_timeout = Duration::from_secs(4);
     Node::connect(NodeConfig { papers, connect_timeout, ..NodeConfig::new(identity.clone(), target) }).await
 }
 

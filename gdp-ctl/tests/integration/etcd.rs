@@ -12,7 +12,9 @@ use tokio::time::timeout;
 
 use crate::cluster::Cluster;
 
-const TTL: u64 = 5;
+/// Seconds of a lease that nobody renews: as long as any test takes; and of one that a test waits for the end of.
+const LONG: u64 = 300;
+const SHORT: u64 = 5;
 
 #[tokio::test]
 async fn an_old_leader_changes_nothing_and_a_new_one_has_everything() {
@@ -23,8 +25,8 @@ async fn an_old_leader_changes_nothing_and_a_new_one_has_everything() {
     assert!(two.elected().await.is_none(), "there is one");
     assert!(two.place.has_leader(&mut two.gateway).await.unwrap());
 
-    first.write(&[put(1, b"a"), put(2, b"b"), put(3, b"c")]).await.unwrap();
-    first.write(&[put(1, b"a2"), (item(2), None), (item(9), None)]).await.unwrap();
+    written(&mut first, &[put(1, b"a"), put(2, b"b"), put(3, b"c")]).await;
+    written(&mut first, &[put(1, b"a2"), (item(2), None), (item(9), None)]).await;
     let expected = [(item(1), b"a2".to_vec()), (item(3), b"c".to_vec())];
     two.catch_up(&expected).await;
 
@@ -36,7 +38,7 @@ async fn an_old_leader_changes_nothing_and_a_new_one_has_everything() {
     let asked = first.write(&[]).await;
     assert!(matches!(asked, Err(StoreError::Fenced)), "nor does it say that it leads: {asked:?}");
     second.write(&[]).await.unwrap();
-    second.write(&[put(1, b"a3")]).await.unwrap();
+    written(&mut second, &[put(1, b"a3")]).await;
     one.list().await;
     assert_eq!(one.items(), [(item(1), b"a3".to_vec()), (item(3), b"c".to_vec())]);
 }
@@ -46,6 +48,7 @@ async fn a_leader_is_gone_with_its_lease() {
     let cluster = Cluster::start(1);
     let mut one = Replica::new(&cluster, 1).await;
     let mut two = Replica::new(&cluster, 2).await;
+    one.ttl = SHORT;
     let mut writer = one.elected().await.unwrap();
     assert!(one.gateway.keep_alive(one.lease).await.unwrap());
     two.leader_gone().await;
@@ -59,7 +62,7 @@ async fn what_the_leader_says_counts_whoever_meddles_or_if_an_answer_is_lost() {
     let cluster = Cluster::start(1);
     let mut one = Replica::new(&cluster, 1).await;
     let mut writer = one.elected().await.unwrap();
-    writer.write(&[put(1, b"a"), put(2, b"b")]).await.unwrap();
+    written(&mut writer, &[put(1, b"a"), put(2, b"b")]).await;
     for meddled in [Some(b"x"), None] {
         let key = one.place.key(&item(1));
         let op = match meddled {
@@ -67,7 +70,7 @@ async fn what_the_leader_says_counts_whoever_meddles_or_if_an_answer_is_lost() {
             None => Op::Delete(&key),
         };
         assert!(one.gateway.transact(&[], &[op], &[]).await.unwrap().succeeded);
-        writer.write(&[put(1, b"a2"), (item(2), None)]).await.unwrap();
+        written(&mut writer, &[put(1, b"a2"), (item(2), None)]).await;
         one.list().await;
         assert_eq!(one.items(), [(item(1), b"a2".to_vec())]);
     }
@@ -95,7 +98,7 @@ async fn what_was_compacted_is_listed_anew() {
     let mut two = Replica::new(&cluster, 2).await;
     let mut writer = one.elected().await.unwrap();
     for value in [b"a", b"b", b"c"] {
-        writer.write(&[put(1, value)]).await.unwrap();
+        written(&mut writer, &[put(1, value)]).await;
     }
     one.list().await;
     cluster.etcdctl(&[0], &["compaction", &one.copy.revision().to_string()]);
@@ -111,7 +114,7 @@ async fn a_restart_of_etcd_loses_nothing_and_one_member_may_be_gone() {
     let mut cluster = Cluster::start(3);
     let mut one = Replica::new(&cluster, 1).await;
     let mut writer = one.elected().await.unwrap();
-    writer.write(&[put(1, b"a")]).await.unwrap();
+    written(&mut writer, &[put(1, b"a")]).await;
     // The one that is asked first, and any other.
     cluster.kill(0);
     written(&mut writer, &[put(2, b"b")]).await;
@@ -133,6 +136,8 @@ struct Replica {
     copy: Copy,
     watch: Watch,
     lease: i64,
+    /// Of its leases, in seconds.
+    ttl: u64,
 }
 
 impl Replica {
@@ -141,7 +146,7 @@ impl Replica {
         let (mut gateway, place) = (Gateway::new(&endpoints), Place::new("test/rib"));
         let copy = Copy::list(&place, &mut gateway).await.unwrap();
         let watch = gateway.watch(place.prefix(), copy.revision() + 1).await.unwrap();
-        Self { name: Name::from_bytes([index; 32]), endpoints, gateway, place, copy, watch, lease: 0 }
+        Self { name: Name::from_bytes([index; 32]), endpoints, gateway, place, copy, watch, lease: 0, ttl: LONG }
     }
 
     async fn list(&mut self) {
@@ -154,7 +159,7 @@ impl Replica {
 
     /// Who writes, if it is elected.
     async fn elected(&mut self) -> Option<Writer> {
-        self.lease = self.gateway.grant(TTL).await.unwrap();
+        self.lease = self.gateway.grant(self.ttl).await.unwrap();
         let term = self.place.stand(&mut self.gateway, &self.name, self.lease).await.unwrap()?;
         // An answer may be lost.
         assert_eq!(self.place.stand(&mut self.gateway, &self.name, self.lease).await.unwrap(), Some(term));
@@ -178,7 +183,7 @@ async fn next(watch: &mut Watch) -> Result<Vec<Event>, StoreError> {
     timeout(Duration::from_secs(30), watch.next()).await.expect("something changes")
 }
 
-/// Once a cluster that has lost a member has found another leader.
+/// Once a cluster that has lost a member has found another leader, and a slow disk has what was written.
 async fn written(writer: &mut Writer, changes: &[(Item, Option<Vec<u8>>)]) {
     let attempts = async {
         while let Err(error) = writer.write(changes).await {

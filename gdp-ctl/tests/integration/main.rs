@@ -12,6 +12,7 @@ mod grants;
 mod inboxes;
 mod member;
 mod owner;
+mod ports;
 mod probes;
 mod replicas;
 mod resigning;

@@ -9,7 +9,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::net::{SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -28,6 +28,7 @@ use serde_json::{Value, json};
 use tokio::time::{sleep, timeout};
 
 use crate::cluster::Cluster;
+use crate::ports::free_addr;
 
 /// A lease has to end, and both clusters have to find another leader, on a machine that does other things as well.
 const RECOVERY: Duration = Duration::from_secs(60);
@@ -182,9 +183,7 @@ impl Switches {
         let names =
             (0..3).map(|i| Identity::load_or_generate(&folder.join(format!("s{i}.pem")), "switch").unwrap().name());
         let names: Vec<Name> = names.collect();
-        // Free when asked for; taken by the daemons a moment later.
-        let sockets: Vec<_> = (0..3).map(|_| UdpSocket::bind("127.0.0.1:0").unwrap()).collect();
-        let addrs: Vec<_> = sockets.iter().map(|socket| socket.local_addr().unwrap()).collect();
+        let addrs = vec![free_addr(), free_addr(), free_addr()];
         let endpoints: Vec<String> = cluster.endpoints().iter().map(ToString::to_string).collect();
         for i in 0..3 {
             let others = (0..3).filter(|j| *j != i);
@@ -198,7 +197,6 @@ impl Switches {
             // JSON is YAML.
             fs::write(folder.join(format!("s{i}.yaml")), config.to_string()).unwrap();
         }
-        drop(sockets);
         let mut switches = Self { folder: folder.into(), names, addrs, daemons: vec![None, None, None] };
         (0..3).for_each(|i| switches.spawn(i));
         switches

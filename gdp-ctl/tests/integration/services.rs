@@ -1,11 +1,11 @@
 //! Nodes of the SDK at whole daemons: what two callers of one service get, what is left when the server goes, and which of several servers
 //! is called.
 
-use std::net::UdpSocket;
 use std::sync::Arc;
 use std::time::SystemTime;
 
 use crate::owner::Owner;
+use crate::ports::free_addr;
 use crate::switch::{PATIENCE, config, wait};
 use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp::node::{Client, NodeError, Server};
@@ -79,8 +79,12 @@ async fn the_nearest_server_is_called_and_another_when_it_is_gone() {
     })
     .await;
     let calls = [b"one", b"two"].map(|body| tokio::spawn(call(client.clone(), body.to_vec())));
+    // Neither is answered before the other is asked, or it would be free for both.
+    let mut requests = Vec::new();
     for server in [&mut near_server, &mut twin_server] {
-        let request = tokio::time::timeout(PATIENCE, server.recv()).await.unwrap().unwrap();
+        requests.push(tokio::time::timeout(PATIENCE, server.recv()).await.unwrap().unwrap());
+    }
+    for request in requests {
         request.reply(Encoding::Cdr, b"shared").await.unwrap();
     }
     let mut writers = Vec::new();
@@ -103,9 +107,7 @@ async fn chain(folder: &std::path::Path) -> [Running; 3] {
     let label = |i: usize| format!("s{i}");
     let places = [0, 1, 2].map(|i| {
         let switch = Identity::load_or_generate(&folder.join(format!("{}.pem", label(i))), "switch").unwrap().name();
-        // Free when asked for; taken by the daemon a moment later.
-        let addr = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-        Place { switch, via: Via::Udp(addr) }
+        Place { switch, via: Via::Udp(free_addr()) }
     });
     let mut running = Vec::new();
     for (i, place) in places.iter().enumerate() {

@@ -16,7 +16,7 @@ use gdp_ros::types::Types;
 use serde_json::Value;
 
 use crate::owner::Owner;
-use crate::switch::{PATIENCE, config};
+use crate::switch::{PATIENCE, config, wait};
 use crate::user::User;
 
 const OFFER: Offer =
@@ -39,15 +39,18 @@ async fn messages_of_a_publisher_elsewhere_are_shown_in_the_form_of_ros2cli() {
     let listed = site.json(&["topic", "list"]).await;
     assert_eq!(listed["topics"][0]["publishers"].as_array().unwrap().len(), 1);
 
-    let info = site.text(&["topic", "info", "chatter", "-v"]).await;
-    for needle in [
+    let shown = [
         "Type: std_msgs/msg/String\n\nPublisher count: 1\n\n",
         "Endpoint type: PUBLISHER\n",
         "  Reliability: RELIABLE\n  History (Depth): KEEP_LAST (7)\n  Durability: VOLATILE\n  Lifespan: Infinite\n",
         "\n\nSubscription count: 0\n",
-    ] {
-        assert!(info.contains(needle), "{needle}: {info}");
-    }
+    ];
+    // It listens for a while, in which a publisher may not have said all of this.
+    wait("the publisher to be described", async || {
+        let info = site.text(&["topic", "info", "chatter", "-v"]).await;
+        shown.iter().all(|needle| info.contains(needle))
+    })
+    .await;
     assert_eq!(site.json(&["topic", "info", "chatter"]).await["publishers"][0]["depth"], 7);
 
     assert_eq!(site.text(&["topic", "echo", "/chatter", "--once"]).await, "data: hello\n---\n");

@@ -108,7 +108,7 @@ async fn a_changed_configuration_disturbs_no_topic_that_is_the_same() {
     let talking = tokio::spawn(async move {
         for number in 0u32.. {
             writer.write(cdr(&number.to_string()), 0).await.unwrap();
-            tokio::time::sleep(Duration::from_millis(20)).await;
+            tokio::time::sleep(Duration::from_millis(100)).await;
         }
     });
     let (count, counted) = tokio::sync::watch::channel((0, None));
@@ -128,7 +128,7 @@ async fn a_changed_configuration_disturbs_no_topic_that_is_the_same() {
     let more = || {
         let (seen, mut counted) = (counted.borrow().0, counted.clone());
         async move {
-            let next = counted.wait_for(|(number, _)| *number > seen + 10);
+            let next = counted.wait_for(|(number, _)| *number > seen + 3);
             within("more messages", next).await.unwrap();
         }
     };

@@ -181,4 +181,4 @@ fn cdr(text: &str) -> RawSample {
 }
 
 /// How long anything may take on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(40);
+const PATIENCE: Duration = Duration::from_secs(60);

@@ -96,13 +96,13 @@ async fn an_action_gives_feedback_is_cancelled_and_takes_its_time() {
     patient.event("accepted").await;
     // What comes first may come before ROS has discovered who hears it, as of a server beside the client.
     let first = patient.event("feedback").await["length"].as_u64().unwrap();
-    assert!((3..6).contains(&first), "{first}");
+    assert!((3..20).contains(&first), "{first}");
     for length in first + 1..first + 5 {
         assert_eq!(patient.event("feedback").await["length"], length, "each, in order");
     }
     let mut hasty = cloud.begin("hasty", &["send", "/fibonacci", "1000", "3"]);
     let first = hasty.event("feedback").await["length"].as_u64().unwrap();
-    assert!((3..6).contains(&first), "of its own goal alone: {first}");
+    assert!((3..8).contains(&first), "of its own goal alone: {first}");
     assert_eq!(hasty.event("canceling").await["goals"], 1);
     let result = hasty.event("result").await;
     assert_eq!((&result["status"], &result["shown"]), (&"canceled".into(), &"canceled".into()));

@@ -15,7 +15,7 @@ pub struct Ros2 {
 impl Ros2 {
     /// Tests of one process have others; processes that test at the same time most likely, too.
     pub fn new(test: u16) -> Self {
-        Self { id: 20 + (std::process::id() % 5) as u16 * 16 + test, folder: tempfile::tempdir().unwrap() }
+        Self { id: 20 + (std::process::id() % 3) as u16 * 24 + test, folder: tempfile::tempdir().unwrap() }
     }
 
     /// As a configuration says it.

@@ -19,7 +19,7 @@ use super::sys::{self, RawAddr};
 use super::udp::SharedUdp;
 use super::{InFrame, LinkAddr};
 
-const SOON: Duration = Duration::from_secs(5);
+const SOON: Duration = Duration::from_secs(60);
 
 /// First byte of a data frame, and of a QUIC packet.
 const DATA: u8 = 0x10;

@@ -14,6 +14,8 @@
 
 mod memory;
 mod owner;
+#[path = "../../tests/networks/patient.rs"]
+mod patient;
 mod queries;
 mod ring;
 mod scale;

@@ -18,7 +18,7 @@ use gdp_tests::tools::Tools;
 use gdp_tests::wait::wait_for;
 use serde_json::{Value, json};
 
-const PATIENCE: Duration = Duration::from_secs(20);
+const PATIENCE: Duration = Duration::from_secs(60);
 
 #[test]
 fn a_switch_joins_by_one_line_and_leaves_when_it_is_revoked() -> Result<()> {

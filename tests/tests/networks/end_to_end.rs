@@ -186,9 +186,10 @@ fn a_revoked_reader_gets_nothing_of_the_next_epoch_and_the_others_all() -> Resul
         let so_far = read_by("guest");
         wait_for("the guest to read on", PATIENCE, || Ok((read_by("guest") >= so_far + 20).then_some(())))
     };
-    guest_reads_on()?;
+    // Each of them tells of what it has read once a second.
+    (0..3).try_for_each(|_| guest_reads_on())?;
     let so_far = (read_by("cloud"), peers::received(&both.listener).len());
-    guest_reads_on()?;
+    (0..3).try_for_each(|_| guest_reads_on())?;
     ensure!((read_by("cloud"), peers::received(&both.listener).len()) == so_far, "the revoked reader reads on");
     both.listener.check_alive()?;
 
@@ -275,7 +276,7 @@ fn complete_and_intact(messages: &[Received], traffic: &Traffic) -> Result<()> {
     let sequences: Vec<i64> = messages.iter().map(|message| message.sequence).collect();
     ensure!(sequences == (0..traffic.count as i64).collect::<Vec<_>>(), "expected all, once, in order: {sequences:?}");
     ensure!(messages.iter().all(|m| m.intact && m.bytes == traffic.size as u64), "damaged: {messages:?}");
-    ensure!(messages.iter().all(|m| m.latency < Duration::from_secs(1)), "late: {messages:?}");
+    ensure!(messages.iter().all(|m| m.latency < Duration::from_secs(5)), "late: {messages:?}");
     Ok(())
 }
 

@@ -13,7 +13,7 @@ use gdp_tests::peers::{Conversation, Side, Traffic, Vendor};
 use gdp_tests::process::Process;
 use gdp_tests::wait::wait_for;
 
-const SOON: Duration = Duration::from_secs(15);
+const SOON: Duration = Duration::from_secs(60);
 
 #[test]
 fn a_chain_routes_ip_from_end_to_end() -> Result<()> {

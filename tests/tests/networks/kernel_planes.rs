@@ -21,7 +21,7 @@ use gdp_tests::packet::PacketSocket;
 use gdp_tests::wait::wait_for;
 use gdp_wire::{Carrier, Counter, LinkEntry, LinkRole, Name};
 
-const SOON: Duration = Duration::from_secs(10);
+const SOON: Duration = Duration::from_secs(60);
 
 const LEFT_MAC: [u8; 6] = [2, 0, 0, 0, 1, 1];
 const RIGHT_MAC: [u8; 6] = [2, 0, 0, 0, 2, 1];

@@ -20,7 +20,7 @@ use gdp_tests::wait::wait_for;
 use gdp_wire::table::{ANY_WRITER, Carrier};
 use gdp_wire::{Counter, ETHERTYPE, FibEntry, LinkEntry, LinkRole, Name, SwitchConfig};
 
-const SOON: Duration = Duration::from_secs(10);
+const SOON: Duration = Duration::from_secs(60);
 const OWN_BIT: u64 = 1;
 const TOPIC: Name = Name::from_bytes([0xd0; 32]);
 /// Link ids toward left, right and other; their interfaces at the switch.

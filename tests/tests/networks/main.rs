@@ -21,6 +21,7 @@ mod liveness;
 mod losses;
 mod malicious;
 mod pairings;
+mod patient;
 mod planes;
 mod rekey;
 mod replicas;

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant, SystemTime};
 use anyhow::{Context, Result, ensure};
 use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp::link::RekeySchedule;
-use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::node::{Publisher, Subscription};
 use gdp::seal::Encoding;
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
 use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
@@ -24,8 +24,9 @@ use gdp_wire::Name;
 use serde_json::Value;
 
 use crate::inside::{Inside, ROOT};
+use crate::patient::patient;
 
-const PATIENCE: Duration = Duration::from_secs(30);
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The overlap is far longer than a busy machine keeps a thread from sending what it has tagged.
 const OFTEN: RekeySchedule =
@@ -214,7 +215,7 @@ impl Way {
         let entity: Name = writer.name();
         let cert = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial, not_before, not_after };
         let cert = issue(&owner, &cert)?.into();
-        let (publish, subscribe) = (PublishOptions::best_effort(), SubscribeOptions::best_effort());
+        let (publish, subscribe) = patient();
         let subscription = at_reader.runtime.block_on(reader.subscribe(card.proof(), grant, subscribe))?;
         let publisher = at_writer.runtime.block_on(writer.publish(card.proof(), cert, publish))?;
         Ok(Self { publisher, subscription })

@@ -399,10 +399,14 @@ impl Site {
         let switches = peers.iter().filter(|peer| peer.leaf.reach != 0).count() as u64;
         let copies = [1, peers.len() as u64 - switches, switches];
         for ((counter, before), copies) in counters.into_iter().zip(before).zip(copies) {
-            let (before, after) = (before?, self.switch.count(counter)?);
-            let added = (after.0 - before.0, after.1 - before.1);
+            let before = before?;
             let wanted = if plane == Plane::Kernel { (copies * FRAMES, 0) } else { (0, copies * FRAMES) };
-            ensure!(added == wanted, "{counter:?}: {added:?} instead of {wanted:?}; {:?}", self.switch.counted());
+            // The userspace plane counts what it has sent, so it may have arrived before.
+            wait_for(&format!("{counter:?} to grow by {wanted:?}"), SOON, || {
+                let after = self.switch.count(counter)?;
+                Ok(((after.0 - before.0, after.1 - before.1) == wanted).then_some(()))
+            })
+            .with_context(|| format!("{:?}", self.switch.counted()))?;
         }
         Ok(())
     }

@@ -21,7 +21,7 @@ use gdp_tests::wait::wait_for;
 use crate::traffic::Traffic;
 
 /// What nodes have time for to notice that the switch is silent, and to make their links anew.
-const RECOVERY: Duration = Duration::from_secs(40);
+const RECOVERY: Duration = Duration::from_secs(60);
 
 #[test]
 fn no_message_is_lost_when_a_daemon_is_killed_and_another_takes_over() -> Result<()> {

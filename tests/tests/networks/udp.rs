@@ -28,7 +28,7 @@ use gdp_wire::{Carrier, Counter, ErrorCode, FrameType, Header, LinkEntry, Name, 
 use tokio::runtime::Runtime;
 use zerocopy::{FromBytes, IntoBytes};
 
-const SOON: Duration = Duration::from_secs(10);
+const SOON: Duration = Duration::from_secs(60);
 
 const PORT: u16 = 31415;
 const V4: &str = "10.1.0.1:31415";

@@ -25,7 +25,7 @@ use serde_json::Value;
 
 use crate::inside::{Inside, ROOT};
 
-const SOON: Duration = Duration::from_secs(20);
+const SOON: Duration = Duration::from_secs(60);
 
 #[test]
 fn messages_cross_three_carriers_without_leaving_the_kernel() -> Result<()> {

@@ -16,7 +16,7 @@ use gdp::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch, Sent};
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::wait::wait_for;
 
-const SOON: Duration = Duration::from_secs(5);
+const SOON: Duration = Duration::from_secs(60);
 
 const FRAMES: usize = 500;
 

@@ -18,7 +18,7 @@ use gdp_tests::packet::PacketSocket;
 use gdp_tests::wait::wait_for;
 use gdp_tests::wire::Wire;
 
-const SOON: Duration = Duration::from_secs(20);
+const SOON: Duration = Duration::from_secs(60);
 const SEED: u64 = 4;
 
 #[test]

@@ -1,14 +1,16 @@
 //! A cluster of real etcd members on the loopback interface, each a process with its data in a temporary folder.
 
-use std::net::{Ipv4Addr, TcpListener, TcpStream};
+use std::net::{Ipv4Addr, TcpStream};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use gdp_ctl::store::Endpoint;
 use tempfile::TempDir;
 
+use crate::ports::free_addr;
+
 /// How long a member may take until it answers.
-const START: Duration = Duration::from_secs(30);
+const START: Duration = Duration::from_secs(60);
 
 pub struct Cluster {
     members: Vec<Member>,
@@ -24,13 +26,8 @@ struct Member {
 impl Cluster {
     /// Starts so many members, and waits until they are one cluster.
     pub fn start(count: usize) -> Self {
-        // Held until all are chosen, so that they differ.
-        let ports: Vec<TcpListener> =
-            (0..2 * count).map(|_| TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap()).collect();
-        let port = |i: usize| ports[i].local_addr().unwrap().port();
-        let members =
-            (0..count).map(|i| Member { client: port(2 * i), peer: port(2 * i + 1), process: None }).collect();
-        drop(ports);
+        let member = || Member { client: free_addr().port(), peer: free_addr().port(), process: None };
+        let members = std::iter::repeat_with(member).take(count).collect();
         let mut cluster = Self { members, folder: tempfile::tempdir().unwrap() };
         (0..count).for_each(|i| cluster.spawn(i));
         cluster.await_health();

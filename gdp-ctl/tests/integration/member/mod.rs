@@ -1,6 +1,6 @@
 //! Domains, and daemons that are members of them, on loopback UDP, for tests that run these in their own process.
 
-use std::net::{SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Mutex;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -11,6 +11,7 @@ use gdp::{Identity, Name, NameCard};
 use gdp_ctl::config::{Config, DomainConfig, Inside, Neighbour, Place as At, Via};
 use gdp_ctl::serve::{Running, start};
 
+use crate::ports::free_addr;
 use crate::switch::config;
 
 /// Of what lasts for the whole of a test.
@@ -62,9 +63,7 @@ impl Place {
     pub fn new(label: &str) -> Self {
         let folder = tempfile::Builder::new().prefix(label).tempdir().unwrap();
         let name = Identity::load_or_generate(&folder.path().join("switch.pem"), "switch").unwrap().name();
-        // Free when asked for; taken by the daemon a moment later.
-        let addr = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-        Self { folder, name, addr }
+        Self { folder, name, addr: free_addr() }
     }
 
     pub fn file(&self, name: &str) -> PathBuf {

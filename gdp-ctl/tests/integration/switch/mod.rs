@@ -1,6 +1,6 @@
 //! A daemon on loopback UDP, without root, for tests that run it in their own process.
 
-use std::net::{SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -8,8 +8,10 @@ use gdp::Identity;
 use gdp_ctl::config::{Config, Neighbour, Place, Via};
 use gdp_wire::Name;
 
+use crate::ports::free_addr;
+
 /// How long anything may take on a busy machine.
-pub const PATIENCE: Duration = Duration::from_secs(20);
+pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A switch with its RIB; its files lie in the folder under this label.
 pub fn config(folder: &Path, label: &str) -> Config {
@@ -35,10 +37,7 @@ pub struct Chain<'a> {
 impl<'a> Chain<'a> {
     pub fn new(folder: &'a Path) -> Self {
         let name = |i| Identity::load_or_generate(&folder.join(format!("s{i}.pem")), "switch").unwrap().name();
-        // Free when asked for; taken by the daemons a moment later.
-        let sockets: Vec<_> = (0..3).map(|_| UdpSocket::bind("127.0.0.1:0").unwrap()).collect();
-        let addrs = sockets.iter().map(|socket| socket.local_addr().unwrap()).collect();
-        Self { folder, names: (1..=3).map(name).collect(), addrs }
+        Self { folder, names: (1..=3).map(name).collect(), addrs: (0..3).map(|_| free_addr()).collect() }
     }
 
     pub fn config(&self, i: usize) -> Config {

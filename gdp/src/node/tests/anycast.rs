@@ -198,5 +198,5 @@ async fn echo(server: &mut Server) {
 }
 
 async fn soon<T>(what: impl Future<Output = T>) -> T {
-    tokio::time::timeout(Duration::from_secs(20), what).await.expect("in time")
+    tokio::time::timeout(PATIENCE, what).await.expect("in time")
 }

@@ -378,9 +378,12 @@ impl Owner {
     }
 }
 
-/// Waits for a condition, ten seconds at most.
+/// For whatever a test waits for. Says that it is broken, not how fast it is.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Waits for a condition.
 pub async fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
-    let deadline = Instant::now() + Duration::from_secs(10);
+    let deadline = Instant::now() + PATIENCE;
     while !condition() {
         assert!(Instant::now() < deadline, "not in time: {what}");
         tokio::time::sleep(Duration::from_millis(5)).await;

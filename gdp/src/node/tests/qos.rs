@@ -4,8 +4,6 @@ use super::*;
 use crate::node::Unflushed;
 use crate::seal::Draft;
 
-const PATIENCE: Duration = Duration::from_secs(10);
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn who_asks_for_more_than_is_offered_gets_the_newest_and_both_are_told() {
     let fabric = Fabric::start().await;
@@ -100,7 +98,7 @@ async fn what_cannot_be_brought_to_its_readers_is_told_in_time() {
         best_effort.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
     }
     best_effort.close(PATIENCE).await.expect("all has left the host");
-    let error = publisher.close(Duration::from_millis(100)).await.unwrap_err();
+    let error = publisher.close(Duration::from_secs(1)).await.unwrap_err();
     let NodeError::Unflushed(Unflushed { unsent, unacknowledged }) = &error else { panic!("{error}") };
     assert_eq!((*unsent, unacknowledged.get(&cloud.name())), (0, Some(&3)), "{error}");
 }
@@ -132,10 +130,11 @@ async fn counters_are_read_from_anywhere_and_outlive_what_they_count() {
     assert!(robot.0.state.outlet.send_one(owner.name(), &[7; 40], false));
     let seen = received.clone();
     let counted = tokio::spawn(async move {
-        eventually("the reader drops what makes no sense", || !seen.read().drops.is_empty()).await;
-        seen.read()
+        let dropped = || seen.read().drops.get("seal_truncated").copied();
+        eventually("the reader drops what makes no sense", || dropped().is_some()).await;
+        dropped()
     });
-    assert_eq!(counted.await.unwrap().drops.into_iter().collect::<Vec<_>>(), [("seal_truncated", 1)]);
+    assert_eq!(counted.await.unwrap(), Some(1));
     drop((publisher, subscription));
     let as_json = |value: serde_json::Value| (value["messages"].clone(), value["delivered"].clone());
     let shown = (serde_json::to_value(sent.read()).unwrap(), serde_json::to_value(received.read()).unwrap());

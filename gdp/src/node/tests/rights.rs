@@ -9,7 +9,7 @@ async fn messages_flow_over_the_end_of_certificates_that_are_renewed() {
     let fabric = Fabric::start().await;
     let owner = Owner::new("/chatter");
     let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
-    let soon = unix_now() + 2;
+    let soon = unix_now() + 5;
     let short = owner.grant_until(&cloud, 1, soon);
     let mut subscription = cloud.subscribe(owner.card().proof(), short, SubscribeOptions::reliable()).await.unwrap();
     let short = owner.ad_cert_until(robot.name(), 1, soon);
@@ -83,7 +83,7 @@ async fn servers_and_clients_renew_too() {
     let fabric = Fabric::start().await;
     let owner = Owner::new("/add");
     let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
-    let soon = unix_now() + 2;
+    let soon = unix_now() + 5;
     let mut server = robot.serve(owner.card().proof(), owner.ad_cert_until(robot.name(), 1, soon)).await.unwrap();
     let client = cloud.client(owner.card().proof(), owner.grant_until(&cloud, 1, soon)).await.unwrap();
     server.renew(owner.ad_cert_until(robot.name(), 2, soon + 60)).await.unwrap();
@@ -101,7 +101,7 @@ async fn handles_tell_that_they_ended_and_why() {
     let fabric = Fabric::start().await;
     let [topic, service, revoked] = ["/chatter", "/add", "/stolen"].map(Owner::new);
     let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
-    let soon = unix_now() + 1;
+    let soon = unix_now() + 5;
     let (proof, options) = (topic.card().proof(), PublishOptions::reliable());
     let publisher = robot.publish(proof, topic.ad_cert_until(robot.name(), 1, soon), options).await.unwrap();
     let grant = topic.grant_until(&cloud, 1, soon);
@@ -124,7 +124,7 @@ async fn handles_tell_that_they_ended_and_why() {
         Box::pin(client.ended()),
     ];
     for end in ends {
-        let why = tokio::time::timeout(Duration::from_secs(10), end).await.expect("in time");
+        let why = tokio::time::timeout(PATIENCE, end).await.expect("in time");
         assert!(matches!(why, Ended::Right(CertError::Expired { .. })), "{why}");
     }
     assert!(subscription.recv().await.is_none());
@@ -167,8 +167,8 @@ async fn a_node_that_starts_anew_has_forgotten_no_revocation() {
         let publisher = owner.publish(&robot).await.unwrap();
         let subscription = owner.subscribe_by(&cloud, 9, SubscribeOptions::reliable()).await.unwrap();
         fabric.revoke(owner.revocation(1, vec![1, 9])).await;
-        tokio::time::timeout(Duration::from_secs(10), publisher.ended()).await.expect("in time");
-        tokio::time::timeout(Duration::from_secs(10), subscription.ended()).await.expect("in time");
+        tokio::time::timeout(PATIENCE, publisher.ended()).await.expect("in time");
+        tokio::time::timeout(PATIENCE, subscription.ended()).await.expect("in time");
         robot.close().await;
         cloud.close().await;
     }

@@ -31,7 +31,7 @@ use gdp::{Identity, Node, NodeConfig};
 use gdp_tests::wait::wait_for;
 
 /// How long anything may take that is to happen.
-pub const SOON: Duration = Duration::from_secs(20);
+pub const SOON: Duration = Duration::from_secs(60);
 
 /// Waits for a condition with a deadline.
 pub fn eventually<T>(what: &str, mut condition: impl FnMut() -> Option<T>) -> Result<T> {

@@ -9,6 +9,8 @@ use gdp::seal::{Encoding, Message};
 use gdp::{Identity, Name, Node};
 use tokio::time::timeout;
 
+use crate::patient::patient;
+
 use super::{Frame, Owner, SOON, Switch, dropped, eventually, node};
 
 /// Declared in the order in which it ends.
@@ -26,7 +28,8 @@ pub struct Scene {
 impl Scene {
     /// The newest message counts.
     pub async fn best_effort() -> Result<Self> {
-        Self::set(PublishOptions::best_effort(), SubscribeOptions::best_effort()).await
+        let (publishing, reading) = patient();
+        Self::set(publishing, reading).await
     }
 
     /// Every message counts.

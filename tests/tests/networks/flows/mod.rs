@@ -14,10 +14,11 @@ use gdp_tests::netns::Namespace;
 use gdp_tests::wait::wait_for;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
+use tokio::time::MissedTickBehavior;
 
 use super::inside::{Inside, ROOT};
 
-pub const SOON: Duration = Duration::from_secs(20);
+pub const SOON: Duration = Duration::from_secs(60);
 
 /// A node.
 pub struct Party {
@@ -121,6 +122,7 @@ impl<'a> Flow<'a> {
         let (stopped, mut end, messages) = (stop.subscribe(), last.subscribe(), Arc::<Mutex<Vec<Arrival>>>::default());
         let sending = from.inside.runtime.spawn(async move {
             let (mut ticks, mut count, body) = (tokio::time::interval(period), 0, vec![1; size]);
+            ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
             while !*stopped.borrow() {
                 ticks.tick().await;
                 count = publisher.send(Encoding::Bytes, &body).await?;

@@ -11,6 +11,7 @@ use tokio::runtime::Handle;
 use tokio::time::timeout;
 
 use crate::evil::{Frame, Owner, Recording, SOON, Scene, dropped, eventually, node};
+use crate::patient::patient;
 
 /// What becomes of a payload.
 type Alter = Box<dyn Fn(&mut Vec<u8>) + Send>;
@@ -256,10 +257,10 @@ async fn a_restarted_reader_does_not_take_yesterdays_messages() -> Result<()> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_a_switch_holds_back_for_too_long_is_too_old() -> Result<()> {
-    const MAX_AGE: Duration = Duration::from_millis(300);
-    let mut reading = SubscribeOptions::best_effort();
+    const MAX_AGE: Duration = Duration::from_secs(3);
+    let (publishing, mut reading) = patient();
     reading.limits.max_age = MAX_AGE;
-    let mut scene = Scene::set(PublishOptions::best_effort(), reading).await?;
+    let mut scene = Scene::set(publishing, reading).await?;
     let topic = scene.owner.name();
     let held = Recording::default();
     let holding = held.clone();

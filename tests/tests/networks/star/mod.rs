@@ -23,7 +23,7 @@ use gdp_tests::packet::PacketSocket;
 use gdp_tests::wait::wait_for;
 use gdp_wire::{Carrier, Counter, LinkEntry, LinkRole, Name};
 
-pub const SOON: Duration = Duration::from_secs(20);
+pub const SOON: Duration = Duration::from_secs(60);
 
 pub const OWN_BIT: u64 = 1 << 5;
 

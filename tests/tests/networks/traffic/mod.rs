@@ -13,6 +13,9 @@ use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
 use gdp_tests::fabric::PATIENCE;
 use gdp_tests::netns::Namespace;
 use gdp_tests::wait::wait_for;
+use tokio::time::MissedTickBehavior;
+
+use crate::patient::patient;
 
 /// Between two messages.
 const PACE: Duration = Duration::from_millis(1);
@@ -46,7 +49,7 @@ impl Traffic {
             let node = connect(&folder.join("key.pem"), "l0").await?;
             let card = NameCard::load(&folder.join("chatter.card"))?;
             let grant = Reading::from_pem(&std::fs::read_to_string(folder.join("chatter.cert"))?)?;
-            let options = SubscribeOptions { queue: 1 << 16, ..SubscribeOptions::best_effort() };
+            let options = SubscribeOptions { queue: 1 << 16, ..patient().1 };
             let mut subscription = node.subscribe(card.proof(), grant, options).await?;
             shared.nodes()[1] = Some(node);
             while !shared.stop.load(Ordering::Relaxed) {
@@ -67,10 +70,11 @@ impl Traffic {
             let card = NameCard::load(&folder.join("chatter.card"))?;
             let cert = Issued::from_pem(&std::fs::read_to_string(folder.join("chatter.cert"))?)?;
             // Nothing is asked for again, and nothing gives way to newer messages.
-            let options = PublishOptions { history: 1 << 16, ..PublishOptions::best_effort() };
+            let options = PublishOptions { history: 1 << 16, ..patient().0 };
             let mut publisher = node.publish(card.proof(), cert, options).await?;
             shared.nodes()[0] = Some(node);
             let mut pace = tokio::time::interval(PACE);
+            pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
             while !shared.stop_sending.load(Ordering::Relaxed) {
                 pace.tick().await;
                 let number = shared.sent.load(Ordering::Relaxed);
