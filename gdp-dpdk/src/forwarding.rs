@@ -140,6 +140,8 @@ impl Batch {
     /// Phase 1.
     #[inline(always)]
     fn find<V: View>(&mut self, at: &At<'_>, burst: &mut Burst, view: &V, sink: &mut impl Sink, counts: &mut Counts) {
+        // Packets may be in another CPU's caches.
+        burst.iter().for_each(Mbuf::fetch);
         for mbuf in burst.drain() {
             match locate(&mbuf, at) {
                 Located::Frame(carried) => {

@@ -8,6 +8,8 @@ use std::ptr::NonNull;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU16, AtomicU32, Ordering};
 
+use gdp_wire::fetch::fetch;
+
 use crate::sys;
 use crate::{DpdkError, Eal};
 
@@ -138,6 +140,15 @@ impl Mbuf {
         let raw = self.raw();
         // SAFETY: so many bytes of the buffer are the packet's, from there on.
         unsafe { std::slice::from_raw_parts(raw.buffer.add(raw.data_offset.into()), raw.data_length.into()) }
+    }
+
+    /// Brings what headers lie in into the caches, without waiting for it.
+    #[inline]
+    pub fn fetch(&self) {
+        let raw = self.raw();
+        let begin = raw.buffer.wrapping_add(raw.data_offset.into());
+        fetch(begin);
+        fetch(begin.wrapping_add(64));
     }
 
     /// As [`Self::bytes`]; `None` if they are others' as well.

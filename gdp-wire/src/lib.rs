@@ -6,6 +6,7 @@
 #![cfg_attr(not(test), no_std)]
 
 pub mod counter;
+pub mod fetch;
 pub mod flat;
 pub mod forward;
 pub mod header;

@@ -9,6 +9,7 @@ use super::{
     BUCKET, KEY, LINE, LINES, LIVE, MASK, Memory, PASSED, PATH, Place, USED, Words, from_words, lookup, names_in,
     to_words,
 };
+use crate::fetch::fetch;
 use crate::{FibEntry, Name};
 
 /// Names whose first lines are fetched at once.
@@ -325,7 +326,7 @@ pub fn count(memory: &[AtomicU64]) -> usize {
 }
 
 /// Brings the lines that a lookup of the name begins with into the caches, without waiting for them: two, because every third name or so
-/// is in the second. On x86-64 and AArch64; elsewhere it does nothing.
+/// is in the second.
 #[inline]
 pub fn prefetch(memory: &[AtomicU64], name: &Name) {
     let word = |index: usize| memory.get(index).map_or(0, |word| word.load(Ordering::Relaxed));
@@ -335,24 +336,6 @@ pub fn prefetch(memory: &[AtomicU64], name: &Name) {
             fetch(line);
         }
     }
-}
-
-#[inline(always)]
-fn fetch(line: &AtomicU64) {
-    let line = core::ptr::from_ref(line);
-    #[cfg(target_arch = "x86_64")]
-    // SAFETY: changes nothing but the caches, and every x86-64 processor has it.
-    unsafe {
-        use core::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        _mm_prefetch::<_MM_HINT_T0>(line.cast());
-    }
-    #[cfg(target_arch = "aarch64")]
-    // SAFETY: changes nothing but the caches, and every AArch64 processor has it.
-    unsafe {
-        core::arch::asm!("prfm pldl1keep, [{}]", in(reg) line, options(nostack, readonly, preserves_flags));
-    }
-    #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
-    let _ = line;
 }
 
 /// A number in some bits of a state.
