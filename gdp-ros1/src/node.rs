@@ -31,6 +31,9 @@ use crate::topic::subscription::{Keeper, Listed, Message, SourceStates, Subscrib
 /// How often and how rarely a master may be asked for its state.
 const POLL: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(60));
 
+/// Time for those who are being answered to get that before connections end.
+const LAST_ANSWERS: Duration = Duration::from_secs(1);
+
 /// Why a node, or something of it, cannot be.
 #[derive(Debug, thiserror::Error)]
 pub enum NodeError {
@@ -84,6 +87,7 @@ impl Node {
             publications: Mutex::default(),
             subscriptions: Mutex::default(),
             services: Mutex::default(),
+            answers: Arc::default(),
             status: watch::Sender::default(),
             graph: watch::Sender::default(),
             leaving: watch::Sender::default(),
@@ -169,7 +173,14 @@ impl Node {
         validate_type(&kind.name)?;
         let handler = Box::new(move |request| Box::pin(handler(request)) as _);
         let (caller_id, max_message) = (self.name().to_owned(), self.shared.config.max_message);
-        let served = Service::new(service.clone(), kind, concurrency.max(1), caller_id, max_message, handler);
+        let served = Service::new(
+            service.clone(),
+            kind,
+            concurrency.max(1),
+            caller_id,
+            max_message,
+            (handler, self.shared.answers.clone()),
+        );
         let mut services = lock(&self.shared.services);
         if services.contains_key(&service) {
             return Err(NodeError::Served(service));
@@ -201,6 +212,7 @@ impl Node {
             // It ends by itself, or has panicked: either way nothing more can be done.
             _ = registrar.await;
         }
+        _ = tokio::time::timeout(LAST_ANSWERS, self.shared.answers.write()).await;
         self.servers.shutdown().await;
     }
 }

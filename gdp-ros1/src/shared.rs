@@ -10,7 +10,7 @@ use crate::api::slave::{SlaveCall, failure, success};
 use crate::config::NodeConfig;
 use crate::graph::Snapshot;
 use crate::registration::{Key, Kind, Registrations};
-use crate::service::server::Service;
+use crate::service::server::{Answers, Service};
 use crate::tcpros::listener::refuse;
 use crate::tcpros::{Header, Stream, TcprosError};
 use crate::topic::publication::Publication;
@@ -30,6 +30,7 @@ pub struct Shared {
     pub publications: Mutex<HashMap<String, Arc<Publication>>>,
     pub subscriptions: Mutex<HashMap<String, Subscribed>>,
     pub services: Mutex<HashMap<String, Arc<Service>>>,
+    pub answers: Answers,
     pub status: watch::Sender<Status>,
     pub graph: watch::Sender<Arc<Snapshot>>,
     /// Whether the node leaves.

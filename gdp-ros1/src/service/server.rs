@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use bytes::{BufMut, Bytes, BytesMut};
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt};
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::{RwLock, Semaphore, watch};
 use tokio::time::timeout;
 
 use crate::tcpros::listener::refuse;
@@ -49,7 +49,11 @@ pub struct Service {
     running: Semaphore,
     /// Connections end when it goes.
     alive: watch::Sender<()>,
+    answers: Answers,
 }
+
+/// Held to read by whoever has a request, until its answer is written.
+pub type Answers = Arc<RwLock<()>>;
 
 impl Service {
     pub fn new(
@@ -58,10 +62,10 @@ impl Service {
         concurrency: usize,
         caller_id: String,
         max_message: usize,
-        handler: Handler,
+        (handler, answers): (Handler, Answers),
     ) -> Self {
         let (running, alive) = (Semaphore::new(concurrency), watch::channel(()).0);
-        Self { name, kind, caller_id, max_message, handler, running, alive }
+        Self { name, kind, caller_id, max_message, handler, running, alive, answers }
     }
 
     /// Serves one who asks for this service by `header`: one request, or as many as come if it says so.
@@ -85,6 +89,7 @@ impl Service {
                     data => data?,
                 };
                 let Some(service) = answering.upgrade() else { return Ok(()) };
+                let _answering = service.answers.clone().read_owned().await;
                 let request = ServiceRequest { data, caller_id: caller_id.clone() };
                 let answer = tokio::select! {
                     answer = service.answer(request) => answer,
