@@ -7,6 +7,8 @@
 
 #[path = "../../gdp-wire/src/counter.rs"]
 pub mod counter;
+#[path = "../../gdp-wire/src/fetch.rs"]
+pub mod fetch;
 #[path = "../../gdp-wire/src/flat/mod.rs"]
 pub mod flat;
 #[path = "../../gdp-wire/src/forward/mod.rs"]

@@ -179,7 +179,8 @@ impl Node {
             concurrency.max(1),
             caller_id,
             max_message,
-            (handler, self.shared.answers.clone()),
+            handler,
+            self.shared.answers.clone(),
         );
         let mut services = lock(&self.shared.services);
         if services.contains_key(&service) {
@@ -205,7 +206,8 @@ impl Node {
         self.shared.status.subscribe()
     }
 
-    /// Takes everything back at the master, as far as it can be reached within a few seconds, and ends all connections.
+    /// Takes everything back at the master, as far as it can be reached within a few seconds, and ends all connections; those
+    /// who are being answered get that before, if it takes no more than a second.
     pub async fn leave(mut self) {
         self.shared.leaving.send_replace(true);
         if let Some(registrar) = self.registrar.take() {

@@ -30,6 +30,7 @@ pub struct Shared {
     pub publications: Mutex<HashMap<String, Arc<Publication>>>,
     pub subscriptions: Mutex<HashMap<String, Subscribed>>,
     pub services: Mutex<HashMap<String, Arc<Service>>>,
+    /// Of all services, whether they are there still or not.
     pub answers: Answers,
     pub status: watch::Sender<Status>,
     pub graph: watch::Sender<Arc<Snapshot>>,

@@ -26,7 +26,7 @@ const BETWEEN: Duration = Duration::from_millis(250);
 
 /// How far something that counts its changes is written.
 pub struct Keeper {
-    saved: AtomicU64,
+    saved: Arc<AtomicU64>,
     /// Held while a file is written, also by who waits for that no more: when the next one may be.
     next: Arc<Mutex<Instant>>,
 }
@@ -34,7 +34,7 @@ pub struct Keeper {
 impl Keeper {
     /// So many changes are in the file.
     pub fn new(saved: u64) -> Self {
-        Self { saved: saved.into(), next: Arc::new(Mutex::new(Instant::now())) }
+        Self { saved: Arc::new(saved.into()), next: Arc::new(Mutex::new(Instant::now())) }
     }
 
     /// Returns once so many changes are in the file. `collect`: all there is to write, and how many changes that is; `write` blocks.
@@ -56,17 +56,19 @@ impl Keeper {
         }
         sleep_until(*next).await;
         let Some((collected, all)) = collect() else { return Ok(()) };
+        let saved = self.saved.clone();
         let writing = move || {
             let written = write(all);
+            // Before the next one looks, and though nobody may wait for this any more.
+            if written.is_ok() {
+                saved.store(collected, Ordering::Release);
+            }
             *next = Instant::now() + BETWEEN;
             written
         };
         let written = tokio::task::spawn_blocking(writing).await;
         let failed = match written {
-            Ok(Ok(())) => {
-                self.saved.store(collected, Ordering::Release);
-                return Ok(());
-            }
+            Ok(Ok(())) => return Ok(()),
             Ok(Err(error)) => error.to_string(),
             Err(error) => error.to_string(),
         };
@@ -124,5 +126,41 @@ impl Daemon {
             Ok(())
         };
         keeper.keep(taken, collect, write).await
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicUsize;
+    use std::sync::mpsc;
+
+    use tokio::sync::Notify;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn many_changes_are_written_together_and_a_write_counts_though_nobody_waits_for_it() {
+        let (keeper, writes, started) = (Keeper::new(0), Arc::new(AtomicUsize::new(0)), Arc::new(Notify::new()));
+        let (go, gate) = mpsc::channel::<()>();
+        let gate = Arc::new(std::sync::Mutex::new(gate));
+        let keep = |changes: u64| {
+            let (writes, started, gate) = (writes.clone(), started.clone(), gate.clone());
+            let write = move |()| {
+                writes.fetch_add(1, Ordering::Relaxed);
+                started.notify_one();
+                // Until the test lets go of the other end.
+                let _ = gate.lock().unwrap().recv();
+                Ok(())
+            };
+            keeper.keep(changes, || Some((50, ())), write)
+        };
+        tokio::select! {
+            _ = keep(1) => panic!("it is not written yet"),
+            () = started.notified() => {}
+        }
+        drop(go);
+        let kept = futures::future::join_all((1..=50).map(keep)).await;
+        assert!(kept.iter().all(Result::is_ok));
+        assert_eq!(writes.load(Ordering::Relaxed), 1);
     }
 }

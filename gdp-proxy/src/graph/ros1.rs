@@ -62,9 +62,7 @@ impl Master {
             md5sum: STRING_MD5.into(),
             definition: "string data\n".into(),
         };
-        // Latched, so that one who comes hears the others at once.
-        let options = PublishOptions { latch: true, ..PublishOptions::default() };
-        let publisher = node.publish(PRESENCE, kind.clone(), options)?;
+        let publisher = node.publish(PRESENCE, kind.clone(), PublishOptions::default())?;
         let options = SubscribeOptions { kind: Some((kind.name, kind.md5sum)), ..SubscribeOptions::default() };
         let voice = Presence { publisher, subscription: node.subscribe(PRESENCE, options)? };
         let twins: Arc<Twins> = Arc::default();

@@ -103,10 +103,8 @@ impl Domain {
     pub fn join_as_proxy(domain: u16, node: &str) -> Result<Self, RosError> {
         let mut joined = Self::join(domain, node)?;
         let (topic, kind) = (TopicName::parse("/gdp_proxy")?, TypeName::parse("gdp_proxy/msg/Presence")?);
-        // Latched, so that one who comes hears the others at once.
-        let latched = Qos { durability: Durability::TransientLocal, depth: Depth::ONE, ..Qos::default() }.into();
-        let writer = joined.raw_writer(&topic, PROXY_TOPIC, &kind, &latched)?;
-        let reader = joined.raw_reader(&topic, PROXY_TOPIC, &kind, &latched)?;
+        let writer = joined.raw_writer(&topic, PROXY_TOPIC, &kind, &Qos::default().into())?;
+        let reader = joined.raw_reader(&topic, PROXY_TOPIC, &kind, &Qos::default().into())?;
         joined.presence = Some(tokio::spawn(twins::beat(joined.twins.clone(), Presence { writer, reader })));
         Ok(joined)
     }

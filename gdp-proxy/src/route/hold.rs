@@ -4,8 +4,10 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// How long a writer waits for a first subscriber; without one, nobody may want the topic.
-const PATIENCE: Duration = Duration::from_secs(3);
+/// How long a writer waits for a first subscriber; without one, nobody may want the topic. What is reliable is worth more patience than what
+/// another message replaces.
+const PATIENCE: Duration = Duration::from_millis(750);
+const RELIABLE_PATIENCE: Duration = Duration::from_secs(3);
 
 /// How long it waits for the others, and for the first one to know of it, too.
 const SETTLE: Duration = Duration::from_millis(150);
@@ -24,8 +26,9 @@ pub struct Hold<T> {
 }
 
 impl<T> Hold<T> {
-    pub fn new(now: Instant) -> Self {
-        Self { until: now + PATIENCE, has_matched: false, waiting: VecDeque::new(), bytes: 0 }
+    pub fn new(now: Instant, is_reliable: bool) -> Self {
+        let patience = if is_reliable { RELIABLE_PATIENCE } else { PATIENCE };
+        Self { until: now + patience, has_matched: false, waiting: VecDeque::new(), bytes: 0 }
     }
 
     pub fn push(&mut self, message: T, bytes: usize) {
@@ -66,21 +69,23 @@ mod tests {
     #[test]
     fn it_waits_for_the_first_subscriber_and_no_longer_than_it_may() {
         let now = Instant::now();
-        let mut hold = Hold::<u8>::new(now);
-        assert!(!hold.is_over(now + PATIENCE - SETTLE / 2, || false) && hold.is_over(now + PATIENCE, || false));
-        let mut hold = Hold::new(now);
+        for (is_reliable, patience) in [(true, RELIABLE_PATIENCE), (false, PATIENCE)] {
+            let mut hold = Hold::<u8>::new(now, is_reliable);
+            assert!(!hold.is_over(now + patience - SETTLE / 2, || false) && hold.is_over(now + patience, || false));
+        }
+        let mut hold = Hold::new(now, false);
         hold.push('a', 1);
         assert!(!hold.is_over(now + SETTLE, || true) && !hold.is_over(now + SETTLE, || unreachable!("it is known")));
         assert!(hold.is_over(now + 2 * SETTLE, || true));
         assert_eq!(hold.into_waiting().collect::<Vec<_>>(), ['a']);
-        let mut late = Hold::<u8>::new(now);
+        let mut late = Hold::<u8>::new(now, false);
         assert!(!late.is_over(now + PATIENCE - SETTLE / 2, || true) && late.is_over(now + PATIENCE, || true));
     }
 
     #[test]
     fn what_waits_is_bounded() {
         let now = Instant::now();
-        let (mut many, mut large) = (Hold::new(now), Hold::new(now));
+        let (mut many, mut large) = (Hold::new(now, true), Hold::new(now, true));
         (0..=MAX_WAITING).for_each(|i| many.push(i, 1));
         large.push(0, MAX_WAITING_BYTES + 1);
         assert!(many.is_over(now, || false) && large.is_over(now, || false));

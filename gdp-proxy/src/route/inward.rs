@@ -90,7 +90,8 @@ impl Route {
                     self.standing.renew(right, async |new| subscription.renew(new).await).await;
                     // Whose rosters wait here has not fallen silent: it is this proxy that was late.
                     for _ in 0..WAITING {
-                        let Some(Some(message)) = subscription.recv().now_or_never() else { break };
+                        let next = tokio::task::unconstrained(subscription.recv());
+                        let Some(Some(message)) = next.now_or_never() else { break };
                         self.take(to, message).await;
                     }
                     let (changes, forgotten) = to.incoming.poll(Instant::now());

@@ -174,7 +174,7 @@ impl Local {
 
 impl Made {
     pub fn new(now: Instant, writer: Writer, offers: Offer, format: Inbound) -> Self {
-        Self { writer, offers, format, hold: Some(Hold::new(now)), written: None }
+        Self { writer, offers, format, hold: Some(Hold::new(now, offers.reliable)), written: None }
     }
 
     /// Writes a message, or has it wait.

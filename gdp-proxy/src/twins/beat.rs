@@ -3,14 +3,13 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use tokio::time::MissedTickBehavior;
+use super::{LISTEN, Twins};
 
-use super::Twins;
-
-/// How often it is told, if nothing changes.
+/// How often it is told, if nothing changes, once it has been told for as long as newcomers listen.
 const BEAT: Duration = Duration::from_secs(1);
 
-/// How soon after it was told news are told: what changes all the time would keep the whole graph busy.
+/// How soon after it was told news are told: what changes all the time would keep the whole graph busy. Newcomers tell as often, so that those
+/// who discover them late answer in time.
 const PACE: Duration = Duration::from_millis(250);
 
 /// What one proxy tells, in bytes.
@@ -27,12 +26,11 @@ pub trait Voice: Send {
 
 /// Runs for ever, or until nothing more can be heard.
 pub async fn beat(twins: Arc<Twins>, mut voice: impl Voice) {
-    let mut ticks = tokio::time::interval(BEAT);
-    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let (mut has_warned, mut next) = (false, tokio::time::Instant::now());
+    let began = tokio::time::Instant::now();
+    let (mut has_warned, mut next, mut due) = (false, began, began);
     loop {
         let heard = tokio::select! {
-            _ = ticks.tick() => None,
+            () = tokio::time::sleep_until(due) => None,
             () = news(&twins, next) => None,
             heard = voice.hear() => match heard {
                 Some(heard) => Some(heard),
@@ -43,7 +41,9 @@ pub async fn beat(twins: Arc<Twins>, mut voice: impl Voice) {
             if let Some(text) = twins.claims() {
                 voice.tell(text).await;
             }
-            next = tokio::time::Instant::now() + PACE;
+            let now = tokio::time::Instant::now();
+            next = now + PACE;
+            due = now + if now < began + LISTEN { PACE } else { BEAT };
             continue;
         };
         let text = String::from_utf8_lossy(heard.get(..MAX_TEXT.min(heard.len())).unwrap_or_default());

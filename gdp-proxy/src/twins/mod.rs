@@ -147,7 +147,11 @@ impl Twins {
         if state.others.len() >= MAX_OTHERS && !state.others.contains_key(&entity) {
             return Err(ClaimsError::TooMuch { what: "proxies in a graph", got: MAX_OTHERS + 1, most: MAX_OTHERS });
         }
-        state.others.insert(entity, Other { able: able.into_iter().collect(), heard: now });
+        let known = state.others.insert(entity, Other { able: able.into_iter().collect(), heard: now });
+        if known.is_none() {
+            // One who comes is not to wait for the next time that it is told.
+            self.news.notify_one();
+        }
         Ok(())
     }
 

@@ -62,7 +62,8 @@ impl Service {
         concurrency: usize,
         caller_id: String,
         max_message: usize,
-        (handler, answers): (Handler, Answers),
+        handler: Handler,
+        answers: Answers,
     ) -> Self {
         let (running, alive) = (Semaphore::new(concurrency), watch::channel(()).0);
         Self { name, kind, caller_id, max_message, handler, running, alive, answers }

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use gdp_ros1::{CallError, ServiceInfo, ServiceType};
+use tokio::sync::Notify;
 use tokio::time::sleep;
 
 use crate::harness::{LIMIT, Master, registered, string, until};
@@ -73,6 +74,31 @@ async fn services_of_ours_are_called_by_rospy() {
     registered(&node).await;
     let client = node.client("/light").unwrap();
     assert!(matches!(client.probe(LIMIT).await, Err(CallError::Unserved { .. })));
+}
+
+#[tokio::test]
+async fn who_is_being_answered_gets_that_from_a_node_that_leaves() {
+    let master = Master::start().await;
+    let (node, other) = (master.node("/bridge").await, master.node("/caller").await);
+    let begun = Arc::new(Notify::new());
+    let beginning = begun.clone();
+    let server = node.serve("/light", set_bool(), 1, move |_| {
+        let begun = beginning.clone();
+        async move {
+            begun.notify_one();
+            // To leave takes less.
+            sleep(Duration::from_millis(100)).await;
+            Err("it goes dark".to_owned())
+        }
+    });
+    registered(&node).await;
+    let client = other.client("/light").unwrap();
+    let calling = tokio::spawn(async move { client.call("*", Bytes::from_static(&[1]), LIMIT).await });
+    begun.notified().await;
+    drop(server);
+    node.leave().await;
+    let failed = calling.await.unwrap();
+    assert!(matches!(&failed, Err(CallError::Failed { text, .. }) if text == "it goes dark"), "{failed:?}");
 }
 
 #[tokio::test]

@@ -127,9 +127,8 @@ async fn silent_peers_hold_up_nobody_else() {
     assert!(tokio::time::timeout(Duration::from_millis(300), beyond).await.is_err(), "more than its share");
 
     let dialler = open(&identity("proxy"));
-    let begin = Instant::now();
     link(&dialler, &listener).await;
-    assert!(begin.elapsed() < HANDSHAKE_TIMEOUT);
+    assert!(silent.iter().all(|connection| connection.close_reason().is_none()), "it waited for their end");
     for connection in silent {
         connection.closed().await;
     }
@@ -258,7 +257,7 @@ async fn keys_are_replaced_on_both_sides_while_frames_cross() {
     let (client, server) = link(&dialler, &listener).await;
     let ends = [End::new(&client), End::new(&server)];
     let first = (0..2).map(|i| ends[i].frame()).collect::<Vec<_>>();
-    let deadline = Instant::now() + Duration::from_secs(60);
+    let (deadline, mut in_time) = (Instant::now() + Duration::from_secs(60), 0);
     while ends.iter().any(|end| end.link.key_generations().0 < 5 || end.link.key_generations().1 < 5) {
         assert!(Instant::now() < deadline, "{:?} {:?}", client.key_generations(), server.key_generations());
         for (from, to) in [(0, 1), (1, 0)] {
@@ -268,10 +267,12 @@ async fn keys_are_replaced_on_both_sides_while_frames_cross() {
             // If nothing held this thread up in between.
             if made.elapsed() < OFTEN.overlap / 2 {
                 assert_eq!(taken, Ok(FrameType::Data), "{:?}", ends[from].link.key_generations());
+                in_time += 1;
             }
         }
         tokio::task::yield_now().await;
     }
+    assert!(in_time > 10, "{in_time}");
     for (from, to) in [(0, 1), (1, 0)] {
         assert_eq!(ends[to].take(&first[from]), Err(Counter::BadTag), "it was recorded under the first key");
     }

@@ -132,7 +132,9 @@ mod tests {
             revoked.keep(proof, issue(&owner, &claims).unwrap(), claims.clone());
             std::thread::scope(|threads| {
                 threads.spawn(|| revoked.save());
+                let deadline = std::time::Instant::now() + std::time::Duration::from_secs(60);
                 while revoked.is_unsaved() {
+                    assert!(std::time::Instant::now() < deadline, "it is not saved");
                     std::thread::yield_now();
                 }
                 // The other one is at it now.

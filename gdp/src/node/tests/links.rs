@@ -14,9 +14,6 @@ const PERIOD: Duration = Duration::from_millis(10);
 /// Of a small message: its body, and its proof.
 const SEGMENTS: u64 = 2;
 
-/// Segments that a reader asked for though they were only late, on a machine that is busy.
-const A_FEW: u64 = 10;
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_goes_by_two_links_is_not_missed_when_one_is_cut_and_comes_once() {
     let fabric = Fabric::start().await;
@@ -95,7 +92,8 @@ async fn copies_are_dropped_at_the_reader_and_counted() {
     eventually("and are counted", || duplicates() >= SEGMENTS * 100).await;
     assert!(sent.topic.repeated <= A_FEW && duplicates() <= SEGMENTS * 100 + 2 * A_FEW, "{:?}", robot.links());
     assert_eq!(one_way.counters().inbound.duplicates, 0);
-    assert_eq!((robot.links()[1].copies_sent, cloud.counters().messages_received), (frames, 200));
+    assert!((frames..=frames + A_FEW).contains(&robot.links()[1].copies_sent), "{:?}", robot.links());
+    assert_eq!(cloud.counters().messages_received, 200);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

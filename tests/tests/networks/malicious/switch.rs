@@ -102,9 +102,11 @@ async fn what_a_switch_repeats_is_delivered_once() -> Result<()> {
     for i in 0..COUNT {
         scene.passes(&[i; 100]).await?;
     }
-    // Twice too often, body and proof.
-    let counters = scene.drops("seal_duplicate", 4 * u64::from(COUNT))?;
-    assert_eq!(dropped(&counters, "seal_duplicate"), 4 * u64::from(COUNT));
+    // Twice too often, body and proof. On a machine that is busy a few are asked for again, and come three times more.
+    let (repeats, few) = (4 * u64::from(COUNT), 3 * 10);
+    let counters = scene.drops("seal_duplicate", repeats)?;
+    let dropped = dropped(&counters, "seal_duplicate");
+    assert!((repeats..=repeats + few).contains(&dropped), "{dropped}");
     Ok(())
 }
 

@@ -69,7 +69,7 @@ impl Traffic {
             let node = connect(&folder.join("key.pem"), "r0").await?;
             let card = NameCard::load(&folder.join("chatter.card"))?;
             let cert = Issued::from_pem(&std::fs::read_to_string(folder.join("chatter.cert"))?)?;
-            // Nothing is asked for again, and nothing gives way to newer messages.
+            // Nothing gives way to newer messages.
             let options = PublishOptions { history: 1 << 16, ..patient().0 };
             let mut publisher = node.publish(card.proof(), cert, options).await?;
             shared.nodes()[0] = Some(node);
