@@ -156,6 +156,7 @@ impl Route {
                 tracing::warn!(topic = %self.config.topic, "more publishers elsewhere than have a counterpart here");
             }
         }
+        self.trim(to);
         self.make(to).await;
         self.show(to);
     }

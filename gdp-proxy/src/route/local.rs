@@ -203,6 +203,11 @@ impl Made {
         self.hold.as_ref().map_or(0, Hold::bytes)
     }
 
+    /// How many messages wait that go with it.
+    pub fn abandon(self) -> u64 {
+        self.hold.map_or(0, |hold| hold.into_waiting().count() as u64)
+    }
+
     /// Lets the oldest message that waits go: how many bytes it is.
     pub fn evict(&mut self) -> usize {
         self.hold.as_mut().map_or(0, Hold::drop_oldest)

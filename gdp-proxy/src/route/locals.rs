@@ -28,6 +28,8 @@ pub type Whose = Option<(Name, u32)>;
 pub struct Locals {
     by: HashMap<Whose, Local>,
     leaving: VecDeque<Made>,
+    /// Messages that waited with those that had to go before it was their time, since that was last asked.
+    abandoned: u64,
     budget: Budget,
 }
 
@@ -38,7 +40,7 @@ struct Budget {
 
 impl Locals {
     pub fn new(now: Instant) -> Self {
-        Self { by: HashMap::new(), leaving: VecDeque::new(), budget: Budget { left: BURST, since: now } }
+        Self { by: HashMap::new(), leaving: VecDeque::new(), abandoned: 0, budget: Budget { left: BURST, since: now } }
     }
 
     pub fn get(&mut self, whose: &Whose) -> Option<&mut Local> {
@@ -72,7 +74,7 @@ impl Locals {
         };
         self.leaving.extend(gone.filter(|made| !made.is_over(now)));
         while self.leaving.len() > MAX_LEAVING {
-            self.leaving.pop_front();
+            self.abandoned += self.leaving.pop_front().map_or(0, Made::abandon);
         }
         true
     }
@@ -92,10 +94,11 @@ impl Locals {
         self.made().any(|made| made.is_holding())
     }
 
-    /// Lets the oldest messages go of whoever has most, until all are no more than [`MAX_BYTES`] together: how many.
+    /// Lets the oldest messages go of whoever has most, until all are no more than [`MAX_BYTES`] together: how many, and those that have gone
+    /// with their counterparts.
     pub fn trim(&mut self) -> u64 {
         let bytes = self.by.values().map(Local::bytes).chain(self.leaving.iter().map(Made::bytes));
-        let (mut bytes, mut gone): (usize, _) = (bytes.sum(), 0);
+        let (mut bytes, mut gone): (usize, _) = (bytes.sum(), std::mem::take(&mut self.abandoned));
         while bytes > MAX_BYTES {
             let there = self.by.values_mut().max_by_key(|local| local.bytes());
             let leaving = self.leaving.iter_mut().max_by_key(|made| made.bytes());
