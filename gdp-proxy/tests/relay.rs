@@ -7,12 +7,13 @@
 //! ```
 
 mod hub;
+#[path = "../../gdp-ctl/tests/integration/ports.rs"]
+mod ports;
 
 use std::fs;
-use std::net::{SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use gdp::cert::{AdCert, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
@@ -109,16 +110,6 @@ struct Site {
     relay_addr: SocketAddr,
 }
 
-/// For a relay that is started and started again. Below those addresses that the system gives to sockets that want any: one of them could
-/// take it in between.
-fn free_addr() -> SocketAddr {
-    static NEXT: AtomicU16 = AtomicU16::new(0);
-    let first = 28_000 + (std::process::id() % 2000) as u16;
-    let addrs = std::iter::repeat_with(|| first + NEXT.fetch_add(1, Ordering::Relaxed));
-    let mut addrs = addrs.map(|port| SocketAddr::from(([127, 0, 0, 1], port)));
-    addrs.find(|addr| UdpSocket::bind(addr).is_ok()).unwrap()
-}
-
 impl Site {
     async fn start(in_domain: bool) -> Self {
         let folder = tempfile::tempdir().unwrap();
@@ -134,7 +125,7 @@ impl Site {
         {
             fs::write(path(file), membership(&domain, entity, role).to_pem()).unwrap();
         }
-        let relay_addr = free_addr();
+        let relay_addr = ports::free_addr();
         let mut hub = hub::config(folder.path(), Some(hub_domain(folder.path())));
         let mut member = "domain: {card: domain.card, membership: robot.member}\n";
         if !in_domain {
