@@ -98,19 +98,26 @@ impl Revoked {
 
 #[cfg(test)]
 mod tests {
+    use std::time::{Duration, Instant};
+
     use super::*;
     use crate::cert::issue;
     use crate::identity::SigningKey;
+
+    fn revocation() -> (NameProof, Signed<Revocation>, Revocation) {
+        let owner = SigningKey::generate().unwrap();
+        let proof = NameProof { owner_key: owner.public(), digest: [1; 32] };
+        let claims = Revocation { name: proof.name().unwrap(), number: 1, floor: 0, revoked: vec![1] };
+        (proof, issue(&owner, &claims).unwrap(), claims)
+    }
 
     #[test]
     fn what_could_not_be_saved_is_saved_later() {
         let (parent, entity) = (tempfile::tempdir().unwrap(), Name::from_bytes([7; 32]));
         let folder = parent.path().join("made/for/it");
         let revoked = Revoked::open(Some(&folder), entity).unwrap();
-        let owner = SigningKey::generate().unwrap();
-        let proof = NameProof { owner_key: owner.public(), digest: [1; 32] };
-        let claims = Revocation { name: proof.name().unwrap(), number: 1, floor: 0, revoked: vec![1] };
-        revoked.keep(proof, issue(&owner, &claims).unwrap(), claims.clone());
+        let (proof, signed, claims) = revocation();
+        revoked.keep(proof, signed, claims.clone());
         std::fs::remove_dir(&folder).unwrap();
         revoked.save();
         assert!(revoked.is_unsaved());
@@ -123,18 +130,16 @@ mod tests {
 
     #[test]
     fn whoever_saves_finds_it_saved_afterwards() {
-        let owner = SigningKey::generate().unwrap();
-        let proof = NameProof { owner_key: owner.public(), digest: [1; 32] };
-        let claims = Revocation { name: proof.name().unwrap(), number: 1, floor: 0, revoked: vec![1] };
+        let (proof, signed, claims) = revocation();
         for _ in 0..20 {
             let folder = tempfile::tempdir().unwrap();
             let revoked = Revoked::open(Some(folder.path()), Name::default()).unwrap();
-            revoked.keep(proof, issue(&owner, &claims).unwrap(), claims.clone());
+            revoked.keep(proof, signed.clone(), claims.clone());
             std::thread::scope(|threads| {
                 threads.spawn(|| revoked.save());
-                let deadline = std::time::Instant::now() + std::time::Duration::from_secs(60);
+                let deadline = Instant::now() + Duration::from_secs(60);
                 while revoked.is_unsaved() {
-                    assert!(std::time::Instant::now() < deadline, "it is not saved");
+                    assert!(Instant::now() < deadline, "it is not saved");
                     std::thread::yield_now();
                 }
                 // The other one is at it now.
