@@ -59,6 +59,25 @@ async fn publishers_are_told_apart_and_each_is_heard_once() {
     graph::leave(there).await;
 }
 
+/// A participant's end is the last that it sends, and nothing repeats it: without it, others wait for a minute's lease to run out.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_leaves_is_seen_to_go_at_once() {
+    let there = graphs().await;
+    let topic = topic("leaving");
+    let mut reader = there["a"].reader(&topic, None, None).unwrap();
+    for i in 0..20 {
+        let here = join();
+        let mut writer = here.writer(&topic, &kind(), &LATCHED).unwrap();
+        writer.write(sample([0, 1, 0, 0], 8), 0).await.unwrap();
+        within("it is heard", async { while !matches!(reader.next().await.unwrap(), Event::Message(_)) {} }).await;
+        here.leave().await;
+        let left = tokio::time::timeout(Duration::from_secs(20), gone(&mut reader)).await;
+        assert!(left.is_ok(), "participant {i} is not seen to go");
+    }
+    drop(reader);
+    graph::leave(there).await;
+}
+
 /// The next publisher that leaves.
 async fn gone(reader: &mut Reader<'_>) -> Option<graph::Key> {
     loop {

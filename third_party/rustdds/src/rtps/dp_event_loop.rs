@@ -408,7 +408,9 @@ impl DPEventLoop {
     preparing_to_stop: &mut bool,
   ) -> bool {
     use std::sync::mpsc::TryRecvError;
-    loop {
+    // GDP patch: only after what was written before, such as the participant's own end. It was lost
+    // where this loop had not come to it yet, and others waited for a lease to run out.
+    let stop = loop {
       match self.stop_poll_receiver.try_recv() {
         Ok(EventLoopCommand::PrepareStop) => {
           info!("dp_event_loop preparing to stop.");
@@ -416,15 +418,15 @@ impl DPEventLoop {
         }
         Ok(EventLoopCommand::Stop) => {
           info!("Stopping dp_event_loop");
-          return true;
+          break true;
         }
-        Err(TryRecvError::Empty) => break,
+        Err(TryRecvError::Empty) => break false,
         Err(TryRecvError::Disconnected) => {
           error!("Application thread has exited abnormally. Stopping RustDDS event loop.");
-          return true;
+          break true;
         }
       }
-    }
+    };
 
     // GDP patch: in the opposite order to what happens to an endpoint. So whatever is to be removed has
     // rung before, and whatever has rung was added before. One that was made and rang in between was
@@ -492,7 +494,7 @@ impl DPEventLoop {
       }
       self.message_receiver.notify_data_to_readers(local_readers);
     }
-    false
+    stop
   }
 
   fn drain_timers(&mut self, preparing_to_stop: bool) {
