@@ -5,10 +5,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use crate::fabric::PATIENCE;
 use crate::netns::{Namespace, execute};
 use crate::process::Process;
-use crate::wait::wait_for;
+use crate::wait::{PATIENCE, wait_for};
 
 const CLIENTS: u16 = 2379;
 const PEERS: u16 = 2380;

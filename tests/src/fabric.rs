@@ -5,7 +5,6 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::Duration;
 
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
@@ -15,10 +14,7 @@ use crate::dpdk;
 use crate::netns::{Namespace, execute};
 use crate::process::Process;
 use crate::tools::Tools;
-use crate::wait::wait_for;
-
-/// How long anything in a healthy fabric may take.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+use crate::wait::{PATIENCE, wait_for};
 
 #[derive(Clone, Debug)]
 pub struct FabricOptions {

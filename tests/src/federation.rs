@@ -21,7 +21,6 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
@@ -31,10 +30,7 @@ use crate::netns::{End, Namespace, execute, veth};
 use crate::packet::PacketSocket;
 use crate::process::Process;
 use crate::tools::Tools;
-use crate::wait::wait_for;
-
-/// How long anything here may take while all is well: several RIBs have to hear of each other first.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+use crate::wait::{PATIENCE, wait_for};
 
 /// The switches that the robot may meet, as it lists them: the enterprise's, and the university's two.
 pub const ROBOT_LINKS: [&str; 3] = ["udp://10.1.0.2:31415", "udp://10.2.1.2:31415", "udp://10.2.2.2:31415"];

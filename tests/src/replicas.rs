@@ -17,10 +17,10 @@ use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
 use crate::etcd::Etcd;
-use crate::fabric::{Authority, Mounted, PATIENCE, Switch};
+use crate::fabric::{Authority, Mounted, Switch};
 use crate::netns::{End, Namespace, veth};
 use crate::tools::Tools;
-use crate::wait::wait_for;
+use crate::wait::{PATIENCE, wait_for};
 
 const SWITCHES: usize = 3;
 

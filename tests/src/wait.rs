@@ -5,6 +5,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 
+/// How long a test waits for what comes in well under a second where nothing else runs: what takes longer is broken, and not slow.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
 /// Polls `condition` until it gives a value; an error names `what` after `limit`, or at Ctrl-C.

@@ -12,10 +12,9 @@ use gdp::control::{EntityRequest, Response};
 use gdp::{Identity, Name};
 use gdp_ctl::admin::{Client, Request};
 use gdp_tests::Tools;
-use gdp_tests::fabric::PATIENCE;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 use gdp_tests::ring::{CLOUD_AT, ROBOT_AT, Ring};
-use gdp_tests::wait::{check_interrupt, wait_for};
+use gdp_tests::wait::{PATIENCE, check_interrupt, wait_for};
 
 use crate::Bench;
 use crate::owner::Owner;

@@ -12,10 +12,10 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use gdp_tests::Tools;
 use gdp_tests::chain::{Chain, ChainOptions};
-use gdp_tests::fabric::{Authority, PATIENCE, Switch, TYPE};
+use gdp_tests::fabric::{Authority, Switch, TYPE};
 use gdp_tests::netns::Namespace;
 use gdp_tests::process::Process;
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::json;
 
 const TOPICS: usize = 200;

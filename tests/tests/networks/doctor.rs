@@ -13,10 +13,10 @@ use aya::Ebpf;
 use aya::programs::Xdp;
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
-use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
+use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::process::Process;
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::{Value, json};
 
 #[test]

@@ -10,10 +10,10 @@ use gdp_ctl::plane::dpdk::{DpdkConfig, DpdkPort};
 use gdp_ctl::plane::{PlaneConfig, PlaneError, Planes, Wanted};
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
-use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
+use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::netns::{End, Namespace, veth};
 use gdp_tests::peers::{Conversation, Side, Traffic, Vendor};
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::Value;
 
 #[test]

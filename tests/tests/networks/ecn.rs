@@ -24,13 +24,12 @@ use gdp_faults::Faults;
 use gdp_tests::Tools;
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::netns::{Namespace, execute};
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use gdp_tests::wire::Wire;
 use serde_json::Value;
 
 use crate::inside::{Inside, ROOT};
 
-const SOON: Duration = Duration::from_secs(60);
 const SEED: u64 = 9;
 
 const ETHERNET: Cable = Cable::Ethernet;
@@ -165,7 +164,7 @@ impl Site {
             let running = inside.run(start(site.config(i)?))??;
             site.switches.push((running, inside));
         }
-        wait_for("the switches to be neighbours", SOON, || {
+        wait_for("the switches to be neighbours", PATIENCE, || {
             let linked = |i| site.status(i)["links"].as_array().is_some_and(|links| links.len() == 1);
             Ok((linked(0) && linked(1)).then_some(()))
         })?;
@@ -243,7 +242,7 @@ impl Site {
         for _ in 0..ROUNDS {
             let received = reader.runtime.spawn(async move {
                 for i in 0..MESSAGES {
-                    let next = tokio::time::timeout(SOON, subscription.recv()).await;
+                    let next = tokio::time::timeout(PATIENCE, subscription.recv()).await;
                     let message = next.context("not received")?.context("a live subscription")?;
                     ensure!(*message.body == [i as u8; LENGTH], "another message");
                 }

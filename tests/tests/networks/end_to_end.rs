@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
-use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE, TOPIC, TYPE};
+use gdp_tests::fabric::{Fabric, FabricOptions, TOPIC, TYPE};
 use gdp_tests::packet::{ETHERNET, is_gdp_data};
 use gdp_tests::peers::{self, Conversation, Received, Side, Traffic, Vendor};
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use gdp_wire::Header;
 use serde_json::Value;
 

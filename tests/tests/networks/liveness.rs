@@ -7,9 +7,9 @@ use anyhow::{Context, Result, ensure};
 use gdp::link::{HOLD, IDLE_TIMEOUT, liveness::Pace};
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
-use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
+use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::peers::{self, Conversation, Side, Traffic, Vendor};
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::Value;
 
 /// Until a link that nothing answers on is given up: QUIC's silence, the echoes', and as long again for a loaded machine. Far

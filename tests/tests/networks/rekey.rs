@@ -20,13 +20,12 @@ use gdp_ctl::serve::{Running, start};
 use gdp_tests::Tools;
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::packet::is_gdp_data;
+use gdp_tests::wait::PATIENCE;
 use gdp_wire::Name;
 use serde_json::Value;
 
 use crate::inside::{Inside, ROOT};
 use crate::patient::patient;
-
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The overlap is far longer than a busy machine keeps a thread from sending what it has tagged.
 const OFTEN: RekeySchedule =

@@ -9,8 +9,8 @@ use gdp::Name;
 use gdp::control::{EntityRequest, NameRole, Record, Response};
 use gdp_ctl::admin::{Client, Request};
 use gdp_tests::Tools;
-use gdp_tests::fabric::PATIENCE;
 use gdp_tests::replicas::{CLOUD_AT, FIRST_LEADER, ROBOT_AT, Replicas};
+use gdp_tests::wait::PATIENCE;
 
 use crate::traffic::Traffic;
 

@@ -13,11 +13,11 @@ use gdp_tests::fabric::Mounted;
 use gdp_tests::frames::fixtures::{self, Bytes, Fixtures, Verdict};
 use gdp_tests::netns::Door;
 use gdp_tests::process::Process;
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use gdp_wire::table::{MAX_COPIED_FRAME, MAX_COPIES};
 use gdp_wire::{Counter, LinkEntry, LocalAddress, Name};
 
-use crate::star::{Far, Leaf, OWN_BIT, Plane, SOON, Star, Switch, WRITER, check_copy, readers, xdp};
+use crate::star::{Far, Leaf, OWN_BIT, Plane, Star, Switch, WRITER, check_copy, readers, xdp};
 use serde_json::{Value, json};
 
 const TOPIC: Name = Name::from_bytes([0xd0; 32]);
@@ -285,7 +285,7 @@ fn no_copy_is_lost_when_the_switch_is_killed_and_comes_again() -> Result<()> {
     };
 
     let mut process = start("first")?;
-    let mut up = wait_for("the switch", SOON, || is_up(&mut process))?;
+    let mut up = wait_for("the switch", PATIENCE, || is_up(&mut process))?;
     ensure!(up["left"] == json!([]), "{up}");
     for label in ["second", "third"] {
         traffic(&mut |frames| Ok(frames < 300))?;
@@ -393,7 +393,7 @@ fn every_fixture_with_copies() -> Result<()> {
         wanted.sort_unstable();
         let frames = || case.kernel.copies.iter().filter_map(|copy| copy.frame.as_ref());
         let mut counted = Vec::new();
-        let all_there = wait_for(&case.name, SOON, || {
+        let all_there = wait_for(&case.name, PATIENCE, || {
             counted.clear();
             for (counter, (before, after)) in Counter::ALL.iter().zip(before.into_iter().zip(plane.counters()?)) {
                 counted.extend((before..after).map(|_| counter.as_str()));
@@ -488,7 +488,7 @@ impl Site {
             let before = before?;
             let wanted = if plane == Plane::Kernel { (copies * FRAMES, 0) } else { (0, copies * FRAMES) };
             // The userspace plane counts what it has sent, so it may have arrived before.
-            wait_for(&format!("{counter:?} to grow by {wanted:?}"), SOON, || {
+            wait_for(&format!("{counter:?} to grow by {wanted:?}"), PATIENCE, || {
                 let after = self.switch.count(counter)?;
                 Ok(((after.0 - before.0, after.1 - before.1) == wanted).then_some(()))
             })

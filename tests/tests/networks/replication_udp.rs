@@ -29,12 +29,12 @@ use gdp_tests::frames::{Frame, carrier};
 use gdp_tests::netns::{Door, End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
 use gdp_tests::process::Process;
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use gdp_wire::table::ip_words;
 use gdp_wire::{Carrier, Counter, LinkEntry, Name};
 use tokio::runtime::Runtime;
 
-use crate::star::{Far, Leaf, OWN_BIT, Plane, SOON, Star, Switch, WRITER, check_copy, xdp};
+use crate::star::{Far, Leaf, OWN_BIT, Plane, Star, Switch, WRITER, check_copy, xdp};
 
 const TOPIC: Name = Name::from_bytes([0xd0; 32]);
 const OTHER: Name = Name::from_bytes([0xe0; 32]);
@@ -102,7 +102,7 @@ fn a_changed_route_is_followed() -> Result<()> {
     let lost = site.far.next_frame(&WRITER, TOPIC, 600);
     site.far.send(&lost)?;
     site.far.wait_for_frames(&[ethernet.leaf], 1).context("nobody else's copy is lost")?;
-    wait_for("the copies that found no way", SOON, || {
+    wait_for("the copies that found no way", PATIENCE, || {
         Ok((site.switch.count(Counter::RedirectFailed)? == (2, 0)).then_some(()))
     })
     .with_context(|| format!("{:?}", site.switch.counted()))?;
@@ -159,7 +159,7 @@ fn no_copy_is_lost_when_the_switch_is_killed_and_comes_again() -> Result<()> {
             let frame = far.next_frame(&WRITER, TOPIC, 600);
             far.send(&frame)?;
             sent += 1;
-            wait_for(&format!("frame {sent}"), SOON, || {
+            wait_for(&format!("frame {sent}"), PATIENCE, || {
                 let slowest = readers.iter().map(|peer| routed.received(peer.leaf.peer_id())).min();
                 Ok((slowest >= Some(sent) && far.received(&PROCESS_READER) >= sent).then_some(()))
             })?;
@@ -176,7 +176,7 @@ fn no_copy_is_lost_when_the_switch_is_killed_and_comes_again() -> Result<()> {
         Ok(!process.json_lines().is_empty())
     };
     let mut process = start("first")?;
-    wait_for("the switch", SOON, || Ok(is_up(&mut process)?.then_some(())))?;
+    wait_for("the switch", PATIENCE, || Ok(is_up(&mut process)?.then_some(())))?;
     traffic(&mut |frames| Ok(frames < 100))?;
     process.kill()?;
     traffic(&mut |frames| Ok(frames < 100)).context("without a daemon")?;
@@ -402,7 +402,7 @@ impl Site {
             let before = before?;
             let wanted = if plane == Plane::Kernel { (copies * FRAMES, 0) } else { (0, copies * FRAMES) };
             // The userspace plane counts what it has sent, so it may have arrived before.
-            wait_for(&format!("{counter:?} to grow by {wanted:?}"), SOON, || {
+            wait_for(&format!("{counter:?} to grow by {wanted:?}"), PATIENCE, || {
                 let after = self.switch.count(counter)?;
                 Ok(((after.0 - before.0, after.1 - before.1) == wanted).then_some(()))
             })
@@ -467,7 +467,7 @@ impl Site {
         if slowest() >= frames {
             return Ok(());
         }
-        wait_for(&format!("{frames} frames"), SOON, || Ok((slowest() >= frames).then_some(()))).with_context(|| {
+        wait_for(&format!("{frames} frames"), PATIENCE, || Ok((slowest() >= frames).then_some(()))).with_context(|| {
             format!("got {:?}; {:?}", peers.iter().map(received).collect::<Vec<_>>(), self.switch.counted())
         })
     }

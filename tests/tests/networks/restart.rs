@@ -14,9 +14,9 @@ use anyhow::{Context, Result, ensure};
 use gdp::link::IDLE_TIMEOUT;
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
-use gdp_tests::fabric::{Fabric, FabricOptions, PATIENCE};
+use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::process::Process;
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 
 use crate::traffic::Traffic;
 

@@ -5,9 +5,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use gdp_tests::Tools;
-use gdp_tests::fabric::PATIENCE;
 use gdp_tests::ring::{CLOUD_AT, RIB_AT, Ring};
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 
 use crate::traffic::Traffic;
 

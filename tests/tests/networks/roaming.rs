@@ -10,11 +10,11 @@ use gdp::node::{LinkState, PublishOptions, SubscribeOptions};
 use gdp::{Name, SigningKey};
 use gdp_tests::Tools;
 use gdp_tests::fabric::{TOPIC, TYPE};
-use gdp_tests::federation::{CLOUD_LINK, Federation, PATIENCE, ROBOT_LINKS, Site};
+use gdp_tests::federation::{CLOUD_LINK, Federation, ROBOT_LINKS, Site};
 use gdp_tests::netns::Namespace;
 use gdp_tests::packet::gdp_data_in_udp;
 use gdp_tests::peers::{self, Conversation, Side, Traffic, Vendor};
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 
 use crate::flows::{Flow, Heard, Party, Topic};
 

@@ -21,13 +21,11 @@ use gdp_tests::Tools;
 use gdp_tests::fabric::Mounted;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::process::Process;
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::{Value, json};
 
 use crate::inside::{Inside, ROOT};
 use crate::patient::patient;
-
-const SOON: Duration = Duration::from_secs(60);
 
 /// Who owns nothing.
 const NOBODY: libc::uid_t = 65534;
@@ -41,7 +39,7 @@ fn frames_of_nodes_beside_their_switch_do_not_meet_its_daemon() -> Result<()> {
     let mut ways = [Way::open(&near, &next)?, Way::open(&next, &remote)?, Way::open(&remote, &near)?];
     for way in &mut ways {
         // The first of such size may be lost: what the path takes is learnt from that.
-        wait_for("a first message", SOON, || Ok(way.may_carry(&vec![7; 1 << 16]).then_some(())))?;
+        wait_for("a first message", PATIENCE, || Ok(way.may_carry(&vec![7; 1 << 16]).then_some(())))?;
     }
     let before = site.status()?;
     for i in 0..100u32 {
@@ -74,7 +72,7 @@ fn what_the_kernel_leaves_to_the_daemon_arrives_there() -> Result<()> {
     let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let remote = Party::connect(&site.remote, ROOT, "eth://e0")?;
     let mut way = Way::open(&near, &remote)?;
-    wait_for("a message by the slow path", SOON, || {
+    wait_for("a message by the slow path", PATIENCE, || {
         let carried = way.may_carry(b"slowly");
         let counters = site.status()?["counters_by_plane"].take();
         let count = |counter: &str, plane: &str| counters[counter][plane].as_u64().unwrap_or(0);
@@ -100,14 +98,14 @@ fn copies_for_readers_beside_the_switch_and_elsewhere_are_made_in_the_kernel() -
         Ok(readers.iter().zip(&mut subscriptions).all(|(reader, heard)| reader.hears(heard, message, limit)))
     };
     let first = Duration::from_secs(1);
-    wait_for("all readers to hear", SOON, || Ok(all_hear(b"first", first)?.then_some(())))
+    wait_for("all readers to hear", PATIENCE, || Ok(all_hear(b"first", first)?.then_some(())))
         .with_context(|| site.report())?;
     let replicated = |plane: &str| -> Result<u64> {
         Ok(site.status()?["counters_by_plane"]["replicated"][plane].as_u64().unwrap_or(0))
     };
     let before = (replicated("kernel")?, replicated("userspace")?);
     for i in 0..100u32 {
-        ensure!(all_hear(&i.to_be_bytes(), SOON)?, "message {i} was lost; {}", site.report());
+        ensure!(all_hear(&i.to_be_bytes(), PATIENCE)?, "message {i} was lost; {}", site.report());
     }
     let after = (replicated("kernel")?, replicated("userspace")?);
     ensure!(after.0 >= before.0 + 100 && after.1 == before.1, "{before:?}, then {after:?}: {}", site.report());
@@ -120,7 +118,7 @@ fn a_daemon_that_is_killed_and_replaced_loses_no_message_of_nodes_beside_it() ->
     let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let next = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let mut way = Way::open(&near, &next)?;
-    wait_for("a first message", SOON, || Ok(way.may_carry(b"first").then_some(())))?;
+    wait_for("a first message", PATIENCE, || Ok(way.may_carry(b"first").then_some(())))?;
     let ends = site.ends()?;
     ensure!(ends.len() == 2, "{ends:?}");
     site.daemon.kill()?;
@@ -131,7 +129,7 @@ fn a_daemon_that_is_killed_and_replaced_loses_no_message_of_nodes_beside_it() ->
     site.start()?;
     let mut i = 0u32;
     let back = |party: &Party| party.node.counters().links == 2 && party.node.switch().is_ok();
-    wait_for("both nodes to have made their links anew", 2 * SOON, || {
+    wait_for("both nodes to have made their links anew", 2 * PATIENCE, || {
         for _ in 0..20 {
             i += 1;
             ensure!(way.carries(&i.to_be_bytes()), "message {i} was lost with the new daemon");
@@ -152,7 +150,7 @@ fn a_daemon_that_is_killed_and_replaced_loses_no_message_of_nodes_beside_it() ->
 fn the_pair_goes_with_the_daemon_that_is_stopped_or_cleared_away() -> Result<()> {
     let mut site = Site::build("xdp")?;
     ensure!(site.ends()?.len() == 2);
-    site.daemon.stop(SOON)?;
+    site.daemon.stop(PATIENCE)?;
     ensure!(site.ends()?.is_empty(), "a stop removes it");
     site.start()?;
     site.daemon.kill()?;
@@ -170,14 +168,14 @@ fn without_xdp_or_the_pair_frames_go_through_the_daemon() -> Result<()> {
         let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
         let next = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
         let mut way = Way::open(&near, &next)?;
-        wait_for("a first message", SOON, || Ok(way.may_carry(b"first").then_some(())))?;
+        wait_for("a first message", PATIENCE, || Ok(way.may_carry(b"first").then_some(())))?;
         match site.ends()?.first() {
             None => ensure!(plane == "userspace"),
             Some(end) => drop(site.host.ip(&["link", "del", end])?),
         }
         let delivered = |status: Value| status["counters_by_plane"]["delivered"]["userspace"].as_u64().unwrap_or(0);
         let before = delivered(site.status()?);
-        wait_for("messages through the daemon", SOON, || {
+        wait_for("messages through the daemon", PATIENCE, || {
             let carried = way.may_carry(b"again");
             Ok((carried && delivered(site.status()?) > before).then_some(()))
         })
@@ -196,7 +194,7 @@ fn a_pair_that_is_blocked_is_not_used() -> Result<()> {
     let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let next = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let mut way = Way::open(&near, &next)?;
-    wait_for("a message", SOON, || Ok(way.may_carry(b"by the daemon").then_some(())))?;
+    wait_for("a message", PATIENCE, || Ok(way.may_carry(b"by the daemon").then_some(())))?;
     let links = site.status()?["links"].to_string();
     ensure!(links.matches("udp:127.0.0.1:").count() == 2, "{links}");
     Ok(())
@@ -246,7 +244,7 @@ impl Site {
     fn wait_until_up(&self) -> Result<()> {
         // What it says last of its ports.
         let up = || self.daemon.stderr().contains("udp 0.0.0.0:31415");
-        wait_for("the daemon to take links", SOON, || Ok(up().then_some(()))).with_context(|| self.report())
+        wait_for("the daemon to take links", PATIENCE, || Ok(up().then_some(()))).with_context(|| self.report())
     }
 
     fn status(&self) -> Result<Value> {
@@ -354,7 +352,7 @@ impl<'a> Way<'a> {
 
     /// Whether a message arrives.
     fn carries(&mut self, body: &[u8]) -> bool {
-        self.carries_within(body, SOON)
+        self.carries_within(body, PATIENCE)
     }
 
     /// The same of one that may be lost.

@@ -6,9 +6,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use gdp_tests::Tools;
-use gdp_tests::fabric::PATIENCE;
 use gdp_tests::ring::{CLOUD_AT, RIB_AT, ROBOT_AT, Ring};
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::Value;
 
 use crate::traffic::Traffic;

@@ -2,8 +2,8 @@
 
 use anyhow::{Context, Result, ensure};
 use gdp_tests::Tools;
-use gdp_tests::fabric::PATIENCE;
 use gdp_tests::ring::Ring;
+use gdp_tests::wait::PATIENCE;
 use serde_json::Value;
 
 use crate::traffic::Traffic;

@@ -7,7 +7,6 @@
 //! ```
 
 use std::path::Path;
-use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
@@ -20,12 +19,10 @@ use gdp_ctl::plane::dpdk::{DpdkConfig, DpdkPort};
 use gdp_ctl::serve::{Running, start};
 use gdp_tests::Tools;
 use gdp_tests::netns::{End, Namespace, execute, veth};
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::Value;
 
 use crate::inside::{Inside, ROOT};
-
-const SOON: Duration = Duration::from_secs(60);
 
 #[test]
 fn messages_cross_three_carriers_without_leaving_the_kernel() -> Result<()> {
@@ -61,7 +58,7 @@ fn messages_cross_three_carriers(data_plane: DataPlane, plane: &str) -> Result<(
     let mut publisher = writer.runtime.block_on(writing.publish(card.proof(), cert, PublishOptions::reliable()))?;
     let mut exchange = |body: &[u8]| -> Result<()> {
         writer.runtime.block_on(publisher.send(Encoding::Bytes, body))?;
-        let next = reader.runtime.block_on(async { tokio::time::timeout(SOON, subscription.recv()).await });
+        let next = reader.runtime.block_on(async { tokio::time::timeout(PATIENCE, subscription.recv()).await });
         let message = next.context("not received")?.context("a live subscription")?;
         ensure!(message.body == body, "another message");
         Ok(())
@@ -219,7 +216,7 @@ impl Site {
         if data_plane == DataPlane::Dpdk {
             self.give_addresses_to_dpdk()?;
         }
-        wait_for("the switches to be neighbours", SOON, || {
+        wait_for("the switches to be neighbours", PATIENCE, || {
             let linked = |switch: &Switch| switch.status()["links"].as_array().is_some_and(|links| links.len() == 1);
             Ok(switches.iter().all(linked).then_some(()))
         })?;

@@ -8,15 +8,12 @@
 //! What needs no path: `gdp/src/port/udp_tests.rs`.
 
 use std::net::SocketAddr;
-use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use gdp::Identity;
 use gdp::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch, Sent};
 use gdp_tests::netns::{End, Namespace, execute, veth};
-use gdp_tests::wait::wait_for;
-
-const SOON: Duration = Duration::from_secs(60);
+use gdp_tests::wait::{PATIENCE, wait_for};
 
 const FRAMES: usize = 500;
 
@@ -98,7 +95,7 @@ impl Cable {
     /// These frames have arrived, in this order, and no others.
     fn expect(&self, frames: &[Vec<u8>]) -> Result<()> {
         let (data, mut batch, mut received) = (self.to.data(), RecvBatch::new(1500), 0);
-        wait_for("all frames", SOON, || {
+        wait_for("all frames", PATIENCE, || {
             while data.try_recv_batch(&mut batch)? > 0 {
                 for frame in batch.frames() {
                     ensure!(frames.get(received).is_some_and(|sent| *sent == frame.bytes), "frame {received}");

@@ -22,20 +22,15 @@ pub use rogue::{Rogue, frames};
 pub use scene::{Recording, Scene, drops};
 pub use switch::{Frame, Switch};
 
-use std::time::Duration;
-
 use anyhow::Result;
 use gdp::node::NodeCounters;
 use gdp::seal::Message;
 use gdp::{Identity, Node, NodeConfig};
-use gdp_tests::wait::wait_for;
-
-/// How long anything may take that is to happen.
-pub const SOON: Duration = Duration::from_secs(60);
+use gdp_tests::wait::{PATIENCE, wait_for};
 
 /// Waits for a condition with a deadline.
 pub fn eventually<T>(what: &str, mut condition: impl FnMut() -> Option<T>) -> Result<T> {
-    tokio::task::block_in_place(|| wait_for(what, SOON, || Ok(condition())))
+    tokio::task::block_in_place(|| wait_for(what, PATIENCE, || Ok(condition())))
 }
 
 /// A node of this identity at the switch.

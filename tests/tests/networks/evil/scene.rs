@@ -10,8 +10,9 @@ use gdp::{Identity, Name, Node};
 use tokio::time::timeout;
 
 use crate::patient::patient;
+use gdp_tests::wait::PATIENCE;
 
-use super::{Frame, Owner, SOON, Switch, dropped, eventually, node};
+use super::{Frame, Owner, Switch, dropped, eventually, node};
 
 /// Declared in the order in which it ends.
 pub struct Scene {
@@ -56,7 +57,7 @@ impl Scene {
 
     /// The next message that the application gets.
     pub async fn next(&mut self) -> Result<Message> {
-        match timeout(SOON, self.subscription.recv()).await {
+        match timeout(PATIENCE, self.subscription.recv()).await {
             Ok(Some(message)) => Ok(message),
             Ok(None) => bail!("the node is closed"),
             Err(_) => bail!("no message: robot {:?}, cloud {:?}", self.robot.counters(), self.cloud.counters()),

@@ -11,14 +11,12 @@ use gdp::seal::Encoding;
 use gdp::transport::InboundCounters;
 use gdp::{Name, NameCard, Node, NodeConfig, SigningKey};
 use gdp_tests::netns::Namespace;
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio::time::MissedTickBehavior;
 
 use super::inside::{Inside, ROOT};
-
-pub const SOON: Duration = Duration::from_secs(60);
 
 /// A node.
 pub struct Party {
@@ -35,14 +33,14 @@ impl Party {
         for link in &to[1..] {
             config.links.push(link.parse::<LinkTarget>()?.into());
         }
-        (config.connect_timeout, config.papers) = (SOON, papers);
+        (config.connect_timeout, config.papers) = (PATIENCE, papers);
         let node = inside.run(Node::connect(config))??;
         Ok(Self { node, identity, inside })
     }
 
     pub fn wait_for_links(&self, condition: impl Fn(&[LinkStatus]) -> bool) -> Result<()> {
         let links = || self.node.links();
-        wait_for("links", SOON, || Ok(condition(&links()).then_some(()))).with_context(|| format!("{:#?}", links()))
+        wait_for("links", PATIENCE, || Ok(condition(&links()).then_some(()))).with_context(|| format!("{:#?}", links()))
     }
 }
 
@@ -74,7 +72,7 @@ impl<'a> Topic<'a> {
         let subscription = to.inside.runtime.block_on(subscribe)?;
         let publish = from.node.publish(card.proof(), issue(&owner, &cert)?.into(), out);
         let publisher = from.inside.runtime.block_on(publish)?;
-        wait_for("the reader to be known", SOON, || Ok((publisher.readers() == 1).then_some(())))?;
+        wait_for("the reader to be known", PATIENCE, || Ok((publisher.readers() == 1).then_some(())))?;
         Ok(Self { from, to, publisher, subscription })
     }
 
@@ -85,7 +83,7 @@ impl<'a> Topic<'a> {
 
     /// The sequence of the next message.
     pub fn hear(&mut self) -> Result<u64> {
-        let next = async { tokio::time::timeout(SOON, self.subscription.recv()).await };
+        let next = async { tokio::time::timeout(PATIENCE, self.subscription.recv()).await };
         let message = self.to.inside.runtime.block_on(next).context("no message in time")?;
         Ok(message.context("the subscription ended")?.sequence)
     }
@@ -168,7 +166,7 @@ impl<'a> Flow<'a> {
         self.stop.send_replace(true);
         let sent = self.from.inside.runtime.block_on(self.sending)??;
         self.last.send_replace(sent);
-        let heard = async { tokio::time::timeout(SOON, self.hearing).await };
+        let heard = async { tokio::time::timeout(PATIENCE, self.hearing).await };
         let (slowest, counters) =
             self.to.inside.runtime.block_on(heard).context("the last message did not come")???;
         let messages = self.messages.lock().expect("no panic").clone();

@@ -14,7 +14,8 @@ use gdp::seal::{Draft, Encoding, EpochKey, MessageId, Segments, Writer};
 use gdp::{Identity, Name, Node};
 use tokio::time::timeout;
 
-use crate::evil::{Frame, Owner, Rogue, SOON, Switch, drops, eventually, frames, node};
+use crate::evil::{Frame, Owner, Rogue, Switch, drops, eventually, frames, node};
+use gdp_tests::wait::PATIENCE;
 
 /// How a sealed segment begins, and nothing else that comes to an entity's own name.
 const SEGMENT: u8 = 2;
@@ -24,9 +25,9 @@ async fn another_client_reads_neither_requests_nor_replies() -> Result<()> {
     let mut service = Service::start().await?;
     let client = service.client_node.name();
     let (reply, ()) = tokio::try_join!(
-        async { Ok(timeout(SOON, service.client.call(Encoding::Bytes, b"where to?")).await??) },
+        async { Ok(timeout(PATIENCE, service.client.call(Encoding::Bytes, b"where to?")).await??) },
         async {
-            let call = timeout(SOON, service.server.recv()).await?.context("a call")?;
+            let call = timeout(PATIENCE, service.server.recv()).await?.context("a call")?;
             assert_eq!((&call.body()[..], call.client()), (&b"where to?"[..], client));
             anyhow::Ok(call.reply(Encoding::Bytes, b"home").await?)
         },
@@ -89,7 +90,7 @@ async fn a_client_answers_no_other_client() -> Result<()> {
     // It sees the request, and answers before the server does: as itself, and as the server.
     let call = client.call(Encoding::Bytes, b"where to?");
     let answered = async {
-        let request = timeout(SOON, server.recv()).await?.context("a call")?;
+        let request = timeout(PATIENCE, server.recv()).await?.context("a call")?;
         let asked = eventually("the request", || {
             let frames = other.listen(switch);
             of(&frames, robot, to).next().cloned()
@@ -106,7 +107,7 @@ async fn a_client_answers_no_other_client() -> Result<()> {
         }
         anyhow::Ok(request.reply(Encoding::Bytes, b"home").await?)
     };
-    let (reply, ()) = tokio::try_join!(async { Ok(timeout(SOON, call).await??) }, answered)?;
+    let (reply, ()) = tokio::try_join!(async { Ok(timeout(PATIENCE, call).await??) }, answered)?;
     assert_eq!((&reply.body[..], reply.writer), (&b"home"[..], robot));
     Ok(())
 }
@@ -119,9 +120,9 @@ async fn another_server_reads_no_request_and_cannot_have_it_carried_out_again() 
         &mut service;
     eventually("the client to know both servers", || (client.servers() == 2).then_some(()))?;
     let (reply, ()) = tokio::try_join!(
-        async { Ok(timeout(SOON, client.call_at(robot, Encoding::Bytes, b"where to?")).await??) },
+        async { Ok(timeout(PATIENCE, client.call_at(robot, Encoding::Bytes, b"where to?")).await??) },
         async {
-            let call = timeout(SOON, server.recv()).await?.context("a call")?;
+            let call = timeout(PATIENCE, server.recv()).await?.context("a call")?;
             anyhow::Ok(call.reply(Encoding::Bytes, b"home").await?)
         },
     )?;

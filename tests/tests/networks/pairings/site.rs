@@ -13,10 +13,10 @@ use std::process::Command;
 
 use anyhow::{Context, Result};
 use gdp_tests::Tools;
-use gdp_tests::fabric::{Authority, PATIENCE, Switch};
+use gdp_tests::fabric::{Authority, Switch};
 use gdp_tests::netns::{End, Namespace, veth};
 use gdp_tests::process::Process;
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 

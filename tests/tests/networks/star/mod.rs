@@ -20,10 +20,8 @@ use gdp_ctl::plane::{PlaneConfig, PlaneRoute, Planes, Wanted};
 use gdp_tests::frames::Frame;
 use gdp_tests::netns::{Door, End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use gdp_wire::{Carrier, Counter, LinkEntry, LinkRole, Name};
-
-pub const SOON: Duration = Duration::from_secs(60);
 
 pub const OWN_BIT: u64 = 1 << 5;
 
@@ -291,7 +289,7 @@ impl Far {
         if slowest() >= frames {
             return Ok(());
         }
-        wait_for(&format!("{frames} frames at each of {} links", leaves.len()), SOON, || {
+        wait_for(&format!("{frames} frames at each of {} links", leaves.len()), PATIENCE, || {
             Ok((slowest() >= frames).then_some(()))
         })
         .with_context(|| format!("got {:?}", leaves.iter().map(|leaf| self.received(leaf)).collect::<Vec<_>>()))

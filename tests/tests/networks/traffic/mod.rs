@@ -10,9 +10,8 @@ use gdp::cert::{Issued, Reading};
 use gdp::node::{PublishOptions, SubscribeOptions};
 use gdp::seal::Encoding;
 use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
-use gdp_tests::fabric::PATIENCE;
 use gdp_tests::netns::Namespace;
-use gdp_tests::wait::wait_for;
+use gdp_tests::wait::{PATIENCE, wait_for};
 use tokio::time::MissedTickBehavior;
 
 use crate::patient::patient;
