@@ -287,7 +287,12 @@ impl Planes {
                 let kept = config.dpdk_settings.clone();
                 Some(DpdkPlane::start(&config.dpdk, kept, config.ethertype, || tables.reader(), &shared)?)
             }
-            _ => None,
+            _ => {
+                if let Some(kept) = &config.dpdk_settings {
+                    DpdkPlane::put_back_left(kept);
+                }
+                None
+            }
         };
         let mut planes = Self {
             config,

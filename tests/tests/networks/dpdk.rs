@@ -304,6 +304,11 @@ fn settings_outlive_a_daemon_that_is_killed() -> Result<()> {
     ensure!(!file.exists(), "the file stays");
     ensure!((setting("rp_filter")?.trim(), setting("arp_ignore")?.trim()) == ("2", "5"));
     ensure!(gro(&site)? == "gro_max_size 9000", "{}", gro(&site)?);
+
+    std::fs::write(&file, "r0 ipv4/rp_filter 0 2\n")?;
+    let other = PlaneConfig { wanted: Wanted::Userspace, dpdk_settings: Some(file.clone()), ..config(vec![]) };
+    let _planes = Planes::open(other)?;
+    ensure!(setting("rp_filter")?.trim() == "0" && !file.exists(), "a daemon with another plane puts back nothing");
     Ok(())
 }
 

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::convert::Infallible;
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -25,6 +25,16 @@ impl DpdkPlane {
         _: &Arc<Shared>,
     ) -> Result<Self, DpdkPlaneError> {
         Err(DpdkPlaneError::NotBuilt)
+    }
+
+    /// Says that only another build can.
+    pub fn put_back_left(kept: &Path) {
+        if kept.exists() {
+            let path = kept.display();
+            tracing::warn!(
+                "interfaces are set as a daemon with DPDK has left them; one with it puts back what is in {path}"
+            );
+        }
     }
 
     pub fn device_of(&self, _: u32) -> Option<&str> {

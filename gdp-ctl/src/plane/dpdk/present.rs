@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -90,6 +90,14 @@ impl DpdkPlane {
             tracing::warn!(%error, "the kernel's routes cannot be asked for; links over UDP are sent on by the userspace plane");
         });
         Ok(Self { switch, ports, routes: routes.ok(), _settings: settings })
+    }
+
+    /// Puts back the settings of interfaces that a daemon with this plane has left in the file `kept`, as it was killed. In the network
+    /// namespace of the calling thread.
+    pub fn put_back_left(kept: &Path) {
+        if kept.exists() {
+            drop(Settings::open(Some(kept.to_owned())));
+        }
     }
 
     /// The device behind an interface, if this plane has it.
