@@ -1,7 +1,7 @@
 //! What comes to this node's own name: requests to what it serves, and replies to what it called. And the ways to those who send them: one
 //! publication to the own name of each party of a service, for requests to it and replies to it alike, whichever service they are about.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 use gdp_wire::Name;
@@ -18,6 +18,9 @@ use super::{NodeError, Stated};
 use crate::control::{NameRole, PathCosts};
 use crate::peers::{Counterpart, PeerEvent};
 use crate::seal::Message;
+
+/// By name, and by what this node is in it.
+pub type Services = HashMap<(Name, NameRole), Service>;
 
 /// A service that this node calls or serves.
 pub struct Service {
@@ -87,7 +90,8 @@ impl State {
 
     /// Those who call or serve a service are now others. To be called with [`State::counterparts`] locked, as all that changes parties.
     pub(super) fn take_parties(&self, name: Name, role: NameRole, events: &[PeerEvent]) {
-        let (concerned, returned) = {
+        {
+            // Until the end: what is sent before the way is open would be for nobody, so none is to be chosen that has none.
             let (now, mut services) = (self.outlet.clock.now(), lock(&self.services));
             let joined = events.iter().filter_map(|event| match event {
                 PeerEvent::Joined(right) => Some(right.entity),
@@ -98,9 +102,8 @@ impl State {
             let Some(Service { parties, .. }) = services.get_mut(&(name, role)) else { return };
             let mut concerned = parties.take(now, &name, events);
             concerned.extend(parties.sweep(now, unix_now()));
-            (concerned, returned)
-        };
-        self.settle(concerned, &returned);
+            self.settle(&services, concerned, &returned);
+        }
         // Now that there is a way back.
         self.release_requests();
     }
@@ -108,32 +111,31 @@ impl State {
     /// Lets go of parties whose time is over. As [`Self::take_parties`].
     pub(super) fn sweep_parties(&self) {
         let (now, now_unix) = (self.outlet.clock.now(), unix_now());
-        let gone = lock(&self.services).values_mut().flat_map(|service| service.parties.sweep(now, now_unix)).collect();
-        self.settle(gone, &BTreeSet::new());
+        {
+            let mut services = lock(&self.services);
+            let gone = services.values_mut().flat_map(|service| service.parties.sweep(now, now_unix)).collect();
+            self.settle(&services, gone, &BTreeSet::new());
+        }
         self.release_requests();
     }
 
     /// Nothing is called or served any more by this. As [`Self::take_parties`].
     pub(super) fn end_service(&self, name: Name, stated: Stated, why: Ended) {
-        let ended = lock(&self.services).remove(&(name, stated.role()));
-        if let Some(mut service) = ended {
+        let mut services = lock(&self.services);
+        if let Some(mut service) = services.remove(&(name, stated.role())) {
             service.end(why);
-            self.settle(service.parties.clear(self.outlet.clock.now()), &BTreeSet::new());
+            self.settle(&services, service.parties.clear(self.outlet.clock.now()), &BTreeSet::new());
         }
     }
 
     /// Brings the way to each of these, and who is believed in the inbox, in line with the services that they are parties of. `returned`:
     /// those that were attached for none of these before.
-    fn settle(&self, entities: BTreeSet<Name>, returned: &BTreeSet<Name>) {
+    fn settle(&self, services: &Services, entities: BTreeSet<Name>, returned: &BTreeSet<Name>) {
         if entities.is_empty() {
             return;
         }
         for entity in entities {
-            let right = {
-                let services = lock(&self.services);
-                joint_right(services.values().filter_map(|service| service.parties.right(&entity)))
-            };
-            match right {
+            match joint_right(services.values().filter_map(|service| service.parties.right(&entity))) {
                 Some(right) => self.open_way(right, returned.contains(&entity)),
                 None => self.close_way(entity),
             }
@@ -168,9 +170,7 @@ impl State {
     }
 
     fn close_way(&self, entity: Name) {
-        let own = self.identity.name();
-        let effects = lock(&self.readings).get_mut(&own).map(|reading| reading.forget(&entity));
-        self.carry_out(own, effects.unwrap_or_default());
+        self.change_reading(self.identity.name(), |reading| reading.forget(&entity));
         if !self.is_stated(entity, Stated::Published) {
             self.unregister(entity);
         }

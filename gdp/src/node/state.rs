@@ -14,7 +14,7 @@ use super::desk::{self, Desk};
 use super::ending::{Ended, Ending};
 use super::feedback::Feedbacks;
 use super::home::Home;
-use super::inbox::Service;
+use super::inbox::{Service, Services};
 use super::intake::{Intake, Shared};
 use super::lane::{Lane, Status};
 use super::options::{PublishOptions, SubscribeOptions};
@@ -51,7 +51,7 @@ pub struct State {
     pub publications: Mutex<HashMap<Name, Arc<Publication>>>,
     pub readings: Mutex<HashMap<Name, Reading>>,
     /// What this node serves and calls.
-    pub services: Mutex<HashMap<(Name, NameRole), Service>>,
+    pub services: Mutex<Services>,
     /// What paths cost from the switch of each lane, as it last said.
     pub costs: Mutex<Vec<Arc<PathCosts>>>,
     /// Calls that wait for their replies.

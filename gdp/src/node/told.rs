@@ -11,7 +11,7 @@ use tokio::time::Instant;
 use super::NodeError;
 use super::clock::{unix_nanos, unix_now};
 use super::publication::Publication;
-use super::reading::Effect;
+use super::reading::{Effect, Reading};
 use super::receiver::Command;
 use super::state::{State, ask, lock};
 use super::supervisor::{Attachment, Event};
@@ -87,8 +87,15 @@ impl State {
     }
 
     pub(super) fn take_writers(&self, name: Name, events: Vec<PeerEvent>) {
-        let effects = lock(&self.readings).get_mut(&name).map(|reading| reading.take(unix_nanos(), events));
-        self.carry_out(name, effects.unwrap_or_default());
+        self.change_reading(name, |reading| reading.take(unix_nanos(), events));
+    }
+
+    /// Carries out what follows before the reading changes again: the receiving thread has no use for keys of a writer that it has not
+    /// heard of yet.
+    pub(super) fn change_reading(&self, name: Name, change: impl FnOnce(&mut Reading) -> Vec<Effect>) {
+        if let Some(reading) = lock(&self.readings).get_mut(&name) {
+            self.carry_out(name, change(reading));
+        }
     }
 
     /// Keys of what is sent to this node's own name; to be verified as those of any name.
@@ -101,7 +108,7 @@ impl State {
         Some(Ok(()))
     }
 
-    pub(super) fn carry_out(&self, name: Name, effects: Vec<Effect>) {
+    fn carry_out(&self, name: Name, effects: Vec<Effect>) {
         let mut changes = Vec::new();
         for effect in effects {
             match effect {
@@ -173,11 +180,9 @@ impl State {
             self.end(name, stated.role(), error);
         }
         lock(&self.publications).values().for_each(|publication| publication.expire(&self.outlet, now));
-        let mut ended = Vec::new();
         for (name, reading) in lock(&self.readings).iter_mut() {
-            ended.push((*name, reading.expire(unix_nanos())));
+            self.carry_out(*name, reading.expire(unix_nanos()));
         }
-        ended.into_iter().for_each(|(name, effects)| self.carry_out(name, effects));
     }
 
     /// Brings the boxes of a publication to the RIB, as far as there are any.

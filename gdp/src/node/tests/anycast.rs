@@ -173,6 +173,33 @@ async fn a_server_that_begins_anew_is_called_again() {
     }
 }
 
+/// Those that are shown can be called: the way to one that is new is open by then, and so is that to one that is back.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_server_is_called_in_the_moment_in_which_it_is_there() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/plan");
+    let old = Identity::generate("proxy").unwrap();
+    let cloud = fabric.node("proxy").await;
+    let client = Arc::new(owner.client(&cloud).await);
+    for life in 0..20 {
+        let identity = if life % 2 == 0 { old.clone() } else { Identity::generate("proxy").unwrap() };
+        let robot = fabric.node_of(&identity, [None], None).await;
+        let caller = client.clone();
+        let called = tokio::spawn(async move {
+            while caller.servers() == 0 {
+                tokio::task::yield_now().await;
+            }
+            soon(caller.call(Encoding::Bytes, b"at once")).await
+        });
+        let mut server = owner.serve(&robot).await;
+        let (reply, ()) = tokio::join!(called, echo(&mut server));
+        assert_eq!(reply.unwrap().unwrap().writer, identity.name(), "life {life}");
+        drop(server);
+        eventually("it is gone", || client.servers() == 0).await;
+        robot.close().await;
+    }
+}
+
 /// Counts frames with sealed parts of messages from a node to an entity.
 fn requests_seen(fabric: &Fabric, from: &Node) -> impl Fn(Name) -> usize + use<> {
     let seen = Arc::<Mutex<Vec<Name>>>::default();
