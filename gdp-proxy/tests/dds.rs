@@ -59,7 +59,8 @@ async fn publishers_are_told_apart_and_each_is_heard_once() {
     graph::leave(there).await;
 }
 
-/// A participant's end is the last that it sends, and nothing repeats it: without it, others wait for a minute's lease to run out.
+/// What a participant says as it leaves is the last that it sends, and nothing repeats it: without it, others wait for a minute's lease to
+/// run out.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn who_leaves_is_seen_to_go_at_once() {
     let there = graphs().await;

@@ -147,30 +147,30 @@ impl State {
         let (entity, own) = (right.entity, self.identity.name());
         let joined = PeerEvent::Joined(right);
         let known = lock(&self.publications).get(&entity).cloned();
-        let publication = match known {
+        match known {
             Some(publication) => {
                 if returned {
                     // The RIB has forgotten the boxes of a pair that had parted.
                     publication.store_again();
                     publication.returned(&self.outlet, &entity);
                 }
-                publication
+                publication.take(&self.outlet, unix_now(), [joined.clone()]);
             }
             None => match Publication::new(entity, &self.identity, &PublishOptions::reliable(), &self.outlet) {
                 Ok(publication) => {
-                    let publication = Arc::new(publication);
-                    self.register(publication.clone());
-                    publication
+                    // Before anybody can send by it.
+                    publication.take(&self.outlet, unix_now(), [joined.clone()]);
+                    self.register(Arc::new(publication));
                 }
                 Err(error) => return tracing::error!(party = %entity, %error, "nothing can be sent to it"),
             },
-        };
-        publication.take(&self.outlet, unix_now(), [joined.clone()]);
+        }
         self.take_writers(own, vec![joined]);
     }
 
     fn close_way(&self, entity: Name) {
         self.change_reading(self.identity.name(), |reading| reading.forget(&entity));
+        // Statements are looked at with services locked only where counterparts are as well: `begin` has the two the other way round.
         if !self.is_stated(entity, Stated::Published) {
             self.unregister(entity);
         }

@@ -29,7 +29,8 @@ pub struct Reading {
     /// Those that are believed, attached or not: forgetting one would forget which of its messages were delivered.
     writers: HashMap<Name, Counterpart>,
     revocation: Option<Revocation>,
-    early: VecDeque<Signed<KeyBox>>,
+    /// With the writer that each names.
+    early: VecDeque<(Name, Signed<KeyBox>)>,
 }
 
 /// What follows for the node.
@@ -61,8 +62,12 @@ impl Reading {
         for event in events {
             match event {
                 PeerEvent::Joined(writer) => {
+                    let entity = writer.entity;
                     self.join(writer, &mut effects);
-                    std::mem::take(&mut self.early).into_iter().for_each(|signed| self.open(now, signed, &mut effects));
+                    let early = std::mem::take(&mut self.early).into_iter();
+                    let (its, others): (VecDeque<_>, _) = early.partition(|(writer, _)| *writer == entity);
+                    self.early = others;
+                    its.into_iter().for_each(|(_, signed)| self.open(now, signed, &mut effects));
                 }
                 PeerEvent::KeyBox(signed) => self.open(now, signed, &mut effects),
                 PeerEvent::Revoked(revocation) => self.revocation = Some(revocation),
@@ -123,24 +128,23 @@ impl Reading {
     }
 
     fn open(&mut self, now: u64, signed: Signed<KeyBox>, effects: &mut Vec<Effect>) {
-        match self.try_open(now, &signed) {
-            Ok(Some(Some(key))) => effects.push(Effect::Change(key)),
-            Ok(Some(None)) => {}
-            Ok(None) => {
-                if self.early.len() == self.bounds.early {
-                    self.early.pop_front();
-                }
-                self.early.push_back(signed);
-            }
-            Err(error) => tracing::warn!(name = %self.name, %error, "a key box is of no use"),
+        if let Err(error) = self.try_open(now, signed, effects) {
+            tracing::warn!(name = %self.name, %error, "a key box is of no use");
         }
     }
 
-    /// What follows of a box, if its writer is known.
-    fn try_open(&mut self, now: u64, signed: &Signed<KeyBox>) -> Result<Option<Option<Change>>, StoreError> {
-        let claimed = signed.claims_unverified()?.writer;
-        let Some(writer) = self.writers.get(&claimed) else { return Ok(None) };
-        let opened = self.keys.take(now, claimed, &writer.key, signed)?;
-        Ok(Some(opened.map(|opened| Change::Key { writer: claimed, opened })))
+    /// Keeps it for later if its writer is not known yet.
+    fn try_open(&mut self, now: u64, signed: Signed<KeyBox>, effects: &mut Vec<Effect>) -> Result<(), StoreError> {
+        let writer = signed.claims_unverified()?.writer;
+        let Some(known) = self.writers.get(&writer) else {
+            if self.early.len() == self.bounds.early {
+                self.early.pop_front();
+            }
+            self.early.push_back((writer, signed));
+            return Ok(());
+        };
+        let opened = self.keys.take(now, writer, &known.key, &signed)?;
+        effects.extend(opened.map(|opened| Effect::Change(Change::Key { writer, opened })));
+        Ok(())
     }
 }

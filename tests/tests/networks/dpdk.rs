@@ -307,8 +307,11 @@ fn settings_outlive_a_daemon_that_is_killed() -> Result<()> {
 
     std::fs::write(&file, "r0 ipv4/rp_filter 0 2\n")?;
     let other = PlaneConfig { wanted: Wanted::Userspace, dpdk_settings: Some(file.clone()), ..config(vec![]) };
-    let _planes = Planes::open(other)?;
+    drop(Planes::open(other.clone())?);
     ensure!(setting("rp_filter")?.trim() == "0" && !file.exists(), "a daemon with another plane puts back nothing");
+    std::fs::write(&file, "elsewhere mtu 1500 9000\n")?;
+    drop(Planes::open(other)?);
+    ensure!(file.exists(), "what could not be put back is forgotten");
     Ok(())
 }
 

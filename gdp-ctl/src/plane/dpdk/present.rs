@@ -14,7 +14,7 @@ use gdp_wire::table::{ip_of, mac_words};
 use gdp_wire::{Counter, LinkEntry, Name};
 
 use super::routes::Routes;
-use super::settings::Settings;
+use super::settings::{self, Settings};
 use super::{DeviceCounters, DpdkConfig, DpdkPlaneError, LARGEST_ROOM};
 use crate::plane::device::Device;
 use crate::plane::forwarder::Shared;
@@ -95,8 +95,11 @@ impl DpdkPlane {
     /// Puts back the settings of interfaces that a daemon with this plane has left in the file `kept`, as it was killed. In the network
     /// namespace of the calling thread.
     pub fn put_back_left(kept: &Path) {
-        if kept.exists() {
-            drop(Settings::open(Some(kept.to_owned())));
+        if kept.exists()
+            && let Err(error) = settings::put_back_left(kept.to_owned())
+        {
+            let path = kept.display();
+            tracing::warn!(%error, "interfaces stay set as a daemon with DPDK has left them: {path} is of no use");
         }
     }
 

@@ -54,8 +54,13 @@ impl Settings {
     /// In the network namespace of the calling thread, in which it is to be dropped as well. `kept`: the file, in which there may be what a
     /// daemon that was killed has not put back.
     pub fn open(kept: Option<PathBuf>) -> Self {
-        let opened = kept.map(Kept::open).transpose();
-        let kept = opened.inspect_err(|error| {
+        let begun = |path| {
+            let (kept, left) = Kept::open(path)?;
+            put_back(&left);
+            kept.file.set_len(0)?;
+            Ok(kept)
+        };
+        let kept = kept.map(begun).transpose().inspect_err(|error: &io::Error| {
             tracing::warn!(%error, "if this daemon is killed, settings of interfaces stay changed");
         });
         Self { changed: Vec::new(), kept: kept.ok().flatten() }
@@ -104,12 +109,23 @@ impl Settings {
 impl Drop for Settings {
     fn drop(&mut self) {
         put_back(&self.changed);
+        self.kept.iter().for_each(Kept::remove);
     }
 }
 
+/// Puts back what a daemon that was killed has left in the file `kept`. The file stays if not all could be: in another namespace, or with
+/// more rights, the next daemon may do better.
+pub fn put_back_left(kept: PathBuf) -> io::Result<()> {
+    let (kept, left) = Kept::open(kept)?;
+    if put_back(&left) {
+        kept.remove();
+    }
+    Ok(())
+}
+
 impl Kept {
-    /// Puts back what is in it.
-    fn open(path: PathBuf) -> io::Result<Self> {
+    /// And what is in it.
+    fn open(path: PathBuf) -> io::Result<(Self, Vec<Changed>)> {
         if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
         }
@@ -119,14 +135,11 @@ impl Kept {
         file.try_lock()?;
         let mut left = String::new();
         file.read_to_string(&mut left)?;
-        put_back(&left.lines().filter_map(Changed::parse).collect::<Vec<_>>());
-        file.set_len(0)?;
-        Ok(Self { path, file })
+        let left = left.lines().filter_map(Changed::parse).collect();
+        Ok((Self { path, file }, left))
     }
-}
 
-impl Drop for Kept {
-    fn drop(&mut self) {
+    fn remove(&self) {
         if let Err(error) = fs::remove_file(&self.path) {
             tracing::debug!(path = %self.path.display(), %error, "the file of settings stays");
         }
@@ -143,21 +156,20 @@ impl Changed {
         let (before, set) = (before.parse().ok()?, set.parse().ok()?);
         Some(Self { interface: interface.to_owned(), name: name.to_owned(), before, set })
     }
-
-    /// Nobody else has set it since.
-    fn is_as_set(&self) -> bool {
-        read(&self.interface, &self.name).is_ok_and(|now| now == self.set)
-    }
 }
 
-/// The last one first: one may set another as well.
-fn put_back(all: &[Changed]) {
-    let ours: Vec<_> = all.iter().filter(|changed| changed.is_as_set()).collect();
-    for Changed { interface, name, before, .. } in ours.into_iter().rev() {
+/// What nobody else has set since; the last one first: one may set another as well. Whether that is all.
+fn put_back(all: &[Changed]) -> bool {
+    let now: Vec<_> = all.iter().map(|changed| read(&changed.interface, &changed.name)).collect();
+    let mut is_all = now.iter().all(Result::is_ok);
+    let ours = all.iter().zip(now).filter(|(changed, now)| now.as_ref().is_ok_and(|now| *now == changed.set));
+    for (Changed { interface, name, before, .. }, _) in ours.rev() {
         if let Err(error) = write(interface, name, *before) {
             tracing::warn!(interface, name, %error, "a setting stays");
+            is_all = false;
         }
     }
+    is_all
 }
 
 fn read(interface: &str, name: &str) -> io::Result<u32> {

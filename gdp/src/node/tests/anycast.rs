@@ -192,8 +192,12 @@ async fn a_server_is_called_in_the_moment_in_which_it_is_there() {
             soon(caller.call(Encoding::Bytes, b"at once")).await
         });
         let mut server = owner.serve(&robot).await;
-        let (reply, ()) = tokio::join!(called, echo(&mut server));
-        assert_eq!(reply.unwrap().unwrap().writer, identity.name(), "life {life}");
+        let answered = async {
+            echo(&mut server).await;
+            Ok(())
+        };
+        let (reply, ()) = tokio::try_join!(async { called.await.unwrap() }, answered).unwrap();
+        assert_eq!(reply.writer, identity.name(), "life {life}");
         drop(server);
         eventually("it is gone", || client.servers() == 0).await;
         robot.close().await;

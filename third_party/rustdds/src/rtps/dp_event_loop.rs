@@ -384,6 +384,7 @@ impl DPEventLoop {
         &mut writers_to_remove,
         &mut preparing_to_stop,
       ) {
+        ev_wrapper.flush_outbound();
         return;
       }
       // Removals wait until commands queued in this same wake have run.
@@ -586,6 +587,17 @@ impl DPEventLoop {
         // Socket filled again; the writer has been re-queued. Stop and wait for
         // the next writable edge.
         break;
+      }
+    }
+  }
+
+  // GDP patch: before the end, what full sockets have kept back, if they take it soon.
+  fn flush_outbound(&mut self) {
+    let until = Instant::now() + Duration::from_millis(100);
+    while self.has_pending_outbound() && Instant::now() < until {
+      std::thread::sleep(Duration::from_millis(1));
+      for sid in self.udp_sender.socket_ids() {
+        self.on_socket_writable(sid);
       }
     }
   }
