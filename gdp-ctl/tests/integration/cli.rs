@@ -4,9 +4,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::switch::PATIENCE;
 use crate::user::User;
-
-const PATIENCE: Duration = Duration::from_secs(60);
 
 #[test]
 fn keys_cards_and_certificates_are_made_without_a_daemon() {

@@ -124,7 +124,7 @@ pub fn put_back_left(kept: PathBuf) -> io::Result<()> {
 }
 
 impl Kept {
-    /// And what is in it.
+    /// Makes the file if there is none, and reads what is in it.
     fn open(path: PathBuf) -> io::Result<(Self, Vec<Changed>)> {
         if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
