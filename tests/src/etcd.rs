@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 
 use crate::netns::{Namespace, execute};
 use crate::process::Process;
+use crate::programs::Program;
 use crate::wait::{PATIENCE, wait_for};
 
 const CLIENTS: u16 = 2379;
@@ -44,7 +45,7 @@ impl Etcd {
     /// Which member leads the others, as they say who are asked from this namespace.
     pub fn leader(&self, from: &Namespace) -> Result<usize> {
         let leads = |member: &Member| -> Result<bool> {
-            let mut etcdctl = from.command("etcdctl")?;
+            let mut etcdctl = from.command(Program::Etcdctl)?;
             etcdctl.env("ETCDCTL_API", "3").arg(format!("--endpoints={}", member.clients()));
             let answer = execute(etcdctl.args(["endpoint", "status", "-w", "json"]))?;
             let status = &serde_json::from_str::<serde_json::Value>(&answer)?[0]["Status"];
@@ -77,7 +78,7 @@ impl Etcd {
         let all = self.members.iter().enumerate().map(|(i, member)| format!("m{i}={}", member.peers()));
         let all = all.collect::<Vec<_>>().join(",");
         let member = &self.members[i];
-        let mut command = at.command("etcd")?;
+        let mut command = at.command(Program::Etcd)?;
         command
             .arg(format!("--name=m{i}"))
             .arg(format!("--data-dir={}", self.folder.join(format!("m{i}")).display()))

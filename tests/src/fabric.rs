@@ -4,7 +4,6 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
@@ -13,6 +12,7 @@ use crate::chain::{Chain, ChainOptions};
 use crate::dpdk;
 use crate::netns::{Namespace, execute};
 use crate::process::Process;
+use crate::programs::{Executable as _, Program, own};
 use crate::tools::Tools;
 use crate::wait::{PATIENCE, wait_for};
 
@@ -122,7 +122,7 @@ impl Fabric {
 
     /// `gdp-ctl xdp …` on this fabric's BPF file system, as JSON; an error if it exits with another status than 0.
     pub fn xdp(&self, verb: &str) -> Result<Value> {
-        let mut command = Command::new(self.tools.gdp_ctl()?);
+        let mut command = own(self.tools.gdp_ctl()?);
         parse(&execute(command.args(["xdp", verb, "-j", "--bpffs"]).arg(self.bpffs()))?)
     }
 
@@ -151,7 +151,7 @@ impl Fabric {
 
     /// A `gdp-ctl` command of the topic's owner, in its folder, through the daemon of switch `i`.
     pub fn owner(&self, i: usize, arguments: &[&str]) -> Result<Value> {
-        let mut command = Command::new(self.tools.gdp_ctl()?);
+        let mut command = own(self.tools.gdp_ctl()?);
         command.arg("--socket").arg(&self.switches[i].socket).args(arguments).arg("-j");
         parse(&execute(command.current_dir(self.folder_of(OWNER)))?)
     }
@@ -292,7 +292,7 @@ impl Switch {
 
     /// A `gdp-ctl` command against the daemon, as JSON.
     pub fn ctl(&self, tools: &Tools, arguments: &[&str]) -> Result<Value> {
-        let mut command = Command::new(tools.gdp_ctl()?);
+        let mut command = own(tools.gdp_ctl()?);
         command.arg("--socket").arg(&self.socket).args(arguments).arg("-j");
         parse(&execute(&mut command)?)
     }
@@ -334,7 +334,7 @@ pub struct Mounted(pub PathBuf);
 impl Drop for Mounted {
     fn drop(&mut self) {
         // Not mounted, if no daemon came so far.
-        let _ = execute(Command::new("umount").arg("--lazy").arg(&self.0));
+        let _ = execute(Program::Umount.command().arg("--lazy").arg(&self.0));
     }
 }
 
@@ -414,7 +414,7 @@ impl Authority<'_> {
 
     /// A `gdp-ctl` command in the folder of a party, as JSON.
     pub(crate) fn ctl(&self, whose: &str, arguments: &[&str]) -> Result<Value> {
-        let mut command = Command::new(self.tools.gdp_ctl()?);
+        let mut command = own(self.tools.gdp_ctl()?);
         parse(&execute(command.args(arguments).arg("-j").current_dir(self.folder.join(whose)))?)
     }
 }

@@ -29,6 +29,7 @@ use crate::fabric::{Authority, Switch, TOPIC, TYPE, write_yaml};
 use crate::netns::{End, Namespace, execute, veth};
 use crate::packet::PacketSocket;
 use crate::process::Process;
+use crate::programs::Program;
 use crate::tools::Tools;
 use crate::wait::{PATIENCE, wait_for};
 
@@ -433,7 +434,7 @@ fn masquerade(at: &Namespace) -> Result<()> {
          add rule ip nat through ct state established,related accept
          add rule ip nat through iifname \"{INSIDE}\" accept"
     );
-    execute(at.command("nft")?.arg(rules)).map(drop)
+    execute(at.command(Program::Nft)?.arg(rules)).map(drop)
 }
 
 fn config(plan: &Plan, names: &[(&str, String)], folder: &Path) -> Value {

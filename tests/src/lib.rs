@@ -9,6 +9,7 @@
 //! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its ends
 //! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
 //! - [`measure`]: benchmarks: in turn, figures, tables, plots
+//! - [`programs`]: every external program that is started
 //! - [`process`]: programs that end when their guard is dropped, with their output kept
 //! - [`wait`]: waiting for a condition with a deadline, never for a time
 //! - [`tools`]: where the programs under test are
@@ -26,6 +27,7 @@ pub mod netns;
 pub mod packet;
 pub mod peers;
 pub mod process;
+pub mod programs;
 pub mod replicas;
 pub mod ring;
 pub mod tools;

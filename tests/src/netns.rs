@@ -12,6 +12,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use anyhow::{Context, Result, bail};
 
+use crate::programs::{Executable, Program};
+
 const PREFIX: &str = "gdp-";
 
 /// A network namespace with `lo` up and IPv6 off. Dropping it deletes it, and with it the veths inside.
@@ -69,9 +71,9 @@ impl Namespace {
     }
 
     /// A command whose program will run in this namespace.
-    pub fn command(&self, program: impl AsRef<std::ffi::OsStr>) -> Result<Command> {
+    pub fn command(&self, program: impl Executable) -> Result<Command> {
         let namespace = self.open()?;
-        let mut command = Command::new(program);
+        let mut command = program.command();
         // SAFETY: setns on an open descriptor is async-signal-safe and allocates nothing.
         unsafe { command.pre_exec(move || set(&namespace)) };
         Ok(command)
@@ -174,7 +176,7 @@ pub fn veth(a: &End, b: &End, mtu: u32) -> Result<()> {
     }
     // Only a change on a running interface tells its other end that it takes redirected frames.
     for end in [a, b] {
-        let mut ethtool = end.namespace.command("ethtool")?;
+        let mut ethtool = end.namespace.command(Program::Ethtool)?;
         execute(ethtool.args(["-K", end.interface, "tx", "off", "gro", "on"]))?;
     }
     Ok(())
@@ -203,7 +205,7 @@ pub fn execute(command: &mut Command) -> Result<String> {
 }
 
 fn ip(arguments: &[&str]) -> Result<String> {
-    execute(Command::new("ip").args(arguments))
+    execute(Program::Ip.command().args(arguments))
 }
 
 fn set(namespace: &File) -> std::io::Result<()> {

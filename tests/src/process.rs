@@ -23,11 +23,16 @@ impl Process {
     /// Starts `command` and writes its output to `folder/LABEL.out` and `folder/LABEL.err`.
     ///
     /// The program dies with the *thread* that started it, so that even a killed test leaves nothing behind.
-    pub fn spawn(label: &str, mut command: Command, folder: &Path) -> Result<Self> {
+    pub fn spawn(label: &str, command: Command, folder: &Path) -> Result<Self> {
+        let stderr = create(&folder.join(format!("{label}.err")))?;
+        Self::spawn_with_stderr(label, command, folder, stderr.into())
+    }
+
+    /// The same, with stderr elsewhere; then [`Process::stderr`] is empty, unless that is `folder/LABEL.err`.
+    pub fn spawn_with_stderr(label: &str, mut command: Command, folder: &Path, to: Stdio) -> Result<Self> {
         let stdout = folder.join(format!("{label}.out"));
         let stderr = folder.join(format!("{label}.err"));
-        let create = |path: &Path| File::create(path).with_context(|| format!("cannot create {}", path.display()));
-        command.stdin(Stdio::null()).stdout(create(&stdout)?).stderr(create(&stderr)?);
+        command.stdin(Stdio::null()).stdout(create(&stdout)?).stderr(to);
         // Ctrl-C in the terminal is for us alone: we end our programs in order.
         command.process_group(0);
         // SAFETY: prctl is async-signal-safe and touches no memory of ours.
@@ -71,6 +76,11 @@ impl Process {
         let text = self.stdout();
         let complete = text.rfind('\n').map_or("", |end| &text[..end]);
         complete.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+    }
+
+    /// How it ended, if it has.
+    pub fn status(&mut self) -> Result<Option<ExitStatus>> {
+        Ok(self.child.try_wait()?)
     }
 
     /// An error with the end of its output if it has ended.
@@ -141,8 +151,8 @@ impl Process {
 
     fn signal(&mut self, signal: libc::c_int) {
         if matches!(self.child.try_wait(), Ok(None)) {
-            // SAFETY: the child is ours and not reaped yet, so the pid cannot have been given to another process.
-            unsafe { libc::kill(self.child.id() as libc::pid_t, signal) };
+            // It may have ended meanwhile.
+            let _ = send(&self.child, signal);
         }
     }
 }
@@ -153,6 +163,23 @@ impl Drop for Process {
         if std::thread::panicking() {
             eprintln!("{}", self.report());
         }
+    }
+}
+
+fn create(path: &Path) -> Result<File> {
+    File::create(path).with_context(|| format!("cannot create {}", path.display()))
+}
+
+/// Sends SIGTERM to a child that has not been waited for.
+pub fn terminate(child: &Child) -> Result<()> {
+    send(child, libc::SIGTERM).context("cannot send SIGTERM")
+}
+
+fn send(child: &Child, signal: libc::c_int) -> std::io::Result<()> {
+    // SAFETY: the child is ours and not reaped yet, so the pid cannot have been given to another process.
+    match unsafe { libc::kill(child.id() as libc::pid_t, signal) } {
+        0 => Ok(()),
+        _ => Err(std::io::Error::last_os_error()),
     }
 }
 

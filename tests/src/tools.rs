@@ -13,7 +13,7 @@ pub struct Tools {
 }
 
 impl Tools {
-    /// `executables`: the folder of `gdp-ctl`, `gdp-proxy` and the eBPF object; `target`: Cargo's target folder.
+    /// `executables`: the folder of `gdp-ctl` and `gdp-proxy`; `target`: Cargo's target folder.
     pub fn new(executables: PathBuf, target: PathBuf) -> Self {
         Self { executables, target, ebpf_object: "gdp-ebpf" }
     }
@@ -36,7 +36,7 @@ impl Tools {
     }
 
     pub fn ebpf_object(&self) -> Result<PathBuf> {
-        existing(self.executables.join(self.ebpf_object), "cargo xtask test")
+        existing(self.target.join("bpf").join(self.ebpf_object), "cargo xtask test")
     }
 
     /// The programs that benchmarks and tests put around the switch.

@@ -10,12 +10,13 @@
 
 use std::io::PipeWriter;
 use std::os::fd::AsRawFd;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use gdp_faults::{Counts, Delivery, Faults, Link, Random};
+use parking_lot::Mutex;
 
 use crate::frames::carrier::internet_checksum;
 use crate::netns::Namespace;
@@ -57,13 +58,13 @@ impl Wire {
 
     /// What the link of one direction has done to frames: 0 from the first interface, 1 from the second.
     pub fn counts(&self, direction: usize) -> Counts {
-        lock(&self.links)[direction].counts()
+        self.links.lock()[direction].counts()
     }
 
     /// From now on other faults; their partitions count from now. What is under way still arrives.
     pub fn change(&self, faults: [Faults; 2]) {
         let now = since(self.began);
-        for (link, mut faults) in lock(&self.links).iter_mut().zip(faults) {
+        for (link, mut faults) in self.links.lock().iter_mut().zip(faults) {
             for (from, to) in &mut faults.partitions {
                 (*from, *to) = (from.saturating_add(now), to.saturating_add(now));
             }
@@ -103,7 +104,7 @@ impl Carrier {
     fn run(&self, stopped: i32) -> Result<()> {
         let mut buffer = vec![0; 1 << 16];
         loop {
-            let mut links = lock(&self.links);
+            let mut links = self.links.lock();
             for (from, link) in links.iter_mut().enumerate() {
                 self.take(from, link, &mut buffer)?;
             }
@@ -199,10 +200,6 @@ fn mark(frame: &mut [u8]) {
 
 fn since(began: Instant) -> u64 {
     began.elapsed().as_nanos() as u64
-}
-
-fn lock(links: &Mutex<[Link<Vec<u8>>; 2]>) -> MutexGuard<'_, [Link<Vec<u8>>; 2]> {
-    links.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

@@ -1,66 +1,108 @@
-//! `cargo xtask build`: the eBPF object, then the executables, the object beside them.
+//! `cargo xtask build`: the XDP programs, then the executables that embed them.
 
 use std::path::Path;
 use std::process::Command;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
+use gdp_tests::programs::{Executable as _, Program, own};
 
-use crate::setup::{self, EbpfCompiler, Part};
-use crate::shell;
+use crate::setup::{self, EbpfCompiler, Purpose};
 use crate::workspace::{self, Profile};
+use crate::{debug_symbols, shell};
+
+#[path = "../../gdp-ebpf/fingerprint.rs"]
+mod fingerprint;
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// Build only the eBPF object
+    /// Build only the XDP programs
     #[arg(long)]
     ebpf_only: bool,
     /// Build with overflow checks and debug assertions, as the tests do
     #[arg(long)]
     checked: bool,
+    /// Build what is shipped and measured: with link-time optimisation, stripped, and debug symbols in files of their own
+    #[arg(long, conflicts_with = "checked")]
+    dist: bool,
     /// Build gdp-ctl with the DPDK data plane
     #[arg(long)]
     dpdk: bool,
 }
 
+/// Which executables to build.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Executables {
+    /// `gdp-ctl` alone: all that a switch needs.
+    Switch,
+    All,
+}
+
 pub fn run(options: Options) -> Result<()> {
-    setup::ensure(&[Part::Workspace, Part::Ebpf])?;
+    setup::ensure(Purpose::Run)?;
     if options.ebpf_only {
         return ebpf();
     }
     if options.dpdk {
-        setup::ensure(&[Part::Dpdk])?;
+        setup::ensure(Purpose::Dpdk)?;
     }
-    all(if options.checked { Profile::Checked } else { Profile::Release }, options.dpdk)
+    let profile = match (options.checked, options.dist) {
+        (true, _) => Profile::Checked,
+        (_, true) => Profile::Dist,
+        _ => Profile::Release,
+    };
+    executables(Executables::All, profile, options.dpdk)
 }
 
-/// Everything `gdp-ctl` and `gdp-proxy` need to run with the kernel data plane, and perhaps with DPDK.
-pub fn all(profile: Profile, dpdk: bool) -> Result<()> {
+/// Executables with the XDP programs inside, and perhaps with DPDK. Fails if the programs are not inside.
+pub fn executables(which: Executables, profile: Profile, dpdk: bool) -> Result<()> {
     ebpf()?;
-    executables(profile, dpdk)?;
-    beside_executables(profile)
+    let mut command = shell::cargo();
+    command.args(["build", "--profile", profile.name(), "--bin", SWITCH]);
+    match which {
+        // Of this package alone: features of dependencies that others ask for would have to be compiled as well.
+        Executables::Switch => command.args(["--package", SWITCH]),
+        Executables::All => command.args(["--bin", PROXY]),
+    };
+    if dpdk {
+        command.args(["--features", "gdp-ctl/dpdk"]);
+    }
+    shell::run(&mut command)?;
+    ensure_embedded(&profile.executables().join(SWITCH))?;
+    if profile == Profile::Checked {
+        return Ok(());
+    }
+    let names: &[&str] = if which == Executables::Switch { &[SWITCH] } else { &[SWITCH, PROXY] };
+    names.iter().try_for_each(|name| debug_symbols::split(&profile.executables().join(name)))
 }
 
-/// The executables alone: enough for the userspace data plane.
-pub fn executables(profile: Profile, dpdk: bool) -> Result<()> {
-    // All default members, as `test` does: another choice of packages would mean other features of the dependencies.
-    let features: &[&str] = if dpdk { &["--features", "gdp-ctl/dpdk"] } else { &[] };
-    shell::run(shell::cargo().args(["build", "--profile", profile.name()]).args(features))
-}
+const SWITCH: &str = "gdp-ctl";
+const PROXY: &str = "gdp-proxy";
 
-/// Compiles `gdp-ebpf` with the compiler that [`EbpfCompiler`] finds, to [`workspace::ebpf_object`].
+/// Compiles `gdp-ebpf` with the compiler that [`EbpfCompiler`] finds, to [`workspace::ebpf_object`] and to where the build
+/// script of the executables looks.
 pub fn ebpf() -> Result<()> {
     shell::run(&mut ebpf_cargo("build", "bpf")?)?;
     let built = workspace::target().join("bpf/bpfel-unknown-none/release/gdp-ebpf");
-    copy_if_changed(&built, &workspace::ebpf_object())
+    copy_if_changed(&built, &workspace::ebpf_object())?;
+    let embedded = fingerprint::object(workspace::root())?;
+    let folder = workspace::root().join(fingerprint::FOLDER);
+    for entry in std::fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))? {
+        let file = entry?.path();
+        // Objects of earlier source.
+        if file.extension().is_some_and(|extension| extension == "o") && file != embedded {
+            std::fs::remove_file(&file).with_context(|| format!("cannot remove {}", file.display()))?;
+        }
+    }
+    copy_if_changed(&built, &embedded)
 }
 
-/// The same programs in other instructions, as a later build has them: what a daemon that takes over may come with. Beside the
-/// executables, as `gdp-ebpf-rebuilt`.
-pub fn ebpf_rebuilt(profile: Profile) -> Result<()> {
+/// The same programs in other instructions, as a later build has them: what a daemon that takes over may come with. Beside
+/// [`workspace::ebpf_object`], as `gdp-ebpf-rebuilt`.
+pub fn ebpf_rebuilt() -> Result<()> {
     let mut command = ebpf_cargo("build", "bpf-rebuilt")?;
     shell::run(command.args(["--bin", "gdp-ebpf", "--config", "profile.release.opt-level=2"]))?;
     let built = workspace::target().join("bpf-rebuilt/bpfel-unknown-none/release/gdp-ebpf");
-    copy_if_changed(&built, &profile.executables().join("gdp-ebpf-rebuilt"))
+    copy_if_changed(&built, &workspace::ebpf_object().with_file_name("gdp-ebpf-rebuilt"))
 }
 
 /// The shipped programs with a hop tag that costs nothing, for `bench forward`, to [`workspace::ebpf_untagged_object`].
@@ -70,9 +112,10 @@ pub fn ebpf_untagged() -> Result<()> {
 
 /// `cargo VERB --release` for the eBPF target, in the eBPF workspace, into a folder of Cargo's target folder.
 fn ebpf_cargo(verb: &str, into: &str) -> Result<Command> {
-    let Some(compiler) = EbpfCompiler::find() else { bail!("no compiler for eBPF: run `cargo xtask setup`") };
-    let Some(linker) = setup::bpf_linker() else { bail!("no bpf-linker: run `cargo xtask setup`") };
-    let mut command = Command::new("cargo");
+    let Some(compiler) = EbpfCompiler::find() else { bail!("no compiler for eBPF: run `cargo xtask setup run`") };
+    let Some(linker) = setup::bpf_linker() else { bail!("no bpf-linker: run `cargo xtask setup run`") };
+    // The one that knows `+nightly`.
+    let mut command = Program::Cargo.command();
     if compiler == EbpfCompiler::Nightly {
         command.arg("+nightly");
     }
@@ -95,11 +138,15 @@ fn ebpf_cargo(verb: &str, into: &str) -> Result<Command> {
     Ok(command)
 }
 
-fn beside_executables(profile: Profile) -> Result<()> {
-    copy_if_changed(&workspace::ebpf_object(), &profile.executables().join("gdp-ebpf"))
+/// Asks the program: what its build script has done, Cargo does not say.
+fn ensure_embedded(executable: &Path) -> Result<()> {
+    let version = shell::output(own(executable).arg("--version"));
+    let version = version.with_context(|| format!("{} does not tell its version", executable.display()))?;
+    ensure!(version.ends_with("(with XDP)"), "{} was built without the XDP programs: {version}", executable.display());
+    Ok(())
 }
 
-/// Replaces `to` at once, so that a daemon that starts meanwhile never reads half a file.
+/// Replaces `to` at once, so that whoever reads it meanwhile never reads half a file.
 fn copy_if_changed(from: &Path, to: &Path) -> Result<()> {
     let new = std::fs::read(from).with_context(|| format!("cannot read {}", from.display()))?;
     if std::fs::read(to).is_ok_and(|old| old == new) {
@@ -109,5 +156,9 @@ fn copy_if_changed(from: &Path, to: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     let temporary = to.with_extension("new");
     std::fs::write(&temporary, new).with_context(|| format!("cannot write {}", temporary.display()))?;
+    // As old as what it is a copy of, so that Cargo compiles nothing again that embeds it.
+    let time = std::fs::metadata(from).and_then(|from| from.modified());
+    let set = time.and_then(|time| std::fs::File::open(&temporary)?.set_modified(time));
+    set.with_context(|| format!("cannot set the time of {}", temporary.display()))?;
     std::fs::rename(&temporary, to).with_context(|| format!("cannot replace {}", to.display()))
 }

@@ -13,9 +13,10 @@ use gdp_tests::{netns, wait};
 use serde::Serialize;
 
 use self::story::Story;
-use crate::setup::{self, Part};
+use crate::build::{self, Executables};
+use crate::peers as peer_programs;
+use crate::setup::{self, Purpose};
 use crate::workspace::{self, Profile};
-use crate::{build, peers as peer_programs};
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -43,8 +44,8 @@ pub fn run(options: Options) -> Result<()> {
     if !workspace::is_root() {
         bail!("the demo builds network namespaces and loads XDP programs, which needs root");
     }
-    setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces, Part::Dds])?;
-    build::all(Profile::Release, false)?;
+    setup::ensure(Purpose::Demo)?;
+    build::executables(Executables::All, Profile::Release, false)?;
     peer_programs::build()?;
     wait::catch_interrupts();
     netns::sweep()?;

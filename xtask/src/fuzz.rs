@@ -3,11 +3,10 @@
 //! The instrumentation is LLVM's and needs no nightly flags; only the address sanitizer would, and the targets are safe Rust
 //! but for a few lines. What is found is kept in the target folder; what a crash leaves is named, to become a case in `fuzz/corpus`.
 
-use std::process::Command;
-
 use anyhow::{Context, Result};
+use gdp_tests::programs::{Executable as _, Program, own};
 
-use crate::setup::{self, Part};
+use crate::setup::{self, Purpose};
 use crate::{shell, workspace};
 
 #[derive(clap::Args)]
@@ -26,7 +25,7 @@ const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-l
                         -Cllvm-args=-sanitizer-coverage-trace-compares -Ccodegen-units=1";
 
 pub fn run(options: Options) -> Result<()> {
-    setup::ensure(&[Part::Workspace])?;
+    setup::ensure(Purpose::Run)?;
     let Options { target, seconds } = options;
     let folder = workspace::target().join("fuzz");
     let host = host()?;
@@ -40,7 +39,7 @@ pub fn run(options: Options) -> Result<()> {
     for folder in [&found, &seeds, &crashes] {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     }
-    let mut fuzzer = Command::new(folder.join(host).join("checked").join(&target));
+    let mut fuzzer = own(folder.join(host).join("checked").join(&target));
     fuzzer.arg(format!("-max_total_time={seconds}")).args(["-max_len=4096", "-timeout=5", "-rss_limit_mb=2048"]);
     fuzzer.arg(format!("-artifact_prefix={}/", crashes.display()));
     // Written by the executable itself, before it reads them.
@@ -56,7 +55,7 @@ pub fn run(options: Options) -> Result<()> {
 
 /// The platform that this compiler builds for by itself.
 fn host() -> Result<String> {
-    let version = shell::output_of("rustc", &["-vV"]).context("rustc does not say its version")?;
+    let version = shell::output(Program::Rustc.command().arg("-vV")).context("rustc does not say its version")?;
     let host = version.lines().find_map(|line| line.strip_prefix("host: ")).context("rustc does not say its host")?;
     Ok(host.to_owned())
 }

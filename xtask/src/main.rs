@@ -5,7 +5,10 @@
 
 mod bench;
 mod build;
+mod check;
+mod debug_symbols;
 mod demo;
+mod fresh;
 mod fuzz;
 mod peers;
 mod run;
@@ -38,8 +41,12 @@ enum Verb {
     Test(test::Options),
     /// A ROS 2 topic crosses three switches from one DDS vendor to another, and what can be seen of it (needs root)
     Demo(demo::Options),
+    /// Check the rules of the source tree: circles, lengths, words, the facade
+    Check(check::Options),
     /// Look for bytes from the wire that do what none may
     Fuzz(fuzz::Options),
+    /// Set up, build, start and test on a clean Debian 12 (needs root)
+    Fresh(fresh::Options),
     /// Measure, and print a table or JSON (needs root)
     Bench(bench::Options),
 }
@@ -51,7 +58,9 @@ fn main() -> ExitCode {
         Verb::Run(options) => run::run(options),
         Verb::Test(options) => test::run(options),
         Verb::Demo(options) => demo::run(options),
+        Verb::Check(options) => check::run(options),
         Verb::Fuzz(options) => fuzz::run(options),
+        Verb::Fresh(options) => fresh::run(options),
         Verb::Bench(options) => bench::run(options),
     };
     match result {

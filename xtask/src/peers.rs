@@ -1,10 +1,10 @@
 //! The foreign DDS programs (sources in `tests/peers`): Fast DDS is compiled here, Cyclone DDS is Python.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::SystemTime;
 
 use anyhow::{Context, Result};
+use gdp_tests::programs::{Executable as _, Program};
 
 use crate::{shell, workspace};
 
@@ -19,7 +19,7 @@ pub fn build() -> Result<()> {
 pub fn build_zenoh() -> Result<PathBuf> {
     let (manifest, out) =
         (workspace::root().join("tests/peers/zenoh-bridge/Cargo.toml"), workspace::target().join("zenoh"));
-    let mut command = Command::new("cargo");
+    let mut command = shell::cargo();
     command.args(["build", "--release", "--locked", "--manifest-path"]).arg(manifest).arg("--target-dir").arg(&out);
     shell::say_and_run(&mut command)?;
     Ok(out.join("release/zenoh-bridge"))
@@ -39,11 +39,11 @@ fn compile(name: &str, interface: Option<&str>, source: &str) -> Result<()> {
     std::fs::create_dir_all(&out).with_context(|| format!("cannot create {}", out.display()))?;
     // Linked under another name and renamed, so that a failed build leaves nothing that looks current.
     let partial = out.join(format!("{name}.new"));
-    let mut compiler = Command::new("c++");
+    let mut compiler = Program::Cxx.command();
     compiler.args(["-std=c++17", "-O1", "-Wall", "-Wno-deprecated-declarations", "-I"]).arg(&out);
     compiler.arg("-o").arg(&partial).arg(&source);
     if let Some((interface, idl)) = &interface {
-        let mut generator = Command::new("fastddsgen");
+        let mut generator = Program::Fastddsgen.command();
         shell::say_and_run(generator.arg("-replace").arg("-d").arg(&out).arg(idl).current_dir(&out))?;
         compiler.args([out.join(format!("{interface}.cxx")), out.join(format!("{interface}PubSubTypes.cxx"))]);
     }

@@ -1,13 +1,13 @@
-//! `cargo xtask run`: builds, then becomes `gdp-ctl serve`. Root gets the kernel data plane, others the userspace one.
+//! `cargo xtask run`: builds a switch with XDP, then becomes `gdp-ctl serve`.
 
 use std::os::unix::process::CommandExt;
-use std::process::Command;
 
 use anyhow::{Context, Result};
+use gdp_tests::programs::own;
 
-use crate::build;
-use crate::setup::{self, Part};
-use crate::workspace::{self, Profile};
+use crate::build::{self, Executables};
+use crate::setup::{self, Purpose};
+use crate::workspace::Profile;
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -20,21 +20,13 @@ pub struct Options {
 }
 
 pub fn run(options: Options) -> Result<()> {
-    setup::ensure(&[Part::Workspace])?;
+    setup::ensure(Purpose::Run)?;
     if options.dpdk {
-        setup::ensure(&[Part::Dpdk])?;
+        setup::ensure(Purpose::Dpdk)?;
     }
-    if workspace::is_root() {
-        setup::ensure(&[Part::Ebpf])?;
-        build::all(Profile::Release, options.dpdk)?;
-    } else if setup::has(Part::Ebpf) {
-        build::all(Profile::Release, options.dpdk)?;
-    } else {
-        eprintln!("Not root: the userspace data plane will be used, so the XDP programs are not built.");
-        build::executables(Profile::Release, options.dpdk)?;
-    }
+    build::executables(Executables::Switch, Profile::Release, options.dpdk)?;
     let program = Profile::Release.executables().join("gdp-ctl");
     // Replaces this process, so that signals and the exit code are the daemon's own.
-    let error = Command::new(&program).arg("serve").args(options.arguments).exec();
+    let error = own(&program).arg("serve").args(options.arguments).exec();
     Err(error).with_context(|| format!("cannot start {}", program.display()))
 }

@@ -1,9 +1,10 @@
 //! Running commands so that the reader sees exactly what is run.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 
 use anyhow::{Context, Result, bail};
+use gdp_tests::programs::{Executable, Program, own};
 
 /// Runs `command` with this terminal's streams; a failure names the command.
 pub fn run(command: &mut Command) -> Result<()> {
@@ -23,24 +24,16 @@ pub fn say_and_run(command: &mut Command) -> Result<()> {
 
 /// The cargo that runs this xtask.
 pub fn cargo() -> Command {
-    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    let mut command =
+        std::env::var_os("CARGO").map_or_else(|| Program::Cargo.command(), |cargo| own(PathBuf::from(cargo)));
     command.current_dir(crate::workspace::root());
     command
 }
 
 /// Trimmed stdout of a command that succeeds, or nothing.
-pub fn output_of(program: impl AsRef<Path>, args: &[&str]) -> Option<String> {
-    let output = Command::new(program.as_ref()).args(args).output().ok()?;
+pub fn output(command: &mut Command) -> Option<String> {
+    let output = command.output().ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
-}
-
-/// The file that `PATH` (and `/usr/sbin`, which an unprivileged user's `PATH` leaves out) gives for `program`.
-pub fn which(program: &str) -> Option<PathBuf> {
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    std::env::split_paths(&path)
-        .chain([PathBuf::from("/usr/sbin"), PathBuf::from("/sbin")])
-        .map(|dir| dir.join(program))
-        .find(|file| file.is_file())
 }
 
 fn show(command: &Command) -> String {

@@ -1,8 +1,10 @@
 //! `cargo xtask test`: unit tests, then the tests that need root: real XDP, DPDK, namespaces, DDS.
 
+use std::process::Command;
+
 use anyhow::{Result, bail};
 
-use crate::setup::{self, Part};
+use crate::setup::{self, Purpose};
 use crate::workspace::{self, Profile};
 use crate::{build, peers, shell};
 
@@ -13,38 +15,48 @@ pub struct Options {
     /// Only what needs neither root nor an eBPF toolchain nor DPDK
     #[arg(long)]
     unit: bool,
+    /// Only compile; with `--unit`
+    #[arg(long, requires = "unit")]
+    no_run: bool,
     /// Only what needs root
     #[arg(long, conflicts_with = "unit")]
     root: bool,
 }
 
 pub fn run(options: Options) -> Result<()> {
-    setup::ensure(&[Part::Workspace, Part::Etcd, Part::Rosbags, Part::Ros1, Part::Ros2, Part::Dds])?;
-    peers::build()?;
-    if !options.root {
-        shell::say_and_run(tests(&options).args(["--no-fail-fast"]))?;
-    }
     if options.unit {
-        return Ok(());
+        setup::ensure(Purpose::Unit)?;
+        peers::build()?;
+        // The default members, without the DPDK data plane.
+        return shell::say_and_run(tests(&options).arg(if options.no_run { "--no-run" } else { "--no-fail-fast" }));
     }
     if !workspace::is_root() {
         // Skipping would look like success, above all in CI.
         bail!("the kernel and namespace tests need root: run as root, or `cargo xtask test --unit` for the rest");
     }
-    setup::ensure(&[Part::Ebpf, Part::Namespaces, Part::Dpdk])?;
-    // What is above does without DPDK, so that this is tried as well.
-    shell::say_and_run(tests(&options).args(["-p", "gdp-dpdk"]))?;
-    build::all(Profile::Checked, true)?;
-    build::ebpf_rebuilt(Profile::Checked)?;
-    let mut command = tests(&options);
-    // Of the whole workspace, and not with `-p gdp-tests`: Cargo would choose other features for the dependencies, and compile
-    // them all again.
-    command.args(["--workspace", "--test", "networks"]);
+    setup::ensure(Purpose::Test)?;
+    peers::build()?;
+    // First, so that what is compiled once has the programs inside.
+    build::ebpf()?;
+    build::ebpf_rebuilt()?;
+    if !options.root {
+        shell::say_and_run(tests(&options).args(["--workspace", "--no-fail-fast"]))?;
+    }
+    // Of the whole workspace, as above and below: with other packages Cargo would choose other features for the dependencies,
+    // and compile them all again.
+    let mut executables = shell::cargo();
+    executables.args(["build", "--workspace", "--profile", Profile::Checked.name()]);
+    shell::say_and_run(executables.args(["--bin", "gdp-ctl", "--bin", "gdp-proxy", "--test", NETWORKS]))?;
+    let mut networks = tests(&options);
+    networks.args(["--workspace", "--test", NETWORKS]);
     // Two cores: one network at a time, so that a deadline says something.
-    shell::say_and_run(command.args(["--", "--test-threads", "1"]))
+    shell::say_and_run(networks.args(["--", "--test-threads", "1"]))
 }
 
-fn tests(options: &Options) -> std::process::Command {
+/// The test target that needs root. It runs only when it is named.
+const NETWORKS: &str = "networks";
+
+fn tests(options: &Options) -> Command {
     let mut command = shell::cargo();
     command.args(["test", "--profile", Profile::Checked.name()]);
     command.args(options.filter.as_deref());

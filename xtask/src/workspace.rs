@@ -15,7 +15,7 @@ pub fn target() -> PathBuf {
     }
 }
 
-/// The eBPF object as the compiler left it; `build` copies it beside the executables.
+/// The eBPF object that the executables embed, for tests and benchmarks that load it themselves.
 pub fn ebpf_object() -> PathBuf {
     target().join("bpf/gdp-ebpf")
 }
@@ -33,8 +33,10 @@ pub fn ebpf_untagged_object() -> PathBuf {
 /// Which of Cargo's profiles an executable is built with.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Profile {
-    /// What is shipped, shown and measured.
+    /// What people run from a working copy: quick to compile.
     Release,
+    /// What is shipped and measured: with link-time optimisation.
+    Dist,
     /// Optimised, with overflow checks and debug assertions in this project's crates: what is tested. One profile
     /// for unit and integration tests, so that dependencies are compiled once.
     Checked,
@@ -44,6 +46,7 @@ impl Profile {
     pub fn name(self) -> &'static str {
         match self {
             Self::Release => "release",
+            Self::Dist => "dist",
             Self::Checked => "checked",
         }
     }

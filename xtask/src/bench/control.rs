@@ -3,8 +3,9 @@
 
 use anyhow::Result;
 
+use crate::build::{self, Executables};
+use crate::shell;
 use crate::workspace::Profile;
-use crate::{build, shell};
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -26,7 +27,7 @@ pub struct Options {
 
 pub fn run(options: Options) -> Result<()> {
     let mut command = super::target("control")?;
-    build::all(Profile::Release, false)?;
+    build::executables(Executables::All, Profile::Dist, false)?;
     options.rows.pass(&mut command);
     command.args(["--names", &options.names.to_string()]);
     super::pass(&mut command, options.rounds, options.milliseconds, options.json);

@@ -12,7 +12,6 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::Command;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
@@ -21,12 +20,14 @@ use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::netns::{self, Namespace};
 use gdp_tests::peers::{self, Conversation, Received, Side, Traffic, Vendor};
 use gdp_tests::process::Process;
+use gdp_tests::programs::{Executable as _, Program};
 use gdp_tests::{Tools, wait};
 use serde::Serialize;
 
-use crate::setup::{self, Part};
+use crate::build::{self, Executables};
+use crate::peers as peer_programs;
+use crate::setup::{self, Purpose};
 use crate::workspace::{self, Profile};
-use crate::{build, peers as peer_programs};
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -90,14 +91,14 @@ pub fn run(options: Options) -> Result<()> {
         bail!("network namespaces need root");
     }
     let routes = if options.paths.is_empty() { vec![Route::Gdp, Route::Ip, Route::Site] } else { options.paths };
-    setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces, Part::Dds])?;
+    setup::ensure(Purpose::Bench)?;
     if routes.contains(&Route::Gdp) {
-        build::all(Profile::Release, false)?;
+        build::executables(Executables::All, Profile::Dist, false)?;
     }
     peer_programs::build()?;
     wait::catch_interrupts();
     netns::sweep()?;
-    let tools = workspace::tools(Profile::Release);
+    let tools = workspace::tools(Profile::Dist);
     let mut rows = Vec::new();
     for awake in [false, true] {
         let _awake = awake.then(keep_awake).transpose()?;
@@ -185,8 +186,8 @@ fn stages(fabric: &Fabric, received: u64) -> Result<BTreeMap<&'static str, f64>>
 fn keep_awake() -> Result<Vec<Process>> {
     let folder = std::env::temp_dir();
     let spin = |i| {
-        let mut command = Command::new("chrt");
-        command.args(["--idle", "0", "sh", "-c", "while :; do :; done"]);
+        let mut command = Program::Chrt.command();
+        command.args(["--idle", "0", Program::Sh.name(), "-c", "while :; do :; done"]);
         Process::spawn(&format!("awake-{i}"), command, &folder)
     };
     (0..std::thread::available_parallelism()?.get()).map(spin).collect()

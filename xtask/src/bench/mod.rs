@@ -13,7 +13,7 @@ use std::process::Command;
 
 use anyhow::{Result, bail};
 
-use crate::setup::{self, Part};
+use crate::setup::{self, Purpose};
 use crate::workspace::{self, Profile};
 use crate::{build, shell};
 
@@ -85,10 +85,10 @@ fn target(name: &str) -> Result<Command> {
     if !workspace::is_root() {
         bail!("network namespaces need root");
     }
-    setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces, Part::Dpdk])?;
+    setup::ensure(Purpose::Bench)?;
     build::ebpf()?;
     let mut command = shell::cargo();
-    command.args(["bench", "--profile", Profile::Release.name(), "--workspace", "--bench", name, "--"]);
+    command.args(["bench", "--profile", Profile::Dist.name(), "--workspace", "--bench", name, "--"]);
     command.arg("--ebpf-object").arg(workspace::ebpf_object());
     Ok(command)
 }

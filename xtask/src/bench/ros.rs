@@ -25,9 +25,10 @@ use gdp_tests::{Tools, wait};
 use serde::Serialize;
 
 use self::zenoh::Bridges;
-use crate::setup::{self, Part};
+use crate::build::{self, Executables};
+use crate::peers as peer_programs;
+use crate::setup::{self, Purpose};
 use crate::workspace::{self, Profile};
-use crate::{build, peers as peer_programs};
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -119,20 +120,19 @@ pub fn run(options: Options) -> Result<()> {
         bail!("network namespaces need root");
     }
     let routes = if options.paths.is_empty() { ROUTES.to_vec() } else { options.paths };
-    setup::ensure(&[Part::Workspace, Part::Ebpf, Part::Namespaces, Part::Dds])?;
+    setup::ensure(Purpose::Bench)?;
     if routes.contains(&Route::Gdp) {
-        build::all(Profile::Release, false)?;
+        build::executables(Executables::All, Profile::Dist, false)?;
     }
     peer_programs::build()?;
     let bridge = if routes.iter().any(|route| matches!(route, Route::Zenoh | Route::ZenohTls)) {
-        setup::ensure(&[Part::Zenoh])?;
         Some(peer_programs::build_zenoh()?)
     } else {
         None
     };
     wait::catch_interrupts();
     netns::sweep()?;
-    let bench = Bench { tools: workspace::tools(Profile::Release), bridge };
+    let bench = Bench { tools: workspace::tools(Profile::Dist), bridge };
     let mut rows = Vec::new();
     for load in LOADS.iter().filter(|load| options.bytes.is_empty() || options.bytes.contains(&load.bytes)) {
         let routes: Vec<Route> = routes.iter().copied().filter(|route| load.is_carried_by(*route)).collect();

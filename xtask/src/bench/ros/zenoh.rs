@@ -2,7 +2,6 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
@@ -10,6 +9,7 @@ use gdp_tests::chain::Chain;
 use gdp_tests::netns::{Namespace, execute};
 use gdp_tests::peers::ON_LOOPBACK;
 use gdp_tests::process::Process;
+use gdp_tests::programs::{Executable as _, Program};
 use serde_json::{Value, json};
 
 /// The port that zenoh's routers listen at.
@@ -47,7 +47,7 @@ struct Secrets {
 impl Secrets {
     fn make(host: &str, folder: &Path) -> Result<Self> {
         let (key, certificate) = (folder.join("bridge.key"), folder.join("bridge.crt"));
-        let mut command = Command::new("openssl");
+        let mut command = Program::Openssl.command();
         command.args([
             "req",
             "-x509",

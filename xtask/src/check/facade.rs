@@ -1,0 +1,46 @@
+//! The rule on the crate `gdp`: users see at most 60 items, and nothing but re-exports and what is marked unstable.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use syn::{Item, UseTree, Visibility};
+
+use super::sources::Source;
+
+const FACADE: &str = "gdp/src/lib.rs";
+const MOST_ITEMS: usize = 60;
+/// The one public module: what other crates of this workspace need, without a promise.
+const UNSTABLE: &str = "unstable";
+
+pub fn findings(product: &HashMap<PathBuf, Source>) -> Vec<String> {
+    let Some(facade) = product.get(Path::new(FACADE)) else { return vec![format!("{FACADE} does not exist")] };
+    let mut shown = 0;
+    let mut found = Vec::new();
+    for item in &facade.syntax.items {
+        match item {
+            Item::Use(item) if is_public(&item.vis) => shown += names(&item.tree),
+            Item::Mod(module) if is_public(&module.vis) && module.ident != UNSTABLE => {
+                found.push(format!("{FACADE}: `pub mod {}`", module.ident));
+            }
+            _ => {}
+        }
+    }
+    if shown > MOST_ITEMS {
+        found.push(format!("{FACADE}: {shown} items"));
+    }
+    found
+}
+
+fn is_public(visibility: &Visibility) -> bool {
+    matches!(visibility, Visibility::Public(_))
+}
+
+/// How many names a `use` brings in; a glob counts as too many.
+fn names(tree: &UseTree) -> usize {
+    match tree {
+        UseTree::Path(part) => names(&part.tree),
+        UseTree::Name(_) | UseTree::Rename(_) => 1,
+        UseTree::Group(group) => group.items.iter().map(names).sum(),
+        UseTree::Glob(_) => MOST_ITEMS + 1,
+    }
+}

@@ -1,0 +1,83 @@
+//! `cargo xtask check`: the rules of the source tree that a compiler does not know. Takes seconds.
+
+mod dependencies;
+mod facade;
+mod imports;
+mod lines;
+mod modules;
+mod names;
+mod prose;
+mod sources;
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+
+use self::sources::Source;
+
+/// How many findings of one rule are printed without `--all`.
+const SHOWN: usize = 20;
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// Print every finding, not only the first 20 of each rule
+    #[arg(long)]
+    all: bool,
+}
+
+/// One rule and everything that breaks it.
+struct Rule {
+    name: &'static str,
+    findings: Vec<String>,
+}
+
+pub fn run(options: Options) -> Result<()> {
+    let product: HashMap<PathBuf, Source> =
+        sources::product()?.into_iter().map(|source| (source.path.clone(), source)).collect();
+    let rules = [
+        Rule { name: "files of one crate import each other in a circle", findings: circles(&product) },
+        Rule { name: "a product file has more than 500 lines", findings: lines::long_files(&product) },
+        Rule { name: "test code lies in a product's src", findings: lines::tests_in_product(&product) },
+        Rule { name: "a line is too wide (code 120, comments and documents 100)", findings: lines::wide_lines()? },
+        Rule {
+            name: "a file's or item's first sentence is missing or over 25 words",
+            findings: prose::findings(&product),
+        },
+        Rule { name: "a document's sentence has more than 25 words", findings: prose::documents()? },
+        Rule { name: "a type name is defined more than three times", findings: names::repeated_types(&product) },
+        Rule { name: "a word of the list that may not come back", findings: names::retired_words(&product) },
+        Rule { name: "the facade shows more than 60 items", findings: facade::findings(&product) },
+        Rule { name: "a crate depends on what it must not", findings: dependencies::findings()? },
+    ];
+    for rule in &rules {
+        rule.print(options.all);
+    }
+    println!("{} product files, {} lines", product.len(), lines::count(&product));
+    match rules.iter().filter(|rule| !rule.findings.is_empty()).count() {
+        0 => Ok(()),
+        broken => bail!("{broken} of {} rules are broken", rules.len()),
+    }
+}
+
+impl Rule {
+    fn print(&self, all: bool) {
+        println!("{:5}  {}", self.findings.len(), self.name);
+        let shown = if all { self.findings.len() } else { SHOWN };
+        self.findings.iter().take(shown).for_each(|finding| println!("         {finding}"));
+        if self.findings.len() > shown {
+            println!("         … (--all prints every one)");
+        }
+    }
+}
+
+fn circles(product: &HashMap<PathBuf, Source>) -> Vec<String> {
+    let circle = |circle: imports::Circle| {
+        let ties = circle.edges.iter().map(|((from, to), names)| {
+            let names: Vec<&str> = names.iter().map(String::as_str).collect();
+            format!("\n           {} uses {} of {}", from.display(), names.join(", "), to.display())
+        });
+        format!("{} files:{}", circle.files.len(), ties.collect::<String>())
+    };
+    imports::circles(product).into_iter().map(circle).collect()
+}

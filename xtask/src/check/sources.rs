@@ -1,0 +1,62 @@
+//! The product's source files, parsed once: what every rule of `cargo xtask check` reads.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use gdp_tests::programs::{Executable as _, Program};
+use syn::{Attribute, File};
+
+use crate::{shell, workspace};
+
+/// One `.rs` file that is compiled into the product, without its tests.
+pub struct Source {
+    /// Relative to the workspace's root.
+    pub path: PathBuf,
+    pub text: String,
+    pub syntax: File,
+}
+
+/// Folders whose Rust files are not part of the product.
+const NOT_PRODUCT: [&str; 3] = ["tests", "fuzz", "third_party"];
+
+/// Every product file that Git tracks, in the order of the paths.
+pub fn product() -> Result<Vec<Source>> {
+    let mut sources = Vec::new();
+    for path in tracked("*.rs")? {
+        if is_product(&path) {
+            sources.push(read(path)?);
+        }
+    }
+    ensure!(!sources.is_empty(), "Git tracks no Rust file under {}", workspace::root().display());
+    Ok(sources)
+}
+
+/// The files that Git tracks and that match `pattern`, relative to the workspace's root. Deleted ones are left out.
+pub fn tracked(pattern: &str) -> Result<Vec<PathBuf>> {
+    let mut git = Program::Git.command();
+    git.args(["ls-files", pattern]).current_dir(workspace::root());
+    let listed = shell::output(&mut git).context("`git ls-files` failed")?;
+    Ok(listed.lines().map(PathBuf::from).filter(|path| workspace::root().join(path).is_file()).collect())
+}
+
+/// A product file lies below a `src` folder, or is a build script.
+fn is_product(path: &Path) -> bool {
+    let mut folders = path.iter().map(|part| part.to_string_lossy());
+    let top = folders.next().unwrap_or_default();
+    !NOT_PRODUCT.contains(&top.as_ref()) && (path.ends_with("build.rs") || folders.any(|folder| folder == "src"))
+}
+
+fn read(path: PathBuf) -> Result<Source> {
+    let file = workspace::root().join(&path);
+    let text = std::fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
+    let syntax = syn::parse_file(&text).with_context(|| format!("cannot parse {}", file.display()))?;
+    Ok(Source { path, text, syntax })
+}
+
+/// Whether an item with these attributes is compiled for tests only.
+pub fn is_for_tests(attributes: &[Attribute]) -> bool {
+    attributes.iter().any(|attribute| {
+        attribute.path().is_ident("cfg")
+            && attribute.parse_args::<syn::Ident>().is_ok_and(|condition| condition == "test")
+    })
+}

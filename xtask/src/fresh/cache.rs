@@ -1,0 +1,216 @@
+//! What one run downloads and compiles for the next: bounded, for one run at a time, and emptied when a run ends badly.
+
+use std::fs::{self, File};
+use std::hash::{DefaultHasher, Hasher as _};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use gdp_tests::programs::{Executable as _, Program};
+
+use crate::shell;
+
+/// A folder of the cache, what it may hold, and where it is in the root.
+pub struct Part {
+    name: &'static str,
+    /// Bytes. A larger folder is emptied before the next run.
+    limit: u64,
+    pub at: &'static str,
+}
+
+const GIB: u64 = 1 << 30;
+
+pub const PARTS: [Part; 3] = [
+    Part { name: "debs", limit: 2 * GIB, at: "var/cache/apt/archives" },
+    Part { name: "crates", limit: 3 * GIB, at: "root/.cargo/registry" },
+    Part { name: "wheels", limit: GIB, at: "root/.cache/pip" },
+];
+
+/// What debootstrap downloads.
+const DEBOOTSTRAP: &str = "debootstrap";
+
+/// What Cargo compiles: folders of the clone's target folder, one for each profile and one for each build of the XDP programs.
+/// The rest of the target folder is setup's, and made anew in each run.
+pub const COMPILED: [&str; 5] = ["debug", "release", "checked", "bpf", "bpf-rebuilt"];
+
+const COMPILED_LIMIT: u64 = 16 * GIB;
+
+/// Shows that the last run that used the cache left it in order.
+const COMPLETE: &str = "complete";
+
+pub struct Cache {
+    folder: PathBuf,
+    /// Whether what is compiled is taken from the cache.
+    has_compiled: bool,
+    /// Locked as long as this lives.
+    _lock: File,
+}
+
+/// What compiled files depend on beside the source, which Cargo looks at.
+pub struct Compiled {
+    key: String,
+}
+
+impl Compiled {
+    /// The compiler, and the table of what setup installs: an executable that was compiled when setup installed more must not
+    /// hide that it cannot be compiled any more.
+    pub fn key(clone: &Path) -> Result<Self> {
+        let steps = clone.join("xtask/src/setup/steps.rs");
+        let steps = fs::read(&steps).with_context(|| format!("cannot read {}", steps.display()))?;
+        let compiler = shell::output(Program::Rustc.command().arg("-vV")).context("rustc does not tell its version")?;
+        let mut hasher = DefaultHasher::new();
+        hasher.write(&steps);
+        hasher.write(compiler.as_bytes());
+        Ok(Self { key: format!("{:016x}", hasher.finish()) })
+    }
+}
+
+impl Cache {
+    /// Waits for another run. Removes what a run left that did not come to its end, and what is too large.
+    pub fn open(folder: &Path) -> Result<Self> {
+        fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+        let lock = folder.join("lock");
+        let lock = File::create(&lock).with_context(|| format!("cannot create {}", lock.display()))?;
+        if lock.try_lock().is_err() {
+            eprintln!("waiting for another `cargo xtask fresh`");
+            lock.lock().context("cannot lock the cache")?;
+        }
+        let this = Self { folder: folder.to_owned(), has_compiled: false, _lock: lock };
+        let is_complete = this.folder.join(COMPLETE).is_file();
+        if is_complete {
+            remove(&this.folder.join(COMPLETE))?;
+        }
+        let limits = PARTS.iter().map(|part| (part.name, part.limit));
+        for (name, limit) in limits.chain([(DEBOOTSTRAP, GIB), ("compiled", COMPILED_LIMIT)]) {
+            let part = this.folder.join(name);
+            if !is_complete || size(&part)? > limit {
+                remove(&part)?;
+            }
+            fs::create_dir_all(&part).with_context(|| format!("cannot create {}", part.display()))?;
+        }
+        Ok(this)
+    }
+
+    /// What it holds is good, for the next run.
+    pub fn complete(&self) -> Result<()> {
+        let marker = self.folder.join(COMPLETE);
+        fs::write(&marker, "").with_context(|| format!("cannot write {}", marker.display()))
+    }
+
+    /// From now on compiled files are taken from the cache, unless they were compiled under other conditions.
+    pub fn use_compiled(&mut self, compiled: &Compiled) -> Result<()> {
+        let key = self.compiled().join("key");
+        if fs::read_to_string(&key).ok().as_deref() != Some(&compiled.key) {
+            remove(&self.compiled())?;
+        }
+        for name in COMPILED {
+            let folder = self.compiled().join(name);
+            fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
+        }
+        fs::write(&key, &compiled.key).with_context(|| format!("cannot write {}", key.display()))?;
+        self.has_compiled = true;
+        Ok(())
+    }
+
+    /// When the content of each file of the clone was first seen.
+    pub fn times(&self) -> PathBuf {
+        self.compiled().join("times")
+    }
+
+    pub fn debootstrap(&self) -> PathBuf {
+        self.folder.join(DEBOOTSTRAP)
+    }
+
+    /// The folder that roots are made in.
+    pub fn roots(&self) -> PathBuf {
+        self.folder.clone()
+    }
+
+    /// Folders of the cache, and where they are mounted in the root. `clone`: where the tree is there.
+    pub fn mounts(&self, clone: &str) -> Vec<(PathBuf, String)> {
+        let parts = PARTS.iter().map(|part| (self.folder.join(part.name), part.at.to_owned()));
+        let compiled = COMPILED.iter().filter(|_| self.has_compiled);
+        let compiled = compiled.map(|name| (self.compiled().join(name), format!("{clone}/target/{name}")));
+        parts.chain(compiled).collect()
+    }
+
+    fn compiled(&self) -> PathBuf {
+        self.folder.join("compiled")
+    }
+}
+
+/// Bytes of the files below `path`, those that vanish meanwhile left out.
+fn size(path: &Path) -> Result<u64> {
+    let Ok(metadata) = fs::symlink_metadata(path) else { return Ok(0) };
+    if !metadata.is_dir() {
+        return Ok(metadata.len());
+    }
+    let entries = fs::read_dir(path).with_context(|| format!("cannot read {}", path.display()))?;
+    entries.flatten().map(|entry| size(&entry.path())).sum()
+}
+
+/// Removes a file or folder, which may not be there.
+fn remove(path: &Path) -> Result<()> {
+    let removed = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+    match removed {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(error).with_context(|| format!("cannot remove {}", path.display()))
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with_a_crate(folder: &Path) -> PathBuf {
+        let file = folder.join("crates/index/a");
+        fs::create_dir_all(file.parent().expect("a folder")).expect("created");
+        fs::write(&file, "x").expect("written");
+        file
+    }
+
+    #[test]
+    fn a_run_that_did_not_come_to_its_end_leaves_nothing() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let cache = Cache::open(folder.path()).expect("a cache");
+        let file = with_a_crate(folder.path());
+        cache.complete().expect("complete");
+        drop(cache);
+        // This one ends badly.
+        drop(Cache::open(folder.path()).expect("a cache"));
+        assert!(file.exists(), "what a good run leaves is there for the next");
+        drop(Cache::open(folder.path()).expect("a cache"));
+        assert!(!file.exists(), "what a bad run leaves may be broken");
+    }
+
+    #[test]
+    fn what_is_too_large_is_removed() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let cache = Cache::open(folder.path()).expect("a cache");
+        let file = with_a_crate(folder.path());
+        let part = PARTS.iter().find(|part| part.name == "crates").expect("a part");
+        // Sparse.
+        File::create(&file).and_then(|file| file.set_len(part.limit + 1)).expect("large");
+        cache.complete().expect("complete");
+        drop(cache);
+        drop(Cache::open(folder.path()).expect("a cache"));
+        assert!(!file.exists());
+    }
+
+    #[test]
+    fn compiled_files_are_of_one_table_of_setup_steps() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut cache = Cache::open(folder.path()).expect("a cache");
+        let compiled = |key: &str| Compiled { key: key.to_owned() };
+        cache.use_compiled(&compiled("a")).expect("used");
+        let file = folder.path().join("compiled/release/a");
+        fs::write(&file, "x").expect("written");
+        cache.use_compiled(&compiled("a")).expect("used");
+        assert!(file.exists());
+        cache.use_compiled(&compiled("b")).expect("used");
+        assert!(!file.exists());
+        let mounts = cache.mounts("root/gdp");
+        assert!(mounts.contains(&(folder.path().join("compiled/release"), "root/gdp/target/release".to_owned())));
+    }
+}

@@ -1,0 +1,124 @@
+//! `cargo xtask fresh`: does on a clean Debian 12 what somebody does who has just found this project.
+//!
+//! A root with gcc, git and this machine's Rust toolchain gets a clone of `HEAD`. There the switch is set up, built and
+//! started; then all of setup runs, twice; every external program is looked up; and the unit tests run. What a
+//! developer's machine has and setup forgets is missing there.
+//!
+//! [`root`] makes the root and runs commands in it, [`source`] clones the tree, [`cache`] holds what one run downloads and
+//! compiles for the next, [`stages`] measures.
+
+mod cache;
+mod root;
+mod source;
+mod stages;
+
+use std::time::Duration;
+
+use anyhow::{Result, bail, ensure};
+use gdp_tests::netns::{self, End, Namespace, veth};
+use gdp_tests::process::Process;
+use gdp_tests::wait;
+
+use self::cache::{Cache, Compiled};
+use self::root::Root;
+use self::stages::Stages;
+use crate::setup::{self, Purpose};
+use crate::workspace;
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// Compile everything, also what an earlier run has compiled; downloads are still cached
+    #[arg(long)]
+    cold: bool,
+    /// End with the running switch
+    #[arg(long)]
+    switch: bool,
+}
+
+/// How long building and starting the switch may take on a busy machine.
+const BUILD: Duration = Duration::from_secs(3600);
+
+/// The stages between a clone and a running switch, for the sum that README states.
+const TO_A_SWITCH: [&str; 4] = ["clone", "crates", "setup run", "run, to the ready line"];
+
+pub fn run(options: Options) -> Result<()> {
+    if !workspace::is_root() {
+        bail!("a clean root is made with debootstrap, chroot and namespaces, which needs root");
+    }
+    setup::ensure(Purpose::Fresh)?;
+    wait::catch_interrupts();
+    netns::sweep()?;
+    let mut stages = Stages::default();
+    let result = in_a_clean_root(&options, &mut stages);
+    stages.print();
+    let to_a_switch = stages.sum(&TO_A_SWITCH);
+    if let Some(seconds) = to_a_switch {
+        println!("from the clone to a running switch, downloads cached: {seconds:.0} s");
+    }
+    result
+}
+
+fn in_a_clean_root(options: &Options, stages: &mut Stages) -> Result<()> {
+    let mut cache = Cache::open(&workspace::target().join("fresh"))?;
+    let root = stages.time("Debian root", || Root::make(&cache))?;
+    stages.time("clone", || source::clone(&root.clone_folder()))?;
+    if !options.cold {
+        cache.use_compiled(&Compiled::key(&root.clone_folder())?)?;
+        source::restore_times(&root.clone_folder(), &cache.times())?;
+    }
+    stages.time("crates", || root.online(&cache, &["cargo", "fetch", "--locked"]))?;
+    stages.time("setup run", || root.online(&cache, &["cargo", "xtask", "setup", "run"]))?;
+    let site = Site::new()?;
+    stages.time("run, to the ready line", || run_switch(&root, &cache, &site))?;
+    if options.switch {
+        cache.complete()?;
+        return root.remove();
+    }
+    stages.time("setup", || root.online(&cache, &["cargo", "xtask", "setup"]))?;
+    stages.time("setup again", || {
+        let said = root.output(&cache, &["cargo", "xtask", "setup"])?;
+        ensure!(said.starts_with("Nothing to do"), "the second setup is not done: {said}");
+        Ok(())
+    })?;
+    stages.time("programs", || root.online(&cache, &["cargo", "xtask", "setup", "--programs"]))?;
+    stages.time("unit tests, compile", || {
+        root.offline(&cache, &site.host, &["cargo", "xtask", "test", "--unit", "--no-run"])
+    })?;
+    // What is compiled is good; that a test fails says nothing about it.
+    cache.complete()?;
+    stages.time("unit tests", || root.offline(&cache, &site.host, &["cargo", "xtask", "test", "--unit"]))?;
+    root.remove()
+}
+
+/// Builds and starts the switch as README says, waits for its ready line with XDP, and ends it.
+fn run_switch(root: &Root, cache: &Cache, site: &Site) -> Result<()> {
+    let logs = tempfile::tempdir()?;
+    let command = root.command(cache, Some(&site.host), &["cargo", "xtask", "run"])?;
+    let mut switch = Process::spawn("switch", command, logs.path())?;
+    let said = |process: &Process| process.stdout() + &process.stderr();
+    let native = format!("XDP: native on {INTERFACE}");
+    switch.wait_until("the ready line", BUILD, |switch| {
+        let said = said(switch);
+        (said.contains("ready: switch") && said.contains(&native)).then_some(())
+    })
+}
+
+const INTERFACE: &str = "e0";
+
+/// A host with one interface, and what is at the other end of its cable. `cargo xtask run` takes no interface of this machine.
+struct Site {
+    host: Namespace,
+    _beyond: Namespace,
+}
+
+impl Site {
+    fn new() -> Result<Self> {
+        let (host, beyond) = (Namespace::create("fresh")?, Namespace::create("beyond")?);
+        host.enable_ipv6()?;
+        host.enable_loopback_multicast()?;
+        let end = |namespace, interface, last| End { namespace, interface, mac: [2, 0, 0, 0, 0, last] };
+        veth(&end(&host, INTERFACE, 1), &end(&beyond, "b0", 2), 1500)?;
+        host.ip(&["address", "add", "192.0.2.1/24", "dev", INTERFACE])?;
+        Ok(Self { host, _beyond: beyond })
+    }
+}

@@ -1,0 +1,91 @@
+//! A clone of the tree, with files as old as their content.
+
+use std::collections::HashMap;
+use std::fs::{self, File};
+use std::path::Path;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use anyhow::{Context, Result, ensure};
+use gdp_tests::netns::execute;
+use gdp_tests::programs::{Executable as _, Program};
+
+use crate::{shell, workspace};
+
+/// Clones `HEAD` of the working copy, as somebody clones it from elsewhere.
+pub fn clone(to: &Path) -> Result<()> {
+    let root = workspace::root();
+    let mut changed = Program::Git.command();
+    changed.args(["status", "--porcelain", "--untracked-files=no"]).current_dir(root);
+    if shell::output(&mut changed).is_none_or(|changed| !changed.is_empty()) {
+        eprintln!("changes that are not committed are left out");
+    }
+    let mut clone = Program::Git.command();
+    clone.args(["clone", "--quiet", "--no-hardlinks", "--"]).arg(root).arg(to);
+    shell::say_and_run(&mut clone)?;
+    let [here, there] = [root, to].map(head);
+    ensure!(here? == there?, "{} is not a clone of HEAD", to.display());
+    Ok(())
+}
+
+fn head(folder: &Path) -> Result<String> {
+    execute(Program::Git.command().args(["rev-parse", "HEAD"]).current_dir(folder))
+}
+
+/// Gives each file of the clone the time at which its content was first seen, so that Cargo takes what has not changed since
+/// the last run for what it is. `record` holds the times from run to run.
+pub fn restore_times(clone: &Path, record: &Path) -> Result<()> {
+    // Without the record, all is new.
+    let before = fs::read_to_string(record).unwrap_or_default();
+    let before: HashMap<&str, u64> = before
+        .lines()
+        .filter_map(|line| line.split_once(' '))
+        .filter_map(|(t, key)| Some((key, t.parse().ok()?)))
+        .collect();
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).context("the clock is before 1970")?.as_secs();
+    let listed = execute(Program::Git.command().args(["ls-files", "--stage"]).current_dir(clone))?;
+    let mut lines = String::new();
+    for key in listed.lines() {
+        // MODE HASH STAGE<tab>PATH
+        let (_, path) = key.split_once('\t').with_context(|| format!("`git ls-files` says `{key}`"))?;
+        let time = before.get(key).copied().unwrap_or(now);
+        let file = clone.join(path);
+        let set = File::open(&file).and_then(|file| file.set_modified(UNIX_EPOCH + Duration::from_secs(time)));
+        set.with_context(|| format!("cannot set the time of {}", file.display()))?;
+        lines.push_str(&format!("{time} {key}\n"));
+    }
+    fs::write(record, lines).with_context(|| format!("cannot write {}", record.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_files_whose_content_has_changed_are_new() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (tree, record) = (folder.path().join("tree"), folder.path().join("record"));
+        let git = |arguments: &[&str]| {
+            let mut git = Program::Git.command();
+            execute(git.args(["-c", "user.name=t", "-c", "user.email=t@t"]).args(arguments).current_dir(&tree))
+                .expect("git")
+        };
+        let time = |file: &str| fs::metadata(tree.join(file)).and_then(|file| file.modified()).expect("a time");
+        fs::create_dir(&tree).expect("a folder");
+        git(&["init", "--quiet"]);
+        let (same, changed) = ("a file", "b");
+        for file in [same, changed] {
+            fs::write(tree.join(file), file).expect("written");
+        }
+        git(&["add", "."]);
+        restore_times(&tree, &record).expect("recorded");
+        // As if the first run had been long ago.
+        let old = fs::read_to_string(&record).expect("a record");
+        let old = old.lines().filter_map(|line| Some(format!("1000 {}\n", line.split_once(' ')?.1)));
+        fs::write(&record, old.collect::<String>()).expect("written");
+        fs::write(tree.join(changed), "other").expect("written");
+        git(&["add", "."]);
+        restore_times(&tree, &record).expect("restored");
+        assert_eq!(time(same), UNIX_EPOCH + Duration::from_secs(1000));
+        assert!(time(changed) > UNIX_EPOCH + Duration::from_secs(1000));
+    }
+}

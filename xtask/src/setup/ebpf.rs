@@ -1,0 +1,45 @@
+//! The toolchain of the XDP programs: a compiler with `core` for the target, and `bpf-linker`.
+
+use std::path::{Path, PathBuf};
+
+use gdp_tests::programs::{Program, own};
+
+use super::home;
+use crate::shell;
+
+/// The compiler for the eBPF target. Compiler and `bpf-linker` must share an LLVM major, so each comes as a pair.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum EbpfCompiler {
+    /// Debian's `rustc-web` with the prebuilt `core` of `libstd-rust-web-dev-bpf` (LLVM 22).
+    Debian,
+    /// A rustup nightly with `rust-src`; `core` is built on the way.
+    Nightly,
+}
+
+impl EbpfCompiler {
+    pub fn find() -> Option<Self> {
+        let debian = Path::new("/usr/lib/rustlib/bpfel-unknown-none/lib");
+        if Path::new("/usr/bin/rustc").is_file() && debian.is_dir() {
+            return Some(Self::Debian);
+        }
+        let toolchains = std::fs::read_dir(home("RUSTUP_HOME", ".rustup").join("toolchains")).ok()?;
+        toolchains
+            .flatten()
+            .filter(|entry| entry.file_name().to_string_lossy().starts_with("nightly-"))
+            .any(|entry| entry.path().join("lib/rustlib/src/rust/library/core").is_dir())
+            .then_some(Self::Nightly)
+    }
+}
+
+/// `bpf-linker` on `PATH`, or where `cargo install` puts it.
+pub fn bpf_linker() -> Option<PathBuf> {
+    Program::BpfLinker
+        .find()
+        .or_else(|| Some(home("CARGO_HOME", ".cargo").join("bin/bpf-linker")).filter(|file| file.is_file()))
+}
+
+pub fn bpf_linker_present() -> bool {
+    bpf_linker().is_some_and(|file| {
+        shell::output(own(file).arg("--version")).is_some_and(|version| version.starts_with("bpf-linker 0.13."))
+    })
+}

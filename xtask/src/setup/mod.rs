@@ -1,0 +1,221 @@
+//! `cargo xtask setup [PURPOSE…]`: installs what this machine lacks, saying what and why before it acts.
+//!
+//! The table [`steps::STEPS`] is all there is: to need something new, add a step. Other verbs call [`ensure`] with their
+//! purpose; when nothing is missing that costs a few file look-ups and prints nothing.
+
+mod ebpf;
+mod steps;
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail, ensure};
+use clap::ValueEnum;
+use gdp_tests::programs::{Executable as _, Program};
+
+pub use self::ebpf::{EbpfCompiler, bpf_linker};
+use self::steps::{STEPS, Step};
+use crate::{shell, workspace};
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// What this machine is for; everything if nothing is said
+    #[arg(value_enum)]
+    purposes: Vec<Purpose>,
+    /// Only say what is missing, and how it would be installed
+    #[arg(long)]
+    dry_run: bool,
+    /// Look up every external program that tests, benchmarks and `xtask` start, and install nothing
+    #[arg(long, conflicts_with_all = ["purposes", "dry_run"])]
+    programs: bool,
+}
+
+/// What a verb is about to do.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
+pub enum Purpose {
+    /// Build and run a switch with XDP
+    Run,
+    /// Build and run a switch with DPDK
+    Dpdk,
+    /// Run the tests that need no root
+    Unit,
+    /// Run all tests
+    Test,
+    /// Show the fabric at work
+    Demo,
+    /// Measure
+    Bench,
+    /// Do on a clean Debian root what a new machine does
+    Fresh,
+    /// Do what `.ci/run` does
+    Ci,
+}
+
+/// What is installed together.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Part {
+    /// Compile the workspace.
+    Workspace,
+    /// Compile the XDP programs.
+    Ebpf,
+    /// Check formatting and lints.
+    Lints,
+    /// Look at the tree as a repository.
+    Git,
+    /// Build networks of namespaces.
+    Namespaces,
+    /// Compile and run the DPDK data plane.
+    Dpdk,
+    /// Run replicas of a RIB.
+    Etcd,
+    /// Run foreign DDS programs against ours.
+    Dds,
+    /// Compare messages with those that another implementation makes.
+    Rosbags,
+    /// Run a ROS 1 master and rospy nodes against ours.
+    Ros1,
+    /// Run rclpy nodes against ours.
+    Ros2,
+    /// Compile the bridge that `bench ros` measures against.
+    Zenoh,
+    /// Make a clean Debian root.
+    Fresh,
+}
+
+impl Purpose {
+    const fn parts(self) -> &'static [Part] {
+        use Part::{Dds, Dpdk, Ebpf, Etcd, Fresh, Git, Lints, Namespaces, Ros1, Ros2, Rosbags, Workspace, Zenoh};
+        match self {
+            Self::Run => &[Workspace, Ebpf],
+            Self::Dpdk => &[Workspace, Dpdk],
+            Self::Unit => &[Workspace, Git, Etcd, Dds, Rosbags, Ros1, Ros2],
+            Self::Test => &[Workspace, Git, Ebpf, Namespaces, Dpdk, Etcd, Dds, Rosbags, Ros1, Ros2],
+            Self::Demo => &[Workspace, Ebpf, Namespaces, Dds],
+            Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, Dds, Zenoh],
+            Self::Fresh => &[Fresh, Git, Namespaces],
+            Self::Ci => &[Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, Dds, Rosbags, Ros1, Ros2, Fresh],
+        }
+    }
+}
+
+pub fn run(options: Options) -> Result<()> {
+    if options.programs {
+        return look_up_programs();
+    }
+    let purposes = if options.purposes.is_empty() { Purpose::value_variants() } else { &options.purposes };
+    let missing = missing(purposes);
+    if missing.is_empty() {
+        println!("Nothing to do: everything is installed.");
+        return Ok(());
+    }
+    if options.dry_run {
+        announce(&missing);
+        return Ok(());
+    }
+    install(&missing)
+}
+
+/// Installs what is missing for `purpose`.
+pub fn ensure(purpose: Purpose) -> Result<()> {
+    let missing = missing(&[purpose]);
+    if missing.is_empty() { Ok(()) } else { install(&missing) }
+}
+
+fn look_up_programs() -> Result<()> {
+    let mut missing = Vec::new();
+    for program in Program::ALL {
+        match program.find() {
+            Some(file) => println!("{:<16} {}", program.name(), file.display()),
+            None => missing.push(program.name()),
+        }
+    }
+    ensure!(
+        missing.is_empty(),
+        "not installed: {}; a step of `xtask/src/setup/steps.rs` has to install each",
+        missing.join(", ")
+    );
+    Ok(())
+}
+
+fn missing(purposes: &[Purpose]) -> Vec<&'static Step> {
+    let wanted = |part| purposes.iter().any(|purpose| purpose.parts().contains(&part));
+    STEPS.iter().filter(|step| wanted(step.part) && !step.is_done()).collect()
+}
+
+/// What is missing and why, and the commands that install it. Whether they may be run here.
+fn announce(missing: &[&Step]) -> bool {
+    eprintln!("Missing on this machine:");
+    for step in missing {
+        eprintln!("  {}: {}", step.what, step.why);
+    }
+    eprintln!("\nCommands (GDP_TARGET={}):", workspace::target().display());
+    let known = is_debian_12();
+    if !known {
+        missing.iter().for_each(|step| eprintln!("  {}", step.elsewhere));
+    }
+    let packages = if known { packages(missing) } else { Vec::new() };
+    packages.iter().chain(&wheels(missing)).for_each(|line| eprintln!("  {line}"));
+    if known {
+        missing.iter().flat_map(|step| step.commands).for_each(|line| eprintln!("  {line}"));
+    }
+    known
+}
+
+fn install(missing: &[&Step]) -> Result<()> {
+    if !announce(missing) {
+        bail!("this system is not Debian 12, so nothing was installed: run the commands above, then try again");
+    }
+    packages(missing).iter().chain(&wheels(missing)).try_for_each(|line| execute(line))?;
+    missing.iter().flat_map(|step| step.commands).try_for_each(|line| execute(line))?;
+    match missing.iter().find(|step| !step.is_done()) {
+        None => Ok(()),
+        Some(step) => bail!("{} is still missing after its commands succeeded", step.what),
+    }
+}
+
+/// Installs the Debian packages of all steps at once: dpkg takes most of its time for beginning and ending.
+fn packages(missing: &[&Step]) -> Vec<String> {
+    let names: BTreeSet<&str> = missing.iter().flat_map(|step| step.packages).copied().collect();
+    if names.is_empty() {
+        return Vec::new();
+    }
+    // Only `apt-get` needs root; the rest must not have it.
+    let prefix = if workspace::is_root() { "" } else { "sudo " };
+    let apt_get = format!("{prefix}DEBIAN_FRONTEND=noninteractive apt-get");
+    let names = names.into_iter().collect::<Vec<_>>().join(" ");
+    vec![format!("{apt_get} update -q"), format!("{apt_get} install -y --no-install-recommends {names}")]
+}
+
+/// Makes the Python environment, which Debian wants to be of its own, and installs the wheels of all steps at once.
+fn wheels(missing: &[&Step]) -> Vec<String> {
+    let names: Vec<&str> = missing.iter().flat_map(|step| step.wheels).copied().collect();
+    if names.is_empty() {
+        return Vec::new();
+    }
+    let markers = missing.iter().filter_map(|step| step.marker());
+    let markers = markers.map(|marker| format!("\"$GDP_TARGET/venv/{marker}\"")).collect::<Vec<_>>().join(" ");
+    vec![
+        "/usr/bin/python3 -m venv \"$GDP_TARGET/venv\"".into(),
+        format!("\"$GDP_TARGET/venv/bin/pip\" install --quiet --disable-pip-version-check {}", names.join(" ")),
+        format!("touch {markers}"),
+    ]
+}
+
+fn execute(line: &str) -> Result<()> {
+    eprintln!("+ {line}");
+    let mut shell = Program::Sh.command();
+    shell.args(["-ec", line]).env("GDP_TARGET", workspace::target()).current_dir(workspace::root());
+    shell::run(&mut shell)
+}
+
+fn is_debian_12() -> bool {
+    let release = std::fs::read_to_string("/etc/os-release").unwrap_or_default();
+    let has = |line: &str| release.lines().any(|l| l.replace('"', "") == line);
+    has("ID=debian") && has("VERSION_ID=12")
+}
+
+fn home(variable: &str, default: &str) -> PathBuf {
+    std::env::var_os(variable)
+        .map(PathBuf::from)
+        .unwrap_or_else(|| Path::new(&std::env::var_os("HOME").unwrap_or_default()).join(default))
+}

@@ -1,0 +1,264 @@
+//! The table of what setup installs: Debian packages, then commands, and how to see that a step is done.
+
+use std::path::{Path, PathBuf};
+
+use gdp_tests::programs::{Executable as _, Program};
+
+use super::Part;
+use super::ebpf::{EbpfCompiler, bpf_linker_present};
+use crate::{shell, workspace};
+
+/// One thing that a machine may lack.
+pub struct Step {
+    pub part: Part,
+    pub what: &'static str,
+    pub why: &'static str,
+    /// External programs that it installs.
+    pub programs: &'static [Program],
+    /// What shows, beside the programs, that the step is done.
+    pub present: fn() -> bool,
+    /// Debian 12's packages; recommended ones are not installed.
+    pub packages: &'static [&'static str],
+    /// Python wheels for the environment under the target folder, as `NAME==VERSION`.
+    pub wheels: &'static [&'static str],
+    /// Shell commands that follow, run as printed.
+    pub commands: &'static [&'static str],
+    /// What to do on a system this program does not know; only printed. Wheels are the same everywhere.
+    pub elsewhere: &'static str,
+}
+
+impl Step {
+    pub fn is_done(&self) -> bool {
+        let programs = self.programs.iter().all(|program| program.find().is_some());
+        programs && self.marker().is_none_or(|marker| venv().join(marker).is_file()) && (self.present)()
+    }
+
+    /// The file in the environment that shows that the wheels are in. It is made last, so that an installation that was cut
+    /// off does not count.
+    pub fn marker(&self) -> Option<String> {
+        self.wheels.first().map(|wheel| format!("gdp-{}", wheel.replace("==", "-")))
+    }
+}
+
+/// The Python environment under the target folder.
+pub fn venv() -> PathBuf {
+    workspace::target().join("venv")
+}
+
+/// What steps leave out.
+const NOTHING: Step = Step {
+    part: Part::Workspace,
+    what: "",
+    why: "",
+    programs: &[],
+    present: || true,
+    packages: &[],
+    wheels: &[],
+    commands: &[],
+    elsewhere: "",
+};
+
+pub const STEPS: &[Step] = &[
+    Step {
+        part: Part::Workspace,
+        what: "a C compiler",
+        why: "the cryptography (aws-lc) is C and assembly",
+        programs: &[Program::Cc, Program::Objcopy],
+        packages: &["gcc", "libc6-dev", "binutils"],
+        elsewhere: "install gcc and binutils",
+        ..NOTHING
+    },
+    Step {
+        part: Part::Lints,
+        what: "rustfmt and clippy",
+        why: "CI checks formatting and lints",
+        present: || rust_component("cargo-fmt") && rust_component("cargo-clippy"),
+        commands: &["rustup component add rustfmt clippy"],
+        elsewhere: "rustup component add rustfmt clippy",
+        ..NOTHING
+    },
+    Step {
+        part: Part::Git,
+        what: "git",
+        why: "checks list the files of the tree, and a test applies the patches of RustDDS as somebody upstream would",
+        programs: &[Program::Git],
+        packages: &["git"],
+        elsewhere: "install git",
+        ..NOTHING
+    },
+    Step {
+        part: Part::Ebpf,
+        what: "a Rust compiler with `core` for bpfel-unknown-none",
+        why: "rustup's stable toolchain cannot compile the XDP programs; Debian ships the prebuilt library",
+        present: || EbpfCompiler::find().is_some(),
+        packages: &["rustc-web", "libstd-rust-web-dev-bpf"],
+        elsewhere: "rustup toolchain install nightly --profile minimal --component rust-src",
+        ..NOTHING
+    },
+    Step {
+        part: Part::Ebpf,
+        what: "bpf-linker 0.13.0",
+        why: "links the XDP programs, with LLVM 22, the LLVM of the compiler above; built without optimisation, as it calls LLVM for the work",
+        present: bpf_linker_present,
+        packages: &["libllvm22"],
+        // The library is all of LLVM that the linker needs: its headers and tools would be 600 MB more.
+        commands: &[
+            "mkdir -p \"$GDP_TARGET/llvm-22/lib\"",
+            "ln -sf \"/usr/lib/$(uname -m)-linux-gnu/libLLVM.so.22.1\" \"$GDP_TARGET/llvm-22/lib/libLLVM.so\"",
+            "LLVM_PREFIX=\"$GDP_TARGET/llvm-22\" cargo install bpf-linker --version 0.13.0 --no-default-features --features llvm-22 --locked \
+                   --profile dev --config profile.dev.debug=false",
+        ],
+        elsewhere: "cargo install bpf-linker --version 0.13.0 --locked   # its LLVM must be that of the eBPF compiler",
+        ..NOTHING
+    },
+    Step {
+        part: Part::Namespaces,
+        what: "iproute2, ethtool and nftables",
+        why: "tests, demo and benchmarks build networks of namespaces and veth pairs, some of them behind NAT",
+        programs: &[Program::Ip, Program::Tc, Program::Ethtool, Program::Nft],
+        packages: &["iproute2", "ethtool", "nftables"],
+        elsewhere: "install iproute2, ethtool and nftables",
+        ..NOTHING
+    },
+    Step {
+        part: Part::Dpdk,
+        what: "DPDK 22.11 with its headers, drivers and testpmd, and libclang",
+        why: "the DPDK data plane is linked with it, bindgen reads its headers with libclang, and `bench forward` compares with testpmd",
+        programs: &[Program::PkgConfig, Program::DpdkTestpmd],
+        present: || {
+            has_libclang() && shell::output(Program::PkgConfig.command().args(["--modversion", "libdpdk"])).is_some()
+        },
+        packages: &["dpdk", "dpdk-dev", "libdpdk-dev", "pkg-config", "libclang-22-dev"],
+        elsewhere: "install DPDK 22.11, 23.03 or 23.07 (headers, libraries, drivers, testpmd), pkg-config and libclang",
+        ..NOTHING
+    },
+    Step {
+        part: Part::Etcd,
+        what: "etcd and etcdctl",
+        why: "tests run replicas of a RIB on clusters of their own; the service that Debian starts with it is not used",
+        programs: &[Program::Etcd, Program::Etcdctl],
+        packages: &["etcd-server", "etcd-client"],
+        elsewhere: "install etcd 3.4 or later, with etcdctl",
+        ..NOTHING
+    },
+    Step {
+        part: Part::Dds,
+        what: "Fast DDS with its IDL compiler, and a C++ compiler",
+        why: "one of the two DDS vendors that tests and demo run as unmodified applications",
+        programs: &[Program::Cxx, Program::Fastddsgen],
+        present: || Path::new("/usr/include/fastdds/dds").is_dir(),
+        packages: &["g++", "libfastrtps-dev", "fastddsgen"],
+        elsewhere: "install g++, Fast DDS 2.9 or later (headers and library) and fastddsgen",
+        ..NOTHING
+    },
+    Step {
+        part: Part::Dds,
+        what: "Cyclone DDS 11.0.1",
+        why: "the other of the two DDS vendors",
+        wheels: &["cyclonedds==11.0.1"],
+        ..WHEELS
+    },
+    Step {
+        part: Part::Rosbags,
+        what: "rosbags 0.11.9",
+        why: "tests compare messages of every ROS type with what it makes of them",
+        wheels: &["rosbags==0.11.9"],
+        ..WHEELS
+    },
+    Step {
+        part: Part::Ros1,
+        what: "rosmaster, rospy, actionlib and the common message packages",
+        why: "the master and the applications of ROS 1 that tests run; rospy needs netifaces, though its package only recommends it",
+        programs: &[Program::Python3, Program::Rosmaster],
+        present: ros1_present,
+        packages: &[
+            "python3-rosmaster",
+            "python3-rospy",
+            "python3-netifaces",
+            "rosout",
+            "ros-std-msgs",
+            "python3-std-msgs",
+            "ros-sensor-msgs",
+            "python3-sensor-msgs",
+            "ros-std-srvs",
+            "python3-std-srvs",
+            "ros-geometry-msgs",
+            "python3-geometry-msgs",
+            "ros-tf2-msgs",
+            "python3-tf2-msgs",
+            "python3-rostopic",
+            "python3-rosservice",
+            "python3-actionlib",
+        ],
+        elsewhere: "install ROS 1 Noetic's rosmaster, rospy, rostopic, rosservice, actionlib, std_msgs, sensor_msgs, std_srvs, geometry_msgs and tf2_msgs for \
+                    /usr/bin/python3, and netifaces",
+        ..NOTHING
+    },
+    Step {
+        part: Part::Ros2,
+        what: "ROS 2 Kilted's rclpy on Fast DDS",
+        why: "applications of ROS 2 that tests run; its other middlewares are no wheels",
+        wheels: &[
+            "ros-rclpy==9.1.2",
+            "ros-rmw-fastrtps-cpp==9.3.3",
+            "ros-std-msgs==5.5.1",
+            "ros-std-srvs==5.5.1",
+            "ros-test-msgs==2.3.0",
+        ],
+        ..WHEELS
+    },
+    Step {
+        part: Part::Zenoh,
+        what: "cmake, libclang and openssl",
+        why: "the bridge that `bench ros` measures against contains Cyclone DDS, which is C, and wants certificates",
+        programs: &[Program::Cmake, Program::Openssl],
+        present: has_libclang,
+        packages: &["cmake", "libclang-22-dev", "openssl"],
+        elsewhere: "install cmake, libclang and openssl",
+        ..NOTHING
+    },
+    Step {
+        part: Part::Fresh,
+        what: "debootstrap and util-linux",
+        why: "`cargo xtask fresh` makes a clean Debian root, and runs in it alone",
+        programs: &[Program::Debootstrap, Program::Unshare],
+        packages: &["debootstrap", "util-linux"],
+        elsewhere: "install debootstrap and util-linux",
+        ..NOTHING
+    },
+];
+
+/// What steps of Python wheels leave out.
+const WHEELS: Step = Step {
+    present: || Path::new("/usr/bin/python3").is_file(),
+    packages: &["python3-venv"],
+    elsewhere: "install Python 3.11 with its venv module",
+    ..NOTHING
+};
+
+/// Components lie beside the cargo that runs us: asking rustup would take half a second.
+fn rust_component(program: &str) -> bool {
+    let beside = std::env::var_os("CARGO").and_then(|cargo| Some(Path::new(&cargo).parent()?.join(program).is_file()));
+    beside.unwrap_or(false)
+}
+
+/// What Debian's packages contain, by their folders: asking Python would take a third of a second.
+fn ros1_present() -> bool {
+    let python = Path::new("/usr/lib/python3/dist-packages");
+    let modules = ["rosmaster", "rospy", "rostopic", "rosservice", "actionlib", "std_msgs", "sensor_msgs", "std_srvs"];
+    let modules = modules.iter().chain(&["geometry_msgs", "tf2_msgs"]);
+    let has_netifaces = || {
+        let names = std::fs::read_dir(python).into_iter().flatten().flatten().map(|entry| entry.file_name());
+        names.into_iter().any(|name| name.to_string_lossy().starts_with("netifaces."))
+    };
+    let shares = ["std_msgs", "sensor_msgs", "std_srvs", "geometry_msgs"];
+    modules.into_iter().all(|module| python.join(module).is_dir())
+        && shares.iter().all(|package| Path::new("/usr/share").join(package).is_dir())
+        && has_netifaces()
+}
+
+/// Where Debian's versions of LLVM lie.
+fn has_libclang() -> bool {
+    let versions = std::fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
+    versions.filter(|path| path.to_string_lossy().contains("/llvm-")).any(|path| path.join("lib/libclang.so").exists())
+}
